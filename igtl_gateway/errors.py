@@ -1,0 +1,92 @@
+"""Every error of the package, in one small tree.
+
+::
+
+    GatewayError                    base: catch this and nothing of ours escapes
+    ├── ConfigError                 the configuration or the command line (fault of the caller)
+    ├── WireError                   OpenIGTLink bytes that break the protocol (fault of the peer)
+    │   ├── TruncatedMessage        the stream ended inside a message
+    │   ├── ChecksumMismatch        CRC-64 of the body differs from the header's
+    │   ├── MessageTooLarge         announced body size above the limit
+    │   └── MalformedBody           a length, count or value that the format forbids
+    ├── ConversionError             a message that has no counterpart on the other side
+    ├── RosError                    the ROS 2 side: missing installation, unknown type, refused name
+    └── RecordingError              a session file (fault of the file or of the disk)
+        ├── UnsupportedRecording    not a session log, or a version we do not know
+        └── DamagedRecording        a session log that cannot be read to its end
+
+Every message of an error names the place, the value found and the value expected.
+"""
+
+from __future__ import annotations
+
+
+class GatewayError(Exception):
+    """Base of all errors raised on purpose by this package."""
+
+
+class ConfigError(GatewayError):
+    """A setting is missing, unknown or out of range."""
+
+
+class WireError(GatewayError):
+    """Bytes that are not valid OpenIGTLink.
+
+    Attributes:
+        place: where in the message, as ``"POLYDATA content, offset 12"``.
+        found: what was read.
+        expected: what the protocol asks for.
+    """
+
+    #: Stable machine-readable name, used in notes and in the loss ledger.
+    code = "wire_error"
+
+    def __init__(self, place: str, found: object, expected: object) -> None:
+        super().__init__(f"{place}: found {found}, expected {expected}")
+        self.place = place
+        self.found = found
+        self.expected = expected
+
+
+class TruncatedMessage(WireError):
+    """The stream ended, or the body is shorter than its own fields say."""
+
+    code = "truncated"
+
+
+class ChecksumMismatch(WireError):
+    """The CRC-64 in the header is not that of the body."""
+
+    code = "bad_crc"
+
+
+class MessageTooLarge(WireError):
+    """The header announces a body above the configured limit."""
+
+    code = "too_large"
+
+
+class MalformedBody(WireError):
+    """A field of the message contradicts the format."""
+
+    code = "malformed"
+
+
+class ConversionError(GatewayError):
+    """A well-formed message that cannot be expressed on the other side."""
+
+
+class RosError(GatewayError):
+    """ROS 2 is not installed here, or refuses a type or a name."""
+
+
+class RecordingError(GatewayError):
+    """A recording cannot be written or read."""
+
+
+class UnsupportedRecording(RecordingError):
+    """The file is not a session log, or of a version that this release does not know."""
+
+
+class DamagedRecording(RecordingError):
+    """The file is a session log, but cut off or corrupt."""

@@ -1,0 +1,77 @@
+"""The Entry: one thing that crossed the gateway's border, or that the gateway has to say.
+
+The session is the ordered list of entries.  Inputs (``*_IN``, ``LINK``, edge ``NOTE``) are numbered and
+stamped where they arrive; the outputs that an input causes follow it directly, with the next numbers and
+the next nanoseconds.  So the order of the numbers is the order of the stamps, no two entries share either,
+and the cause of an output is the last input before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+#: Anything with the buffer protocol; numpy views are passed as memoryviews.
+Buffer = bytes | bytearray | memoryview
+
+
+class Kind(Enum):
+    """What an entry is.  The value is its name in the recording."""
+
+    IGTL_IN = "igtl_in"  #: one whole OpenIGTLink message from a peer, before any check
+    IGTL_OUT = "igtl_out"  #: one whole OpenIGTLink message to the peers in ``links``
+    ROS_IN = "ros_in"  #: one CDR message from a ROS topic
+    ROS_OUT = "ros_out"  #: one CDR message to a ROS topic
+    LINK = "link"  #: a peer came or went (input); payload is a note
+    EDGE_NOTE = "edge_note"  #: an edge reports a fact, such as a drop (input); payload is a note
+    NOTE = "note"  #: the gateway reports a fact (output); payload is a note
+
+    @property
+    def is_input(self) -> bool:
+        """Whether the gateway is fed with it (and replay and verification feed it again)."""
+        return self in _INPUTS
+
+
+_INPUTS = frozenset({Kind.IGTL_IN, Kind.ROS_IN, Kind.LINK, Kind.EDGE_NOTE})
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One line of the session log.
+
+    Attributes:
+        seq: entry number, from 1, strictly increasing: the total order of the session.
+        stamp_ns: gateway time in UTC nanoseconds, strictly increasing.
+        kind: what it is.
+        channel: ROS topic; for OpenIGTLink the stream ``"TYPE/device name"``; for the rest ``""``.
+        type: ROS type (``"std_msgs/msg/String"``) or OpenIGTLink type name.
+        payload: the bytes, as buffers to be sent one after the other (scatter-gather).
+        links: for OpenIGTLink and link entries the numbers of the links concerned.
+        source_ns: the sender's own stamp in UTC nanoseconds; 0 = unset.
+    """
+
+    seq: int
+    stamp_ns: int
+    kind: Kind
+    channel: str = ""
+    type: str = ""
+    payload: Sequence[Buffer] = ()
+    links: tuple[int, ...] = ()
+    source_ns: int = 0
+
+    def data(self) -> bytes:
+        """The payload as one ``bytes`` object (no copy where it is one already)."""
+        return join(self.payload)
+
+    @property
+    def size(self) -> int:
+        """Payload length in bytes."""
+        return sum(memoryview(part).nbytes for part in self.payload)
+
+
+def join(buffers: Sequence[Buffer]) -> bytes:
+    """One ``bytes`` object of several buffers; no copy where there is one ``bytes`` already."""
+    if len(buffers) == 1 and isinstance(buffers[0], bytes):
+        return buffers[0]
+    return b"".join(buffers)

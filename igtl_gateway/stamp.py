@@ -1,0 +1,85 @@
+"""Time stamps: OpenIGTLink's 32.32 fixed point ⇄ integer nanoseconds ⇄ ROS time.
+
+A *tick word* is the raw 64-bit field of the OpenIGTLink header: upper 32 bits whole seconds since
+1970-01-01T00:00:00Z, lower 32 bits the fraction in units of 2⁻³² s.  0 means "not set", never 1970.
+
+The conversion is the one of the reference library (``igtl_util.c``), not the mathematically exact one:
+it walks the fraction from its top bit with a step that starts at half a second and is halved rounding
+*up*.  That makes ns → fraction → ns the identity for every ns, and our numbers bit-equal to what C++
+peers compute.  Fractions of 0xFFFFFFD9 and above mean 1,000,000,000 ns or more and are carried into
+the seconds here.
+"""
+
+from __future__ import annotations
+
+NS_PER_S = 1_000_000_000
+UNSET = 0
+
+
+def _steps() -> tuple[int, ...]:
+    """Nanoseconds that each of the 32 fraction bits stands for, top bit first."""
+    steps, step = [], NS_PER_S
+    for _ in range(32):
+        step = (step + 1) >> 1
+        steps.append(step)
+    return tuple(steps)
+
+
+_STEPS = _steps()
+
+# The value of a fraction is a sum over its bits, so four table look-ups do for 32 steps.
+_BYTE_NS = tuple(
+    tuple(sum(_STEPS[8 * byte + bit] for bit in range(8) if value & (0x80 >> bit)) for value in range(256))
+    for byte in range(4)
+)
+
+# The first nine steps are exact halvings (500000000 … 1953125): one division replaces nine of the steps.
+_EXACT_BITS = 9
+_EXACT_STEP_NS = NS_PER_S >> _EXACT_BITS
+_TAIL = tuple((step, 1 << (31 - bit)) for bit, step in enumerate(_STEPS) if bit >= _EXACT_BITS)
+
+
+def fraction_to_ns(fraction: int) -> int:
+    """Nanoseconds of a 32-bit fraction, as the reference library computes them (0 … 1,000,000,010)."""
+    return (
+        _BYTE_NS[0][fraction >> 24]
+        + _BYTE_NS[1][fraction >> 16 & 0xFF]
+        + _BYTE_NS[2][fraction >> 8 & 0xFF]
+        + _BYTE_NS[3][fraction & 0xFF]
+    )
+
+
+def ns_to_fraction(ns: int) -> int:
+    """32-bit fraction of ``ns`` (0 … 999,999,999), as the reference library computes it."""
+    quotient, rest = divmod(ns, _EXACT_STEP_NS)
+    fraction = quotient << (32 - _EXACT_BITS)
+    for step, bit in _TAIL:
+        if rest >= step:
+            fraction |= bit
+            rest -= step
+            if not rest:
+                break
+    return fraction
+
+
+def ticks_to_ns(ticks: int) -> int:
+    """UTC nanoseconds of a tick word; 0 (unset) stays 0."""
+    return (ticks >> 32) * NS_PER_S + fraction_to_ns(ticks & 0xFFFFFFFF)
+
+
+def ns_to_ticks(ns: int) -> int:
+    """Tick word of UTC nanoseconds, cut to what the field holds (1970 … 2106); 0 (unset) stays 0."""
+    seconds, rest = divmod(max(ns, 0), NS_PER_S)
+    return (seconds & 0xFFFFFFFF) << 32 | ns_to_fraction(rest)
+
+
+def ns_to_ros(ns: int) -> tuple[int, int]:
+    """``(sec, nanosec)`` of builtin_interfaces/Time (int32, uint32) for UTC nanoseconds."""
+    seconds, rest = divmod(ns, NS_PER_S)
+    # Time.sec is signed 32 bits: beyond 2038 it wraps, as in every ROS 2 message
+    return (seconds + 0x80000000) % 0x100000000 - 0x80000000, rest
+
+
+def ros_to_ns(sec: int, nanosec: int) -> int:
+    """UTC nanoseconds of a builtin_interfaces/Time; ``(0, 0)`` is "unset" and gives 0."""
+    return sec * NS_PER_S + nanosec
