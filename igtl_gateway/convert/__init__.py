@@ -1,0 +1,1 @@
+"""OpenIGTLink messages ⇄ ROS 2 messages: pure functions over values, one table of conversions."""

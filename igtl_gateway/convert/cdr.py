@@ -1,0 +1,188 @@
+"""CDR, the serialisation of ROS 2 messages: a writer and a reader over plain buffers.
+
+Only what rmw_fastrtps writes: XCDR version 1, 4-byte encapsulation header, each primitive aligned to its
+size counted from behind that header.  Padding is always zero, so equal messages are equal bytes (native
+serialisation leaves padding uninitialised, which no verification could compare).  Arrays are appended as
+buffers and joined once; the reader gives views on the received bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.session.entry import Buffer
+
+_ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR_LE, no options
+_HEADER_SIZE = 4
+
+#: No array of a message may claim more elements than its bytes can hold; this bounds zero-size elements too.
+_MAX_ELEMENTS = 1 << 31
+
+
+class Writer:
+    """Appends fields in the order of the message definition; ``finish`` gives the CDR bytes."""
+
+    __slots__ = ("_parts", "_size")
+
+    def __init__(self) -> None:
+        self._parts: list[Buffer] = [_ENCAPSULATION]
+        self._size = 0  # behind the encapsulation header: alignment counts from there
+
+    def _append(self, part: Buffer, size: int) -> None:
+        self._parts.append(part)
+        self._size += size
+
+    def align(self, to: int) -> None:
+        """Zero bytes up to the next multiple of ``to`` (1, 2, 4 or 8)."""
+        pad = -self._size % to
+        if pad:
+            self._append(bytes(pad), pad)
+
+    def pack(self, layout: struct.Struct, align: int, *values: Any) -> None:
+        """Fixed fields that have no padding between them, the first aligned to ``align``."""
+        self.align(align)
+        self._append(layout.pack(*values), layout.size)
+
+    def u8(self, value: int) -> None:
+        self._append(bytes((value,)), 1)
+
+    def bool(self, value: bool) -> None:
+        self.u8(1 if value else 0)
+
+    def u32(self, value: int) -> None:
+        self.pack(_U32, 4, value)
+
+    def i32(self, value: int) -> None:
+        self.pack(_I32, 4, value)
+
+    def f32(self, value: float) -> None:
+        self.pack(_F32, 4, value)
+
+    def f64s(self, *values: float) -> None:
+        """Consecutive float64 fields."""
+        self.align(8)
+        self._append(struct.pack(f"<{len(values)}d", *values), 8 * len(values))
+
+    def string(self, text: str) -> None:
+        """UTF-8 with its length and a final NUL."""
+        data = text.encode("utf-8", "surrogateescape")
+        self.align(4)
+        self._append(_U32.pack(len(data) + 1) + data + b"\x00", 5 + len(data))
+
+    def array(self, values: npt.NDArray[Any], align: int) -> None:
+        """The elements of an array, without a length: little-endian, contiguous; not copied if they are already."""
+        if values.size:
+            self.align(align)
+            flat = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
+            self._append(flat.reshape(-1).view(np.uint8).data, flat.nbytes)
+
+    def sequence(self, values: npt.NDArray[Any], align: int, count: int) -> None:
+        """A sequence of ``count`` primitives or of structs made of one primitive type."""
+        self.u32(count)
+        self.array(values, align)
+
+    def octets(self, data: Buffer) -> None:
+        """uint8[] from a buffer, not copied."""
+        view = memoryview(data).cast("B") if memoryview(data).nbytes else memoryview(b"")
+        self.u32(view.nbytes)
+        if view.nbytes:
+            self._append(view, view.nbytes)
+
+    def finish(self) -> bytes:
+        """The message, joined once (rclpy publishes nothing but ``bytes``)."""
+        return b"".join(self._parts)
+
+
+_U32 = struct.Struct("<I")
+_I32 = struct.Struct("<i")
+_F32 = struct.Struct("<f")
+
+
+class Reader:
+    """Reads fields in the order of the message definition from CDR bytes (either byte order).
+
+    Raises ConversionError where the bytes end too early or a length is impossible.
+    """
+
+    __slots__ = ("_data", "_offset", "_order", "_type")
+
+    def __init__(self, data: Buffer, type_name: str) -> None:
+        self._data = memoryview(data)
+        self._type = type_name
+        if self._data.nbytes < _HEADER_SIZE or self._data[0] != 0 or self._data[1] not in (0, 1):
+            raise ConversionError(
+                f"{type_name}: found encapsulation {bytes(self._data[:4]).hex() or 'nothing'}, "
+                "expected 0000 (big-endian CDR) or 0001 (little-endian CDR)"
+            )
+        self._order = "<" if self._data[1] else ">"
+        self._offset = _HEADER_SIZE
+
+    def _take(self, size: int, align: int) -> int:
+        """Offset of the next ``size`` bytes, aligned; moves behind them."""
+        offset = self._offset + (-(self._offset - _HEADER_SIZE) % align)
+        end = offset + size
+        if end > self._data.nbytes:
+            raise ConversionError(
+                f"{self._type}: CDR ends at byte {self._data.nbytes}, expected {size} more bytes at offset {offset}"
+            )
+        self._offset = end
+        return offset
+
+    def unpack(self, layout: str, align: int) -> tuple[Any, ...]:
+        """Fixed fields without padding between them (``layout`` as in ``struct``, without byte order)."""
+        layout = self._order + layout
+        return struct.unpack_from(layout, self._data, self._take(struct.calcsize(layout), align))
+
+    def u8(self) -> int:
+        return self._data[self._take(1, 1)]
+
+    def bool(self) -> bool:
+        return self.u8() != 0
+
+    def u32(self) -> int:
+        return int(self.unpack("I", 4)[0])
+
+    def i32(self) -> int:
+        return int(self.unpack("i", 4)[0])
+
+    def f32(self) -> float:
+        return float(self.unpack("f", 4)[0])
+
+    def string(self) -> str:
+        size = self.u32()
+        offset = self._take(size, 1)
+        return bytes(self._data[offset : offset + size]).rstrip(b"\x00").decode("utf-8", "surrogateescape")
+
+    def count(self) -> int:
+        """The length of a sequence whose elements are read one by one."""
+        count = self.u32()
+        if count > self._data.nbytes:  # each element takes a byte at least
+            raise ConversionError(
+                f"{self._type}: a sequence announces {count} elements in a message of {self._data.nbytes} bytes"
+            )
+        return count
+
+    def array(self, dtype: str, count: int, align: int) -> npt.NDArray[Any]:
+        """``count`` elements as a view on the received bytes; ``dtype`` without byte order, as ``"f8"``."""
+        kind = np.dtype(self._order + dtype)
+        if count == 0:
+            return np.empty(0, kind)
+        if count > _MAX_ELEMENTS:
+            raise ConversionError(f"{self._type}: a sequence announces {count} elements, expected fewer")
+        offset = self._take(count * kind.itemsize, align)
+        return np.frombuffer(self._data, kind, count, offset)
+
+    def sequence(self, dtype: str, per_element: int, align: int) -> npt.NDArray[Any]:
+        """A sequence of structs of ``per_element`` equal primitives, as a flat view."""
+        return self.array(dtype, self.u32() * per_element, align)
+
+    def octets(self) -> memoryview:
+        """uint8[] as a view on the received bytes."""
+        size = self.u32()
+        offset = self._take(size, 1)
+        return self._data[offset : offset + size]
