@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.session.entry import Buffer
+from igtl_gateway.buffers import Buffer
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR_LE, no options
 _HEADER_SIZE = 4

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.convert.cdr import Reader, Writer
-from igtl_gateway.session.entry import Buffer
+from igtl_gateway.buffers import Buffer
 from igtl_gateway.stamp import ns_to_ros, ros_to_ns
 
 Array = npt.NDArray[Any]

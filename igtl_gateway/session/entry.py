@@ -12,8 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-#: Anything with the buffer protocol; numpy views are passed as memoryviews.
-Buffer = bytes | bytearray | memoryview
+from igtl_gateway.buffers import Buffer, join, total_size
 
 
 class Kind(Enum):
@@ -67,11 +66,5 @@ class Entry:
     @property
     def size(self) -> int:
         """Payload length in bytes."""
-        return sum(memoryview(part).nbytes for part in self.payload)
+        return total_size(self.payload)
 
-
-def join(buffers: Sequence[Buffer]) -> bytes:
-    """One ``bytes`` object of several buffers; no copy where there is one ``bytes`` already."""
-    if len(buffers) == 1 and isinstance(buffers[0], bytes):
-        return buffers[0]
-    return b"".join(buffers)

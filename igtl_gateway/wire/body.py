@@ -1,0 +1,50 @@
+"""What every content codec offers, and the one for types that have none of their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+from igtl_gateway.buffers import Buffer
+
+
+class Body(Protocol):
+    """The content of a message.
+
+    ``unpack`` may keep views on its argument; ``pack`` is its mirror and gives buffers that are sent one after
+    the other, small fields first.
+    """
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        """Raises TruncatedMessage or MalformedBody."""
+        ...
+
+    def pack(self) -> list[Buffer]: ...
+
+    def describe(self) -> dict[str, Any]:
+        """As JSON values, with the keys of the reference corpus."""
+        ...
+
+
+#: How much of an undecoded content is shown as hex.
+_SHOWN_BYTES = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Raw:
+    """Content that is carried as it is: every type without a codec, and bodies that are empty by design."""
+
+    data: Buffer
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        return cls(content)
+
+    def pack(self) -> list[Buffer]:
+        return [self.data] if len(self.data) else []
+
+    def describe(self) -> dict[str, Any]:
+        if not len(self.data):
+            return {}
+        return {"raw_size": len(self.data), "raw_hex": bytes(self.data[:_SHOWN_BYTES]).hex()}

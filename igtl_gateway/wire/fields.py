@@ -1,0 +1,34 @@
+"""Fixed-width text of OpenIGTLink: zero-padded byte fields ⇄ str, without losing a byte.
+
+Decoding keeps everything but the trailing zeros: bytes that are no UTF-8 become surrogates, and what a
+sloppy sender left behind the first NUL stays in the string, so that encoding gives the same bytes again.
+``visible`` is the text as people and programs are meant to read it.
+"""
+
+from __future__ import annotations
+
+from igtl_gateway.errors import MalformedBody
+
+
+def decode_text(data: bytes | memoryview) -> str:
+    """The text of a zero-padded field (or of any text bytes), losslessly."""
+    return bytes(data).rstrip(b"\x00").decode("utf-8", "surrogateescape")
+
+
+def encode_text(text: str, width: int, place: str) -> bytes:
+    """``text`` as UTF-8, zero-padded to ``width`` bytes.  Raises MalformedBody if it does not fit."""
+    data = text.encode("utf-8", "surrogateescape")
+    if len(data) > width:
+        raise MalformedBody(place, f"{visible(text)!r} ({len(data)} bytes)", f"at most {width} bytes of UTF-8")
+    return data.ljust(width, b"\x00")
+
+
+def cut_text(text: str, width: int) -> str:
+    """``text`` cut to ``width`` bytes of UTF-8, never inside a character."""
+    data = text.encode("utf-8", "surrogateescape")
+    return text if len(data) <= width else data[:width].decode("utf-8", "ignore")
+
+
+def visible(text: str) -> str:
+    """``text`` up to its first NUL, undecodable bytes replaced: for display, names and conversion."""
+    return text.partition("\x00")[0].encode("utf-8", "surrogateescape").decode("utf-8", "replace")

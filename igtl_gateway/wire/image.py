@@ -1,0 +1,155 @@
+"""IMAGE: pixels of a slice or a volume with their place in the patient (``Protocol/image.md``)."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import fastcrc
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.wire.transform import pack_floats
+
+_HEAD = struct.Struct(">HBBBB3H")
+_MATRIX = struct.Struct(">12f")
+_SUB = struct.Struct(">3H3H")
+_SIZE = _HEAD.size + _MATRIX.size + _SUB.size
+
+#: Scalar type of the wire → numpy type without byte order.
+SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8"}
+BIG_ENDIAN, LITTLE_ENDIAN = 1, 2
+RAS, LPS = 1, 2
+_ORDER = {BIG_ENDIAN: ">", LITTLE_ENDIAN: "<"}
+
+#: Up to so many values are described one by one, more by count and CRC, as in the reference corpus.
+_SHOWN_VALUES = 256
+
+Triple = tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """IMAGE: 72 bytes of geometry, then pixels (i fastest, components interleaved).
+
+    Attributes:
+        dimensions: full size of the volume: columns i, rows j, slices k.
+        scalar_type: key of ``SCALARS``.
+        pixels: the bytes of the sub-volume, in the order of ``endian``.
+        num_components: values per pixel.
+        endian: 1 big, 2 little: of the pixels only.
+        coordinate: 1 RAS, 2 LPS: of the matrix.
+        wire_matrix: T, S, N (directions × spacing) and P, in millimetres; P is the centre of the volume.
+        subvol_offset: first pixel of the sub-volume.
+        subvol_size: its size; ``dimensions`` for a whole image.
+        image_version: 1.
+    """
+
+    IDENTITY: ClassVar[tuple[float, ...]] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+    dimensions: Triple
+    scalar_type: int
+    pixels: Buffer
+    num_components: int = 1
+    endian: int = LITTLE_ENDIAN
+    coordinate: int = RAS
+    wire_matrix: tuple[float, ...] = IDENTITY
+    subvol_offset: Triple = (0, 0, 0)
+    subvol_size: Triple | None = None
+    image_version: int = 1
+
+    @property
+    def sub_size(self) -> Triple:
+        """Size of what the pixels cover: the sub-volume, or the whole."""
+        return self.dimensions if self.subvol_size is None else self.subvol_size
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        if content.nbytes < _SIZE:
+            raise TruncatedMessage("IMAGE content", f"{content.nbytes} bytes", f"at least {_SIZE} bytes")
+        version, components, scalar, endian, coordinate, *dims = _HEAD.unpack_from(content)
+        matrix = _MATRIX.unpack_from(content, _HEAD.size)
+        sub = _SUB.unpack_from(content, _HEAD.size + _MATRIX.size)
+        image = cls(
+            (dims[0], dims[1], dims[2]),
+            scalar,
+            content[_SIZE:],
+            components,
+            endian,
+            coordinate,
+            matrix,
+            sub[:3],
+            sub[3:],
+            version,
+        )
+        image.check()
+        return image
+
+    def check(self) -> None:
+        """Raises MalformedBody where fields contradict each other or the pixels."""
+        for place, found, expected, good in (
+            ("offset 2, components", self.num_components, "1 or more", self.num_components >= 1),
+            ("offset 3, scalar type", self.scalar_type, f"one of {sorted(SCALARS)}", self.scalar_type in SCALARS),
+            ("offset 4, endian", self.endian, "1 (big) or 2 (little)", self.endian in _ORDER),
+            ("offset 5, coordinate system", self.coordinate, "1 (RAS) or 2 (LPS)", self.coordinate in (RAS, LPS)),
+        ):
+            if not good:
+                raise MalformedBody(f"IMAGE content, {place}", found, expected)
+        for axis, offset, size, full in zip("ijk", self.subvol_offset, self.sub_size, self.dimensions, strict=True):
+            if offset + size > full:
+                raise MalformedBody(
+                    f"IMAGE content, sub-volume along {axis}", f"{offset} + {size}", f"at most {full}, the full size"
+                )
+        size = memoryview(self.pixels).nbytes
+        if size != self.expected_bytes:
+            raise MalformedBody("IMAGE pixels", f"{size} bytes", f"{self.expected_bytes} bytes for {self.sub_size}")
+
+    @property
+    def expected_bytes(self) -> int:
+        """Bytes of the pixels that the fields announce."""
+        return math.prod(self.sub_size) * self.num_components * np.dtype(SCALARS[self.scalar_type]).itemsize
+
+    def pack(self) -> list[Buffer]:
+        self.check()
+        try:
+            head = _HEAD.pack(
+                self.image_version,
+                self.num_components,
+                self.scalar_type,
+                self.endian,
+                self.coordinate,
+                *self.dimensions,
+            )
+            sub = _SUB.pack(*self.subvol_offset, *self.sub_size)
+        except struct.error as error:
+            raise MalformedBody("IMAGE", f"size {self.dimensions}", f"0 … 65535 each ({error})") from None
+        return [head + pack_floats(_MATRIX, self.wire_matrix, "IMAGE matrix") + sub, self.pixels]
+
+    @property
+    def array(self) -> npt.NDArray[Any]:
+        """The pixels as a view of shape (k, j, i, components), in the byte order of the wire."""
+        i, j, k = self.sub_size
+        dtype = np.dtype(_ORDER[self.endian] + SCALARS[self.scalar_type])
+        return np.frombuffer(self.pixels, dtype).reshape(k, j, i, self.num_components)
+
+    def describe(self) -> dict[str, Any]:
+        pixels = self.array.reshape(-1)
+        crc = f"{fastcrc.crc64.ecma_182(self.pixels):016x}"
+        return {
+            "image_version": self.image_version,
+            "num_components": self.num_components,
+            "scalar_type": self.scalar_type,
+            "endian": self.endian,
+            "coordinate": self.coordinate,
+            "dimensions": list(self.dimensions),
+            "wire_matrix": list(self.wire_matrix),
+            "subvol_offset": list(self.subvol_offset),
+            "subvol_size": list(self.sub_size),
+            "data_size": memoryview(self.pixels).nbytes,
+            "data_crc64": crc,
+            "data": pixels.tolist() if len(pixels) <= _SHOWN_VALUES else {"count": len(pixels), "crc64": crc},
+        }

@@ -1,0 +1,335 @@
+"""A whole OpenIGTLink message: header, extended header, content, metadata ⇄ bytes.
+
+Layouts follow the protocol's ``header.md`` and, where that contradicts itself, the reference library:
+
+========  ====  ========================================================
+offset    size  header (58 bytes, big-endian)
+========  ====  ========================================================
+0         2     header version, 1 or 2
+2         12    type name
+14        20    device name
+34        8     time stamp (tick word, see ``igtl_gateway.stamp``)
+42        8     body size: all that follows the header
+50        8     CRC-64/ECMA-182 of the body
+========  ====  ========================================================
+
+Body of version 1: the content.  Body of version 2: extended header (12 bytes: u16 its size, u16 metadata
+header size, u32 metadata size, u32 message id), content, metadata header (u16 count, then per item u16 key
+size, u16 encoding, u32 value size), metadata (key, value, key, value … without separators).
+
+Decoding copies nothing: content and arrays are views on the received buffer.  Encoding gives a list of
+buffers for one scatter-gather send; a payload is never joined with its header.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import fastcrc
+
+from igtl_gateway.errors import ChecksumMismatch, MalformedBody, TruncatedMessage
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.stamp import fraction_to_ns
+from igtl_gateway.wire.body import Body, Raw
+from igtl_gateway.wire.fields import decode_text, encode_text, visible
+from igtl_gateway.wire.registry import BODIES
+
+HEADER_SIZE = 58
+_HEADER = struct.Struct(">H12s20sQQQ")
+_EXTENDED = struct.Struct(">HHII")
+_COUNT = struct.Struct(">H")
+_ITEM = struct.Struct(">HHI")
+
+#: Header versions that exist: 1 for protocol versions 1 and 2, 2 for protocol version 3.
+HEADER_VERSIONS = (1, 2)
+
+#: IANA MIBenum of text encodings.
+US_ASCII = 3
+UTF_8 = 106
+
+#: The reference library's reader holds metadata sizes in 16 bits and refuses more.
+MAX_METADATA_SENT = 65_535
+#: What we accept: far above any real use, far below what could hurt.
+MAX_METADATA_ACCEPTED = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The 58 bytes before every body.
+
+    Attributes:
+        version: header version (1 or 2).
+        type: type name, at most 12 bytes.
+        device_name: at most 20 bytes of UTF-8; see ``igtl_gateway.wire.fields`` for odd bytes.
+        ticks: tick word of the time stamp; 0 = unset.
+        body_size: bytes that follow.
+        crc: CRC-64 of the body as announced.
+    """
+
+    version: int
+    type: str
+    device_name: str
+    ticks: int
+    body_size: int
+    crc: int
+
+    @classmethod
+    def unpack(cls, data: Buffer) -> Header:
+        """The header at the start of ``data``.  Raises TruncatedMessage below 58 bytes."""
+        if len(data) < HEADER_SIZE:
+            raise TruncatedMessage("header", f"{len(data)} bytes", f"{HEADER_SIZE} bytes")
+        version, kind, device, ticks, size, crc = _HEADER.unpack_from(data)
+        return cls(version, decode_text(kind), decode_text(device), ticks, size, crc)
+
+    def pack(self) -> bytes:
+        """58 bytes.  Raises MalformedBody where a name does not fit its field."""
+        return _HEADER.pack(
+            self.version,
+            encode_text(self.type, 12, "header, type name"),
+            encode_text(self.device_name, 20, "header, device name"),
+            self.ticks,
+            self.body_size,
+            self.crc,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One metadata pair of header version 2.
+
+    Attributes:
+        key: US-ASCII by document, any text in practice.
+        value: raw bytes; ``text`` reads them.
+        encoding: IANA MIBenum of the value (3 US-ASCII, 106 UTF-8).
+    """
+
+    key: str
+    value: bytes
+    encoding: int = US_ASCII
+
+    @property
+    def text(self) -> str:
+        """The value as text; undecodable bytes are replaced."""
+        return self.value.decode("utf-8", "replace")
+
+    @classmethod
+    def of(cls, key: str, text: str) -> Item:
+        """A pair with a text value, marked UTF-8 only where it has to be."""
+        return cls(key, text.encode(), US_ASCII if text.isascii() else UTF_8)
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One OpenIGTLink message.
+
+    Attributes:
+        type: type name, such as ``"TRANSFORM"``.
+        device_name: name of the stream, at most 20 bytes of UTF-8.
+        content: the decoded body; ``Raw`` for types without a codec.
+        ticks: tick word of the sender's time stamp; 0 = unset.
+        header_version: 1 or 2.  Version 1 carries neither id nor metadata.
+        message_id: sender's id of the message (version 2).
+        metadata: pairs in wire order (version 2).
+    """
+
+    type: str
+    device_name: str
+    content: Body
+    ticks: int = 0
+    header_version: int = 1
+    message_id: int = 0
+    metadata: tuple[Item, ...] = field(default=())
+
+
+def decode(data: Buffer, *, check_crc: bool = True) -> Message:
+    """The message in ``data``: exactly one, whole, header and body.
+
+    Raises:
+        TruncatedMessage: fewer bytes than header or fields announce.
+        ChecksumMismatch: the CRC of the body is wrong (only with ``check_crc``).
+        MalformedBody: header version, length or value that the protocol forbids.
+    """
+    view = memoryview(data)
+    header = Header.unpack(view)
+    if header.version not in HEADER_VERSIONS:
+        raise MalformedBody("header, version", header.version, "1 or 2")
+    body = view[HEADER_SIZE:]
+    if body.nbytes != header.body_size:
+        error = TruncatedMessage if body.nbytes < header.body_size else MalformedBody
+        raise error(f"{header.type} body", f"{body.nbytes} bytes", f"{header.body_size} bytes")
+    if check_crc and (crc := fastcrc.crc64.ecma_182(body)) != header.crc:
+        raise ChecksumMismatch(f"{visible(header.type)} body, CRC-64", f"{crc:016x}", f"{header.crc:016x}")
+    if header.version == 1:
+        return Message(header.type, header.device_name, _content(header.type, body), header.ticks)
+    extended = Extended.unpack(body)
+    content, metadata = extended.split(body)
+    return Message(
+        header.type,
+        header.device_name,
+        _content(header.type, content),
+        header.ticks,
+        header.version,
+        extended.message_id,
+        metadata,
+    )
+
+
+def _content(type_name: str, content: memoryview) -> Body:
+    codec = BODIES.get(type_name, Raw)
+    if not content.nbytes and not getattr(codec, "MAY_BE_EMPTY", False):
+        codec = Raw  # an empty body is a peer's way to say "I have none" (BrainLab images, refused queries)
+    return codec.unpack(content)
+
+
+@dataclass(frozen=True, slots=True)
+class Extended:
+    """The extended header of version 2: sizes in bytes and the message id."""
+
+    ext_header_size: int
+    metadata_header_size: int
+    metadata_size: int
+    message_id: int
+
+    @classmethod
+    def unpack(cls, body: memoryview) -> Extended:
+        """From the start of a body; every size is checked against the body."""
+        if body.nbytes < _EXTENDED.size:
+            raise TruncatedMessage("extended header", f"{body.nbytes} bytes", f"{_EXTENDED.size} bytes")
+        extended = cls(*_EXTENDED.unpack_from(body))
+        if extended.ext_header_size < _EXTENDED.size:
+            raise MalformedBody(
+                "extended header, offset 0", f"size {extended.ext_header_size}", f"at least {_EXTENDED.size}"
+            )
+        total = extended.ext_header_size + extended.metadata_header_size + extended.metadata_size
+        if total > body.nbytes:
+            raise MalformedBody("extended header", f"sizes of {total} bytes", f"at most the body, {body.nbytes} bytes")
+        if extended.metadata_size > MAX_METADATA_ACCEPTED:
+            raise MalformedBody(
+                "extended header, offset 4", f"{extended.metadata_size} bytes", f"at most {MAX_METADATA_ACCEPTED}"
+            )
+        return extended
+
+    def split(self, body: memoryview) -> tuple[memoryview, tuple[Item, ...]]:
+        """Content and metadata of the body that this extended header begins."""
+        # the library finds the metadata from the end of the body, so do we
+        data_at = body.nbytes - self.metadata_size
+        head_at = data_at - self.metadata_header_size
+        return body[self.ext_header_size : head_at], _metadata(body[head_at:data_at], body[data_at:])
+
+
+def _metadata(head: memoryview, data: memoryview) -> tuple[Item, ...]:
+    if head.nbytes == 0 and data.nbytes == 0:
+        return ()
+    if head.nbytes < _COUNT.size:
+        raise TruncatedMessage("metadata header", f"{head.nbytes} bytes", f"at least {_COUNT.size}")
+    (count,) = _COUNT.unpack_from(head)
+    if head.nbytes < _COUNT.size + count * _ITEM.size:
+        raise MalformedBody("metadata header", f"{count} items in {head.nbytes} bytes", f"{_ITEM.size} bytes an item")
+    items = []
+    offset = 0
+    for index in range(count):
+        key_size, encoding, value_size = _ITEM.unpack_from(head, _COUNT.size + index * _ITEM.size)
+        end = offset + key_size + value_size
+        if end > data.nbytes:
+            raise MalformedBody(
+                f"metadata item {index}", f"key and value up to byte {end}", f"at most {data.nbytes} bytes of metadata"
+            )
+        value_at = offset + key_size
+        key = bytes(data[offset:value_at]).decode("utf-8", "surrogateescape")
+        items.append(Item(key, bytes(data[value_at:end]), encoding))
+        offset = end
+    return tuple(items)
+
+
+def encode(message: Message) -> list[Buffer]:
+    """The message as buffers to be sent one after the other.
+
+    The first buffer holds the header and all small fields in front of the payload; payload arrays follow as
+    they are, without a copy.
+
+    Raises:
+        MalformedBody: a name, size or value that does not fit the format.
+    """
+    parts = message.content.pack()
+    if message.header_version == 1:
+        front, back = b"", b""
+    else:
+        back = _pack_metadata(message.metadata)
+        metadata_header_size = _COUNT.size + len(message.metadata) * _ITEM.size
+        front = _EXTENDED.pack(
+            _EXTENDED.size, metadata_header_size, len(back) - metadata_header_size, message.message_id
+        )
+    crc = fastcrc.crc64.ecma_182(front) if front else 0
+    size = len(front) + len(back)
+    for part in parts:
+        crc = fastcrc.crc64.ecma_182(part, crc)
+        size += memoryview(part).nbytes
+    if back:
+        crc = fastcrc.crc64.ecma_182(back, crc)
+    header = Header(message.header_version, message.type, message.device_name, message.ticks, size, crc).pack()
+    if parts and isinstance(parts[0], bytes):
+        buffers: list[Buffer] = [header + front + parts[0], *parts[1:]]
+    else:
+        buffers = [header + front, *parts]
+    if back:
+        buffers.append(back)
+    return buffers
+
+
+def _pack_metadata(items: Sequence[Item]) -> bytes:
+    head, data = [_COUNT.pack(len(items))], []
+    for item in items:
+        key = item.key.encode("utf-8", "surrogateescape")
+        if len(key) > 0xFFFF:
+            raise MalformedBody("metadata key", f"{len(key)} bytes", "at most 65535 bytes")
+        head.append(_ITEM.pack(len(key), item.encoding, len(item.value)))
+        data += (key, item.value)
+    packed = b"".join(data)
+    if len(packed) > MAX_METADATA_SENT:
+        raise MalformedBody("metadata", f"{len(packed)} bytes", f"at most {MAX_METADATA_SENT} bytes")
+    return b"".join(head) + packed
+
+
+def describe(data: Buffer) -> dict[str, Any]:
+    """A message as JSON values, with the keys of the reference corpus; never raises for what the body holds.
+
+    A body that cannot be decoded gives ``"error"`` in place of ``"content"``.
+    Raises TruncatedMessage where not even the header is whole.
+    """
+    view = memoryview(data)
+    header = Header.unpack(view)
+    body = view[HEADER_SIZE:]
+    fraction = header.ticks & 0xFFFFFFFF
+    shown: dict[str, Any] = {
+        "header_version": header.version,
+        "type": visible(header.type),
+        "device_name": visible(header.device_name),
+        "timestamp": {"sec": header.ticks >> 32, "frac": fraction, "nanosec": fraction_to_ns(fraction)},
+        "body_size": header.body_size,
+        "crc": f"{header.crc:016x}",
+        "crc_ok": body.nbytes == header.body_size and fastcrc.crc64.ecma_182(body) == header.crc,
+    }
+    try:
+        if header.version == 2:
+            extended = Extended.unpack(body)
+            shown["ext"] = {
+                "ext_header_size": extended.ext_header_size,
+                "metadata_header_size": extended.metadata_header_size,
+                "metadata_size": extended.metadata_size,
+                "message_id": extended.message_id,
+            }
+            shown["content_size"] = extended.split(body)[0].nbytes
+        else:
+            shown["content_size"] = body.nbytes
+        message = decode(view, check_crc=False)
+        if header.version == 2:
+            shown["metadata"] = [
+                {"key": visible(item.key), "encoding": item.encoding, "value": item.text} for item in message.metadata
+            ]
+        shown["content"] = message.content.describe()
+    except (MalformedBody, TruncatedMessage) as error:
+        shown["error"] = {"code": error.code, "text": str(error)}
+    return shown

@@ -1,0 +1,265 @@
+"""POLYDATA: points, cells and attributes of a surface or a cloud (``Protocol/polydata.md``).
+
+Content: a head of ten u32 (points; then number and byte size of vertices, lines, polygons, strips; then the
+number of attributes), points as 3 × float32, four cell arrays (per cell u32 count and that many u32 indices),
+attribute heads (u8 type, u8 components, u32 tuples), attribute names (NUL-terminated, together padded to an
+even size), attribute data as float32.
+
+The document packs type and components into one u16; on the wire the type byte comes first.  The reference
+library writes nine components for every attribute type but 0x00 … 0x02: ``Attribute.values`` undoes that.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.wire.fields import decode_text, visible
+
+_HEAD = struct.Struct(">10I")
+_ATTRIBUTE = struct.Struct(">BBI")
+
+U4 = np.dtype(">u4")
+F4 = np.dtype(">f4")
+
+#: Attribute types; 0x10 is added for attributes of cells instead of points.
+SCALAR, VECTOR, NORMAL, TENSOR, RGBA, TCOORDS = range(6)
+CELL = 0x10
+
+#: Real components of the types that the reference library pads to nine.
+_PADDED = {RGBA: 4, TCOORDS: 3, CELL | SCALAR: 1, CELL | VECTOR: 3, CELL | NORMAL: 3, CELL | RGBA: 4, CELL | TCOORDS: 3}
+_PADDED_TO = 9
+
+MAX_ATTRIBUTE_NAME = 255
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """A cell array.
+
+    Attributes:
+        count: number of cells.
+        data: flat u32: per cell its number of indices, then the indices (0-based, into the points).
+    """
+
+    count: int
+    data: npt.NDArray[Any]
+
+    @classmethod
+    def unpack(cls, place: str, count: int, content: memoryview, num_points: int) -> Self:
+        """From ``content``; every count and index is checked.  Raises MalformedBody."""
+        if content.nbytes % U4.itemsize:
+            raise MalformedBody(place, f"{content.nbytes} bytes", "a multiple of 4")
+        data = np.frombuffer(content, U4)
+        cells = cls(count, data)
+        starts = cells.starts(place)
+        inside = np.ones(len(data), bool)
+        inside[starts] = False
+        indices = data[inside]
+        if len(indices) and (highest := int(indices.max())) >= num_points:
+            raise MalformedBody(place, f"point index {highest}", f"below {num_points}, the number of points")
+        return cells
+
+    @property
+    def width(self) -> int | None:
+        """Indices per cell where all cells have the same number of them, else None."""
+        if not self.count or len(self.data) % self.count:
+            return None
+        width = len(self.data) // self.count
+        return width - 1 if width and bool((self.data.reshape(self.count, width)[:, 0] == width - 1).all()) else None
+
+    def starts(self, place: str = "cells") -> npt.NDArray[np.int64]:
+        """Where each cell's count stands in ``data``.  Raises MalformedBody if the cells do not fill the data."""
+        if (width := self.width) is not None:
+            return np.arange(0, len(self.data), width + 1, dtype=np.int64)
+        starts, position, sizes = [], 0, self.data.tolist()
+        end = len(sizes)
+        for _ in range(min(self.count, end + 1)):
+            if position >= end:
+                break
+            starts.append(position)
+            position += sizes[position] + 1
+        if position != end or len(starts) != self.count:
+            raise MalformedBody(
+                place, f"{len(starts)} cells in {4 * position} bytes", f"{self.count} cells in {4 * end} bytes"
+            )
+        return np.array(starts, np.int64)
+
+    @classmethod
+    def of(cls, cells: npt.NDArray[Any] | Sequence[Sequence[int]]) -> Self:
+        """From an (n, k) index array, or from lists of indices of any length."""
+        if isinstance(cells, np.ndarray) and cells.ndim == 2:
+            data = np.empty((cells.shape[0], cells.shape[1] + 1), U4)
+            data[:, 0] = cells.shape[1]
+            data[:, 1:] = cells
+            return cls(len(cells), data.reshape(-1))
+        flat = [value for cell in cells for value in (len(cell), *cell)]
+        return cls(len(cells), np.array(flat, U4))
+
+    def lists(self) -> list[list[int]]:
+        """Every cell as a list of indices."""
+        data = self.data.tolist()
+        return [data[start + 1 : start + 1 + data[start]] for start in self.starts().tolist()]
+
+
+NO_CELLS = Cells(0, np.empty(0, U4))
+
+
+@dataclass(frozen=True, slots=True)
+class Attribute:
+    """A value per point or per cell.
+
+    Attributes:
+        type: SCALAR … TCOORDS, + CELL.
+        name: at most 255 bytes.
+        components: values per tuple, as written in the head.
+        data: flat float32, tuples · components.
+    """
+
+    type: int
+    name: str
+    components: int
+    data: npt.NDArray[Any]
+
+    @property
+    def tuples(self) -> int:
+        """Number of points or cells that it covers."""
+        return len(self.data) // self.components if self.components else 0
+
+    @property
+    def values(self) -> npt.NDArray[Any]:
+        """(tuples, real components) view: without the tail that the reference library appends."""
+        real = _PADDED.get(self.type, 0)
+        if real and self.components == _PADDED_TO:
+            return self.data[: self.tuples * real].reshape(self.tuples, real)
+        return self.data.reshape(self.tuples, self.components)
+
+    @classmethod
+    def of(cls, kind: int, name: str, values: npt.NDArray[Any]) -> Self:
+        """From an (n, components) array."""
+        return cls(kind, name, values.shape[1], np.ascontiguousarray(values, F4).reshape(-1))
+
+
+@dataclass(frozen=True, slots=True)
+class PolyData:
+    """POLYDATA.
+
+    Attributes:
+        points: (n, 3) float32.  The document names no unit; every peer uses millimetres.
+        vertices, lines, polygons, triangle_strips: cells.
+        attributes: values of points and cells.
+    """
+
+    points: npt.NDArray[Any]
+    vertices: Cells = NO_CELLS
+    lines: Cells = NO_CELLS
+    polygons: Cells = NO_CELLS
+    triangle_strips: Cells = NO_CELLS
+    attributes: tuple[Attribute, ...] = ()
+
+    @property
+    def cells(self) -> tuple[Cells, Cells, Cells, Cells]:
+        """The four cell arrays in wire order."""
+        return self.vertices, self.lines, self.polygons, self.triangle_strips
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        take = _Taker(content)
+        num_points, *sizes, num_attributes = _HEAD.unpack(take("head", _HEAD.size))
+        points = np.frombuffer(take("points", 12 * num_points), F4).reshape(num_points, 3)
+        cells = [
+            Cells.unpack(f"POLYDATA {name}", count, take(name, size), num_points)
+            for name, count, size in zip(_SECTIONS, sizes[::2], sizes[1::2], strict=True)
+        ]
+        heads = take("attribute heads", _ATTRIBUTE.size * num_attributes)
+        names_size = 0
+        names = []
+        for index in range(num_attributes):
+            names.append(take.until_nul(f"name of attribute {index}"))
+            names_size += len(names[-1]) + 1
+        if names_size % 2:
+            take("padding of the attribute names", 1)
+        attributes = []
+        for index, (kind, components, tuples) in enumerate(_ATTRIBUTE.iter_unpack(heads)):
+            data = take(f"data of attribute {index}", 4 * components * tuples)
+            attributes.append(Attribute(kind, decode_text(names[index]), components, np.frombuffer(data, F4)))
+        take.end()
+        return cls(points, *cells, tuple(attributes))
+
+    def pack(self) -> list[Buffer]:
+        head = [len(self.points)]
+        for cells in self.cells:
+            head += (cells.count, U4.itemsize * len(cells.data))
+        parts: list[Buffer] = [_HEAD.pack(*head, len(self.attributes))]
+        parts += (_raw(array) for array in (self.points, *(cells.data for cells in self.cells)) if array.size)
+        if self.attributes:
+            heads, names = b"", b""
+            for attribute in self.attributes:
+                name = attribute.name.encode("utf-8", "surrogateescape")
+                if len(name) > MAX_ATTRIBUTE_NAME or b"\x00" in name:
+                    raise MalformedBody("POLYDATA attribute name", repr(attribute.name), "at most 255 bytes, no NUL")
+                heads += _ATTRIBUTE.pack(attribute.type, attribute.components, attribute.tuples)
+                names += name + b"\x00"
+            parts.append(heads + names + bytes(len(names) % 2))
+            parts += (_raw(attribute.data) for attribute in self.attributes if attribute.data.size)
+        return parts
+
+    def describe(self) -> dict[str, Any]:
+        shown: dict[str, Any] = {"num_points": len(self.points), "points": self.points.tolist()}
+        shown |= {name: cells.lists() for name, cells in zip(_SECTIONS, self.cells, strict=True)}
+        shown["attributes"] = [
+            {
+                "type": attribute.type,
+                "ncomponents": attribute.components,
+                "n": attribute.tuples,
+                "name": visible(attribute.name),
+                "data": attribute.data.tolist(),
+            }
+            for attribute in self.attributes
+        ]
+        return shown
+
+
+_SECTIONS = ("vertices", "lines", "polygons", "triangle_strips")
+
+
+def _raw(array: npt.NDArray[Any]) -> memoryview:
+    """The bytes of a contiguous big-endian array, not copied; any other array is converted once."""
+    wire = np.ascontiguousarray(array, U4 if array.dtype.kind in "ui" else F4)
+    return wire.reshape(-1).view(np.uint8).data
+
+
+class _Taker:
+    """Cuts sections off the content, each checked against what is left before anything is allocated."""
+
+    def __init__(self, content: memoryview) -> None:
+        self._content = content
+        self._offset = 0
+
+    def __call__(self, what: str, size: int) -> memoryview:
+        left = self._content.nbytes - self._offset
+        if size > left:
+            raise TruncatedMessage(f"POLYDATA {what}, offset {self._offset}", f"{left} bytes", f"{size} bytes")
+        self._offset += size
+        return self._content[self._offset - size : self._offset]
+
+    def until_nul(self, what: str) -> bytes:
+        window = bytes(self._content[self._offset : self._offset + MAX_ATTRIBUTE_NAME + 1])
+        name, nul, _ = window.partition(b"\x00")
+        if not nul:
+            raise MalformedBody(f"POLYDATA {what}, offset {self._offset}", "no NUL", "a NUL within 256 bytes")
+        self._offset += len(name) + 1
+        return name
+
+    def end(self) -> None:
+        if self._offset != self._content.nbytes:
+            raise MalformedBody(
+                "POLYDATA content", f"{self._content.nbytes} bytes", f"{self._offset} bytes by its own counts"
+            )

@@ -1,0 +1,123 @@
+"""STRING and STATUS (``Protocol/string.md``, ``status.md``)."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any, Self
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.wire.fields import decode_text, encode_text, visible
+
+_STRING = struct.Struct(">HH")
+_STATUS = struct.Struct(">Hq20s")
+
+#: The length field of STRING has 16 bits.
+MAX_STRING_BYTES = 65_535
+
+#: IANA MIBenum → Python codec, for the encodings that a peer may name.
+CODECS = {3: "ascii", 4: "latin-1", 106: "utf-8", 1013: "utf-16-be", 1014: "utf-16-le", 1015: "utf-16", 17: "shift_jis",
+          18: "euc_jp", 113: "gbk", 2025: "gb2312", 2026: "big5", 2252: "cp1252"}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class String:
+    """STRING: u16 encoding (IANA MIBenum), u16 length, bytes without NUL.
+
+    Attributes:
+        data: the bytes as sent.
+        encoding: MIBenum; 3 (US-ASCII) is what peers send whatever they mean, 106 is UTF-8.
+    """
+
+    data: bytes
+    encoding: int = 3
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        if content.nbytes < _STRING.size:
+            raise TruncatedMessage("STRING content", f"{content.nbytes} bytes", f"at least {_STRING.size} bytes")
+        encoding, size = _STRING.unpack_from(content)
+        if content.nbytes != _STRING.size + size:
+            raise MalformedBody("STRING, length", f"{size}", f"{content.nbytes - _STRING.size}, the bytes that follow")
+        return cls(bytes(content[_STRING.size :]), encoding)
+
+    def pack(self) -> list[Buffer]:
+        if len(self.data) > MAX_STRING_BYTES:
+            raise MalformedBody("STRING", f"{len(self.data)} bytes", f"at most {MAX_STRING_BYTES} bytes")
+        return [_STRING.pack(self.encoding, len(self.data)) + self.data]
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """A text, marked US-ASCII where that is true and UTF-8 where not."""
+        return cls(text.encode("utf-8", "surrogateescape"), 3 if text.isascii() else 106)
+
+    @property
+    def text(self) -> str:
+        """As text: in the named encoding, else as UTF-8 (what Slicer and PLUS send whatever they name)."""
+        codec = CODECS.get(self.encoding, "utf-8")
+        try:
+            return self.data.decode("utf-8" if codec == "ascii" else codec)
+        except UnicodeDecodeError:
+            return self.data.decode("utf-8", "replace")
+
+    def describe(self) -> dict[str, Any]:
+        return {"encoding": self.encoding, "string": self.text, "string_hex": self.data.hex()}
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """STATUS: u16 code, i64 sub-code, error name (20 bytes), message ending in NUL.
+
+    The document omits the final NUL; the reference reader drops the message without it, so it is always sent,
+    and its absence is tolerated.
+
+    Attributes:
+        code: 1 = OK; see ``CODES``.
+        subcode: free.
+        error_name: free text, at most 20 bytes (19 for C++ readers).
+        message: free text.
+        nul_terminated: whether the message ends in NUL on the wire.
+    """
+
+    code: int
+    subcode: int = 0
+    error_name: str = ""
+    message: str = ""
+    nul_terminated: bool = True
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        if content.nbytes < _STATUS.size:
+            raise TruncatedMessage("STATUS content", f"{content.nbytes} bytes", f"at least {_STATUS.size} bytes")
+        code, subcode, name = _STATUS.unpack_from(content)
+        text = bytes(content[_STATUS.size :])
+        ends_in_nul = text.endswith(b"\x00")
+        if ends_in_nul:
+            text = text[:-1]
+        return cls(code, subcode, decode_text(name), text.decode("utf-8", "surrogateescape"), ends_in_nul)
+
+    def pack(self) -> list[Buffer]:
+        try:
+            head = _STATUS.pack(self.code, self.subcode, encode_text(self.error_name, 20, "STATUS error name"))
+        except struct.error as error:
+            raise MalformedBody("STATUS", f"code {self.code}, sub-code {self.subcode}", str(error)) from None
+        text = self.message.encode("utf-8", "surrogateescape")
+        return [head + text + (b"\x00" if self.nul_terminated else b"")]
+
+    def describe(self) -> dict[str, Any]:
+        return {
+            "code": self.code,
+            "subcode": self.subcode,
+            "error_name": visible(self.error_name),
+            "status_string": visible(self.message),
+            "nul_terminated": self.nul_terminated,
+        }
+
+
+#: Status codes of ``Protocol/status.md``.
+CODES = (
+    "invalid", "OK", "unknown error", "panic", "not found", "access denied", "busy", "time-out", "overflow",
+    "checksum error", "configuration error", "out of resources", "not implemented", "not ready", "manual mode",
+    "disabled", "not present", "unknown version", "hardware failure", "shutting down",
+)  # fmt: skip

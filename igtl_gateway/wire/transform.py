@@ -1,0 +1,98 @@
+"""TRANSFORM and POSITION/QTRANS: a pose, as matrix or as quaternion (``Protocol/transform.md``, ``position.md``)."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.errors import MalformedBody
+
+_MATRIX = struct.Struct(">12f")
+_FORMS = {28: "all", 24: "quaternion3", 12: "position_only"}
+_POSITION = {form: struct.Struct(f">{size // 4}f") for size, form in _FORMS.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Transform:
+    """TRANSFORM: 12 float32, the upper three rows of a 4 × 4 matrix column by column.
+
+    Attributes:
+        wire_matrix: R11 R21 R31 | R12 R22 R32 | R13 R23 R33 | TX TY TZ; translation in millimetres.
+    """
+
+    wire_matrix: tuple[float, ...]
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        if content.nbytes != _MATRIX.size:
+            raise MalformedBody("TRANSFORM content", f"{content.nbytes} bytes", f"{_MATRIX.size} bytes")
+        return cls(_MATRIX.unpack(content))
+
+    def pack(self) -> list[Buffer]:
+        return [pack_floats(_MATRIX, self.wire_matrix, "TRANSFORM matrix")]
+
+    @classmethod
+    def from_rows(cls, rows: list[list[float]]) -> Self:
+        """From a matrix given as (at least three) rows of four."""
+        return cls(tuple(rows[row][column] for column in range(4) for row in range(3)))
+
+    @property
+    def rows(self) -> list[list[float]]:
+        """The 4 × 4 matrix as rows."""
+        m = self.wire_matrix
+        return [[m[row], m[row + 3], m[row + 6], m[row + 9]] for row in range(3)] + [[0.0, 0.0, 0.0, 1.0]]
+
+    def describe(self) -> dict[str, Any]:
+        return {"matrix": self.rows}
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """POSITION: three float32 millimetres and a quaternion x, y, z, w (scalar last) in three lengths.
+
+    28 bytes hold all; 24 leave out w, which is √(1 − x² − y² − z²); 12 leave out the rotation.  The short forms
+    are in the code of the reference library, not in the document.
+
+    Attributes:
+        position: x, y, z in millimetres.
+        quaternion: x, y, z, w.
+        form: ``"all"``, ``"quaternion3"`` or ``"position_only"``: what is on the wire.
+    """
+
+    LENGTHS: ClassVar[str] = "28, 24 or 12 bytes"
+    position: tuple[float, ...]
+    quaternion: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
+    form: str = "all"
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        form = _FORMS.get(content.nbytes)
+        if form is None:
+            raise MalformedBody("POSITION content", f"{content.nbytes} bytes", cls.LENGTHS)
+        values = _POSITION[form].unpack(content)
+        position, rotation = values[:3], values[3:]
+        if form == "position_only":
+            rotation = (0.0, 0.0, 0.0, 1.0)
+        elif form == "quaternion3":
+            rest = 1.0 - math.fsum(value * value for value in rotation)
+            rotation = (*rotation, math.sqrt(max(rest, 0.0)))
+        return cls(position, rotation, form)
+
+    def pack(self) -> list[Buffer]:
+        layout = _POSITION[self.form]
+        values = (*self.position, *self.quaternion)[: layout.size // 4]
+        return [pack_floats(layout, values, "POSITION")]
+
+    def describe(self) -> dict[str, Any]:
+        return {"pack": self.form, "position": list(self.position), "quaternion": list(self.quaternion)}
+
+
+def pack_floats(layout: struct.Struct, values: tuple[float, ...], place: str) -> bytes:
+    """``layout.pack``; a number too large for float32 is MalformedBody, not OverflowError."""
+    try:
+        return layout.pack(*values)
+    except (OverflowError, struct.error) as error:
+        raise MalformedBody(place, values, f"{layout.size // 4} float32 numbers ({error})") from None
