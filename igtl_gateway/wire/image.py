@@ -26,7 +26,7 @@ BIG_ENDIAN, LITTLE_ENDIAN = 1, 2
 RAS, LPS = 1, 2
 _ORDER = {BIG_ENDIAN: ">", LITTLE_ENDIAN: "<"}
 
-#: Up to so many values are described one by one, more by count and CRC, as in the reference corpus.
+#: Up to so many values are described one by one, more by count and CRC: the keys of the reference corpus.
 _SHOWN_VALUES = 256
 
 Triple = tuple[int, int, int]
@@ -138,7 +138,6 @@ class Image:
 
     def describe(self) -> dict[str, Any]:
         pixels = self.array.reshape(-1)
-        crc = f"{fastcrc.crc64.ecma_182(self.pixels):016x}"
         return {
             "image_version": self.image_version,
             "num_components": self.num_components,
@@ -150,6 +149,16 @@ class Image:
             "subvol_offset": list(self.subvol_offset),
             "subvol_size": list(self.sub_size),
             "data_size": memoryview(self.pixels).nbytes,
-            "data_crc64": crc,
-            "data": pixels.tolist() if len(pixels) <= _SHOWN_VALUES else {"count": len(pixels), "crc64": crc},
+            "data_crc64": _crc(self.pixels),
+            "data": pixels.tolist() if len(pixels) <= _SHOWN_VALUES else _summary(pixels),
         }
+
+
+def _crc(data: Buffer) -> str:
+    return f"{fastcrc.crc64.ecma_182(data):016x}"
+
+
+def _summary(pixels: npt.NDArray[Any]) -> dict[str, Any]:
+    """Count and CRC of the values as big-endian numbers: equal for equal pictures, whatever their byte order."""
+    values = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder(">"))
+    return {"count": len(values), "crc64": _crc(values.view(np.uint8).data)}
