@@ -1,0 +1,121 @@
+"""IMAGE ⇄ sensor_msgs/Image: two-dimensional pictures of every scalar type, colour kept.
+
+Pixels are never touched but for BGR order and padded rows; the byte order is told, not swapped.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.convert.rosmsg import Image as RosImage
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, SCALARS, Image
+
+#: Names that ROS has for (scalar type, components); the rest are the OpenCV names below.
+_NAMES = {
+    (3, 1): "mono8",
+    (3, 3): "rgb8",
+    (3, 4): "rgba8",
+    (5, 1): "mono16",
+    (5, 3): "rgb16",
+    (5, 4): "rgba16",
+}
+_OPENCV = {2: "8SC", 3: "8UC", 4: "16SC", 5: "16UC", 6: "32SC", 10: "32FC", 11: "64FC"}
+_UINT32, _FLOAT64 = 7, 11
+
+#: Encoding → (scalar type, components, whether blue comes first).
+_ENCODINGS = {name: (*key, False) for key, name in _NAMES.items()} | {
+    "bgr8": (3, 3, True),
+    "bgra8": (3, 4, True),
+    "bgr16": (5, 3, True),
+    "bgra16": (5, 4, True),
+    # a Bayer mosaic is sent as the grey image it is
+    **{f"bayer_{order}{bits}": (kind, 1, False) for order in ("rggb", "bggr", "gbrg", "grbg") for bits, kind in
+       ((8, 3), (16, 5))},
+}  # fmt: skip
+_SCALAR_OF_OPENCV = {name: scalar for scalar, name in _OPENCV.items()}
+_OPENCV_NAME = re.compile(r"(8U|8S|16U|16S|32S|32F|64F)C([1-9][0-9]*)")
+_MAX_COMPONENTS = 254  # the reference library's limit
+_MAX_SIZE = 65_535
+
+
+def image_to_ros(content: Image, to: ToRos) -> RosImage:
+    """Raises ConversionError for volumes and for partial updates, which sensor_msgs/Image cannot hold."""
+    width, height, slices = content.dimensions
+    if slices != 1:
+        raise ConversionError(
+            f"IMAGE {to.device_name!r}: found a volume of {slices} slices, expected 1: sensor_msgs/Image is flat"
+        )
+    if content.sub_size != content.dimensions:
+        raise ConversionError(
+            f"IMAGE {to.device_name!r}: found the part {content.sub_size} at {content.subvol_offset} "
+            f"of {content.dimensions}, expected the whole image"
+        )
+    scalar, components = content.scalar_type, content.num_components
+    pixels, big = content.pixels, content.endian == BIG_ENDIAN
+    if scalar == _UINT32:  # ROS has no name for it; float64 holds every value
+        pixels = content.array.astype("<f8").reshape(-1).view(np.uint8).data
+        scalar, big = _FLOAT64, False
+        to.warnings.append(("uint32_as_float64", "uint32 pixels have no ROS encoding and are published as 64FC"))
+    encoding = _NAMES.get((scalar, components)) or f"{_OPENCV[scalar]}{components}"
+    item = np.dtype(SCALARS[scalar]).itemsize
+    step = width * components * item
+    return RosImage(
+        Header(to.stamp_ns, to.frame_id), height, width, encoding, int(big and item > 1), step, pixels
+    )
+
+
+def image_to_igtl(message: RosImage, _: ToIgtl) -> Outgoing:
+    """As a 2-D IMAGE of 1 mm spacing, centred at the origin.  Raises ConversionError for unknown encodings."""
+    scalar, components, blue_first = _layout(message.encoding)
+    dtype = np.dtype((">" if message.is_bigendian else "<") + SCALARS[scalar])
+    width, height = message.width, message.height
+    row = width * components * dtype.itemsize
+    size = memoryview(message.data).nbytes
+    if message.step < row or size < message.step * (height - 1) + row * (height > 0):
+        raise ConversionError(
+            f"sensor_msgs/Image: found {size} bytes with step {message.step}, "
+            f"expected at least {height} rows of {row} bytes ({width} {message.encoding} pixels)"
+        )
+    if width > _MAX_SIZE or height > _MAX_SIZE:
+        raise ConversionError(f"sensor_msgs/Image: found {width} x {height}, expected at most {_MAX_SIZE} each")
+    pixels = memoryview(message.data)[: message.step * height]
+    if message.step != row and height:
+        pixels = _unpadded(pixels, height, row, message.step)
+    if blue_first:
+        pixels = _red_first(np.frombuffer(pixels, dtype).reshape(-1, components))
+    endian = BIG_ENDIAN if message.is_bigendian and dtype.itemsize > 1 else LITTLE_ENDIAN
+    image = Image((width, height, 1), scalar, pixels, components, endian)
+    return Outgoing(image, message.header.stamp_ns)
+
+
+def _layout(encoding: str) -> tuple[int, int, bool]:
+    if known := _ENCODINGS.get(encoding):
+        return known
+    if match := _OPENCV_NAME.fullmatch(encoding):
+        components = int(match[2])
+        if components <= _MAX_COMPONENTS:
+            return _SCALAR_OF_OPENCV[f"{match[1]}C"], components, False
+    raise ConversionError(
+        f"sensor_msgs/Image: found encoding {encoding!r}, expected one of {', '.join(_ENCODINGS)} or an OpenCV name such as 16UC1"
+    )
+
+
+def _unpadded(pixels: memoryview, height: int, row: int, step: int) -> memoryview:
+    """The rows without what lies between them."""
+    padded = np.frombuffer(bytes(pixels).ljust(step * height, b"\x00"), np.uint8).reshape(height, step)
+    return np.ascontiguousarray(padded[:, :row]).reshape(-1).data
+
+
+def _red_first(pixels: npt.NDArray[Any]) -> memoryview:
+    """BGR(A) pixels (n, 3 or 4) as RGB(A) bytes."""
+    turned = pixels.copy()
+    turned[:, 0] = pixels[:, 2]
+    turned[:, 2] = pixels[:, 0]
+    return turned.reshape(-1).view(np.uint8).data

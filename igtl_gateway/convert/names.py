@@ -1,0 +1,43 @@
+"""Device names ⇄ ROS topic tokens ⇄ frames.
+
+OpenIGTLink gives a stream one name of at most 20 bytes; ROS gives it a topic and frame ids.  The convention
+of PLUS and of the field: a transform named ``AToB`` takes coordinates of A to B, in tf words parent ``B`` and
+child ``A``.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+
+from igtl_gateway.wire.fields import cut_text
+
+MAX_DEVICE_NAME = 20
+_NOT_IN_TOKEN = re.compile(r"[^A-Za-z0-9_]")
+#: ``To`` between a name that ends in lower case, digit or capital and one that starts with a capital.
+_A_TO_B = re.compile(r"^([A-Za-z0-9_]+?)To([A-Z][A-Za-z0-9_]*)$")
+
+
+def topic_token(name: str) -> str:
+    """``name`` as one token of a ROS topic: other characters become ``_``, never starting with a digit."""
+    token = _NOT_IN_TOKEN.sub("_", name) or "unnamed"
+    return f"_{token}" if token[0].isdigit() else token
+
+
+def frames_of(name: str, base_frame: str) -> tuple[str, str]:
+    """(parent, child) frame of a transform: ``AToB`` gives (B, A), any other name is a child of the base frame."""
+    if match := _A_TO_B.match(name):
+        return match[2], match[1]
+    return base_frame, name or "unnamed"
+
+
+def hashed(name: str) -> str:
+    """Four hex digits that depend on nothing but the name."""
+    return f"{zlib.crc32(name.encode('utf-8', 'surrogateescape')) & 0xFFFF:04x}"
+
+
+def short_device_name(name: str) -> str:
+    """``name`` in at most 20 bytes: itself, or its beginning with ``_`` and four hex digits of its hash."""
+    if len(name.encode("utf-8", "surrogateescape")) <= MAX_DEVICE_NAME:
+        return name
+    return f"{cut_text(name, MAX_DEVICE_NAME - 5)}_{hashed(name)}"

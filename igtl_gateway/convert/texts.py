@@ -1,0 +1,64 @@
+"""STRING ⇄ std_msgs/String, STATUS ⇄ diagnostic_msgs/DiagnosticStatus."""
+
+from __future__ import annotations
+
+from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.rosmsg import DiagnosticStatus
+from igtl_gateway.convert.rosmsg import String as RosString
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.wire.fields import cut_text, visible
+from igtl_gateway.wire.text import CODES, MAX_STRING_BYTES, Status, String
+
+OK, WARN, ERROR, STALE = range(4)
+
+#: Status codes that mean "not now" rather than "broken": busy, not ready, manual mode, disabled, shutting down.
+_WARNING_CODES = frozenset({6, 13, 14, 15, 19})
+_STATUS_OK = 1
+#: Level → code for diagnostics that carry no code of their own: OK, not ready, unknown error, time-out.
+_CODE_OF_LEVEL = {OK: 1, WARN: 13, ERROR: 2, STALE: 7}
+
+#: Names of the values that carry what DiagnosticStatus has no field for.
+_CODE, _SUBCODE, _ERROR_NAME = "code", "subcode", "error_name"
+_ERROR_NAME_BYTES = 19  # of 20: the reference reader drops a name that fills its field
+
+
+def string_to_ros(content: String, _: ToRos) -> RosString:
+    """The text in its named encoding, as UTF-8."""
+    return RosString(content.text)
+
+
+def string_to_igtl(message: RosString, _: ToIgtl) -> Outgoing:
+    """Raises ConversionError above 65,535 bytes: the length field has 16 bits."""
+    content = String.of(message.data)
+    if len(content.data) > MAX_STRING_BYTES:
+        raise ConversionError(
+            f"std_msgs/String: found {len(content.data)} bytes of UTF-8, expected at most {MAX_STRING_BYTES}: "
+            "OpenIGTLink's STRING has a 16-bit length"
+        )
+    return Outgoing(content)
+
+
+def status_to_ros(content: Status, to: ToRos) -> DiagnosticStatus:
+    """Code 1 is OK, "not now" codes are WARN, the rest ERROR; code, sub-code and error name become values."""
+    level = OK if content.code == _STATUS_OK else WARN if content.code in _WARNING_CODES else ERROR
+    message = visible(content.message) or (CODES[content.code] if content.code < len(CODES) else "")
+    values = (
+        (_CODE, str(content.code)),
+        (_SUBCODE, str(content.subcode)),
+        (_ERROR_NAME, visible(content.error_name)),
+    )
+    return DiagnosticStatus(level, to.device_name, message, "", values)
+
+
+def status_to_igtl(message: DiagnosticStatus, _: ToIgtl) -> Outgoing:
+    """The inverse; without a ``code`` value the level tells the code."""
+    values = dict(message.values)
+    try:
+        code = int(values.get(_CODE, _CODE_OF_LEVEL.get(message.level, 2)))
+        subcode = int(values.get(_SUBCODE, 0))
+    except ValueError:
+        raise ConversionError(f"DiagnosticStatus: found values {values}, expected whole numbers") from None
+    if not 0 <= code < 1 << 16 or not -(1 << 63) <= subcode < 1 << 63:
+        raise ConversionError(f"DiagnosticStatus: found code {code}, subcode {subcode}, expected u16 and i64")
+    error_name = cut_text(values.get(_ERROR_NAME, ""), _ERROR_NAME_BYTES)
+    return Outgoing(Status(code, subcode, error_name, message.message))
