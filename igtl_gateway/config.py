@@ -1,0 +1,231 @@
+"""Configuration: frozen values from a TOML file or from a recording, checked when they are made.
+
+Everything that influences what the gateway says is here, and is stored in the recording: replay and
+verification use what was in force that day.
+
+::
+
+    [gateway]
+    base_frame = "igtl"            # frame of all that names no frame of its own
+    ros_unit = "m"                 # m, dm, cm, mm, um
+    igtl_unit = "mm"
+    stamp = "source"               # source: the sender's stamp, else the gateway's; receive: the gateway's
+    check_crc = true
+
+    [[to_igtl]]                    # ROS topic → OpenIGTLink; the first row that matches counts
+    topic = "/camera/image_raw"    # * stands for one level, ** for any number
+    device = "Camera"              # default: from the topic
+    type = "IMAGE"                 # default: by the conversion table
+
+    [[to_ros]]                     # OpenIGTLink → ROS
+    device = "Probe*"
+    topic = "/probe/{device}/{kind}"
+    frame_id = "tracker"
+
+Rows may override ros_unit, igtl_unit, stamp and, as ``qos = { depth = 10, reliable = true, latched = false }``,
+the quality of service.  Without any row, what a device sends appears on ``/igtl/in/<device>/<kind>`` and what
+is published below ``/igtl/out/`` goes out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from igtl_gateway.convert.units import UNITS, Lengths
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.qos import Qos
+
+STAMP_POLICIES = ("source", "receive")
+OUT_PREFIX = "/igtl/out/"
+IN_TOPIC = "/igtl/in/{device}/{kind}"
+
+#: Streams that one session may open in each direction: a peer that invents names must not fill the ROS graph.
+DEFAULT_MAX_STREAMS = 512
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """What the rows of both directions have in common; "" and None stand for the gateway's setting."""
+
+    ros_unit: str = ""
+    igtl_unit: str = ""
+    stamp: str = ""
+    qos: Qos | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ToIgtlRow(_Row):
+    """A ROS topic (pattern) on its way to OpenIGTLink."""
+
+    topic: str = OUT_PREFIX + "**"
+    device: str = ""
+    type: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ToRosRow(_Row):
+    """OpenIGTLink devices (pattern) on their way to ROS."""
+
+    device: str = "**"
+    type: str = "**"
+    topic: str = IN_TOPIC
+    frame_id: str = ""
+    child_frame_id: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """The configuration of a session; see the module for the meaning of each setting."""
+
+    base_frame: str = "igtl"
+    ros_unit: str = "m"
+    igtl_unit: str = "mm"
+    stamp: str = "source"
+    check_crc: bool = True
+    max_streams: int = DEFAULT_MAX_STREAMS
+    to_igtl: tuple[ToIgtlRow, ...] = ()
+    to_ros: tuple[ToRosRow, ...] = ()
+
+    def __post_init__(self) -> None:
+        _check_choices("gateway", self, optional=False)
+        for name, rows in (("to_igtl", self.to_igtl), ("to_ros", self.to_ros)):
+            for index, row in enumerate(rows):
+                _check_choices(f"{name}[{index}]", row, optional=True)
+        if self.max_streams < 1:
+            raise ConfigError(f"gateway.max_streams: found {self.max_streams}, expected 1 or more")
+        for index, row in enumerate(self.to_ros):
+            try:
+                row.topic.format(device="a", kind="b", type="c")
+            except (KeyError, ValueError, IndexError):
+                raise ConfigError(
+                    f"to_ros[{index}].topic: found {row.topic!r}, expected only {{device}}, {{kind}} and {{type}} in braces"
+                ) from None
+
+    def row_to_igtl(self, topic: str) -> ToIgtlRow | None:
+        """The row for a ROS topic: the first that matches, or None where the topic is not bridged."""
+        return next((row for row in (*self.to_igtl, _DEFAULT_TO_IGTL) if matches(row.topic, topic)), None)
+
+    def row_to_ros(self, igtl_type: str, device: str) -> ToRosRow:
+        """The row for an OpenIGTLink stream: the first that matches (the default matches all)."""
+        for row in self.to_ros:
+            if matches(row.device, device) and matches(row.type, igtl_type):
+                return row
+        return _DEFAULT_TO_ROS
+
+    def lengths(self, row: _Row) -> Lengths:
+        """Units of a row."""
+        return Lengths(row.ros_unit or self.ros_unit, row.igtl_unit or self.igtl_unit)
+
+    def pick_stamp(self, row: _Row, source_ns: int, received_ns: int) -> int:
+        """The stamp of an outgoing message: never 0."""
+        return source_ns if source_ns and (row.stamp or self.stamp) == "source" else received_ns
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values: what is stored in a recording."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Config:
+        """From the values of ``to_dict``.  Raises ConfigError with the path of the wrong setting."""
+        settings = dict(values)
+        to_igtl = _rows("to_igtl", settings.pop("to_igtl", ()), ToIgtlRow)
+        to_ros = _rows("to_ros", settings.pop("to_ros", ()), ToRosRow)
+        return _make("gateway", cls, settings | {"to_igtl": to_igtl, "to_ros": to_ros})
+
+    @classmethod
+    def from_toml(cls, path: Path) -> Config:
+        """From a TOML file.  Raises ConfigError with file and setting."""
+        try:
+            document = tomllib.loads(path.read_text("utf-8"))
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+        gateway = document.pop("gateway", {})
+        if unknown := set(document) - {"to_igtl", "to_ros"}:
+            raise ConfigError(f"{path}: found [{sorted(unknown)[0]}], expected [gateway], [[to_igtl]] and [[to_ros]]")
+        if not isinstance(gateway, dict):
+            raise ConfigError(f"{path}: found gateway = {gateway!r}, expected a table [gateway]")
+        try:
+            return cls.from_dict(gateway | document)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from None
+
+
+_DEFAULT_TO_IGTL = ToIgtlRow()
+_DEFAULT_TO_ROS = ToRosRow()
+
+
+@lru_cache(maxsize=1024)
+def _pattern(glob: str) -> re.Pattern[str]:
+    parts = (re.escape(part).replace(r"\*", "[^/]*").replace(r"\?", "[^/]") for part in glob.split("**"))
+    return re.compile(".*".join(parts), re.DOTALL)
+
+
+def matches(glob: str, name: str) -> bool:
+    """Whether ``name`` fits ``glob``: ``*`` and ``?`` within one level, ``**`` across levels."""
+    return _pattern(glob).fullmatch(name) is not None
+
+
+def device_of_topic(topic: str, kind: str = "") -> str:
+    """Device name of a topic that names none: its path behind ``/igtl/out/``, without the row's kind.
+
+    ``/igtl/out/Tool`` and ``/igtl/out/Tool/transform`` give ``Tool``; ``/camera/image`` gives ``camera_image``.
+    """
+    path = topic.removeprefix(OUT_PREFIX).strip("/")
+    head, _, tail = path.rpartition("/")
+    return (head if head and tail == kind else path).replace("/", "_")
+
+
+_CHOICES = {
+    "ros_unit": tuple(UNITS),
+    "igtl_unit": tuple(UNITS),
+    "stamp": STAMP_POLICIES,
+}
+
+T = TypeVar("T")
+
+
+def _check_choices(place: str, settings: object, *, optional: bool) -> None:
+    for name, choices in _CHOICES.items():
+        value = getattr(settings, name)
+        if value not in choices and not (optional and value == ""):
+            raise ConfigError(f"{place}.{name}: found {value!r}, expected one of {', '.join(choices)}")
+
+
+def _rows(place: str, rows: Any, kind: type[T]) -> tuple[T, ...]:
+    if not isinstance(rows, list | tuple):
+        raise ConfigError(f"{place}: found {rows!r}, expected rows [[{place}]]")
+    made = []
+    for index, row in enumerate(rows):
+        if not isinstance(row, Mapping):
+            raise ConfigError(f"{place}[{index}]: found {row!r}, expected a table")
+        settings = dict(row)
+        if isinstance(settings.get("qos"), Mapping):
+            settings["qos"] = _make(f"{place}[{index}].qos", Qos, settings["qos"])
+        made.append(_make(f"{place}[{index}]", kind, settings))
+    return tuple(made)
+
+
+def _make(place: str, kind: type[T], settings: Mapping[str, Any]) -> T:
+    """An instance of a dataclass from plain values, unknown names and wrong types refused."""
+    fields = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for name, value in settings.items():
+        if name not in fields:
+            raise ConfigError(f"{place}.{name}: unknown setting, expected one of {', '.join(fields)}")
+        wanted = type(fields[name].default)
+        if wanted in (str, bool, int) and type(value) is not wanted:
+            raise ConfigError(f"{place}.{name}: found {value!r}, expected a {_TYPE_NAMES[wanted]}")
+        if name == "qos" and not (value is None or isinstance(value, Qos)):
+            raise ConfigError(f"{place}.qos: found {value!r}, expected a table such as {{ depth = 10 }}")
+    return kind(**settings)
+
+
+_TYPE_NAMES: dict[type, str] = {str: "text in quotes", bool: "true or false", int: "whole number"}

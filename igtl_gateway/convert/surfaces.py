@@ -1,0 +1,174 @@
+"""POLYDATA surfaces and lines ⇄ shape_msgs/Mesh and visualization_msgs/Marker."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.convert.clouds import RGBA_NAME, colour_field
+from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.poses import matrix_of, unit
+from igtl_gateway.convert.rosmsg import Header, Marker, Mesh
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.wire.polydata import CELL, NO_CELLS, SCALAR, Attribute, Cells, PolyData
+
+Array = npt.NDArray[Any]
+
+_GREY = (0.8, 0.8, 0.8, 1.0)
+#: Drawn width of lines and points in ROS viewers, in metres.
+_DRAWN_WIDTH = 0.001
+_MIN_LINE, _MIN_FACE = 2, 3
+
+
+def has_faces(content: PolyData) -> bool:
+    """Whether there is a surface: polygons or triangle strips."""
+    return bool(content.polygons.count or content.triangle_strips.count)
+
+
+def has_lines(content: PolyData) -> bool:
+    return bool(content.lines.count)
+
+
+def is_cloud(content: PolyData) -> bool:
+    """Nothing but points, with or without vertex cells."""
+    return not has_faces(content) and not has_lines(content)
+
+
+def polydata_to_mesh(content: PolyData, to: ToRos) -> Mesh:
+    """All points; polygons cut into fans and strips into triangles, in their order."""
+    return Mesh(_triangles(content).astype("<u4"), to.lengths.to_ros(content.points))
+
+
+def polydata_to_marker(content: PolyData, to: ToRos) -> Marker:
+    """The surface as TRIANGLE_LIST."""
+    return _marker(content, Marker.TRIANGLE_LIST, _triangles(content).reshape(-1), 1.0, to)
+
+
+def polydata_to_lines(content: PolyData, to: ToRos) -> Marker:
+    """The lines as LINE_LIST: a polyline of n points becomes n − 1 segments."""
+    return _marker(content, Marker.LINE_LIST, _segments(content.lines).reshape(-1), _DRAWN_WIDTH, to)
+
+
+def _marker(content: PolyData, kind: int, indices: Array, scale: float, to: ToRos) -> Marker:
+    colors = np.empty((0, 4), np.float32)
+    for attribute in content.attributes:
+        if not attribute.type & CELL and attribute.tuples == len(content.points) and colour_field(attribute):
+            colors = np.ones((len(indices), 4), np.float32)
+            colors[:, : attribute.values.shape[1]] = attribute.values[indices]
+            break
+    return Marker(
+        Header(to.stamp_ns, to.frame_id),
+        to.device_name,
+        0,
+        kind,
+        scale=(scale, scale, scale),
+        color=_GREY,
+        points=to.lengths.to_ros(content.points[indices]),
+        colors=colors,
+    )
+
+
+def mesh_to_igtl(message: Mesh, to: ToIgtl) -> Outgoing:
+    """As POLYDATA with a polygon for each triangle.  Raises ConversionError for an index beyond the vertices."""
+    highest = int(message.triangles.max()) if message.triangles.size else -1
+    if highest >= len(message.vertices):
+        raise ConversionError(
+            f"shape_msgs/Mesh: found vertex index {highest}, expected below {len(message.vertices)}, the vertices"
+        )
+    points = to.lengths.to_igtl(message.vertices).astype(">f4")
+    return Outgoing(PolyData(points, polygons=Cells.of(message.triangles)))
+
+
+def marker_to_igtl(message: Marker, to: ToIgtl) -> Outgoing:
+    """Lists of triangles, lines and points as POLYDATA, the marker's pose applied; a deletion as empty POLYDATA.
+
+    Raises ConversionError for the shapes that hold no points of their own.
+    """
+    if message.action in _DELETIONS:
+        return Outgoing(PolyData(np.empty((0, 3), ">f4")), message.header.stamp_ns)
+    count = len(message.points)
+    shape = _SHAPES.get(message.type)
+    if shape is None:
+        raise ConversionError(
+            f"visualization_msgs/Marker: found type {message.type}, expected one that lists points: {sorted(_SHAPES)}"
+        )
+    section, group = shape
+    group = group or count
+    if not group or count % group:
+        raise ConversionError(
+            f"visualization_msgs/Marker, type {message.type}: found {count} points, expected groups of {group or 1}"
+        )
+    indices = np.arange(count).reshape(-1, group)
+    points = message.points
+    if message.type == Marker.TRIANGLE_LIST:  # of the lists it is the one that viewers scale as a whole
+        points = points * np.array(message.scale)
+    points = to.lengths.to_igtl(_posed(points, message)).astype(">f4")
+    attributes = ()
+    if len(message.colors) == count:
+        attributes = (Attribute.of(SCALAR, RGBA_NAME, message.colors),)
+    elif len(message.colors):
+        to.warnings.append(("colours_left_out", f"{len(message.colors)} colours for {count} points"))
+    cells = {"vertices": NO_CELLS, "lines": NO_CELLS, "polygons": NO_CELLS} | {section: Cells.of(indices)}
+    return Outgoing(PolyData(points, **cells, attributes=attributes), message.header.stamp_ns)
+
+
+_DELETIONS = (2, 3)
+_CUBE_LIST = 6
+#: Marker type → section of POLYDATA, points per cell (0: all in one).
+_SHAPES = {
+    Marker.LINE_STRIP: ("lines", 0),
+    Marker.LINE_LIST: ("lines", 2),
+    _CUBE_LIST: ("vertices", 0),
+    Marker.SPHERE_LIST: ("vertices", 0),
+    Marker.POINTS: ("vertices", 0),
+    Marker.TRIANGLE_LIST: ("polygons", 3),
+}
+
+
+def _posed(points: Array, message: Marker) -> Array:
+    """(n, 3) points moved by the marker's pose.  Written out: a matrix product may differ between machines."""
+    if message.orientation in ((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0)):  # all zero: unset, as viewers take it
+        rotated = points
+    else:
+        x, y, z = points[:, 0], points[:, 1], points[:, 2]
+        rotated = np.stack([a * x + b * y + c * z for a, b, c in matrix_of(unit(message.orientation))], axis=1)
+    return rotated + np.array(message.position)
+
+
+def _triangles(content: PolyData) -> Array:
+    """(n, 3) indices of all polygons as fans, then all strips with alternating winding."""
+    polygons = _pieces(content.polygons, _MIN_FACE, lambda k: [(0, i, i + 1) for i in range(1, k - 1)])
+    strips = _pieces(
+        content.triangle_strips,
+        _MIN_FACE,
+        lambda k: [(i, i + 1, i + 2) if i % 2 == 0 else (i + 1, i, i + 2) for i in range(k - 2)],
+    )
+    return np.concatenate([polygons, strips])
+
+
+def _segments(lines: Cells) -> Array:
+    """(n, 2) indices of all polylines."""
+    return _pieces(lines, _MIN_LINE, lambda k: [(i, i + 1) for i in range(k - 1)])
+
+
+def _pieces(cells: Cells, size: int, cut: Any) -> Array:
+    """(n, size) indices: every cell cut up by ``cut(points of the cell)``, in the order of the cells.
+
+    Cells of equal length are cut together; those too short for one piece vanish.
+    """
+    starts = cells.starts()
+    lengths = cells.data[starts].astype(np.int64) if len(starts) else np.empty(0, np.int64)
+    order, pieces = [], []
+    for length in np.unique(lengths).tolist():
+        if length < size:
+            continue
+        which = np.flatnonzero(lengths == length)
+        pattern = np.array(cut(length))
+        indices = cells.data[starts[which][:, None, None] + 1 + pattern[None]]
+        pieces.append(indices.reshape(-1, size))
+        order.append(np.repeat(which, len(pattern)))
+    if not pieces:
+        return np.empty((0, size), np.int64)
+    return np.concatenate(pieces)[np.argsort(np.concatenate(order), kind="stable")].astype(np.int64)

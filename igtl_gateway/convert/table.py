@@ -1,0 +1,192 @@
+"""The table of conversions: which OpenIGTLink type becomes which ROS type, and back.
+
+A row is all there is to a conversion; routing, documentation and tests read this table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from igtl_gateway.convert import clouds, images, poses, rosmsg, surfaces, texts
+from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.rosmsg import RosMessage
+from igtl_gateway.qos import Qos
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.point import Points
+from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway.wire.text import Status, String
+from igtl_gateway.wire.transform import Position, Transform
+
+#: A reader that lags half a second at 1 kHz of tracking loses nothing.
+_STATES = Qos(depth=500)
+#: Texts are few and each counts.
+_TEXTS = Qos(depth=100)
+#: Old pictures are worth nothing to a reader that lags, and cost megabytes each.
+_PICTURES = Qos(depth=5)
+#: Plans and surfaces are sent once and wanted by whoever comes later.
+_SURFACES = Qos(depth=5, latched=True)
+
+
+@dataclass(frozen=True, slots=True)
+class RosRow:
+    """OpenIGTLink → ROS.
+
+    Attributes:
+        igtl_types: type names on the wire.
+        content: class of the decoded content.
+        message: class of the ROS message.
+        kind: last token of the topic.
+        convert: the conversion.
+        applies: whether this row is for a given content; a message may go by several rows.
+        qos: of the publisher.
+        lossy: what does not arrive, "" if nothing.
+    """
+
+    igtl_types: tuple[str, ...]
+    content: type
+    message: type[RosMessage]
+    kind: str
+    convert: Callable[[Any, ToRos], RosMessage]
+    qos: Qos
+    lossy: str = ""
+    applies: Callable[[Any], bool] = lambda content: True
+
+
+@dataclass(frozen=True, slots=True)
+class IgtlRow:
+    """ROS → OpenIGTLink.
+
+    Attributes:
+        message: class of the ROS message.
+        igtl_type: type name on the wire; the first row of a ROS type is its default.
+        convert: the conversion.
+        keep: never dropped at a full send queue (texts and plans; states and pictures may be).
+        lossy: what does not arrive, "" if nothing.
+    """
+
+    message: type[RosMessage]
+    igtl_type: str
+    convert: Callable[[Any, ToIgtl], Outgoing]
+    keep: bool
+    lossy: str = ""
+
+
+_POINT_LOSS = "names, groups and owners"
+
+TO_ROS: tuple[RosRow, ...] = (
+    RosRow(
+        ("TRANSFORM",),
+        Transform,
+        rosmsg.TransformStamped,
+        "transform",
+        poses.transform_to_ros,
+        _STATES,
+        lossy="scale and shear of a matrix that is no rotation (warned of); a reflection is refused",
+    ),
+    RosRow(("POSITION", "QTRANS"), Position, rosmsg.TransformStamped, "transform", poses.position_to_ros, _STATES),
+    RosRow(("STRING",), String, rosmsg.String, "string", texts.string_to_ros, _TEXTS, lossy="stamp, encoding (UTF-8)"),
+    RosRow(("STATUS",), Status, rosmsg.DiagnosticStatus, "status", texts.status_to_ros, _TEXTS, lossy="stamp"),
+    RosRow(
+        ("IMAGE",),
+        Image,
+        rosmsg.Image,
+        "image",
+        images.image_to_ros,
+        _PICTURES,
+        lossy="spacing, orientation and position; volumes and parts of images are refused",
+    ),
+    RosRow(
+        ("POINT",),
+        Points,
+        rosmsg.PointStamped,
+        "point",
+        clouds.point_to_ros,
+        _STATES,
+        lossy=f"{_POINT_LOSS}, colour, diameter",
+        applies=lambda content: len(content.elements) == 1,
+    ),
+    RosRow(("POINT",), Points, rosmsg.PointCloud2, "points", clouds.points_to_ros, _SURFACES, lossy=_POINT_LOSS),
+    RosRow(
+        ("POLYDATA",),
+        PolyData,
+        rosmsg.PointCloud2,
+        "points",
+        clouds.polydata_to_cloud,
+        _PICTURES,
+        lossy="cells, attributes of cells",
+        applies=surfaces.is_cloud,
+    ),
+    RosRow(
+        ("POLYDATA",),
+        PolyData,
+        rosmsg.Mesh,
+        "mesh",
+        surfaces.polydata_to_mesh,
+        _SURFACES,
+        lossy="stamp, attributes, lines and vertices; polygons become triangles",
+        applies=surfaces.has_faces,
+    ),
+    RosRow(
+        ("POLYDATA",),
+        PolyData,
+        rosmsg.Marker,
+        "marker",
+        surfaces.polydata_to_marker,
+        _SURFACES,
+        lossy="attributes but colour; polygons become triangles without shared points",
+        applies=surfaces.has_faces,
+    ),
+    RosRow(
+        ("POLYDATA",),
+        PolyData,
+        rosmsg.Marker,
+        "lines",
+        surfaces.polydata_to_lines,
+        _SURFACES,
+        lossy="attributes but colour; polylines become segments",
+        applies=surfaces.has_lines,
+    ),
+)
+
+TO_IGTL: tuple[IgtlRow, ...] = (
+    IgtlRow(rosmsg.TransformStamped, "TRANSFORM", poses.transform_to_igtl, False, "frame ids, double precision"),
+    IgtlRow(rosmsg.TransformStamped, "POSITION", poses.position_to_igtl, False, "frame ids, double precision"),
+    IgtlRow(rosmsg.String, "STRING", texts.string_to_igtl, True, "texts above 65,535 bytes are refused"),
+    IgtlRow(rosmsg.DiagnosticStatus, "STATUS", texts.status_to_igtl, True, "name, hardware id, further values"),
+    IgtlRow(rosmsg.Image, "IMAGE", images.image_to_igtl, False, "frame id; BGR is sent as RGB"),
+    IgtlRow(rosmsg.PointStamped, "POINT", clouds.point_to_igtl, False, "frame id, double precision"),
+    IgtlRow(
+        rosmsg.PointCloud2,
+        "POLYDATA",
+        clouds.cloud_to_polydata,
+        False,
+        "frame id, rows and columns, points that are not finite; fields become float32",
+    ),
+    IgtlRow(
+        rosmsg.PointCloud2,
+        "POINT",
+        clouds.cloud_to_points,
+        False,
+        "frame id, rows and columns, points that are not finite, fields but colour and diameter",
+    ),
+    IgtlRow(rosmsg.Mesh, "POLYDATA", surfaces.mesh_to_igtl, True, "double precision"),
+    IgtlRow(rosmsg.Marker, "POLYDATA", surfaces.marker_to_igtl, True, "frame id, double precision, uniform colour"),
+)
+
+
+def rows_to_ros(igtl_type: str) -> tuple[RosRow, ...]:
+    """The rows of an OpenIGTLink type, in the order of the table; none for a type without conversion."""
+    return _TO_ROS.get(igtl_type, ())
+
+
+def row_to_igtl(ros_type: str, igtl_type: str = "") -> IgtlRow | None:
+    """The row of a ROS type, for ``igtl_type`` or the default; None where there is none."""
+    return _TO_IGTL.get((ros_type, igtl_type))
+
+
+_TO_ROS = {name: tuple(row for row in TO_ROS if name in row.igtl_types) for row in TO_ROS for name in row.igtl_types}
+_TO_IGTL = {(row.message.TYPE, row.igtl_type): row for row in TO_IGTL} | {
+    (row.message.TYPE, ""): row for row in reversed(TO_IGTL)
+}
