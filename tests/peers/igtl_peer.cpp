@@ -111,8 +111,9 @@ std::string hex(const void* data, size_t size) {
 std::string number(double value) {
   if (std::isnan(value)) return "NaN";
   if (std::isinf(value)) return value > 0 ? "Infinity" : "-Infinity";
-  char text[40];
-  return std::string(text, std::to_chars(text, text + sizeof text, value).ptr);
+  char digits[40];
+  const std::string text(digits, std::to_chars(digits, digits + sizeof digits, value).ptr);
+  return text.find_first_of(".e") == std::string::npos ? text + ".0" : text;  // else -0 would read back as an integer
 }
 std::string number(float value) { return number(static_cast<double>(value)); }
 template <class Integer>
@@ -218,7 +219,6 @@ std::string content_of(igtl::PolyDataMessage* message) {
   std::vector<std::string> attributes;
   for (int i = 0; i < message->GetNumberOfAttributes(); ++i) {
     igtl::PolyDataAttribute* attribute = message->GetAttribute(i);
-    // 1.11 takes 9 components for every type but point scalar, vector and normal, whatever the wire says
     std::vector<igtlFloat32> data(attribute->GetSize() * attribute->GetNumberOfComponents());
     attribute->GetData(data.data());
     attributes.push_back("{\"type\": " + number(attribute->GetType()) +
@@ -535,13 +535,11 @@ void fill(igtl::PolyDataMessage* message, Words& words) {
     igtl::PolyDataAttribute::Pointer attribute = igtl::PolyDataAttribute::New();
     const int type = static_cast<int>(words.integer()), components = static_cast<int>(words.integer());
     const size_t tuples = words.integer();
-    attribute->SetType(type, components);
+    if (attribute->SetType(type, components) < 0 || attribute->GetNumberOfComponents() != static_cast<igtlUint32>(components))
+      throw std::runtime_error("the library refuses attribute type " + number(type) + " with " + number(components) + " components");
     attribute->SetSize(tuples);
     attribute->SetName(words.text().c_str());
-    std::vector<float> data = words.reals(components * tuples);
-    // the library may want more than the type has (see above): give it zeros, not what lies behind the vector
-    data.resize(std::max<size_t>(data.size(), attribute->GetNumberOfComponents() * tuples));
-    attribute->SetData(data.data());
+    attribute->SetData(words.reals(components * tuples).data());
     message->AddAttribute(attribute);
   }
 }

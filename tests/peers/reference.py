@@ -5,8 +5,10 @@ Quirks of that library that a test sees:
 - It knows header version 1 only.  The peer program skips a version 2 message by its size and reports it
   with ``"skipped": true`` and without content, as it does for types that it does not decode.
 - POSITION goes out in the 28-byte form only (encoding the short forms corrupts the library's heap).
-- POLYDATA attributes other than point scalar, vector and normal always have 9 components, on both ways.
-  Sent with fewer, the missing floats are 0; received with fewer, the library reads beyond them.
+- POLYDATA attributes other than point scalar, vector and normal (types 0, 1, 2) and tensors go out with 9
+  components declared and 9·n floats: the data first, then whatever was in memory.  It reads 9·n floats of
+  them too, whatever is declared, so a conforming one displaces those that follow; of cell scalars it loses
+  the number of components (9).  Texture coordinates it does not know.
 - An image's ``wire_matrix`` is sent with spacing 1, so it reaches the wire bit for bit; give ``matrix``
   (4 × 4, unit columns) and ``spacing`` instead to let the library multiply them.
 - A text ends at its first NUL; names inside bodies are read up to one byte less than their field.
@@ -180,7 +182,9 @@ class ReferencePeer:
     def __enter__(self) -> ReferencePeer:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
     def _command(self, line: str) -> None:
