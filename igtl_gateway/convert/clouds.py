@@ -154,7 +154,7 @@ def _columns(message: PointCloud2) -> dict[str, Array]:
     if missing := [name for name in _XYZ if name not in names]:
         raise ConversionError(f"sensor_msgs/PointCloud2: found fields {names}, expected {', '.join(missing)} too")
     layout = np.dtype(
-        {"names": names, "formats": formats, "offsets": offsets, "itemsize": message.point_step}  # type: ignore[call-overload]
+        {"names": names, "formats": formats, "offsets": offsets, "itemsize": message.point_step}
     )
     shape, strides = (message.height, message.width), (message.row_step, message.point_step)
     if not count:
@@ -223,7 +223,7 @@ def _cloud(columns: dict[str, Array], count: int, to: ToRos) -> PointCloud2:
         fields.append(PointField(name, offset, _UINT32 if values.dtype.kind == "u" else _FLOAT32, width))
         formats.append((values.dtype, width) if width > 1 else values.dtype)
         offset += 4 * width
-    points = np.empty(count, np.dtype({"names": list(columns), "formats": formats}))  # type: ignore[call-overload]
+    points = np.empty(count, np.dtype({"names": list(columns), "formats": formats}))
     for name, values in columns.items():
         points[name] = values if points[name].ndim == values.ndim else values.reshape(points[name].shape)
     finite = all(bool(np.isfinite(columns[name]).all()) for name in _XYZ)

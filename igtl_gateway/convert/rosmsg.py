@@ -88,7 +88,7 @@ class TransformStamped:
         read = Reader(cdr, cls.TYPE)
         header, child = Header.read(read), read.string()
         values = read.unpack("7d", 8)
-        return cls(header, child, values[:3], values[3:])  # type: ignore[arg-type]
+        return cls(header, child, values[:3], values[3:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ class PointStamped:
     def unpack(cls, cdr: Buffer) -> Self:
         read = Reader(cdr, cls.TYPE)
         header = Header.read(read)
-        return cls(header, read.unpack("3d", 8))  # type: ignore[arg-type]
+        return cls(header, read.unpack("3d", 8))
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +293,7 @@ class Marker:
         read.sequence("f4", 2, 4)
         text = read.string()
         return cls(
-            header, ns, marker_id, kind, action, pose[:3], pose[3:7], pose[7:], color, points, colors, text  # type: ignore[arg-type]
+            header, ns, marker_id, kind, action, pose[:3], pose[3:7], pose[7:], color, points, colors, text
         )
 
 

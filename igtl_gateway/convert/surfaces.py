@@ -105,7 +105,7 @@ def marker_to_igtl(message: Marker, to: ToIgtl) -> Outgoing:
     if message.type == Marker.TRIANGLE_LIST:  # of the lists it is the one that viewers scale as a whole
         points = points * np.array(message.scale)
     points = to.lengths.to_igtl(_posed(points, message)).astype(">f4")
-    attributes = ()
+    attributes: tuple[Attribute, ...] = ()
     if len(message.colors) == count:
         attributes = (Attribute.of(SCALAR, RGBA_NAME, message.colors),)
     elif len(message.colors):
@@ -134,7 +134,8 @@ def _posed(points: Array, message: Marker) -> Array:
     else:
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         rotated = np.stack([a * x + b * y + c * z for a, b, c in matrix_of(unit(message.orientation))], axis=1)
-    return rotated + np.array(message.position)
+    moved: Array = rotated + np.array(message.position)
+    return moved
 
 
 def _triangles(content: PolyData) -> Array:

@@ -62,14 +62,14 @@ class IgtlRow:
         message: class of the ROS message.
         igtl_type: type name on the wire; the first row of a ROS type is its default.
         convert: the conversion.
-        keep: never dropped at a full send queue (texts and plans; states and pictures may be).
+        qos: of the subscription.
         lossy: what does not arrive, "" if nothing.
     """
 
     message: type[RosMessage]
     igtl_type: str
     convert: Callable[[Any, ToIgtl], Outgoing]
-    keep: bool
+    qos: Qos
     lossy: str = ""
 
 
@@ -151,28 +151,28 @@ TO_ROS: tuple[RosRow, ...] = (
 )
 
 TO_IGTL: tuple[IgtlRow, ...] = (
-    IgtlRow(rosmsg.TransformStamped, "TRANSFORM", poses.transform_to_igtl, False, "frame ids, double precision"),
-    IgtlRow(rosmsg.TransformStamped, "POSITION", poses.position_to_igtl, False, "frame ids, double precision"),
-    IgtlRow(rosmsg.String, "STRING", texts.string_to_igtl, True, "texts above 65,535 bytes are refused"),
-    IgtlRow(rosmsg.DiagnosticStatus, "STATUS", texts.status_to_igtl, True, "name, hardware id, further values"),
-    IgtlRow(rosmsg.Image, "IMAGE", images.image_to_igtl, False, "frame id; BGR is sent as RGB"),
-    IgtlRow(rosmsg.PointStamped, "POINT", clouds.point_to_igtl, False, "frame id, double precision"),
+    IgtlRow(rosmsg.TransformStamped, "TRANSFORM", poses.transform_to_igtl, _STATES, "frame ids, double precision"),
+    IgtlRow(rosmsg.TransformStamped, "POSITION", poses.position_to_igtl, _STATES, "frame ids, double precision"),
+    IgtlRow(rosmsg.String, "STRING", texts.string_to_igtl, _TEXTS, "texts above 65,535 bytes are refused"),
+    IgtlRow(rosmsg.DiagnosticStatus, "STATUS", texts.status_to_igtl, _TEXTS, "name, hardware id, further values"),
+    IgtlRow(rosmsg.Image, "IMAGE", images.image_to_igtl, _PICTURES, "frame id; BGR is sent as RGB"),
+    IgtlRow(rosmsg.PointStamped, "POINT", clouds.point_to_igtl, _STATES, "frame id, double precision"),
     IgtlRow(
         rosmsg.PointCloud2,
         "POLYDATA",
         clouds.cloud_to_polydata,
-        False,
+        _PICTURES,
         "frame id, rows and columns, points that are not finite; fields become float32",
     ),
     IgtlRow(
         rosmsg.PointCloud2,
         "POINT",
         clouds.cloud_to_points,
-        False,
+        _PICTURES,
         "frame id, rows and columns, points that are not finite, fields but colour and diameter",
     ),
-    IgtlRow(rosmsg.Mesh, "POLYDATA", surfaces.mesh_to_igtl, True, "double precision"),
-    IgtlRow(rosmsg.Marker, "POLYDATA", surfaces.marker_to_igtl, True, "frame id, double precision, uniform colour"),
+    IgtlRow(rosmsg.Mesh, "POLYDATA", surfaces.mesh_to_igtl, _SURFACES, "double precision"),
+    IgtlRow(rosmsg.Marker, "POLYDATA", surfaces.marker_to_igtl, _SURFACES, "frame id, double precision, uniform colour"),
 )
 
 

@@ -280,7 +280,8 @@ def encode(message: Message) -> list[Buffer]:
 
 
 def _pack_metadata(items: Sequence[Item]) -> bytes:
-    head, data = [_COUNT.pack(len(items))], []
+    head = [_COUNT.pack(len(items))]
+    data: list[bytes] = []
     for item in items:
         key = item.key.encode("utf-8", "surrogateescape")
         if len(key) > 0xFFFF:

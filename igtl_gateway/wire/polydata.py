@@ -174,10 +174,10 @@ class PolyData:
         take = _Taker(content)
         num_points, *sizes, num_attributes = _HEAD.unpack(take("head", _HEAD.size))
         points = np.frombuffer(take("points", 12 * num_points), F4).reshape(num_points, 3)
-        cells = [
+        vertices, lines, polygons, strips = (
             Cells.unpack(f"POLYDATA {name}", count, take(name, size), num_points)
             for name, count, size in zip(_SECTIONS, sizes[::2], sizes[1::2], strict=True)
-        ]
+        )
         heads = take("attribute heads", _ATTRIBUTE.size * num_attributes)
         names_size = 0
         names = []
@@ -191,7 +191,7 @@ class PolyData:
             data = take(f"data of attribute {index}", 4 * components * tuples)
             attributes.append(Attribute(kind, decode_text(names[index]), components, np.frombuffer(data, F4)))
         take.end()
-        return cls(points, *cells, tuple(attributes))
+        return cls(points, vertices, lines, polygons, strips, tuple(attributes))
 
     def pack(self) -> list[Buffer]:
         head = [len(self.points)]

@@ -1,0 +1,355 @@
+"""The gateway: a pure function from each input entry to the entries that it causes.
+
+``Gateway.handle`` reads no clock, no file and no socket.  Its state (links, names, counters) is made by the
+inputs alone, so that the same inputs with the same configuration give the same outputs, live, in a replay and
+in a verification.  ``Session`` adds the numbering and is the door that all three come through.
+
+What happens to a message on its way:
+
+* OpenIGTLink → ROS: CRC and structure are checked, the content is decoded, every row of the conversion table
+  that applies gives one ROS message.
+* ROS → OpenIGTLink: the row of its type (or the configured one) gives a content, which is encoded once for
+  each header version that the present links have shown, and addressed to all links at once.
+* A message that fails on its way costs only itself: a note says why, the ledger counts it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.config import Config, ToIgtlRow, ToRosRow, device_of_topic
+from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.names import frames_of, hashed, short_device_name, topic_token
+from igtl_gateway.convert.table import IgtlRow, RosRow, row_to_igtl, rows_to_ros
+from igtl_gateway.errors import ConversionError, WireError
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.ledger import Ledger
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import ns_to_ticks, ticks_to_ns
+from igtl_gateway.wire import Header, Item, Message, decode, encode
+from igtl_gateway.wire.fields import visible
+
+#: Metadata key (header version 2) of a device name that was too long for its 20 bytes.
+FULL_NAME_KEY = "DeviceName"
+
+_IN, _OUT = "igtl_in", "igtl_out"
+_ROS_IN, _ROS_OUT = "ros_in", "ros_out"
+
+_Reply = tuple[Kind, str, str, Sequence[Buffer], tuple[int, ...], int]
+
+
+@dataclass(frozen=True, slots=True)
+class _ToIgtlStream:
+    """A ROS topic that is bridged: everything that the hot path needs, resolved once."""
+
+    row: ToIgtlRow
+    conversion: IgtlRow
+    device: str
+    full_name: str
+    channel: str
+
+
+@dataclass(frozen=True, slots=True)
+class _ToRosStream:
+    """An OpenIGTLink stream that is bridged."""
+
+    row: ToRosRow
+    outputs: tuple[tuple[RosRow, str], ...]
+    frame_id: str
+    child_frame_id: str
+
+
+class Gateway:
+    """See the module."""
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.ledger = Ledger()
+        self._versions: dict[int, int] = {}  # link → highest header version it has shown
+        self._to_igtl: dict[tuple[str, str], _ToIgtlStream | None] = {}
+        self._to_ros: dict[tuple[str, str], _ToRosStream | None] = {}
+        self._tokens: dict[str, str] = {}  # topic token → device that owns it
+        self._devices: dict[str, str] = {}  # short device name → full name that owns it
+        self._said: set[tuple[str, str]] = set()
+        self._qos: dict[str, Qos] = {}
+        self._handlers: dict[Kind, Callable[[Entry], list[_Reply]]] = {
+            Kind.IGTL_IN: self._from_igtl,
+            Kind.ROS_IN: self._from_ros,
+            Kind.LINK: self._on_link,
+            Kind.EDGE_NOTE: self._on_edge_note,
+        }
+
+    def handle(self, entry: Entry) -> list[Entry]:
+        """The entries that ``entry`` causes, numbered and stamped directly behind it.
+
+        Outputs (``*_OUT``, ``NOTE``) are accepted and cause nothing.
+        """
+        handler = self._handlers.get(entry.kind)
+        if handler is None:
+            return []
+        return [
+            Entry(entry.seq + step, entry.stamp_ns + step, *reply) for step, reply in enumerate(handler(entry), start=1)
+        ]
+
+    # -- questions of the edges, answered without changing anything that influences outputs -------------------
+
+    def subscription(self, topic: str, ros_type: str) -> Qos | None:
+        """The QoS with which to subscribe to a topic that is to be bridged, None if it is not."""
+        row = self.config.row_to_igtl(topic)
+        conversion = row and row_to_igtl(ros_type, row.type)
+        if not row or not conversion:
+            return None
+        return row.qos or conversion.qos
+
+    def qos(self, topic: str) -> Qos | None:
+        """The QoS of a topic that the gateway publishes."""
+        return self._qos.get(topic)
+
+    def keep(self, entry: Entry) -> bool:
+        """Whether an outgoing OpenIGTLink message must not be dropped at a full send queue."""
+        return entry.type in _KEPT_TYPES
+
+    @property
+    def links(self) -> tuple[int, ...]:
+        """Numbers of the links that are up."""
+        return tuple(self._versions)
+
+    # -- OpenIGTLink → ROS --------------------------------------------------------------------------------------
+
+    def _from_igtl(self, entry: Entry) -> list[_Reply]:
+        self.ledger.count(_IN, entry.channel, "received")
+        link = entry.links[0]
+        try:
+            message = decode(entry.payload[0], check_crc=self.config.check_crc)
+        except WireError as error:
+            self.ledger.drop(_IN, entry.channel, error.code)
+            return [_note(Level.ERROR, error.code, f"message refused: {error}", entry.channel, (link,))]
+        if message.header_version > self._versions.get(link, 0):
+            self._versions[link] = message.header_version
+        self.ledger.count(_IN, entry.channel, "decoded")
+        device = _full_name(message)
+        stream = self._ros_stream(message.type, device)
+        if stream is None:
+            self.ledger.drop(_IN, entry.channel, "too_many_streams")
+            text = f"more than {self.config.max_streams} streams: {entry.channel} is recorded, not published"
+            return self._once("too_many_streams", "", Level.WARN, text, entry.channel, link)
+        outputs = [pair for pair in stream.outputs if isinstance(message.content, pair[0].content)]
+        if not outputs:
+            # Raw content under a type that has rows is an empty body: "nothing to show"
+            reason = "empty" if stream.outputs else "no_conversion"
+            self.ledger.drop(_IN, entry.channel, reason)
+            text = f"{visible(message.type)} is recorded, but has no conversion to ROS"
+            if reason == "empty":
+                text = f"{visible(message.type)} with an empty body: nothing to publish"
+            return self._once(reason, message.type, Level.INFO, text, entry.channel, link)
+        return self._publish(entry, message, device, stream, outputs)
+
+    def _publish(
+        self,
+        entry: Entry,
+        message: Message,
+        device: str,
+        stream: _ToRosStream,
+        outputs: list[tuple[RosRow, str]],
+    ) -> list[_Reply]:
+        stamp_ns = self.config.pick_stamp(stream.row, ticks_to_ns(message.ticks), entry.stamp_ns)
+        to = ToRos(device, stamp_ns, stream.frame_id, stream.child_frame_id, self.config.lengths(stream.row))
+        replies: list[_Reply] = []
+        try:
+            for row, topic in outputs:
+                if row.applies(message.content):
+                    cdr = row.convert(message.content, to).pack()
+                    replies.append((Kind.ROS_OUT, topic, row.message.TYPE, (cdr,), (), stamp_ns))
+        except ConversionError as error:
+            self.ledger.drop(_IN, entry.channel, "conversion")
+            return [_note(Level.ERROR, "conversion", f"not published: {error}", entry.channel, entry.links)]
+        self.ledger.count(_IN, entry.channel, "converted")
+        for reply in replies:
+            self.ledger.count(_ROS_OUT, reply[1], "published")
+        return replies + self._warnings(to.warnings, entry)
+
+    def _ros_stream(self, igtl_type: str, device: str) -> _ToRosStream | None:
+        """The stream of a device, resolved on its first message; None beyond the limit of streams."""
+        key = (igtl_type, device)
+        if key in self._to_ros:
+            return self._to_ros[key]
+        if len(self._to_ros) >= self.config.max_streams:
+            return None
+        row = self.config.row_to_ros(igtl_type, device)
+        token = self._token(device)
+        parent, child = frames_of(topic_token(device), self.config.base_frame)
+        outputs = []
+        for conversion in rows_to_ros(igtl_type):
+            topic = row.topic.format(device=token, kind=conversion.kind, type=topic_token(igtl_type.lower()))
+            outputs.append((conversion, topic))
+            self._qos.setdefault(topic, row.qos or conversion.qos)
+        poses = any(conversion.kind == "transform" for conversion, _ in outputs)
+        frame_id = row.frame_id or (parent if poses else self.config.base_frame)
+        self._to_ros[key] = _ToRosStream(row, tuple(outputs), frame_id, row.child_frame_id or child)
+        return self._to_ros[key]
+
+    def _token(self, device: str) -> str:
+        """The topic token of a device; a second device that would get the same one gets its hash added."""
+        token = topic_token(device)
+        while self._tokens.setdefault(token, device) != device:
+            token = f"{token}_{hashed(device)}"
+        return token
+
+    # -- ROS → OpenIGTLink --------------------------------------------------------------------------------------
+
+    def _from_ros(self, entry: Entry) -> list[_Reply]:
+        topic = entry.channel
+        self.ledger.count(_ROS_IN, topic, "received")
+        stream = self._igtl_stream(topic, entry.type)
+        if stream is None:
+            self.ledger.count(_ROS_IN, topic, "recorded_only")
+            return []
+        if not self._versions:
+            self.ledger.drop(_ROS_IN, topic, "no_peer")
+            return []
+        to = ToIgtl(self.config.lengths(stream.row))
+        conversion = stream.conversion
+        try:
+            outgoing = conversion.convert(conversion.message.unpack(entry.payload[0]), to)
+            stamp_ns = self.config.pick_stamp(stream.row, outgoing.stamp_ns or entry.source_ns, entry.stamp_ns)
+            message = Message(conversion.igtl_type, stream.device, outgoing.content, ns_to_ticks(stamp_ns))
+            replies = self._encoded(message, stream, stamp_ns)
+        except (ConversionError, WireError) as error:
+            self.ledger.drop(_ROS_IN, topic, "conversion")
+            return [_note(Level.ERROR, "conversion", f"not sent: {error}", topic, ())]
+        self.ledger.count(_ROS_IN, topic, "converted")
+        for reply in replies:
+            self.ledger.count(_OUT, reply[1], "sent", len(reply[4]))
+        return replies + self._warnings(to.warnings, entry)
+
+    def _encoded(self, message: Message, stream: _ToIgtlStream, stamp_ns: int) -> list[_Reply]:
+        """One entry for each header version that links have shown, version 1 first."""
+        replies: list[_Reply] = []
+        for version in sorted(set(self._versions.values())):
+            links = tuple(link for link, shown in self._versions.items() if shown == version)
+            if version > 1:
+                metadata = () if stream.device == stream.full_name else (Item.of(FULL_NAME_KEY, stream.full_name),)
+                message = replace(message, header_version=version, metadata=metadata)
+            replies.append((Kind.IGTL_OUT, stream.channel, message.type, encode(message), links, stamp_ns))
+        return replies
+
+    def _igtl_stream(self, topic: str, ros_type: str) -> _ToIgtlStream | None:
+        """The stream of a topic, resolved on its first message; None where the topic is not bridged."""
+        key = (topic, ros_type)
+        if key not in self._to_igtl:
+            self._to_igtl[key] = self._resolve_topic(topic, ros_type)
+        return self._to_igtl[key]
+
+    def _resolve_topic(self, topic: str, ros_type: str) -> _ToIgtlStream | None:
+        row = self.config.row_to_igtl(topic)
+        conversion = row and row_to_igtl(ros_type, row.type)
+        if not row or not conversion:
+            return None
+        kinds = {other.kind for other in rows_to_ros(conversion.igtl_type)}
+        last = topic.rpartition("/")[2]
+        full_name = row.device or device_of_topic(topic, last if last in kinds else "")
+        device = short_device_name(full_name)
+        while self._devices.setdefault(device, full_name) != full_name:
+            device = short_device_name(f"{full_name[:8]}_{hashed(device + full_name)}_{full_name}")
+        return _ToIgtlStream(row, conversion, device, full_name, f"{conversion.igtl_type}/{device}")
+
+    # -- links and notes ----------------------------------------------------------------------------------------
+
+    def _on_link(self, entry: Entry) -> list[_Reply]:
+        note = Note.unpack(entry.data())
+        for link in entry.links:
+            if note.code == LINK_UP:
+                self._versions[link] = 1
+            else:
+                self._versions.pop(link, None)
+        return []
+
+    def _on_edge_note(self, entry: Entry) -> list[_Reply]:
+        note = Note.unpack(entry.data())
+        self.ledger.count("edges", note.stream, note.code)
+        return []
+
+    def _once(self, code: str, about: str, level: Level, text: str, stream: str, link: int) -> list[_Reply]:
+        """A note, but only the first of its kind: what is common must not fill the log."""
+        if (code, about) in self._said:
+            return []
+        self._said.add((code, about))
+        return [_note(level, code, text, stream, (link,))]
+
+    def _warnings(self, warnings: list[tuple[str, str]], entry: Entry) -> list[_Reply]:
+        """Notes for what a conversion had to bend, once for each stream and cause."""
+        replies: list[_Reply] = []
+        for code, text in warnings:
+            if (code, entry.channel) not in self._said:
+                self._said.add((code, entry.channel))
+                replies.append(_note(Level.WARN, code, text, entry.channel, entry.links))
+        return replies
+
+
+LINK_UP, LINK_DOWN = "link_up", "link_down"
+
+#: Types whose messages each count; states and pictures are replaced by the next one anyway.
+_KEPT_TYPES = frozenset({"STRING", "STATUS", "COMMAND", "RTS_COMMAND"})
+
+
+def _note(level: Level, code: str, text: str, stream: str, links: tuple[int, ...]) -> _Reply:
+    return (Kind.NOTE, "", "", (Note(level, code, text, stream).pack(),), links, 0)
+
+
+def _full_name(message: Message) -> str:
+    """The device's full name: from the metadata where the sender had to shorten it."""
+    for item in message.metadata:
+        if item.key == FULL_NAME_KEY and short_device_name(item.text) == message.device_name:
+            return item.text
+    return visible(message.device_name)
+
+
+class Session:
+    """The gateway with its numbering: raw inputs in, numbered entries out.  Still pure: the time is an argument."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self.gateway = gateway
+        self._seq = 0
+        self._stamp_ns = 0
+
+    def input(
+        self,
+        now_ns: int,
+        kind: Kind,
+        payload: Sequence[Buffer],
+        *,
+        channel: str = "",
+        type_name: str = "",
+        links: tuple[int, ...] = (),
+        source_ns: int = 0,
+    ) -> list[Entry]:
+        """The entry of an input that arrived at ``now_ns`` (UTC), followed by what it caused.
+
+        OpenIGTLink input names its own channel, type and stamp: they are read from its header.
+        """
+        if kind is Kind.IGTL_IN:
+            header = Header.unpack(payload[0])
+            channel, type_name = stream_name(header), visible(header.type)
+            source_ns = ticks_to_ns(header.ticks)
+        # log order is time order, even where the host's clock steps back
+        entry = Entry(
+            self._seq + 1,
+            max(now_ns, self._stamp_ns + 1),
+            kind,
+            channel,
+            type_name,
+            payload,
+            links,
+            source_ns,
+        )
+        entries = [entry, *self.gateway.handle(entry)]
+        self._seq, self._stamp_ns = entries[-1].seq, entries[-1].stamp_ns
+        return entries
+
+
+def stream_name(header: Header) -> str:
+    """``TYPE/device`` of an OpenIGTLink header, as people read it."""
+    return f"{visible(header.type)}/{visible(header.device_name)}"
