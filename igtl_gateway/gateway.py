@@ -74,6 +74,7 @@ class Gateway:
         self._tokens: dict[str, str] = {}  # topic token → device that owns it
         self._devices: dict[str, str] = {}  # short device name → full name that owns it
         self._said: set[tuple[str, str]] = set()
+        self._news: list[_Reply] = []  # notes of streams that this entry opened
         self._qos: dict[str, Qos] = {}
         self._handlers: dict[Kind, Callable[[Entry], list[_Reply]]] = {
             Kind.IGTL_IN: self._from_igtl,
@@ -90,9 +91,14 @@ class Gateway:
         handler = self._handlers.get(entry.kind)
         if handler is None:
             return []
-        return [
-            Entry(entry.seq + step, entry.stamp_ns + step, *reply) for step, reply in enumerate(handler(entry), start=1)
-        ]
+        try:
+            self._news = []
+            replies = handler(entry) + self._news
+        except Exception as error:  # a defect of ours must cost one message, not the session
+            self.ledger.drop(entry.kind.value, entry.channel, "internal_error")
+            text = f"message lost to a defect of the gateway: {type(error).__name__}: {error}"
+            replies = [_note(Level.ERROR, "internal_error", text, entry.channel, entry.links)]
+        return [Entry(entry.seq + step, entry.stamp_ns + step, *reply) for step, reply in enumerate(replies, start=1)]
 
     # -- questions of the edges, answered without changing anything that influences outputs -------------------
 
@@ -189,6 +195,9 @@ class Gateway:
         poses = any(conversion.kind == "transform" for conversion, _ in outputs)
         frame_id = row.frame_id or (parent if poses else self.config.base_frame)
         self._to_ros[key] = _ToRosStream(row, tuple(outputs), frame_id, row.child_frame_id or child)
+        if outputs:
+            topics = ", ".join(dict.fromkeys(topic for _, topic in outputs))
+            self._open_stream(f"{visible(igtl_type)}/{device}", f"to {topics}")
         return self._to_ros[key]
 
     def _token(self, device: str) -> str:
@@ -254,7 +263,9 @@ class Gateway:
         device = short_device_name(full_name)
         while self._devices.setdefault(device, full_name) != full_name:
             device = short_device_name(f"{full_name[:8]}_{hashed(device + full_name)}_{full_name}")
-        return _ToIgtlStream(row, conversion, device, full_name, f"{conversion.igtl_type}/{device}")
+        channel = f"{conversion.igtl_type}/{device}"
+        self._open_stream(topic, f"to {channel}" + (f" (for {full_name})" if device != full_name else ""))
+        return _ToIgtlStream(row, conversion, device, full_name, channel)
 
     # -- links and notes ----------------------------------------------------------------------------------------
 
@@ -271,6 +282,10 @@ class Gateway:
         note = Note.unpack(entry.data())
         self.ledger.count("edges", note.stream, note.code)
         return []
+
+    def _open_stream(self, stream: str, text: str) -> None:
+        """Say where a new stream goes."""
+        self._news.append(_note(Level.INFO, "stream", f"{stream} goes {text}", stream, ()))
 
     def _once(self, code: str, about: str, level: Level, text: str, stream: str, link: int) -> list[_Reply]:
         """A note, but only the first of its kind: what is common must not fill the log."""

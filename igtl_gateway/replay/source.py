@@ -1,0 +1,63 @@
+"""What a replay sends: the bytes of that day, or those of today's gateway for the inputs of that day."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from igtl_gateway.config import Config, matches
+from igtl_gateway.gateway import LINK_UP, Gateway
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+
+#: The link that stands for "whoever listens" where a recording knows of no link.
+_ANY_LINK = 1
+
+
+def through_gateway(entries: Iterable[Entry], config: Config, *, has_links: bool) -> Iterator[Entry]:
+    """Inputs and outputs of today's gateway for the recorded inputs.
+
+    Args:
+        has_links: whether the recording tells of links; if not, one that reads header version 1 is assumed.
+    """
+    gateway = Gateway(config)
+    if not has_links:
+        note = Note(Level.INFO, LINK_UP, "replay").pack()
+        gateway.handle(Entry(0, 0, Kind.LINK, payload=(note,), links=(_ANY_LINK,)))
+    for entry in entries:
+        if entry.kind.is_input:
+            yield entry
+            yield from gateway.handle(entry)
+
+
+def once(entries: Iterable[Entry]) -> Iterator[Entry]:
+    """Of a message that went out in several header versions only the first form: version 1 where it was sent."""
+    cause, sent = 0, set[str]()
+    for entry in entries:
+        if entry.kind.is_input:
+            cause, sent = entry.seq, set()
+        elif entry.kind is Kind.IGTL_OUT:
+            if entry.channel in sent:
+                continue
+            sent.add(entry.channel)
+        yield entry
+
+
+def select(entries: Iterable[Entry], kinds: frozenset[Kind], streams: Iterable[str] = ()) -> Iterator[Entry]:
+    """Entries of some kinds, of streams that match one of the globs (no glob: all).
+
+    A glob fits the channel (``TYPE/device`` or the topic) or the device name alone.
+    """
+    globs = tuple(streams)
+    wanted: Callable[[str], bool] = lambda name: not globs or any(matches(glob, name) for glob in globs)  # noqa: E731
+    known: dict[str, bool] = {}
+    for entry in entries:
+        if entry.kind in kinds:
+            if entry.channel not in known:
+                known[entry.channel] = wanted(entry.channel) or (
+                    entry.kind in _IGTL and wanted(entry.channel.partition("/")[2])
+                )
+            if known[entry.channel]:
+                yield entry
+
+
+_IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
