@@ -21,6 +21,7 @@
 //   POINT     device sec frac  n  { TEXT(name) TEXT(group) r g b a x y z diameter TEXT(owner) } * n
 //   POLYDATA  device sec frac  n { x y z } * n,  4 * ( n { k index * k } * n ),
 //                              n { type components tuples TEXT(name) float * components * tuples } * n
+//                              (with one point at least: 1.11 sends uninitialised memory otherwise)
 //   IMAGE     device sec frac  ni nj nk  si sj sk  scalar_type components endian coordinate
 //                              oi oj ok  mi mj mk  12 floats (T S N P)  TEXT(pixels)
 //                              si…sk: spacing; oi…: sub-volume offset; mi…: sub-volume size; T, S, N are

@@ -5,6 +5,7 @@ Quirks of that library that a test sees:
 - It knows header version 1 only.  The peer program skips a version 2 message by its size and reports it
   with ``"skipped": true`` and without content, as it does for types that it does not decode.
 - POSITION goes out in the 28-byte form only (encoding the short forms corrupts the library's heap).
+- POLYDATA without points is not sent either: the library sends uninitialised memory with a right CRC.
 - POLYDATA attributes other than point scalar, vector and normal (types 0, 1, 2) and tensors go out with 9
   components declared and 9·n floats: the data first, then whatever was in memory.  It reads 9·n floats of
   them too, whatever is declared, so a conforming one displaces those that follow; of cell scalars it loses
@@ -131,6 +132,11 @@ class ReferencePeer:
             device: device name, at most 20 bytes.
             content: with the corpus' keys; IMAGE pixels as ``data`` (values or raw bytes) or ``data_hex``.
             sec, frac: the time stamp as on the wire (``frac`` in 2⁻³² s).
+
+        Raises:
+            ValueError: the library would spoil its memory on this (see the top of this file).
+            PeerError, TimeoutError: there is no connection.  What the library refuses is raised by the next
+                ``receive``.
         """
         words = [type_name, _text(device), str(sec), str(frac), *ENCODERS[type_name](content)]
         self.wait_connected()
@@ -256,6 +262,10 @@ def _point(content: Mapping[str, Any]) -> list[str]:
 
 def _polydata(content: Mapping[str, Any]) -> list[str]:
     points = content.get("points", [])
+    if not len(points):
+        raise ValueError(
+            "POLYDATA points: found none, expected one at least (1.11 sends uninitialised memory otherwise)"
+        )
     words = [str(len(points)), *_numbers(points)]
     for section in ("vertices", "lines", "polygons", "triangle_strips"):
         cells = content.get(section, [])

@@ -115,7 +115,7 @@ def flat(values: list[Any]) -> list[float]:
 
 @needs_reference
 @needs_corpus
-@pytest.mark.parametrize("stem", FILES)
+@pytest.mark.parametrize("stem", [stem for stem in FILES if stem != "POSITION_v1_s1"])  # a short form, see below
 def test_reference_encodes_the_corpus(shared_pair: Pair, stem: str) -> None:
     peer, link = shared_pair
     wire, message = load(stem)
@@ -123,10 +123,6 @@ def test_reference_encodes_the_corpus(shared_pair: Pair, stem: str) -> None:
     if isinstance(content.get("data"), dict):  # the JSON has only the CRC of many pixels
         content["data"] = wire[58 + 72 :]
     stamp = message["timestamp"]
-    if content.get("pack", "all") != "all":
-        with pytest.raises(ValueError, match="heap"):
-            peer.send(message["type"], message["device_name"], content)
-        return
     peer.send(message["type"], message["device_name"], content, stamp["sec"], stamp["frac"])
     assert read_message(link) == wire
 
@@ -219,6 +215,24 @@ def test_receive_takes_matches_in_order_and_leaves_the_rest(pair: Pair) -> None:
     assert len(peer.messages) == 4
 
 
+@needs_reference
+@pytest.mark.parametrize(
+    ("type_name", "content", "complaint"),
+    [
+        ("POSITION", {"pack": "position_only", "position": [1, 2, 3], "quaternion": [0, 0, 0, 1]}, "heap"),
+        ("POLYDATA", {"points": [], "vertices": [[0]]}, "uninitialised"),
+    ],
+)
+def test_what_spoils_the_librarys_memory_is_not_sent(
+    pair: Pair, type_name: str, content: dict[str, Any], complaint: str
+) -> None:
+    peer, link = pair
+    with pytest.raises(ValueError, match=complaint):
+        peer.send(type_name, "Dev", content)
+    peer.send("STRING", "Next", {"string": ""})
+    assert read_message(link)[14:18] == b"Next"
+
+
 SMALL_IMAGE = {"dimensions": [2, 2, 1], "scalar_type": 3, "wire_matrix": [0.0] * 12, "data": b"abcd"}
 TENSOR = {"type": 3, "ncomponents": 3, "n": 1, "name": "short", "data": [0, 0, 0]}
 
@@ -229,8 +243,8 @@ TENSOR = {"type": 3, "ncomponents": 3, "n": 1, "name": "short", "data": [0, 0, 0
     [
         ("IMAGE", SMALL_IMAGE | {"data": b"abc"}, "has 4 bytes of pixels, found 3"),
         ("IMAGE", SMALL_IMAGE | {"subvol_offset": [1, 0, 0]}, "refuses this sub-volume"),
-        ("POLYDATA", {"attributes": [TENSOR]}, "refuses attribute type 3 with 3 components"),
-        ("POLYDATA", {"attributes": [TENSOR | {"ncomponents": 9}]}, "too few words"),
+        ("POLYDATA", {"points": [[0, 0, 0]], "attributes": [TENSOR]}, "refuses attribute type 3 with 3 components"),
+        ("POLYDATA", {"points": [[0, 0, 0]], "attributes": [TENSOR | {"ncomponents": 9}]}, "too few words"),
     ],
 )
 def test_what_the_library_cannot_encode_is_raised(
@@ -269,7 +283,8 @@ def test_values_that_are_easily_lost_survive_both_ways(pair: Pair) -> None:
     cloud = {"points": [[1, 2, 3]] * 10_000, "vertices": [[i] for i in range(10_000)]}
     got = reflected(pair, "POLYDATA", cloud)
     assert (got["points"], got["vertices"]) == (cloud["points"], cloud["vertices"])
-    assert reflected(pair, "POLYDATA", {})["num_points"] == 0
+    pair[1].sendall(message("POLYDATA", bytes(40)))
+    assert pair[0].receive()["content"]["num_points"] == 0
 
 
 @needs_reference
