@@ -1,0 +1,194 @@
+"""The running bridge: both edges, the gateway and the recorder."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway import __version__
+from igtl_gateway.app.hub import Hub
+from igtl_gateway.clock import Clock
+from igtl_gateway.config import Config, matches
+from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.edges.tcp import Limits, TcpEdge
+from igtl_gateway.gateway import Gateway, Session
+from igtl_gateway.qos import Qos
+from igtl_gateway.record.recorder import Recorder, RecordingSummary
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
+
+#: QoS of topics that are recorded only: deep enough for a burst; reliability adapts to the publishers.
+_RECORDED = Qos(depth=100)
+
+#: Topics that `--record-all` leaves out, as `ros2 bag record --all` does: hidden ones and the graph's own chatter.
+_NEVER_RECORDED = ("/parameter_events", "/rosout", "**/_*")
+
+Address = tuple[str, int]
+OnEntry = Callable[[Entry], None]
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeOptions:
+    """What the command line says.
+
+    Attributes:
+        listen, connect: addresses of the OpenIGTLink side.
+        ros: join ROS 2.
+        record: file to record into.
+        record_topics: globs of ROS topics recorded beside the bridged ones.
+        allow: networks whose peers may connect beside this host's own.
+        limits: what a peer may cost.
+        node_name: of the ROS node.
+        overwrite: replace an existing recording.
+    """
+
+    listen: tuple[Address, ...] = ()
+    connect: tuple[Address, ...] = ()
+    ros: bool = True
+    record: Path | None = None
+    record_topics: tuple[str, ...] = ()
+    allow: tuple[str, ...] = ()
+    limits: Limits = field(default_factory=Limits)
+    node_name: str = "igtl_gateway"
+    overwrite: bool = False
+
+
+class Bridge:
+    """Everything between an OpenIGTLink network and a ROS graph.
+
+    Args:
+        config: what influences the content of messages; stored in the recording.
+        options: what does not.
+        clock: time of the entries.
+        on_entry: called with every entry, for whoever watches (the command line, a viewer).
+    """
+
+    def __init__(self, config: Config, options: BridgeOptions, clock: Clock, on_entry: OnEntry | None = None) -> None:
+        self.options = options
+        self.gateway = Gateway(config)
+        self.addresses: list[Address] = []
+        self.recorder: Recorder | None = None
+        self.summary: RecordingSummary | None = None
+        if options.record:
+            self.recorder = Recorder(
+                options.record,
+                session_facts(config),
+                qos_of=lambda topic, ros_type: self.gateway.qos(topic) or self._subscription(topic, ros_type),
+                on_note=self._on_edge_note,
+                clock=clock,
+                overwrite=options.overwrite,
+            )
+        sinks: list[Callable[[Entry], None]] = [self._dispatch]
+        if self.recorder:
+            sinks.insert(0, self.recorder)
+        if on_entry:
+            sinks.append(on_entry)
+        self.hub = Hub(Session(self.gateway), clock, sinks)
+        self.tcp = TcpEdge(
+            on_frame=self.hub.igtl,
+            on_link=lambda link, _up, note: self.hub.link(link, note),
+            on_note=lambda link, note: self.hub.note(note, link),
+            clock=clock,
+            limits=options.limits,
+            allow=options.allow,
+        )
+        self.ros: RosEdge | None = None
+        if options.ros:
+            self.ros = RosEdge(
+                node_name=options.node_name,
+                on_message=self.hub.ros,
+                wants=self._subscription,
+                on_note=self._on_edge_note,
+            )
+
+    def start(self) -> None:
+        """Open both sides.  Raises ConfigError or RosError; then nothing is left open but the recording."""
+        try:
+            self.addresses = [self.tcp.listen(*address) for address in self.options.listen]
+            for address in self.options.connect:
+                self.tcp.connect(*address)
+            if self.ros:
+                self.ros.start()
+        except Exception:
+            self.stop()
+            raise
+        self.tcp.start()
+
+    def stop(self) -> None:
+        """Close both sides, then the recording with its ledger; may be called twice."""
+        self.tcp.stop()
+        if self.ros:
+            self.ros.stop()
+        if self.recorder and not self.summary:
+            self.summary = self.recorder.close(self.ledger())
+
+    def ledger(self) -> dict[str, Any]:
+        """What became of every message, by stream: gateway and edges."""
+        sent = {
+            str(link): {
+                "sent_messages": counts.sent_messages,
+                "sent_bytes": counts.sent_bytes,
+                "received_messages": counts.received_messages,
+                "received_bytes": counts.received_bytes,
+                "dropped": dict(sorted(counts.dropped.items())),
+                "ignored": dict(sorted(counts.ignored.items())),
+            }
+            for link, counts in self.tcp.counters().items()
+        }
+        return {
+            "streams": self.gateway.ledger.to_dict(),
+            "links": sent,
+            "ros_topics": self.ros.counters() if self.ros else {},
+        }
+
+    def _dispatch(self, entry: Entry) -> None:
+        """An output on its way out; called in the order of the log, under the hub's lock."""
+        if entry.kind is Kind.IGTL_OUT:
+            self.tcp.send(entry.links, entry.payload, entry.channel, self.gateway.keep(entry))
+        elif entry.kind is Kind.ROS_OUT and self.ros:
+            qos = self.gateway.qos(entry.channel) or _RECORDED
+            self.ros.publish(entry.channel, entry.type, entry.data(), qos)
+
+    def _subscription(self, topic: str, ros_type: str) -> Qos | None:
+        """How to subscribe to a topic: to bridge it, or to record it, or not at all."""
+        bridged = self.gateway.subscription(topic, ros_type)
+        if bridged or not self.recorder or any(matches(glob, topic) for glob in _NEVER_RECORDED):
+            return bridged
+        return _RECORDED if any(matches(glob, topic) for glob in self.options.record_topics) else None
+
+    def _on_edge_note(self, note: Note) -> None:
+        self.hub.note(note)
+
+
+def session_facts(config: Config) -> dict[str, str]:
+    """What a recording says of itself: configuration, versions, host."""
+    return {
+        "igtl_gateway_version": __version__,
+        "config": json.dumps(config.to_dict(), sort_keys=True),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "host": platform.node(),
+        "packages": json.dumps(_versions(("mcap", "numpy", "rosbags", "fastcrc", "ros-jazzy-rclpy")), sort_keys=True),
+        "ros_domain_id": os.environ.get("ROS_DOMAIN_ID", "0"),
+        "rmw_implementation": os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"),
+        "command": " ".join(sys.argv),
+    }
+
+
+def _versions(packages: Sequence[str]) -> dict[str, str]:
+    found = {}
+    for package in packages:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+

@@ -1,0 +1,93 @@
+"""The hub: the one door through which everything reaches the gateway, and the order in which it did.
+
+Any thread may bring an input.  One lock makes them a sequence; whoever holds it feeds the gateway and hands
+each entry to the sinks (recorder, edges) in the order of the log.  There is no queue and no hop between an
+edge and the other one: a ROS callback ends in the peer's socket.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.clock import Clock
+from igtl_gateway.gateway import Session
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
+
+Sink = Callable[[Entry], None]
+
+
+@dataclass(frozen=True, slots=True)
+class _Input:
+    kind: Kind
+    payload: Sequence[Buffer]
+    channel: str = ""
+    type_name: str = ""
+    links: tuple[int, ...] = ()
+    source_ns: int = 0
+
+
+class Hub:
+    """See the module.  Sinks must not block and must not raise.
+
+    Args:
+        session: the gateway with its numbering.
+        clock: gives each input its time.
+        sinks: called with every entry, in order.
+    """
+
+    def __init__(self, session: Session, clock: Clock, sinks: Sequence[Sink]) -> None:
+        self._session = session
+        self._clock = clock
+        self._sinks = tuple(sinks)
+        self._lock = threading.Lock()
+        self._owner = 0
+        # inputs that a sink brought while the lock was ours: they follow the entries being handed on
+        self._waiting: deque[_Input] = deque()
+
+    def igtl(self, link: int, message: Buffer) -> None:
+        """One whole OpenIGTLink message from a link."""
+        self._bring(_Input(Kind.IGTL_IN, (message,), links=(link,)))
+
+    def ros(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> None:
+        """One message of a ROS topic."""
+        self._bring(_Input(Kind.ROS_IN, (cdr,), topic, ros_type, source_ns=source_ns))
+
+    def link(self, link: int, note: Note) -> None:
+        """A link came up or went down."""
+        self._bring(_Input(Kind.LINK, (note.pack(),), links=(link,)))
+
+    def note(self, note: Note, link: int = 0) -> None:
+        """A fact that an edge or the recorder reports."""
+        self._bring(_Input(Kind.EDGE_NOTE, (note.pack(),), links=(link,) if link else ()))
+
+    def _bring(self, given: _Input) -> None:
+        if self._owner == threading.get_ident():
+            self._waiting.append(given)
+            return
+        with self._lock:
+            self._owner = threading.get_ident()
+            try:
+                self._take(given)
+                while self._waiting:
+                    self._take(self._waiting.popleft())
+            finally:
+                self._owner = 0
+
+    def _take(self, given: _Input) -> None:
+        entries = self._session.input(
+            self._clock.utc_ns(),
+            given.kind,
+            given.payload,
+            channel=given.channel,
+            type_name=given.type_name,
+            links=given.links,
+            source_ns=given.source_ns,
+        )
+        for entry in entries:
+            for sink in self._sinks:
+                sink(entry)

@@ -1,0 +1,76 @@
+"""The command line: one file per verb, errors to exit codes in one place.
+
+Exit codes: 0 good, 1 a finding or a failure, 2 usage (command line, configuration, a file of the wrong kind).
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from igtl_gateway import __version__
+from igtl_gateway.errors import ConfigError, GatewayError, RosError, UnsupportedRecording
+
+GOOD, FAILURE, USAGE = 0, 1, 2
+
+#: Verb → one line of help.  The module of the same name in this package has ``add_arguments`` and ``run``.
+VERBS = {
+    "bridge": "run the gateway between OpenIGTLink and ROS 2, and record it",
+    "replay": "drive OpenIGTLink or ROS 2 from a recording",
+    "verify": "prove that a recording's outputs follow from its inputs, byte for byte",
+    "info": "what is in a recording",
+    "decode": "print the messages of a raw OpenIGTLink byte stream as JSON lines",
+    "simulate": "make a synthetic session",
+    "demo": "the main job in a minute: bridge, record, verify, replay",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one verb; the console script ``igtl-gateway``."""
+    parser = argparse.ArgumentParser(
+        prog="igtl-gateway",
+        description="ROS 2 and OpenIGTLink: bridged, recorded, replayed, verified.",
+        epilog="`igtl-gateway VERB --help` shows the options of a verb, with examples.",
+    )
+    parser.add_argument("--version", action="version", version=f"igtl-gateway {__version__}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
+    given = list(sys.argv[1:] if argv is None else argv)
+    # only the module of the verb that is asked for is imported: `info` must not wait for ROS
+    asked = next((word for word in given if not word.startswith("-")), "")
+    for verb, text in VERBS.items():
+        made = verbs.add_parser(
+            verb,
+            help=text,
+            description=text[0].upper() + text[1:] + ".",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        if verb == asked:
+            module = importlib.import_module(f"igtl_gateway.cli.{verb}")
+            module.add_arguments(made)
+            made.epilog = "examples:\n" + module.EXAMPLES
+            made.set_defaults(run=module.run)
+    options = parser.parse_args(given)
+    if not options.verb:
+        parser.print_help()
+        return USAGE
+    try:
+        return int(options.run(options))
+    except (ConfigError, RosError, UnsupportedRecording) as error:
+        return _say(options.verb, error, USAGE)
+    except GatewayError as error:
+        return _say(options.verb, error, FAILURE)
+    except KeyboardInterrupt:
+        print(file=sys.stderr)
+        return _say(options.verb, "interrupted", FAILURE)
+    except BrokenPipeError:
+        # whoever read our output has seen enough; nothing more can be printed
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILURE
+
+
+def _say(verb: str, error: object, code: int) -> int:
+    print(f"igtl-gateway {verb}: {error}", file=sys.stderr)
+    return code

@@ -1,0 +1,119 @@
+"""What several verbs share: addresses, configuration, numbers for people, the end of the program by signal."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.config import Config
+from igtl_gateway.errors import ConfigError, UnsupportedRecording
+
+DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
+
+
+def address(text: str) -> tuple[str, int]:
+    """``HOST:PORT``, ``:PORT``, ``PORT`` or ``HOST``; IPv6 hosts in brackets."""
+    host, colon, port = text.rpartition(":")
+    if text.startswith("[") and text.endswith("]"):
+        host, colon, port = text, "", ""
+    elif not colon:
+        host, port = ("", text) if text.isdigit() else (text, "")
+    if port and not (port.isdigit() and int(port) < 1 << 16):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected HOST:PORT with a port from 0 to 65535")
+    return host.strip("[]") or DEFAULT_HOST, int(port) if port else DEFAULT_PORT
+
+
+def add_addresses(parser: argparse.ArgumentParser) -> None:
+    """``--listen`` and ``--connect``, any number of each."""
+    parser.add_argument(
+        "--listen",
+        type=address,
+        action="append",
+        default=[],
+        metavar="HOST:PORT",
+        help=f"be an OpenIGTLink server here (default, if nothing is given: {DEFAULT_HOST}:{DEFAULT_PORT}); "
+        "port 0 takes a free one",
+    )
+    parser.add_argument(
+        "--connect",
+        type=address,
+        action="append",
+        default=[],
+        metavar="HOST:PORT",
+        help="be a client of the server there; reconnects for ever",
+    )
+    parser.add_argument(
+        "--allow",
+        action="append",
+        default=[],
+        metavar="CIDR",
+        help="networks whose peers may connect (needed for --listen on other than loopback); 'any' for all",
+    )
+
+
+def addresses(options: argparse.Namespace) -> tuple[tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]]:
+    """(listen, connect) with the default server where neither is given."""
+    listen, connect = tuple(options.listen), tuple(options.connect)
+    return listen if listen or connect else ((DEFAULT_HOST, DEFAULT_PORT),), connect
+
+
+def load_config(path: Path | None) -> Config:
+    """The configuration of a file, or the default one."""
+    return Config.from_toml(path) if path else Config()
+
+
+def recorded_config(session: dict[str, str], path: Path | None = None) -> Config:
+    """The configuration to run a recording with: of the file ``path`` if given, else the recorded one."""
+    if path:
+        return Config.from_toml(path)
+    text = session.get("config")
+    if text is None:
+        return Config()
+    try:
+        return Config.from_dict(json.loads(text))
+    except (ValueError, ConfigError) as error:
+        raise UnsupportedRecording(f"the recorded configuration cannot be used: {error}") from None
+
+
+@contextmanager
+def stop_event() -> Iterator[threading.Event]:
+    """An event that SIGINT (Ctrl-C) and SIGTERM set; a second signal ends the program the hard way."""
+    event = threading.Event()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def on_signal(number: int, _frame: Any) -> None:
+        event.set()
+        signal.signal(number, signal.SIG_DFL)
+
+    for number in before:
+        signal.signal(number, on_signal)
+    try:
+        yield event
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def print_json(value: Any) -> None:
+    """One JSON object on one line, at once."""
+    print(json.dumps(value, ensure_ascii=False, default=str), flush=True)
+
+
+def count(number: int, thing: str, things: str = "") -> str:
+    """``1 message``, ``1,234 messages``."""
+    return f"{number:,} {thing if number == 1 else things or thing + 's'}"
+
+
+def size(number: float) -> str:
+    """Bytes for people: ``812 B``, ``9.6 MB``."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if number < 1000 or unit == "GB":
+            return f"{number:.0f} {unit}" if unit == "B" else f"{number:.1f} {unit}"
+        number /= 1000
+    raise AssertionError
