@@ -9,6 +9,7 @@ status message says so too.
 from __future__ import annotations
 
 import colorsys
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -75,19 +76,34 @@ class SceneMessage:
     latched: bool
 
 
+class _Session:
+    """The scene on its time line."""
+
+    def __init__(self, seed: int, start_ns: int, duration_ns: int) -> None:
+        self.scene = Scene(seed)
+        self.start_ns = start_ns
+        self.status = _status_lines(duration_ns)
+        self.path = self.scene.tool(np.array(_TOOL_TIMES(duration_ns)) / NS_PER_S)
+
+
 @dataclass(frozen=True, slots=True)
 class _Shot:
-    """What a message is made from: the scene, how many came before, when, and how long the session is."""
+    """What a message is made from: the session, how many of its stream came before, and when."""
 
-    scene: Scene
+    session: _Session
     number: int
     since_ns: int
-    stamp_ns: int
-    duration_ns: int
+
+    @property
+    def scene(self) -> Scene:
+        return self.session.scene
 
     @property
     def time_s(self) -> float:
         return self.since_ns / NS_PER_S
+
+    def header(self, frame_id: str) -> Header:
+        return Header(self.session.start_ns + self.since_ns, frame_id)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,20 +119,27 @@ class _Stream:
 def messages(duration_s: float = DURATION_S, start_ns: int = START_NS, seed: int = SEED) -> Iterator[SceneMessage]:
     """The session in order of arrival.
 
-    Raises ConfigError if the duration is not positive.
+    Raises ConfigError if the duration is not a positive number of seconds.
     """
-    if not duration_s > 0:
+    if not 0 < duration_s < math.inf:
         raise ConfigError(f"duration of the STAR session: found {duration_s} s, expected more than 0")
-    scene, duration_ns = Scene(seed), round(duration_s * NS_PER_S)
+    return _play(seed, start_ns, round(duration_s * NS_PER_S))
+
+
+def _play(seed: int, start_ns: int, duration_ns: int) -> Iterator[SceneMessage]:
+    session = _Session(seed, start_ns, duration_ns)
     arrivals = []
     for row, stream in enumerate(_STREAMS):
         times = stream.times(duration_ns)
         jitter = Noise(seed, 5, row).uniform(len(times)) * stream.jitter_ns
+        arrival_ns = 0
         for number, since_ns in enumerate(times):
-            arrivals.append((since_ns + stream.latency_ns + int(jitter[number]), row, number, since_ns))
+            # a transport keeps the order of a topic, however close two messages are
+            arrival_ns = max(since_ns + stream.latency_ns + int(jitter[number]), arrival_ns + 1)
+            arrivals.append((arrival_ns, row, number, since_ns))
     for arrival_ns, row, number, since_ns in sorted(arrivals):
         stream = _STREAMS[row]
-        message = stream.make(_Shot(scene, number, since_ns, start_ns + since_ns, duration_ns))
+        message = stream.make(_Shot(session, number, since_ns))
         yield SceneMessage(start_ns + arrival_ns, stream.topic, message.TYPE, message.pack(), stream.latched)
 
 
@@ -128,12 +151,12 @@ def _cloud(shot: _Shot) -> PointCloud2:
     data = np.empty((height, width, 4), "<u4")
     data[..., :3] = frame.points.astype("<f4").view("<u4")
     data[..., 3] = rgb[..., 0] << 16 | rgb[..., 1] << 8 | rgb[..., 2]
-    header = Header(shot.stamp_ns, CAMERA_FRAME)
+    header = shot.header(CAMERA_FRAME)
     return PointCloud2(header, height, width, _XYZRGB, False, 16, 16 * width, data.tobytes(), False)
 
 
 def _points(shot: _Shot, points: Array) -> PointCloud2:
-    header, count = Header(shot.stamp_ns, CAMERA_FRAME), len(points)
+    header, count = shot.header(CAMERA_FRAME), len(points)
     return PointCloud2(header, 1, count, _XYZ, False, 12, 12 * count, points.astype("<f4").tobytes(), True)
 
 
@@ -144,12 +167,12 @@ def _markers(shot: _Shot) -> PointCloud2:
 def _image(shot: _Shot) -> Image:
     rgb = shot.scene.image(shot.number, shot.time_s)
     height, width, _ = rgb.shape
-    return Image(Header(shot.stamp_ns, CAMERA_FRAME), height, width, "rgb8", 0, 3 * width, rgb.tobytes())
+    return Image(shot.header(CAMERA_FRAME), height, width, "rgb8", 0, 3 * width, rgb.tobytes())
 
 
 def _tool(shot: _Shot) -> TransformStamped:
-    path = shot.scene.tool(np.array([shot.time_s]))
-    return _transform(shot, TOOL_FRAME, path.position[0], path.rotation[0])
+    path = shot.session.path
+    return _transform(shot, TOOL_FRAME, path.position[shot.number], path.rotation[shot.number])
 
 
 def _camera_pose(shot: _Shot) -> TransformStamped:
@@ -159,7 +182,7 @@ def _camera_pose(shot: _Shot) -> TransformStamped:
 def _transform(shot: _Shot, child: str, position: Array, rotation: Array) -> TransformStamped:
     x, y, z = (float(value) for value in position)
     qx, qy, qz, qw = (float(value) for value in rotation)
-    return TransformStamped(Header(shot.stamp_ns, BASE_FRAME), child, (x, y, z), (qx, qy, qz, qw))
+    return TransformStamped(shot.header(BASE_FRAME), child, (x, y, z), (qx, qy, qz, qw))
 
 
 def _current_plan(shot: _Shot) -> Plan:
@@ -171,7 +194,7 @@ def _plan(shot: _Shot) -> Marker:
     points = np.stack([plan.entry, plan.exit], 1).reshape(-1, 3)
     colours = [(*colorsys.hsv_to_rgb(i / STITCHES, 0.8, 1.0), 1.0) for i in range(STITCHES)]
     return Marker(
-        Header(shot.stamp_ns, CAMERA_FRAME),
+        shot.header(CAMERA_FRAME),
         ns="suture_plan",
         id=0,
         type=Marker.LINE_LIST,
@@ -187,12 +210,14 @@ def _plan_points(shot: _Shot) -> PointCloud2:
 
 
 def _status(shot: _Shot) -> String:
-    return String(dict(_status_lines(shot.duration_ns))[shot.since_ns])
+    return String(shot.session.status[shot.number][1])
 
 
 def _plan_times(duration_ns: int) -> list[int]:
-    times = [_PLANNED_NS, min(duration_ns // 2, _LAST_CORRECTION_NS)]
-    return [t for t in times if _PLANNED_NS <= t < duration_ns]
+    """When the plan is drawn and when it is mended; a session too short for either goes without."""
+    mended_ns = min(duration_ns // 2, _LAST_CORRECTION_NS)
+    times = [_PLANNED_NS, mended_ns] if mended_ns > _PLANNED_NS else [_PLANNED_NS]
+    return [since_ns for since_ns in times if since_ns < duration_ns]
 
 
 def _status_lines(duration_ns: int) -> list[tuple[int, str]]:
@@ -215,6 +240,8 @@ def _every(period_ns: int, first_ns: int = 0) -> Callable[[int], range]:
     return lambda duration_ns: range(first_ns, duration_ns, period_ns)
 
 
+_TOOL_TIMES = _every(10 * _MS)
+
 _STREAMS = (
     _Stream("/star/camera_pose", _every(NS_PER_S, 5 * _MS), _MS, _MS // 5, _camera_pose, latched=True),
     _Stream(
@@ -225,7 +252,7 @@ _STREAMS = (
         _status,
         latched=True,
     ),
-    _Stream("/star/tool", _every(10 * _MS), _MS, _MS // 2, _tool),
+    _Stream("/star/tool", _TOOL_TIMES, _MS, _MS // 2, _tool),
     _Stream("/star/nir_markers", _every(200 * _MS, 50 * _MS), 30 * _MS, 2 * _MS, _markers),
     _Stream("/star/camera/image", _every(NS_PER_S, 100 * _MS), 25 * _MS, 3 * _MS, _image),
     _Stream("/star/cloud", _every(NS_PER_S, 100 * _MS), 60 * _MS, 5 * _MS, _cloud),

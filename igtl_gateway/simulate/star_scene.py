@@ -20,7 +20,7 @@ step, which swallows the last bits of sin and exp that differ between processors
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +65,7 @@ class Noise:
         """Nearly normal numbers of mean 0 and deviation 1: each the sum of eight 16-bit ones, so within ±4.9."""
         words = np.asarray(self._bits.random_raw(2 * int(np.prod(shape))), dtype="<u8")
         total = words.view("<u2").reshape(-1, 8).sum(axis=1, dtype=np.int64)
-        return ((total - 4 * 65535) / (65536 * np.sqrt(8 / 12))).reshape(shape)
+        return np.asarray((total - 4 * 65535) / (65536 * np.sqrt(8 / 12))).reshape(shape)
 
     def smooth(self, height: int, width: int, cell: int) -> Array:
         """As ``normal``, but neighbours within ``cell`` pixels are alike."""
@@ -105,7 +105,7 @@ class Tube:
     origin: tuple[float, float, float]
     heading: float  #: direction of the axis in the picture, radians from x towards y
     radius: float
-    bend: float  #: sideways offset of the axis is bend × along²
+    bend: float  #: sideways offset of the axis is bend · along²
     phase: float  #: shifts the folds, so that no two loops look alike
     incised: bool = False
 
@@ -159,7 +159,8 @@ CLOTH = len(TUBES)  #: number of the material behind the tubes
 
 def _cloth_depth(points: Array) -> Array:
     x, y = points[..., 0], points[..., 1]
-    return 0.290 + 0.0015 * np.sin(x / 0.008 + 2 * np.sin(y / 0.012)) + 0.001 * np.cos(y / 0.005 + x / 0.011)
+    waves = 0.0015 * np.sin(x / 0.008 + 2 * np.sin(y / 0.012)) + 0.001 * np.cos(y / 0.005 + x / 0.011)
+    return np.asarray(0.290 + waves)
 
 
 def surface_distances(points: Array) -> Array:
@@ -212,7 +213,7 @@ class Camera:
     def project(self, points: Array) -> Array:
         """Pixel coordinates (column, row) of camera-frame points."""
         centre = np.array([(self.width - 1) / 2, (self.height - 1) / 2])
-        return points[..., :2] / points[..., 2:] * self.focal_px + centre
+        return np.asarray(points[..., :2] / points[..., 2:] * self.focal_px + centre)
 
 
 CLOUD_CAMERA = Camera(200, 150)
@@ -227,7 +228,7 @@ def cast(rays: Array) -> Array:
     for _ in range(2000):  # most rays need a dozen steps, the few that graze a loop some hundreds
         gap = surface_distance(flat[moving] * depth[moving, None])
         depth[moving] += gap
-        moving = moving[gap > 1e-7]  # noqa: PLR2004 (a tenth of a micrometre: far below the sensor's step)
+        moving = moving[gap > 1e-7]  # a tenth of a micrometre: far below the sensor's step
         if not len(moving):
             break
     return depth.reshape(rays.shape[:-1])
@@ -290,8 +291,8 @@ def tissue_colour(tube: Tube, along: Array, arc: Array) -> Array:
     vessels = np.zeros_like(along)
     for number, (shift, sway, turn, fork, girth) in enumerate(noise.uniform(18, 5)):
         depth = arc if number % 2 else -arc  # grows from the top line down the flank where the vessel comes from
-        centre = -0.055 + 0.0065 * number + 0.005 * shift + 0.0012 * np.sin(arc / 0.004 + 6.3 * turn) + 0.0004 * np.sin(arc / 0.0013 + 9 * turn)
-        centre = centre + (sway - 0.5) * 0.6 * arc
+        centre = -0.055 + 0.0065 * number + 0.005 * shift + (sway - 0.5) * 0.6 * arc
+        centre += 0.0012 * np.sin(arc / 0.004 + 6.3 * turn) + 0.0004 * np.sin(arc / 0.0013 + 9 * turn)
         width = 0.00016 + np.clip(depth, 0, 0.02) * (0.012 + 0.014 * girth)
         start = 0.002 + 0.007 * fork
         strength = np.clip((depth - start + 0.004) / 0.004, 0, 1)
@@ -313,7 +314,7 @@ def tissue_colour(tube: Tube, along: Array, arc: Array) -> Array:
         cut = np.where(opening > 0, np.exp(-((wound / (0.0002 + 0.0006 * opening)) ** 4)), 0)
         rgb += lips[..., None] * (np.array([0.80, 0.34, 0.30]) - rgb) * 0.5
         rgb += cut[..., None] * (np.array([0.30, 0.03, 0.04]) - rgb)
-    return rgb
+    return np.asarray(rgb)
 
 
 def noise_sigma(depth: Array, facing: Array) -> Array:
@@ -341,7 +342,7 @@ SHAFT = np.array([0.12, 0.74, -0.66]) / np.sqrt(0.12**2 + 0.74**2 + 0.66**2)
 def to_base(points: Array) -> Array:
     """Camera-frame points in the base frame of the arm."""
     rotation = BASE_FROM_CAMERA[:3, :3]
-    return np.stack([_dot(points, rotation[i]) for i in range(3)], -1) + BASE_FROM_CAMERA[:3, 3]
+    return np.asarray(np.stack([_dot(points, rotation[i]) for i in range(3)], -1) + BASE_FROM_CAMERA[:3, 3])
 
 
 def to_camera(points: Array) -> Array:
@@ -355,7 +356,7 @@ def quaternion(rotation: Array) -> Array:
     trace = rotation[0, 0] + rotation[1, 1] + rotation[2, 2]
     largest = int(np.argmax([rotation[0, 0], rotation[1, 1], rotation[2, 2], trace]))
     q = np.empty(4)
-    if largest == 3:  # noqa: PLR2004 (the scalar part is the largest)
+    if largest == 3:
         q[3] = 1 + trace
         q[0], q[1] = rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0]
         q[2] = rotation[1, 0] - rotation[0, 1]
@@ -364,7 +365,7 @@ def quaternion(rotation: Array) -> Array:
         q[i] = 1 - trace + 2 * rotation[i, i]
         q[j], q[k] = rotation[j, i] + rotation[i, j], rotation[k, i] + rotation[i, k]
         q[3] = rotation[k, j] - rotation[j, k]
-    return q / np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    return np.asarray(q / np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2))
 
 
 def _product(a: Array, b: Array) -> Array:
@@ -441,22 +442,18 @@ class Scene:
 
     def __init__(self, seed: int = SEED) -> None:
         self._seed = seed
-        along = (np.arange(STITCHES) - (STITCHES - 1) / 2) * STITCH_SPACING_M
-        bite = np.full(STITCHES, BITE_M)
-        self.plan = Plan(MAIN.surface(along, -bite), MAIN.surface(along, bite))
-        end = INCISION_M / 2
-        places = [(-end - 0.005, 0), (end + 0.005, 0), (-end, -0.007), (end, -0.007), (-end, 0.007), (end, 0.007)]
-        self.markers = MAIN.surface(*np.array(places).T)
+        self.plan = _true_plan()
+        self.markers = _true_markers()
 
-    @cached_property
+    @property
     def cloud_view(self) -> View:
         """The undisturbed scene in the pixels of the depth camera."""
-        return see(CLOUD_CAMERA, self.markers, self.plan.exit[WET_STITCH])
+        return _undisturbed(CLOUD_CAMERA)
 
-    @cached_property
+    @property
     def image_view(self) -> View:
         """The undisturbed scene in the pixels of the colour camera."""
-        return see(IMAGE_CAMERA, self.markers, self.plan.exit[WET_STITCH])
+        return _undisturbed(IMAGE_CAMERA)
 
     def cloud(self, number: int, time_s: float) -> CloudFrame:
         """Shot ``number`` of the depth camera, with the tool where it is at ``time_s``."""
@@ -465,26 +462,27 @@ class Scene:
     def _measure(self, number: int, hidden: Mask, near: Array, shade: Array) -> CloudFrame:
         """Shot ``number`` with a tool in view at ``hidden`` of depth ``near`` and grey level ``shade``."""
         view, noise = self.cloud_view, Noise(self._seed, 1, number)
-        shape = view.depth.shape
+        height, width = view.depth.shape
+        shape = (height, width)
         depth = np.where(hidden, near, view.depth)
         facing = np.where(hidden, 0.5, view.facing)
-        measured = depth + noise_sigma(depth, facing) * (0.8 * noise.normal(*shape) + 0.6 * noise.smooth(*shape, 5))
+        measured = depth + noise_sigma(depth, facing) * (
+            0.8 * noise.normal(*shape) + 0.6 * noise.smooth(height, width, 5)
+        )
         off_spot = view.rays * depth[..., None] - self.plan.exit[WET_STITCH]
         measured += np.where(_dot(off_spot, off_spot) < WET_RADIUS_M**2, WET_ERROR_M, 0)
-        outlier = noise.uniform(*shape) < 0.002  # noqa: PLR2004
+        outlier = noise.uniform(*shape) < 0.002
         measured += np.where(outlier, 0.004 * noise.normal(*shape), 0)
         # what a light-field camera loses: steep flanks, glare, blur far from the focus, metal, and a little of all
         blur = np.clip((np.abs(depth - FOCUS_M) - 0.020) / 0.025, 0, 1)
         loss = np.clip(0.015 + 0.75 * blur + np.where(hidden, 0.6, 0), 0, 1)
-        lost = (noise.uniform(*shape) < loss) | (facing < 0.28)  # noqa: PLR2004
-        lost |= ~hidden & (view.gloss > 0.6)  # noqa: PLR2004
-        lost |= noise.smooth(*shape, 6) < -2.9  # noqa: PLR2004
+        lost = (noise.uniform(*shape) < loss) | (facing < 0.28)
+        lost |= ~hidden & (view.gloss > 0.6)
+        lost |= noise.smooth(height, width, 6) < -2.9
         points = _round(view.rays * measured[..., None], SENSOR_STEP_M)
         points[lost] = np.nan
         rgb = np.where(hidden[..., None], shade[..., None], view.rgb)
-        return CloudFrame(
-            points.astype(np.float32), _bytes(rgb), view.rays * depth[..., None], hidden, outlier & ~lost
-        )
+        return CloudFrame(points.astype(np.float32), _bytes(rgb), view.rays * depth[..., None], hidden, outlier & ~lost)
 
     def image(self, number: int, time_s: float) -> Rgb:
         """Picture ``number`` of the colour camera, (240, 320, 3), with the tool where it is at ``time_s``."""
@@ -530,16 +528,6 @@ class Scene:
         rotation = _product(_product(turned, hold), _turn(2, yaw + 0.0004 * tremor[:, 4]))
         return ToolPath(_round(position, TOOL_STEP_M), _round(rotation, ROTATION_STEP))
 
-    def phase(self, time_s: float) -> tuple[str, int]:
-        """What the arm does at ``time_s``, and with which stitch (0 …): idle, approach, drive, pull or done."""
-        if time_s < IDLE_S:
-            return "idle", 0
-        number, since = divmod(time_s - IDLE_S, CYCLE_S)
-        if number >= STITCHES:
-            return "done", STITCHES - 1
-        name = "approach" if since < APPROACH_S else "drive" if since < APPROACH_S + DRIVE_S else "pull"
-        return name, int(number)
-
     def _waypoints(self, times: Array) -> tuple[Array, Array, Array]:
         """Needle tip (camera frame), turn about the incision and turn about the shaft, without tremor."""
         plan = self.corrected_plan
@@ -562,6 +550,29 @@ class Scene:
         """Where the tool hides the scene at ``time_s``; its depth; its grey level."""
         tip, roll, _ = self._waypoints(np.array([time_s]))
         return _draw_tool(view, tip[0], _about_x(SHAFT, roll[0]))
+
+
+def _true_plan() -> Plan:
+    along = np.asarray(np.arange(STITCHES) - (STITCHES - 1) / 2, np.float64) * STITCH_SPACING_M
+    bite: Array = np.full(STITCHES, BITE_M)
+    return Plan(MAIN.surface(along, -bite), MAIN.surface(along, bite))
+
+
+def _true_markers() -> Array:
+    end = INCISION_M / 2
+    return MAIN.surface(
+        np.array([-end - 0.005, end + 0.005, -end, end, -end, end]),
+        np.array([0, 0, -0.007, -0.007, 0.007, 0.007]),
+    )
+
+
+@cache
+def _undisturbed(camera: Camera) -> View:
+    """The same for all seeds, and the slow part: kept, and so not to be written to."""
+    view = see(camera, _true_markers(), _true_plan().exit[WET_STITCH])
+    for array in vars(view).values():
+        array.flags.writeable = False
+    return view
 
 
 #: Axes x, y, z of the tool in the camera frame when it is held at rest; z points down the shaft, into the tissue.
@@ -606,7 +617,7 @@ def _draw_tool(view: View, tip: Array, shaft: Array) -> tuple[Mask, Array, Array
 
 
 def _lift(frame: CloudFrame, points: Array) -> Array:
-    """Points drawn in the picture, at the median depth of the 5 × 5 pixels around them."""
+    """Points drawn in the picture, at the median depth of the 5 by 5 pixels around them."""
     lifted = []
     for pixel, point in zip(CLOUD_CAMERA.project(points), points, strict=True):
         column, row = (int(value) for value in np.rint(pixel))
@@ -616,4 +627,5 @@ def _lift(frame: CloudFrame, points: Array) -> Array:
 
 
 def _bytes(rgb: Array) -> Rgb:
-    return np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
+    """As a sensor of seven bits gives it (the eighth would be noise, and noise is what makes recordings large)."""
+    return 2 * np.rint(np.clip(rgb, 0, 1) * 127).astype(np.uint8)
