@@ -1,0 +1,40 @@
+# Every target works as the first command on a fresh machine: what it needs is installed first (tools/setup.sh).
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: help demo test check static peers clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make demo    bridge, record, verify and replay on this machine, with real ROS 2"
+	@echo "make test    all tests, after the checks of 'make check': the gate for every change"
+	@echo "make check   format, lint, types, pins, architecture"
+	@echo "make clean   remove what make has made, .venv too"
+	@echo
+	@echo "The first run installs what is missing (a few minutes); PYTHON=... chooses the interpreter."
+
+demo: $(READY)
+	@$(BIN)/igtl-gateway demo
+
+test: static peers
+	@$(BIN)/python -m pytest -q --durations=10
+
+check: static
+	@$(BIN)/python -m pytest -q tests/test_architecture.py
+
+static: $(READY)
+	@$(BIN)/ruff format -q --check . || { echo "To format: $(BIN)/ruff format"; exit 1; }
+	@$(BIN)/ruff check -q .
+	@$(BIN)/mypy --no-error-summary
+	@$(BIN)/python tools/constraints.py --check
+
+peers:
+	@tools/setup.sh peers
+
+$(READY): pyproject.toml constraints.txt igtl_gateway/__init__.py
+	@tools/setup.sh venv
+	@touch $@
+
+clean:
+	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find igtl_gateway tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

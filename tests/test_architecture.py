@@ -1,0 +1,317 @@
+"""The import levels and the homes of outside libraries, as tables that every module is held against.
+
+Checked on the syntax tree, so imports inside functions and under ``TYPE_CHECKING`` count like any other,
+and no module has to be importable.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = "igtl_gateway"
+TESTS = Path(__file__).parent
+ROOT = TESTS.parent
+
+#: The package itself, ``igtl_gateway/__init__.py``: its version, for everybody.
+TOP = ""
+
+#: Unit → level.  A module belongs to the longest unit that it lies in; names are relative to the package.
+LEVELS = {
+    TOP: 0,
+    "buffers": 0,
+    "clock": 0,
+    "errors": 0,
+    "qos": 0,
+    "stamp": 0,
+    "session": 1,
+    "wire": 1,
+    "config": 2,
+    "convert": 2,
+    "gateway": 3,
+    "edges": 4,  # the helpers that its edges share
+    "edges.ros": 4,
+    "edges.tcp": 4,
+    "record": 4,
+    "replay": 4,
+    "simulate": 4,
+    "view": 4,
+    "app": 5,
+    "cli": 6,
+    "__main__": 7,
+}
+
+#: Unit → the unit of its own level that it may use all the same: a configuration names conversions.
+SIBLINGS = {"config": "convert"}
+
+#: Modules and libraries that only some units may use.  What is neither here nor in the standard library
+#: is refused everywhere: give it a home first.
+HOMES: dict[str, tuple[str, ...]] = {
+    # The live world
+    "asyncio": ("edges.tcp",),
+    "select": ("edges.tcp",),
+    "selectors": ("edges.tcp",),
+    "socket": ("edges.tcp",),
+    "socketserver": (),
+    "ssl": (),
+    "rclpy": ("edges.ros",),
+    # Time and chance: the core is a pure function of its inputs
+    "time": ("clock",),
+    "random": ("simulate",),
+    "secrets": (),
+    "uuid": (),
+    # Libraries
+    "fastcrc": ("wire",),
+    "mcap": ("record.mcap_writer", "replay.mcap_reader"),
+    "numpy": ("wire", "convert", "edges", "record", "replay", "simulate", "view", "cli"),
+    "rerun": ("view",),
+    "rosbags": ("record.rostypes", "replay", "cli"),
+}
+
+#: What the levels up to the gateway may not use, on top: the environment, other threads, other processes.
+IMPURE = frozenset({"ctypes", "multiprocessing", "os", "signal", "subprocess", "threading"})
+HIGHEST_PURE_LEVEL = 3
+
+#: Who may choose a module's name at run time: message types from the graph, verbs from the command line.
+DYNAMIC_IMPORTERS = ("edges.ros", "cli")
+
+PRINTERS = ("cli",)
+CLOCK_CALLS = frozenset({"now", "today", "utcnow"})
+
+#: Tests of no single module, relative to the folder of tests; a folder stands for all that is in it.
+UNMIRRORED = ("integration", "peers", "test_architecture.py")
+
+
+def lies_in(module: str, unit: str) -> bool:
+    """Whether ``module`` is ``unit`` or inside it."""
+    return unit in {TOP, module} or module.startswith(unit + ".")
+
+
+def unit_of(module: str) -> str | None:
+    """The unit of a module (both relative to the package); None if the table of levels has none."""
+    units = [unit for unit in LEVELS if unit != TOP and lies_in(module, unit)]
+    if units:
+        return max(units, key=len)
+    return TOP if module == TOP else None
+
+
+def imports_of(module: str, is_package: bool, tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Line and full name of all that is imported; ``from a import b`` gives ``a.b``, be it module or not.
+
+    Calls that import by name give the name, or ``"?"`` where it is not written out.
+    """
+    for node in ast.walk(tree):
+        match node:
+            case ast.Import():
+                yield from ((node.lineno, alias.name) for alias in node.names)
+            case ast.ImportFrom():
+                source = node.module or ""
+                if node.level:
+                    parts = [PACKAGE, *(module.split(".") if module else [])]
+                    here = parts[: len(parts) - node.level + is_package]
+                    source = ".".join([*here, source] if source else here)
+                yield from ((node.lineno, f"{source}.{alias.name}") for alias in node.names)
+            case ast.Call(func=ast.Name("import_module" | "__import__") | ast.Attribute(attr="import_module")):
+                match node.args:
+                    case [ast.Constant(str(name)), *_]:
+                        yield node.lineno, name
+                    case _:
+                        yield node.lineno, "?"
+
+
+def violations(module: str, source: str, *, is_package: bool = False) -> list[str]:
+    """What ``source``, as the module of that name relative to the package, does against the tables."""
+    unit = unit_of(module)
+    if unit is None:
+        return [f"{module}: has no level; add it to LEVELS"]
+    tree = ast.parse(source)
+    found = [
+        (line, fault)
+        for line, name in imports_of(module, is_package, tree)
+        if (fault := _import_fault(module, unit, name))
+    ]
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(func=ast.Name("print")) if not any(lies_in(module, home) for home in PRINTERS):
+                found.append((node.lineno, "prints; only cli does"))
+            case ast.Attribute(value=ast.Name(of) | ast.Attribute(attr=of), attr=call) if (
+                of in {"date", "datetime"} and call in CLOCK_CALLS
+            ):
+                found.append((node.lineno, f"reads the time by {of}.{call}; only clock does"))
+    return [f"{module or PACKAGE}:{line}: {fault}" for line, fault in sorted(found)]
+
+
+def _import_fault(module: str, unit: str, name: str) -> str | None:
+    """Why ``module`` may not import ``name``, or None."""
+    library = name.partition(".")[0]
+    if library == PACKAGE:
+        return _level_fault(unit, name.removeprefix(PACKAGE).removeprefix("."))
+    if name == "?":
+        return None if _is_home(module, DYNAMIC_IMPORTERS) else "imports a module chosen at run time"
+    if library in HOMES:
+        if _is_home(module, HOMES[library]):
+            return None
+        return f"imports {library}, whose home is {' and '.join(HOMES[library]) or 'nowhere'}"
+    if library not in sys.stdlib_module_names:
+        return f"imports {library}, which has no home"
+    if library in IMPURE and LEVELS[unit] <= HIGHEST_PURE_LEVEL:
+        return f"imports {library}, but level {LEVELS[unit]} is pure"
+    return None
+
+
+def _level_fault(unit: str, imported: str) -> str | None:
+    """Why ``unit`` may not import that module of ours, or None."""
+    # "from igtl_gateway import __version__" names no module but something in the package's own file.
+    other = unit_of(imported) or TOP
+    if other in {unit, TOP} or LEVELS[other] < LEVELS[unit]:
+        return None
+    if SIBLINGS.get(unit) == other:
+        return None
+    # The modules of a folder may use what lies beside them, though not the other way round.
+    if LEVELS[other] == LEVELS[unit] and lies_in(unit, other):
+        return None
+    return f"imports {other} (level {LEVELS[other]}), itself {unit or PACKAGE} (level {LEVELS[unit]})"
+
+
+def _is_home(module: str, homes: tuple[str, ...]) -> bool:
+    return any(lies_in(module, home) for home in homes)
+
+
+def modules() -> dict[str, Path]:
+    """Module name, relative to the package → file, of the whole package."""
+    names = {}
+    for path in sorted((ROOT / PACKAGE).rglob("*.py")):
+        parts = path.relative_to(ROOT / PACKAGE).with_suffix("").parts
+        names[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return names
+
+
+MODULES = modules()
+
+
+def test_the_package_is_found() -> None:
+    assert {TOP, "errors", "session.entry", "wire"} <= MODULES.keys()
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module or PACKAGE)
+def test_module_keeps_to_the_tables(module: str) -> None:
+    path = MODULES[module]
+    assert violations(module, path.read_text("utf-8"), is_package=path.name == "__init__.py") == []
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module or PACKAGE)
+def test_module_says_what_it_is(module: str) -> None:
+    assert ast.get_docstring(ast.parse(MODULES[module].read_text("utf-8")))
+
+
+def mirrored(test: Path) -> bool:
+    """Whether the test file, relative to the folder of tests, lies where its module lies in the package."""
+    if any(test.is_relative_to(exception) for exception in UNMIRRORED):
+        return True
+    module = ".".join([*test.parent.parts, test.stem.removeprefix("test_")])
+    return module in MODULES and module != TOP
+
+
+def test_tests_mirror_the_package() -> None:
+    tests = [path.relative_to(TESTS) for path in TESTS.rglob("test_*.py")]
+    assert [str(test) for test in tests if not mirrored(test)] == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("stamp", "import math, struct"),
+        ("clock", "import time"),
+        ("session.entry", "from igtl_gateway.buffers import Buffer"),
+        ("wire.message", "import numpy as np\nimport fastcrc\nfrom igtl_gateway.wire.body import Body"),
+        ("wire.message", "from .body import Body\nfrom ..errors import WireError"),
+        ("convert.table", "from igtl_gateway.session.entry import Entry\nfrom igtl_gateway import wire"),
+        ("config", "from igtl_gateway.convert.units import Lengths"),
+        ("gateway", "from igtl_gateway import __version__, convert"),
+        ("edges.tcp", "import selectors, socket, threading"),
+        ("edges.ros", "import rclpy.node\nfrom igtl_gateway.edges import ros_env"),
+        ("edges.ros", "import importlib\nimportlib.import_module(name)"),
+        ("record.mcap_writer", "from mcap.writer import Writer"),
+        ("replay.verify", "from igtl_gateway.gateway import Gateway\nfrom rosbags.typesys import Stores"),
+        ("simulate.star", "import random"),
+        ("app", "from igtl_gateway.record.recorder import Recorder\nfrom igtl_gateway.edges import ros, tcp"),
+        ("cli.bridge", "def run():\n    from igtl_gateway.app import App\n    print(App)"),
+        ("__main__", "from igtl_gateway.cli import main"),
+        ("stamp", "from datetime import datetime, timezone\ndatetime.fromtimestamp(0, timezone.utc)"),
+    ],
+)
+def test_what_is_allowed(module: str, source: str) -> None:
+    assert violations(module, source) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "fault"),
+    [
+        # Upwards
+        ("stamp", "import igtl_gateway.wire.message", "imports wire (level 1)"),
+        ("wire.message", "from igtl_gateway.convert import table", "imports convert (level 2)"),
+        ("wire.message", "from igtl_gateway import gateway", "imports gateway (level 3)"),
+        ("gateway", "from igtl_gateway.edges import tcp", "imports edges.tcp (level 4)"),
+        ("record.recorder", "from igtl_gateway.app import App", "imports app (level 5)"),
+        ("app", "from igtl_gateway.cli import main", "imports cli (level 6)"),
+        # Sideways
+        ("errors", "from igtl_gateway.stamp import ns_to_ros", "imports stamp (level 0)"),
+        ("wire.message", "from igtl_gateway.session.entry import Entry", "imports session (level 1)"),
+        ("session.entry", "from igtl_gateway.wire import Message", "imports wire (level 1)"),
+        ("convert.table", "from igtl_gateway.config import Config", "imports config (level 2)"),
+        ("edges.tcp", "from igtl_gateway.edges.ros import Node", "imports edges.ros (level 4)"),
+        ("edges.ros", "from . import tcp", "imports edges.tcp (level 4)"),
+        ("edges.ros_env", "from igtl_gateway.edges import ros", "imports edges.ros (level 4)"),
+        ("record.recorder", "from igtl_gateway.replay import verify", "imports replay (level 4)"),
+        ("replay.verify", "from ..record import rostypes", "imports record (level 4)"),
+        ("view.log", "from igtl_gateway.edges.tcp import Link", "imports edges.tcp (level 4)"),
+        # Wherever it is written
+        ("wire.message", "def f():\n    import igtl_gateway.gateway", "wire.message:2: imports gateway"),
+        ("wire.message", "if TYPE_CHECKING:\n    from igtl_gateway.app import App", "wire.message:2: imports app"),
+        ("view.log", "__import__('rclpy')", "imports rclpy"),
+        ("view.log", "from importlib import import_module\nimport_module('mcap.reader')", "imports mcap"),
+        ("view.log", "import importlib\nimportlib.import_module(name)", "chosen at run time"),
+        # Homes
+        ("app", "import rclpy", "imports rclpy, whose home is edges.ros"),
+        ("edges.ros_env", "from rclpy.node import Node", "imports rclpy"),
+        ("app", "import rerun as rr", "imports rerun"),
+        ("record.recorder", "from mcap.writer import Writer", "imports mcap"),
+        ("convert.cdr", "from rosbags.typesys import Stores", "imports rosbags"),
+        ("session.entry", "import numpy", "imports numpy"),
+        ("wire.framer", "import socket", "imports socket"),
+        ("app", "import asyncio", "imports asyncio"),
+        ("convert.names", "import crcmod", "imports crcmod, which has no home"),
+        # Time, chance and the environment
+        ("app", "import time", "imports time"),
+        ("app", "from time import sleep", "imports time"),
+        ("gateway", "import random", "imports random"),
+        ("convert.names", "import os", "level 2 is pure"),
+        ("app", "from datetime import datetime\ndatetime.now()", "app:2: reads the time by datetime.now"),
+        ("app", "import datetime\ndatetime.datetime.utcnow()", "reads the time by datetime.utcnow"),
+        # Words
+        ("app", "print('hello')", "prints"),
+        # A module that the table does not know
+        ("utils", "", "has no level"),
+    ],
+)
+def test_what_is_refused(module: str, source: str, fault: str) -> None:
+    found = violations(module, source)
+    assert len(found) == 1
+    assert fault in found[0]
+
+
+def test_relative_imports_of_a_package_start_at_itself() -> None:
+    assert violations("wire", "from .message import Message", is_package=True) == []
+    assert violations("wire", "from ..convert import table", is_package=True) != []
+    assert violations("", "from .cli import main", is_package=True) != []
+
+
+def test_a_test_without_its_module_is_seen() -> None:
+    assert mirrored(Path("session/test_entry.py"))
+    assert mirrored(Path("peers/test_reference.py"))
+    assert not mirrored(Path("session/test_wire.py"))
+    assert not mirrored(Path("test_entry.py"))

@@ -1,0 +1,110 @@
+#!/usr/bin/env bash
+# Installs what is missing, and nothing when nothing is.
+#
+#   tools/setup.sh venv     .venv with the package, its extras and the pins of constraints.txt
+#   tools/setup.sh peers    what the C++ reference peer of the tests is built with
+#
+# System packages are installed where we are root or may sudo without a password; otherwise the command to type
+# is printed.  Without Python we stop; without the reference peer the tests that need it skip, with that reason.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+VENV=.venv
+PEER_PACKAGES=(g++ libopenigtlink-dev)
+
+say() { printf '%s\n' "$*" >&2; }
+
+# missing PACKAGE...: those that Debian does not have installed, one a line.
+missing() {
+    local package
+    for package in "$@"; do
+        dpkg-query -W -f='${db:Status-Status}' "$package" 2>/dev/null | grep -qx installed || printf '%s\n' "$package"
+    done
+}
+
+# apt PACKAGE...: install them; false, with the command to type, where we cannot.
+apt() {
+    local as_root=()
+    if ! command -v apt-get >/dev/null; then
+        say "This is not Debian or Ubuntu. Please install what they call: $*"
+        return 1
+    fi
+    if [ "$(id -u)" -ne 0 ]; then
+        if ! sudo -n true 2>/dev/null; then
+            say "Missing system packages. Please run:  sudo apt-get install $*"
+            return 1
+        fi
+        as_root=(sudo -n)
+    fi
+    say "Installing system packages: $*"
+    local quietly=("${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=120)
+    if ! { "${quietly[@]}" update && "${quietly[@]}" install -y --no-install-recommends "$@"; } >/dev/null </dev/null; then
+        say "apt-get could not install: $*"
+        return 1
+    fi
+}
+
+# The first Python that will do; $PYTHON goes before all.
+find_python() {
+    local candidate
+    for candidate in ${PYTHON:-python3.11 python3 python3.12 python3.13}; do
+        if "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+            command -v "$candidate"
+            return
+        fi
+    done
+    return 1
+}
+
+make_venv() {
+    local python version
+    if ! python=$(find_python); then
+        apt python3 python3-venv && python=$(find_python) || { say "Python 3.11 or newer is needed."; exit 1; }
+    fi
+    if ! "$python" -c 'import ensurepip' 2>/dev/null; then
+        version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+        if command -v virtualenv >/dev/null; then
+            virtualenv -q -p "$python" "$VENV"
+            return
+        fi
+        apt "python$version-venv" || { say "Without it (or virtualenv) no environment can be made."; exit 1; }
+    fi
+    "$python" -m venv --clear "$VENV"
+}
+
+setup_venv() {
+    local extras='ros,view,dev' attempt
+    if [ -n "${AMENT_PREFIX_PATH:-}" ]; then
+        # The wheels and a sourced ROS 2 do not go together in one environment.
+        say "A ROS 2 environment is sourced: its rclpy is used, the ROS wheels are not installed."
+        extras='view,dev'
+    fi
+    "$VENV/bin/python" -c 'import pip' 2>/dev/null || make_venv
+    say "Installing Python packages into $VENV (about 450 MB, a few minutes, only once)."
+    for attempt in 1 2 3; do
+        if "$VENV/bin/python" -m pip install -qq --disable-pip-version-check --retries 10 \
+            -c constraints.txt -e ".[$extras]" </dev/null; then
+            return
+        fi
+        say "That failed (attempt $attempt of 3)."
+        sleep "$attempt"
+    done
+    exit 1
+}
+
+setup_peers() {
+    local packages
+    mapfile -t packages < <(missing "${PEER_PACKAGES[@]}")
+    if [ "${#packages[@]}" -gt 0 ] && ! apt "${packages[@]}"; then
+        say "Going on without: the tests against the C++ reference library will be skipped."
+    fi
+}
+
+case "${1:-}" in
+venv) setup_venv ;;
+peers) setup_peers ;;
+*)
+    say "usage: tools/setup.sh venv|peers"
+    exit 2
+    ;;
+esac
