@@ -61,7 +61,10 @@ _PORT_MAX = 65535
 _BODY_SIZE_AT = slice(42, 50)  # in the header, big-endian
 _FAULTS = frozenset({"too_large", "out_of_memory", "stalled", "queue_full"})  # notes that end a link
 
+_JOINED = 4096  # bytes of a message up to which one copied buffer is sent faster than several (3.5 µs against 5.5)
+
 Role = Literal["server", "client"]
+_Part = bytes | memoryview
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +125,7 @@ class _Message:
 
     __slots__ = ("keep", "left", "parts", "stream")
 
-    def __init__(self, parts: Sequence[memoryview], left: int, stream: str, keep: bool) -> None:
+    def __init__(self, parts: Sequence[_Part], left: int, stream: str, keep: bool) -> None:
         self.parts = parts
         self.left = left
         self.stream = stream
@@ -214,7 +217,7 @@ class _Outbox:
         self.sent_messages += 1
         self.sent_bytes += size
 
-    def parts(self) -> list[memoryview]:
+    def parts(self) -> list[_Part]:
         """The next buffers to be sent, as many as one system call takes."""
         parts = list(self._begun.parts[:_IOV_MAX]) if self._begun else []
         for message in islice(self._waiting.values(), _IOV_MAX - len(parts)):
@@ -367,7 +370,7 @@ class TcpEdge:
     Raises ConfigError for a network that is none.
     """
 
-    def __init__(  # noqa: PLR0913  one setting each, by name
+    def __init__(
         self,
         *,
         on_frame: Callable[[int, Buffer], None],
@@ -445,9 +448,15 @@ class TcpEdge:
 
         The buffers must not change afterwards: what the kernel does not take at once is queued as it is.
         Messages leave a link in the order of the calls.  Links that are gone are ignored and counted.
+        Raises TypeError or BufferError, with nothing sent, for a buffer that is not contiguous.
         """
-        parts = [view for view in map(_bytes_view, buffers) if view]
-        size = sum(map(len, parts))
+        size = sum([memoryview(buffer).nbytes for buffer in buffers])
+        parts: Sequence[_Part]
+        if size <= _JOINED:
+            parts = (b"".join(buffers),)
+        else:
+            # cast() refuses arrays with a zero in their shape
+            parts = [memoryview(buffer).cast("B") for buffer in buffers if memoryview(buffer).nbytes]
         for number in links:
             link = self._links.get(number)
             if link is None or not self._send_on(link, parts, size, stream, keep):
@@ -493,9 +502,8 @@ class TcpEdge:
 
     # ── sending, in the caller's thread ───────────────────────────────────────────────────────────────────────
 
-    def _send_on(self, link: _Link, parts: list[memoryview], size: int, stream: str, keep: bool) -> bool:
+    def _send_on(self, link: _Link, parts: Sequence[_Part], size: int, stream: str, keep: bool) -> bool:
         """Send or queue; False if the link takes nothing any more."""
-        waits = self._blocking and not self._in_io_thread()
         while True:
             with link.lock:
                 box = link.outbox
@@ -507,6 +515,7 @@ class TcpEdge:
                         box.count_sent(size)
                         return True
                     return self._queue(link, _Message(parts, size, stream, keep), sent)
+                waits = self._blocking and not self._in_io_thread()
                 if not waits or box.has_room(size):
                     return self._queue(link, _Message(parts, size, stream, keep), 0)
                 # Not left to the I/O thread, which may be waiting for a lock that our caller holds.
@@ -543,10 +552,10 @@ class TcpEdge:
             self._post(partial(self._note_drops, link))
         return True
 
-    def _write(self, link: _Link, parts: Sequence[memoryview]) -> int:
+    def _write(self, link: _Link, parts: Sequence[_Part]) -> int:
         """Bytes that the kernel takes now; under the link's lock.  A link that fails is muted, and 0 returned."""
         try:
-            return link.sock.sendmsg(parts)
+            return link.sock.send(parts[0]) if len(parts) == 1 else link.sock.sendmsg(parts)
         except (BlockingIOError, InterruptedError):
             return 0
         except OSError as exc:
@@ -638,14 +647,17 @@ class TcpEdge:
 
     # ── the I/O thread: links ─────────────────────────────────────────────────────────────────────────────────
 
-    def _up(self, sock: socket.socket, role: Role, peer: str) -> _Link:
+    def _up(self, sock: socket.socket, peer: str, dialer: _Dialer | None = None) -> None:
         sock.setblocking(False)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         for level, option, value in _KEEPALIVE:
             if hasattr(socket, option):
                 sock.setsockopt(level, getattr(socket, option), value)
         self._last_number += 1
+        role: Role = "client" if dialer else "server"
         link = _Link(self._last_number, sock, role, peer, self._limits)
+        if dialer:
+            dialer.link = link
         link.up_ns = link.heard_ns = self._now()
         with self._changed:
             self._links[link.number] = link
@@ -656,7 +668,6 @@ class TcpEdge:
         with self._changed:
             link.announced = True
             self._changed.notify_all()
-        return link
 
     def _live(self) -> list[_Link]:
         return [link for link in self._links.values() if link.announced]
@@ -786,7 +797,7 @@ class TcpEdge:
         elif sum(link.role == "server" for link in self._links.values()) >= self._limits.max_clients:
             self._refuse(sock, peer, f"{self._limits.max_clients} clients are connected already")
         else:
-            self._up(sock, "server", peer)
+            self._up(sock, peer)
 
     def _allowed(self, host: str) -> bool:
         ip = _ip(host)
@@ -861,7 +872,7 @@ class TcpEdge:
             sock.close()
             self._dial_next(dialer, os.strerror(code))
             return
-        dialer.link = self._up(sock, "client", _address(address))
+        self._up(sock, _address(address), dialer)
 
     def _dial_timed_out(self, dialer: _Dialer, sock: socket.socket) -> None:
         if dialer.sock is sock:
@@ -971,13 +982,6 @@ def _sum(one: LinkCounters, other: LinkCounters) -> LinkCounters:
         dict(Counter(one.dropped) + Counter(other.dropped)),
         dict(Counter(one.ignored) + Counter(other.ignored)),
     )
-
-
-def _bytes_view(buffer: Buffer) -> memoryview:
-    """The buffer as bytes (no copy).  Raises TypeError if it is not contiguous."""
-    view = memoryview(buffer)
-    # cast() refuses arrays with a zero in their shape
-    return view.cast("B") if view.nbytes else memoryview(b"")
 
 
 def _address(address: Any) -> str:
