@@ -14,7 +14,7 @@ angles radians, times seconds; the camera frame is optical: x right, y down, z f
 
 Same bytes everywhere: random numbers are sums of raw generator words (no library function whose last bit or
 stream may change), dot products are written out (no BLAS), and what leaves here is rounded to a sensor's
-step, which swallows the last bits of sin and exp that differ between processors.
+step, which swallows the last bits of exp and arctan2 that differ between processors.
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ def test_another_run_on_an_older_processor_gives_the_same_bytes(session: list[Sc
         "from igtl_gateway.simulate.star import messages; from tests.simulate.test_star import digest;"
         f"import sys; sys.stdout.write(digest(messages({SECONDS})))"
     )
-    # numpy's sin and exp differ in the last bit between processors; the rounding to sensor steps must hide it
+    # numpy's exp and arctan2 differ in the last bit between processors; the rounding to sensor steps must hide it
     env = {**os.environ, "NPY_DISABLE_CPU_FEATURES": NEWER_PROCESSORS}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
     assert done.stdout == digest(session)
