@@ -1,0 +1,303 @@
+"""``igtl-gateway bridge``: the gateway, live, until Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter, deque
+from pathlib import Path
+from typing import Any, Protocol
+
+from igtl_gateway import __version__
+from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.cli.common import add_addresses, addresses, count, load_config, print_json, size, stop_event
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.config import Config
+from igtl_gateway.convert.table import TO_IGTL, TO_ROS
+from igtl_gateway.edges.ros_env import prepare_environment
+from igtl_gateway.edges.tcp import Limits
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S
+
+EXAMPLES = """\
+  igtl-gateway bridge                                    server on 127.0.0.1:18944, ROS 2 node /igtl_gateway
+  igtl-gateway bridge --record out.mcap                  … and everything that is said goes into out.mcap
+  igtl-gateway bridge --connect 127.0.0.1:18945          client of a PLUS server
+  igtl-gateway bridge --listen 0.0.0.0:18944 --allow 192.168.7.0/24
+  igtl-gateway bridge --send /camera/image_raw=Camera    a ROS topic goes out as device Camera
+  igtl-gateway bridge --no-ros --record slicer.mcap      flight recorder without ROS
+
+What a device sends appears on /igtl/in/<device>/<kind>; what is published on /igtl/out/<device> goes out."""
+
+_STATUS_EVERY_S = 0.5
+_MAX_EVENTS = 1000  # notes waiting to be printed; a flood of them must not cost memory
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_addresses(parser)
+    parser.add_argument("--record", type=Path, metavar="FILE", help="record everything into this MCAP file")
+    parser.add_argument(
+        "--record-topics",
+        action="append",
+        default=[],
+        metavar="GLOB",
+        help="with --record: record these ROS topics too (* one level, ** any); may be repeated",
+    )
+    parser.add_argument("--record-all", action="store_true", help="with --record: record all ROS topics")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing recording")
+    parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file")
+    parser.add_argument(
+        "--send",
+        action="append",
+        default=[],
+        metavar="TOPIC[=DEVICE[:TYPE]]",
+        help="send a ROS topic to OpenIGTLink, as this device and type; may be repeated",
+    )
+    parser.add_argument("--no-ros", action="store_true", help="OpenIGTLink only")
+    parser.add_argument("--node-name", default="igtl_gateway", metavar="NAME", help="name of the ROS node (%(default)s)")
+    parser.add_argument("--queue-mib", type=int, default=64, metavar="MIB", help="send queue of each peer (%(default)s)")
+    parser.add_argument("--max-clients", type=int, default=32, metavar="N", help="peers at once (%(default)s)")
+    parser.add_argument(
+        "--max-body-mib", type=int, default=256, metavar="MIB", help="longest message accepted (%(default)s)"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
+    parser.add_argument("--json", action="store_true", help="print events as JSON lines")
+
+
+def run(options: argparse.Namespace) -> int:
+    if (options.record_topics or options.record_all) and not options.record:
+        raise ConfigError("--record-topics and --record-all say what goes into a file: --record FILE is missing")
+    listen, connect = addresses(options)
+    config = with_sends(load_config(options.config), options.send)
+    watch = _Watch()
+    clock = SystemClock()
+    with stop_event() as stop:
+        notes = [] if options.no_ros else prepare_environment()
+        bridge = Bridge(
+            config,
+            BridgeOptions(
+                listen,
+                connect,
+                ros=not options.no_ros,
+                record=options.record,
+                record_topics=("**",) if options.record_all else tuple(options.record_topics),
+                allow=tuple(options.allow),
+                limits=Limits(
+                    max_clients=options.max_clients,
+                    queue_bytes=options.queue_mib << 20,
+                    max_body=options.max_body_mib << 20,
+                ),
+                node_name=options.node_name,
+                overwrite=options.overwrite,
+            ),
+            clock,
+            watch,
+        )
+        bridge.start()
+        out: _Output = _JsonOutput() if options.json else _TextOutput(sys.stdout.isatty())
+        out.started(bridge, config, notes)
+        started_ns = clock.monotonic_ns()
+        try:
+            while not stop.wait(_STATUS_EVERY_S):
+                out.events(watch.take())
+                seconds = (clock.monotonic_ns() - started_ns) / NS_PER_S
+                out.status(bridge, watch, seconds)
+                if options.duration and seconds >= options.duration:
+                    break
+        finally:
+            bridge.stop()
+        out.events(watch.take())
+        out.stopped(bridge, watch)
+    return 0
+
+
+def with_sends(config: Config, sends: list[str]) -> Config:
+    """``config`` with a row in front for each ``TOPIC[=DEVICE[:TYPE]]``."""
+    rows = []
+    for text in sends:
+        topic, _, rest = text.partition("=")
+        device, _, igtl_type = rest.partition(":")
+        if not topic.startswith("/"):
+            raise ConfigError(f"--send: found {text!r}, expected /topic, /topic=Device or /topic=Device:TYPE")
+        rows.append({"topic": topic, "device": device, "type": igtl_type})
+    return Config.from_dict(config.to_dict() | {"to_igtl": [*rows, *config.to_dict()["to_igtl"]]})
+
+
+class _Watch:
+    """Counts entries and keeps the notes among them until they are printed; called under the hub's lock."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[Kind] = Counter()
+        self.refused = 0
+        self._events: deque[tuple[Kind, Note, tuple[int, ...]]] = deque(maxlen=_MAX_EVENTS)
+
+    def __call__(self, entry: Entry) -> None:
+        self.counts[entry.kind] += 1
+        if entry.kind in _NOTES:
+            note = Note.unpack(entry.data())
+            self.refused += note.level >= Level.ERROR
+            self._events.append((entry.kind, note, entry.links))
+
+    def take(self) -> list[tuple[Kind, Note, tuple[int, ...]]]:
+        """The notes since the last call."""
+        taken = []
+        while self._events:
+            taken.append(self._events.popleft())
+        return taken
+
+
+_NOTES = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})
+
+
+class _Output(Protocol):
+    """How a bridge tells what it does."""
+
+    def started(self, bridge: Bridge, config: Config, notes: list[str]) -> None: ...
+    def events(self, events: list[tuple[Kind, Note, tuple[int, ...]]]) -> None: ...
+    def status(self, bridge: Bridge, watch: _Watch, seconds: float) -> None: ...
+    def stopped(self, bridge: Bridge, watch: _Watch) -> None: ...
+
+
+class _TextOutput:
+    """Lines for people; on a terminal the last one is a live status.
+
+    Marks: ``=`` state, ``!`` fault, ``?`` warning.
+    """
+
+    _MARKS = {Level.INFO: "=", Level.WARN: "?", Level.ERROR: "!"}  # noqa: RUF012
+
+    def __init__(self, terminal: bool) -> None:
+        self._terminal = terminal
+        self._status = ""
+        self._last: tuple[float, Counter[Kind]] = (0.0, Counter())
+        self._repeats: Counter[tuple[str, str]] = Counter()
+
+    def _print(self, text: str) -> None:
+        clear = "\r\x1b[K" if self._terminal else ""
+        print(f"{clear}{text}", flush=not self._terminal or not self._status)
+        if self._terminal and self._status:
+            print(self._status, end="", flush=True)
+
+    def started(self, bridge: Bridge, config: Config, notes: list[str]) -> None:
+        print(f"igtl-gateway {__version__}")
+        for host, port in bridge.addresses:
+            print(f"OpenIGTLink  server on {host}:{port}")
+        for host, port in bridge.options.connect:
+            print(f"OpenIGTLink  client of {host}:{port}, reconnecting")
+        print(f"ROS 2        node /{bridge.options.node_name}" if bridge.ros else "ROS 2        off (--no-ros)")
+        for note in notes:
+            print(f"             {note}")
+        print(f"recording    {bridge.options.record or 'off (--record FILE)'}")
+        if bridge.ros:
+            for line in mapping(config):
+                print(line)
+        print("Ctrl-C stops.", flush=True)
+
+    def events(self, events: list[tuple[Kind, Note, tuple[int, ...]]]) -> None:
+        for _, note, links in events:
+            cause = (note.code, note.stream)
+            self._repeats[cause] += 1
+            # everything is in the recording; here each cause of trouble is told once
+            if note.level is Level.INFO or self._repeats[cause] == 1:
+                link = f" [link {', '.join(map(str, links))}]" if links else ""
+                self._print(f"{self._MARKS[note.level]} {note.text}{link}")
+
+    def status(self, bridge: Bridge, watch: _Watch, seconds: float) -> None:
+        if not self._terminal:
+            return
+        before_s, before = self._last
+        self._last = (seconds, Counter(watch.counts))
+        rates = {kind: (watch.counts[kind] - before[kind]) / max(seconds - before_s, 1e-3) for kind in Kind}
+        peers = sum(link.connected for link in bridge.tcp.links())
+        dropped = sum(sum(counts.dropped.values()) for counts in bridge.tcp.counters().values())
+        recorded = ""
+        if bridge.recorder:
+            told = bridge.recorder.counters()
+            recorded = f" | rec {told['written_entries']:,}" + (
+                f" LOST {told['dropped_entries']:,}" if told["dropped_entries"] else ""
+            )
+        self._status = (
+            f"{seconds:6.0f} s | {count(peers, 'peer')} | OpenIGTLink < {rates[Kind.IGTL_IN]:.0f}/s "
+            f"> {rates[Kind.IGTL_OUT]:.0f}/s | ROS < {rates[Kind.ROS_IN]:.0f}/s > {rates[Kind.ROS_OUT]:.0f}/s | "
+            f"dropped {dropped:,} refused {watch.refused:,}{recorded}"
+        )
+        print(f"\r\x1b[K{self._status}", end="", flush=True)
+
+    def stopped(self, bridge: Bridge, watch: _Watch) -> None:
+        if self._terminal:
+            print("\r\x1b[K", end="")
+        counts = watch.counts
+        print(
+            f"stopped.  OpenIGTLink: {counts[Kind.IGTL_IN]:,} in, {counts[Kind.IGTL_OUT]:,} out.  "
+            f"ROS: {counts[Kind.ROS_IN]:,} in, {counts[Kind.ROS_OUT]:,} out.  refused: {watch.refused:,}"
+        )
+        for cause, number in sorted(self._repeats.items()):
+            if number > 1 and cause[0] not in ("stream",):
+                print(f"  {cause[0]} {cause[1]}: {number:,} times")
+        if bridge.summary:
+            summary = bridge.summary
+            print(
+                f"recorded {count(summary.written_entries, 'entry', 'entries')} into {summary.path} ({size(summary.size_bytes)})"
+                + (f", LOST {summary.dropped_entries:,}" if summary.dropped_entries else "")
+            )
+
+
+class _JsonOutput:
+    """The same facts as JSON lines."""
+
+    def started(self, bridge: Bridge, config: Config, notes: list[str]) -> None:
+        print_json(
+            {
+                "event": "started",
+                "version": __version__,
+                "listen": [{"host": host, "port": port} for host, port in bridge.addresses],
+                "connect": [{"host": host, "port": port} for host, port in bridge.options.connect],
+                "ros": bridge.ros is not None,
+                "record": bridge.options.record,
+                "config": config.to_dict(),
+                "environment": notes,
+            }
+        )
+
+    def events(self, events: list[tuple[Kind, Note, tuple[int, ...]]]) -> None:
+        for kind, note, links in events:
+            print_json(
+                {
+                    "event": kind.value,
+                    "level": note.level.name,
+                    "code": note.code,
+                    "text": note.text,
+                    "stream": note.stream,
+                    "links": links,
+                    "data": note.data,
+                }
+            )
+
+    def status(self, bridge: Bridge, watch: _Watch, seconds: float) -> None:
+        """Programs count for themselves."""
+
+    def stopped(self, bridge: Bridge, watch: _Watch) -> None:
+        told: dict[str, Any] = {"event": "stopped", "counts": {kind.value: watch.counts[kind] for kind in Kind}}
+        if bridge.summary:
+            told["recording"] = {
+                "path": bridge.summary.path,
+                "entries": bridge.summary.written_entries,
+                "dropped": bridge.summary.dropped_entries,
+                "bytes": bridge.summary.size_bytes,
+            }
+        print_json(told)
+
+
+def mapping(config: Config) -> list[str]:
+    """What goes where, as lines of a table."""
+    lines = [f"mapping ({config.igtl_unit} in OpenIGTLink, {config.ros_unit} in ROS):"]
+    for row in TO_ROS:
+        topic = f"/igtl/in/<device>/{row.kind}"
+        lines.append(f"  {'/'.join(row.igtl_types):<17} -> {topic:<29} {row.message.TYPE}")
+    for rule in config.to_igtl:
+        lines.append(f"  {rule.topic:<33} -> {rule.type or 'by type'} {rule.device or 'by topic'}")
+    for row_out in TO_IGTL:
+        lines.append(f"  {'/igtl/out/<device>':<19}{row_out.message.TYPE:<36} -> {row_out.igtl_type}")
+    return lines
