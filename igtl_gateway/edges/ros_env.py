@@ -1,0 +1,118 @@
+"""What has to be set in the process before ROS 2 starts, so that large messages are fast.
+
+Two settings, each only where the user has not chosen himself.  Measured with raw bytes from process to
+process, one Full HD RGB image took 59 ms with the defaults, 27 ms with the shared-memory profile and
+14 ms with the allocator settings on top (28, 74 and 137 images a second):
+
+* Fast DDS gets a profile with a shared-memory transport that takes an image in one piece;
+* glibc's allocator keeps big blocks instead of giving them back to the kernel after every message: the
+  page faults of fresh blocks were half of the cost.
+
+No rclpy here: this runs before it is imported, and also where it is not installed.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+PROFILE = Path(__file__).with_name("fastdds_profile.xml")
+
+#: Fast DDS 2 reads the first name, Fast DDS 3 the second.
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+
+#: Fast DDS loads these from the working directory by itself.
+_PROFILES_IN_CWD = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
+
+_SHARED_MEMORY = Path("/dev/shm")
+
+# Every participant makes a segment of 128 MiB (see the profile).  Where that does not fit, as with the
+# 64 MB that containers get by default, Fast DDS cannot send large messages: better its own small default.
+_SEGMENT_BYTES = 128 << 20
+
+_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
+
+# mallopt takes an int.  Before 2.35 glibc refuses a mmap threshold above 32 MiB, still five Full HD images.
+_MALLOC_SETTINGS: tuple[tuple[str, int, tuple[int, ...]], ...] = (
+    ("M_MMAP_THRESHOLD", _M_MMAP_THRESHOLD, (1 << 30, 32 << 20)),
+    ("M_TRIM_THRESHOLD", _M_TRIM_THRESHOLD, ((1 << 31) - 1,)),
+    ("M_TOP_PAD", _M_TOP_PAD, (64 << 20,)),
+)
+_MALLOC_VARIABLES = ("MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_", "MALLOC_TOP_PAD_")
+
+
+def prepare_environment() -> list[str]:
+    """Apply both settings where the user has set none; call it before rclpy is imported.
+
+    Changes ``os.environ`` (child processes inherit the profile) and this process's allocator.
+
+    Returns:
+        One line for people for each setting: what was applied, or what was kept and why.
+    """
+    return [_set_profile(), _set_malloc()]
+
+
+def _set_profile() -> str:
+    kept = _profile_kept(os.environ, Path.cwd(), _SHARED_MEMORY)
+    if kept:
+        return f"Fast DDS profile: {kept}"
+    for name in PROFILE_VARIABLES:
+        os.environ[name] = str(PROFILE)
+    return f"Fast DDS profile: shared memory for large messages ({PROFILE_VARIABLES[0]}={PROFILE})"
+
+
+def _profile_kept(environ: Mapping[str, str], cwd: Path, shared_memory: Path) -> str:
+    """Why the profile is not to be touched; ``""`` if it may be set."""
+    # FASTDDS_BUILTIN_TRANSPORTS is a choice of transports too, which a profile of ours would override
+    for name in (*PROFILE_VARIABLES, "FASTDDS_BUILTIN_TRANSPORTS"):
+        if environ.get(name):
+            return f"kept the user's ({name}={environ[name]})"
+    for name in _PROFILES_IN_CWD:
+        if (cwd / name).is_file():
+            return f"kept the user's ({cwd / name})"
+    rmw = environ.get("RMW_IMPLEMENTATION", "")
+    if rmw and "fastrtps" not in rmw:
+        return f"not for {rmw}"
+    if not shared_memory.is_dir():
+        return f"not set, no {shared_memory} here"
+    free = os.statvfs(shared_memory)
+    if free.f_bavail * free.f_frsize < 2 * _SEGMENT_BYTES:
+        have, need = free.f_bavail * free.f_frsize >> 20, 2 * _SEGMENT_BYTES >> 20
+        return f"not set, {have} MiB free in {shared_memory}, {need} MiB needed (large images will be slower)"
+    return ""
+
+
+def _set_malloc() -> str:
+    kept = _malloc_kept(os.environ)
+    if kept:
+        return f"malloc: {kept}"
+    mallopt = ctypes.CDLL(None).mallopt
+    done = []
+    for name, option, values in _MALLOC_SETTINGS:
+        value = next((value for value in values if mallopt(option, value) == 1), None)
+        done.append(f"{name}={value}" if value is not None else f"{name} refused")
+    return f"malloc: keeps large blocks ({', '.join(done)})"
+
+
+def _malloc_kept(environ: Mapping[str, str]) -> str:
+    """Why the allocator is not to be touched; ``""`` if it may be set."""
+    for name in _MALLOC_VARIABLES:
+        if environ.get(name):
+            return f"kept the user's ({name}={environ[name]})"
+    if "glibc.malloc." in environ.get("GLIBC_TUNABLES", ""):
+        return f"kept the user's (GLIBC_TUNABLES={environ['GLIBC_TUNABLES']})"
+    if not _is_glibc():
+        return "not set, this is not glibc on Linux"
+    return ""
+
+
+def _is_glibc() -> bool:
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        return (os.confstr("CS_GNU_LIBC_VERSION") or "").startswith("glibc")
+    except ValueError:  # musl does not know the name
+        return False

@@ -1,0 +1,140 @@
+"""Who takes the messages of our subscriptions out of the middleware: two ways behind one interface.
+
+Measured with TransformStamped at full speed: rclpy's executor, which builds a new wait set for every message,
+takes some hundred a second and falls behind a 1 kHz stream; one wait set kept by a thread of our own takes
+more than ten thousand.  rclpy is handed in, not imported (`igtl_gateway.edges.ros` alone imports it).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, Protocol
+
+_TAKE_AT_MOST = 32  # messages of one topic before the next topic has its turn
+
+OnError = Callable[[Exception], None]
+
+
+class Receiver(Protocol):
+    """Takes the messages of subscriptions and calls their callbacks with ``(bytes, info)``."""
+
+    #: The rclpy callback group that the subscriptions are to be created with; None for the node's own.
+    group: Any
+
+    def start(self) -> None: ...
+
+    def add(self, subscription: Any) -> None:
+        """Take from this subscription too; callable at any time from any thread."""
+        ...
+
+    def stop(self) -> None:
+        """No callback runs after this."""
+        ...
+
+
+class ExecutorReceiver:
+    """The executor of the node takes: slow (some hundred messages a second) but only public interfaces."""
+
+    group = None
+
+    def start(self) -> None:
+        """The executor thread is the edge's."""
+
+    def add(self, subscription: Any) -> None:
+        """The node has told its executor already."""
+
+    def stop(self) -> None:
+        """The executor thread is the edge's."""
+
+
+class _HandsOff:
+    """A callback group (duck-typed, see `rclpy.callback_groups`) that lets an executor run everything but
+    subscriptions: their messages are ours, their events are still the executor's."""
+
+    def __init__(self, subscription_class: type) -> None:
+        self._subscription_class = subscription_class
+
+    def add_entity(self, _entity: Any) -> None:
+        """Nothing to keep: the node keeps its entities."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return not isinstance(entity, self._subscription_class)
+
+    def beginning_execution(self, _entity: Any) -> bool:
+        return True
+
+    def ending_execution(self, _entity: Any) -> None:
+        """Callbacks of events may overlap."""
+
+
+class DirectReceiver:
+    """A thread around one wait set of our own.
+
+    Stands on internals of rclpy: `available` says whether they are there.
+    """
+
+    def __init__(self, rclpy: Any, context: Any, on_error: OnError) -> None:
+        self.group = _HandsOff(rclpy.subscription.Subscription)
+        self._implementation = rclpy.impl.implementation_singleton.rclpy_implementation
+        self._context = context
+        self._on_error = on_error
+        self._wake = rclpy.guard_condition.GuardCondition(None, None, context=context)
+        self._sources: list[tuple[Any, Any, Callable[..., None]]] = []
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="igtl-ros-receiver", daemon=True)
+
+    @staticmethod
+    def available(rclpy: Any) -> bool:
+        """Whether this rclpy has what the class needs."""
+        implementation = rclpy.impl.implementation_singleton.rclpy_implementation
+        needed = {
+            "WaitSet": ("clear_entities", "add_subscription", "add_guard_condition", "wait", "is_ready"),
+            "Subscription": ("take_message",),
+        }
+        return all(
+            hasattr(getattr(implementation, name, None), method)
+            for name, methods in needed.items()
+            for method in methods
+        )
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def add(self, subscription: Any) -> None:
+        # a new list each time: the thread may be walking the old one
+        self._sources = [*self._sources, (subscription.handle, subscription.msg_type, subscription.callback)]
+        self._wake.trigger()
+
+    def stop(self) -> None:
+        self._stopping = True
+        self._wake.trigger()
+        self._thread.join()
+        self._wake.destroy()
+
+    def _run(self) -> None:
+        sources: list[tuple[Any, Any, Callable[..., None]]] = []
+        wait_set = None
+        while not self._stopping:
+            if wait_set is None or sources is not self._sources:
+                sources = self._sources
+                wait_set = self._implementation.WaitSet(len(sources), 1, 0, 0, 0, 0, self._context.handle)
+            wait_set.clear_entities()
+            wait_set.add_guard_condition(self._wake.handle)
+            for handle, _, _ in sources:
+                wait_set.add_subscription(handle)
+            wait_set.wait(-1)  # lets go of the GIL
+            for index, (handle, message_type, callback) in enumerate(sources):
+                if wait_set.is_ready("subscription", index):
+                    try:
+                        self._take(handle, message_type, callback)
+                    except Exception as error:  # the middleware refuses one topic: the others go on
+                        self._on_error(error)
+
+    def _take(self, handle: Any, message_type: Any, callback: Callable[..., None]) -> None:
+        # What is left after a turn makes the next wait return at once, so every topic comes to its turn.
+        for _ in range(_TAKE_AT_MOST):
+            taken = handle.take_message(message_type, True)
+            if taken is None or self._stopping:
+                return
+            callback(*taken)

@@ -1,0 +1,137 @@
+"""A foreign ROS 2 node for the tests: typed rclpy in a process of its own, told what to do by JSON lines.
+
+Each line on stdin is ``[command, arguments…]`` and is answered by one JSON line on stdout.  Nothing of the
+gateway is imported here, and no executor runs: messages stay in the reader's queue until they are taken.
+"""
+
+import json
+import sys
+import time
+from importlib import import_module
+
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+
+TIMEOUT_S = 15
+
+
+def message_class(name):
+    package, _, kind = name.split("/")
+    return getattr(import_module(f"{package}.msg"), kind)
+
+
+def set_message_fields(message, fields):
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            set_message_fields(getattr(message, name), value)
+        else:
+            setattr(message, name, value)
+
+
+def as_dict(value):
+    if not hasattr(value, "get_fields_and_field_types"):
+        return value
+    return {name: as_dict(getattr(value, name)) for name in value.get_fields_and_field_types()}
+
+
+def profile(depth=10, reliable=True, latched=False):
+    return QoSProfile(
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+class Peer:
+    def __init__(self):
+        self.context = Context()
+        self.context.init(args=[])
+        self.node = Node("peer", context=self.context)
+        self.publishers = {}
+        self.subscriptions = {}
+
+    def publisher(self, topic, kind, qos):
+        self.publishers[topic] = self.node.create_publisher(message_class(kind), topic, profile(**qos))
+
+    def subscribe(self, topic, kind, qos):
+        self.subscriptions[topic] = self.node.create_subscription(
+            message_class(kind), topic, lambda _: None, profile(**qos), raw=True
+        )
+
+    def drop(self, topic):
+        """Remove publisher and subscription of the topic."""
+        if topic in self.publishers:
+            self.node.destroy_publisher(self.publishers.pop(topic))
+        if topic in self.subscriptions:
+            self.node.destroy_subscription(self.subscriptions.pop(topic))
+
+    def readers(self, topic, count):
+        """Wait until the publisher has that many readers."""
+        return self._until(lambda: self.publishers[topic].get_subscription_count() == count)
+
+    def writers(self, topic, count):
+        """Wait until the subscription has that many writers."""
+        return self._until(lambda: self.subscriptions[topic].get_publisher_count() == count)
+
+    def publish(self, topic, fields):
+        """Send one message; returns its bytes."""
+        message = self.publishers[topic].msg_type()
+        set_message_fields(message, fields)
+        self.publishers[topic].publish(message)
+        return serialize_message(message).hex()
+
+    def publish_hex(self, topic, cdr):
+        self.publishers[topic].publish(bytes.fromhex(cdr))
+
+    def publish_many(self, topic, fields, counted, count):
+        """Send ``count`` messages as fast as possible, the string field ``counted`` numbered."""
+        message = self.publishers[topic].msg_type()
+        set_message_fields(message, fields)
+        for number in range(count):
+            setattr(message, counted, str(number))
+            self.publishers[topic].publish(message)
+
+    def publish_times(self, topic, fields, counted, period_s, count):
+        """Send at a steady rate, the string field ``counted`` holding the clock (for measurements)."""
+        message = self.publishers[topic].msg_type()
+        set_message_fields(message, fields)
+        for _ in range(count):
+            time.sleep(period_s)
+            setattr(message, counted, str(time.monotonic_ns()))
+            self.publishers[topic].publish(message)
+
+    def take(self, topic, count):
+        """Wait for so many messages: ``[[bytes, fields]…]``; fewer if they do not come in time."""
+        subscription = self.subscriptions[topic]
+        taken = []
+
+        def enough():
+            while len(taken) < count and (message := subscription.handle.take_message(subscription.msg_type, True)):
+                taken.append(message[0])
+            return len(taken) == count
+
+        self._until(enough)
+        return [[m.hex(), as_dict(deserialize_message(m, subscription.msg_type))] for m in taken]
+
+    def _until(self, condition):
+        deadline = time.monotonic() + TIMEOUT_S
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.001)
+        return True
+
+
+def main():
+    peer = Peer()
+    for line in sys.stdin:
+        command, *arguments = json.loads(line)
+        print(json.dumps(getattr(peer, command)(*arguments)), flush=True)  # noqa: T201 (it is the protocol)
+    peer.node.destroy_node()
+    peer.context.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""The settings for large messages: applied where the user has none, kept where he has, and really in force."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.edges import ros_env
+
+CHOSEN_BY_USER = (
+    *ros_env.PROFILE_VARIABLES,
+    "FASTDDS_BUILTIN_TRANSPORTS",
+    "RMW_IMPLEMENTATION",
+    "MALLOC_MMAP_THRESHOLD_",
+    "MALLOC_TRIM_THRESHOLD_",
+    "MALLOC_TOP_PAD_",
+    "GLIBC_TUNABLES",
+)
+
+
+@pytest.fixture(autouse=True)
+def _clean(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in CHOSEN_BY_USER:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+
+
+def prepare(**environ: str) -> tuple[list[str], dict[str, str], int]:
+    """The lines and the environment afterwards, and how many of eight freed 6 MB blocks came from the kernel anew.
+
+    In a process of its own: the allocator's settings cannot be taken back.
+    """
+    script = """
+import json, os, resource
+from igtl_gateway.edges.ros_env import prepare_environment
+lines = prepare_environment()
+bytearray(6 << 20)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(8):
+    bytes(bytearray(b"x") * (6 << 20))
+faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+print(json.dumps([lines, dict(os.environ), faults * os.sysconf("SC_PAGESIZE") // (6 << 20)]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env={**os.environ, **environ}, check=True
+    )
+    lines, environment, fresh = json.loads(done.stdout)
+    return lines, environment, fresh
+
+
+def on_glibc() -> bool:
+    return sys.platform.startswith("linux") and bool(os.confstr("CS_GNU_LIBC_VERSION"))
+
+
+def room_for_segments() -> bool:
+    shared_memory = Path("/dev/shm")
+    if not shared_memory.is_dir():
+        return False
+    free = os.statvfs(shared_memory)
+    return free.f_bavail * free.f_frsize >= 256 << 20
+
+
+@pytest.mark.skipif(not on_glibc(), reason="mallopt is glibc's")
+def test_allocator_keeps_large_blocks() -> None:
+    lines, _, fresh = prepare()
+    assert "M_MMAP_THRESHOLD=1073741824, M_TRIM_THRESHOLD=2147483647, M_TOP_PAD=67108864" in lines[1]
+    assert fresh <= 4
+    lines, _, fresh_before = prepare(MALLOC_TRIM_THRESHOLD_="131072", MALLOC_MMAP_THRESHOLD_="131072")
+    assert lines[1] == "malloc: kept the user's (MALLOC_MMAP_THRESHOLD_=131072)"
+    assert fresh_before >= 8
+
+
+@pytest.mark.skipif(not room_for_segments(), reason="needs 256 MiB of /dev/shm")
+def test_profile_is_set_for_us_and_our_children() -> None:
+    lines, environment, _ = prepare()
+    assert "shared memory" in lines[0]
+    assert {environment[name] for name in ros_env.PROFILE_VARIABLES} == {str(ros_env.PROFILE)}
+
+
+@pytest.mark.parametrize("name", ros_env.PROFILE_VARIABLES)
+def test_profile_of_the_user_is_kept(name: str) -> None:
+    lines, environment, _ = prepare(**{name: "/mine.xml"})
+    assert lines[0] == f"Fast DDS profile: kept the user's ({name}=/mine.xml)"
+    assert {environment.get(other) for other in ros_env.PROFILE_VARIABLES} == {"/mine.xml", None}
+
+
+def test_profile_file_in_the_working_directory_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_text("<profiles/>")
+    lines, environment, _ = prepare()
+    assert "kept the user's" in lines[0]
+    assert not set(ros_env.PROFILE_VARIABLES) & set(environment)
+
+
+def test_chosen_transports_and_other_middleware_are_left_alone() -> None:
+    assert "kept the user's" in prepare(FASTDDS_BUILTIN_TRANSPORTS="UDPv4")[0][0]
+    assert prepare(RMW_IMPLEMENTATION="rmw_cyclonedds_cpp")[0][0] == "Fast DDS profile: not for rmw_cyclonedds_cpp"
+
+
+def test_tunables_of_the_user_are_kept() -> None:
+    assert "kept the user's" in prepare(GLIBC_TUNABLES="glibc.malloc.arena_max=2")[0][1]
+
+
+def test_no_profile_without_room_in_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container, whose /dev/shm has 64 MB by default: Fast DDS would go without shared memory altogether."""
+
+    def small(_path: Path) -> os.statvfs_result:
+        return os.statvfs_result((4096, 4096, 16384, 16384, 16384, 0, 0, 0, 0, 255))
+
+    monkeypatch.setenv("MALLOC_TOP_PAD_", "0")  # leaves the allocator of the test run alone
+    monkeypatch.setattr(ros_env, "_SHARED_MEMORY", tmp_path)
+    monkeypatch.setattr(os, "statvfs", small)
+    line, _ = ros_env.prepare_environment()
+    assert line.startswith("Fast DDS profile: not set, 64 MiB free in")
+    assert not set(ros_env.PROFILE_VARIABLES) & set(os.environ)
+
+
+def test_packaged_profile_is_what_it_says() -> None:
+    names = {"dds": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
+    root = ElementTree.parse(ros_env.PROFILE).getroot()
+    assert root.findtext(".//dds:segment_size", namespaces=names) == str(ros_env._SEGMENT_BYTES)
+    defined = [node.text for node in root.findall(".//dds:transport_descriptor/dds:transport_id", names)]
+    used = [node.text for node in root.findall(".//dds:userTransports/dds:transport_id", names)]
+    assert defined == used
