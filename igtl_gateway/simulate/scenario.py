@@ -1,0 +1,87 @@
+"""Scenarios: synthetic inputs from both sides, and the session that the real gateway makes of them.
+
+Nothing is faked but the world: every input goes through the same ``Session`` as live traffic, so a simulated
+recording holds both sides and verifies like any other.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+from igtl_gateway.buffers import join
+from igtl_gateway.config import Config
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP, Gateway, Session
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.wire import Message, encode
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """Something that reaches the gateway at ``time_ns`` (UTC); fields as those of ``Entry``."""
+
+    time_ns: int
+    kind: Kind
+    payload: bytes
+    channel: str = ""
+    type: str = ""
+    link: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A synthetic session.
+
+    Attributes:
+        title: one line that says that it is synthetic.
+        config: how the gateway is configured.
+        inputs: gives the inputs of a session of so many seconds (None: its own length), in order of time.
+    """
+
+    title: str
+    config: Config
+    inputs: Callable[[float | None], Iterable[Input]]
+
+    def entries(self, duration_s: float | None = None) -> Iterator[Entry]:
+        """The session log, outputs included."""
+        session = Session(Gateway(self.config))
+        for given in self.inputs(duration_s):
+            yield from session.input(
+                given.time_ns,
+                given.kind,
+                (given.payload,),
+                channel=given.channel,
+                type_name=given.type,
+                links=(given.link,) if given.link else (),
+            )
+
+
+def merged(*sources: Iterable[Input]) -> Iterator[Input]:
+    """Several sources in order of time; at equal times in the order given."""
+    return heapq.merge(*sources, key=lambda item: item.time_ns)
+
+
+def link_up(time_ns: int, link: int, peer: str) -> Input:
+    """A peer connects to the (imagined) server."""
+    data = {"peer": peer, "local": "127.0.0.1:18944", "role": "server"}
+    note = Note(Level.INFO, LINK_UP, f"{peer} connected", data=data)
+    return Input(time_ns, Kind.LINK, note.pack(), link=link)
+
+
+def link_down(time_ns: int, link: int, peer: str) -> Input:
+    """The peer closes."""
+    data = {"peer": peer, "local": "127.0.0.1:18944", "role": "server", "reason": "closed by the peer"}
+    note = Note(Level.INFO, LINK_DOWN, f"{peer} gone: closed by the peer", data=data)
+    return Input(time_ns, Kind.LINK, note.pack(), link=link)
+
+
+def fact(time_ns: int, code: str, text: str) -> Input:
+    """A note of its own, such as that all this is synthetic."""
+    return Input(time_ns, Kind.EDGE_NOTE, Note(Level.INFO, code, text).pack())
+
+
+def from_peer(time_ns: int, link: int, message: Message) -> Input:
+    """A message from a peer."""
+    return Input(time_ns, Kind.IGTL_IN, join(encode(message)), link=link)
