@@ -12,18 +12,18 @@ import importlib.util
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
 from igtl_gateway.cli.common import count, size
+from igtl_gateway.clock import SystemClock
 from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
   igtl-gateway demo                      in a temporary folder
@@ -157,17 +157,12 @@ def _recorded_outputs(recording: Path) -> tuple[str, int]:
 
 def _replayed(recording: Path, pace: tuple[str, ...]) -> tuple[str, int]:
     """SHA-256 and size of what a plain socket receives from a replay."""
-    listener = socket.create_server(("127.0.0.1", 0))
-    port = listener.getsockname()[1]
-    arguments = ("replay", str(recording), "--to", "igtl", "--connect", f"127.0.0.1:{port}", "--json", *pace)
-    begun = time.monotonic()
-    digest, total = hashlib.sha256(), 0
-    with listener, _program("igtl_gateway", *arguments):
-        listener.settimeout(_PATIENCE_S)
-        peer, _ = listener.accept()
-        with peer:
-            while data := peer.recv(1 << 20):
-                digest.update(data)
-                total += len(data)
-    print(f"replay {' '.join(pace):<24} {count(total, 'byte')} in {time.monotonic() - begun:.1f} s", flush=True)
-    return digest.hexdigest(), total
+    clock = SystemClock()
+    with _program("igtl_gateway.demo.collector") as collector:
+        target = f"127.0.0.1:{_event(collector, 'ready')['port']}"
+        begun_ns = clock.monotonic_ns()
+        with _program("igtl_gateway", "replay", str(recording), "--to", "igtl", "--connect", target, "--json", *pace):
+            told = _event(collector, "summary")
+        seconds = (clock.monotonic_ns() - begun_ns) / NS_PER_S
+    print(f"replay {' '.join(pace):<24} {count(told['bytes'], 'byte')} in {seconds:.1f} s", flush=True)
+    return told["sha256"], told["bytes"]

@@ -1,0 +1,234 @@
+"""``igtl-gateway info``: what is in a recording."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.cli.common import count, print_json, size
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S
+
+EXAMPLES = """\
+  igtl-gateway info out.mcap            streams, rates, gaps, errors, losses, peers, configuration
+  igtl-gateway info out.mcap --json     the same for programs"""
+
+_DIRECTIONS = {
+    Kind.IGTL_IN: "OpenIGTLink in",
+    Kind.IGTL_OUT: "OpenIGTLink out",
+    Kind.ROS_IN: "ROS in",
+    Kind.ROS_OUT: "ROS out",
+}
+
+#: A gap is a pause of more than so many mean intervals (and of more than a second).
+_GAP_FACTOR = 10
+_GAP_MIN_NS = NS_PER_S
+_NS_PER_MS = 1_000_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or a rosbag2 MCAP file")
+    parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
+
+
+@dataclass(slots=True)
+class Stream:
+    """What is told of one stream; times in UTC ns of the gateway."""
+
+    kind: Kind
+    channel: str
+    type: str
+    messages: int = 0
+    bytes: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    longest_pause_ns: int = 0
+    unstamped: int = 0
+    ages_ns: list[int] = field(default_factory=list)
+
+    def add(self, entry: Entry) -> None:
+        if self.messages:
+            self.longest_pause_ns = max(self.longest_pause_ns, entry.stamp_ns - self.last_ns)
+        else:
+            self.first_ns = entry.stamp_ns
+        self.last_ns = entry.stamp_ns
+        self.messages += 1
+        self.bytes += entry.size
+        if entry.kind.is_input:
+            if entry.source_ns:
+                self.ages_ns.append(entry.stamp_ns - entry.source_ns)
+            else:
+                self.unstamped += 1
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate between the first and the last message; 0 for a single one."""
+        span_ns = self.last_ns - self.first_ns
+        return (self.messages - 1) * NS_PER_S / span_ns if span_ns else 0.0
+
+    @property
+    def has_gap(self) -> bool:
+        span_ns = self.last_ns - self.first_ns
+        mean_ns = span_ns / (self.messages - 1) if self.messages > 2 else 0
+        return bool(mean_ns) and self.longest_pause_ns > max(_GAP_FACTOR * mean_ns, _GAP_MIN_NS)
+
+    @property
+    def stamps(self) -> str:
+        """Quality of the senders' stamps of an input stream: how old the messages are when they arrive."""
+        if not self.kind.is_input:
+            return ""
+        if not self.ages_ns:
+            return "unstamped"
+        ages = sorted(self.ages_ns)
+        median_ms = ages[len(ages) // 2] / _NS_PER_MS
+        span_ms = (ages[-1] - ages[0]) / _NS_PER_MS
+        text = f"age {median_ms:,.1f} ms (spread {span_ms:,.1f})"
+        return text + (f", {self.unstamped:,} unstamped" if self.unstamped else "")
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "direction": self.kind.value,
+            "stream": self.channel,
+            "type": self.type,
+            "messages": self.messages,
+            "bytes": self.bytes,
+            "rate_hz": round(self.rate_hz, 3),
+            "longest_pause_s": self.longest_pause_ns / NS_PER_S,
+            "gap": self.has_gap,
+            "stamps": self.stamps,
+        }
+
+
+def run(options: argparse.Namespace) -> int:
+    streams: dict[tuple[Kind, str, str], Stream] = {}
+    notes: list[tuple[int, Kind, Note]] = []
+    counted: Counter[str] = Counter()
+    with SessionFile.open(options.file) as file:
+        for entry in file.entries():
+            if entry.kind in _DIRECTIONS:
+                key = (entry.kind, entry.channel, entry.type)
+                stream = streams.get(key)
+                if stream is None:
+                    stream = streams[key] = Stream(*key)
+                stream.add(entry)
+            else:
+                note = Note.unpack(entry.data())
+                if note.level >= Level.WARN:
+                    counted[note.code] += 1
+                notes.append((entry.stamp_ns, entry.kind, note))
+        told = {
+            "file": str(options.file),
+            "bytes": options.file.stat().st_size,
+            "format_version": file.format_version,
+            "foreign": file.foreign,
+            "start": _utc(file.start_ns),
+            "duration_s": (file.end_ns - file.start_ns) / NS_PER_S,
+            "entries": file.entry_count,
+            "streams": [stream.to_dict() for _, stream in sorted(streams.items(), key=_order)],
+            "problems": dict(sorted(counted.items())),
+            "peers": [
+                {"event": note.code, "at": _utc(stamp_ns), **note.data}
+                for stamp_ns, kind, note in notes
+                if kind is Kind.LINK
+            ],
+            "session": file.session,
+            "ledger": file.ledger,
+            "skipped": list(file.skipped),
+        }
+        if options.json:
+            print_json(told)
+        else:
+            _print(told, notes, file.start_ns)
+    return 0
+
+
+def _order(item: tuple[tuple[Kind, str, str], Stream]) -> tuple[int, str, str]:
+    kind, channel, type_name = item[0]
+    return list(_DIRECTIONS).index(kind), channel, type_name
+
+
+def _utc(stamp_ns: int) -> str:
+    moment = datetime.fromtimestamp(stamp_ns // NS_PER_S, UTC)
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{stamp_ns % NS_PER_S // _NS_PER_MS:03}Z"
+
+
+def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: int) -> None:
+    session = told["session"]
+    kind = "a foreign MCAP file" if told["foreign"] else f"session log version {told['format_version']}"
+    print(f"{told['file']}: {kind}, {size(told['bytes'])}")
+    print(f"  start     {told['start']}, {told['duration_s']:.3f} s, {count(told['entries'], 'entry', 'entries')}")
+    made = session.get("igtl_gateway_version")
+    if made:
+        print(f"  made by   igtl-gateway {made}" + (f" ({session['scenario']})" if "scenario" in session else ""))
+    if "synthetic" in session:
+        print(f"  synthetic {session['synthetic']}")
+    config = json.loads(session.get("config", "{}"))
+    if config:
+        print(
+            f"  units     {config['igtl_unit']} in OpenIGTLink, {config['ros_unit']} in ROS; "
+            f"stamps: {config['stamp']}; base frame {config['base_frame']!r}"
+        )
+    _print_streams(told["streams"])
+    for title, lines in (
+        ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
+        ("problems", [f"{number:>7,}  {code}" for code, number in told["problems"].items()] or ["   none"]),
+        ("first of each problem", _firsts(notes, start_ns)),
+        ("losses", _losses(told["ledger"])),
+        ("skipped", told["skipped"]),
+    ):
+        if lines:
+            print(f"  {title}")
+            for line in lines:
+                print(f"    {line}")
+
+
+def _print_streams(streams: list[dict[str, Any]]) -> None:
+    direction = ""
+    width = max((len(stream["stream"]) for stream in streams), default=0)
+    for stream in streams:
+        if stream["direction"] != direction:
+            direction = stream["direction"]
+            print(f"  {_DIRECTIONS[Kind(direction)]}")
+        rate = f"{stream['rate_hz']:.1f} Hz" if stream["rate_hz"] else ""
+        gap = f"GAP of {stream['longest_pause_s']:.1f} s" if stream["gap"] else ""
+        ros_type = stream["type"] if "/" in stream["type"] else ""
+        facts = ", ".join(fact for fact in (ros_type, stream["stamps"], gap) if fact)
+        print(
+            f"    {stream['stream']:<{width}} {stream['messages']:>7,} {rate:>10} {size(stream['bytes']):>9}  {facts}".rstrip()
+        )
+
+
+def _line(stamp_ns: int, note: Note, start_ns: int) -> str:
+    return f"{(stamp_ns - start_ns) / NS_PER_S:>9.3f} s  {note.text}"
+
+
+def _firsts(notes: list[tuple[int, Kind, Note]], start_ns: int) -> list[str]:
+    firsts: dict[str, str] = {}
+    for stamp_ns, _, note in notes:
+        if note.level >= Level.WARN and note.code not in firsts:
+            firsts[note.code] = _line(stamp_ns, note, start_ns)
+    return list(firsts.values())
+
+
+def _losses(ledger: dict[str, Any] | None) -> list[str]:
+    if ledger is None:
+        return ["   unknown: the recording has no ledger"]
+    lines = []
+    for direction, streams in ledger.get("streams", {}).items():
+        for stream, fates in streams.items():
+            for reason, number in fates.get("dropped", {}).items():
+                lines.append(f"{number:>7,}  {direction} {stream}: {reason}")
+    for link, fates in ledger.get("links", {}).items():
+        for stream, number in fates.get("dropped", {}).items():
+            lines.append(f"{number:>7,}  to link {link}, {stream}: send queue full, or link closed")
+    recorder = ledger.get("recorder", {})
+    if recorder.get("dropped_entries"):
+        lines.append(f"{recorder['dropped_entries']:>7,}  entries that the recorder could not keep up with")
+    return lines or ["   none"]
