@@ -9,13 +9,13 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
 import pytest
 
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.clock import ManualClock, SystemClock
 from igtl_gateway.edges import tcp
 from igtl_gateway.edges.tcp import Limits, LinkCounters, TcpEdge
 from igtl_gateway.errors import ConfigError
@@ -121,9 +121,8 @@ class World:
 
     def edge(self, **settings: Any) -> tuple[TcpEdge, Seen]:
         seen = settings.pop("seen", None) or Seen()
-        edge = TcpEdge(
-            on_frame=seen.on_frame, on_link=seen.on_link, on_note=seen.on_note, clock=SystemClock(), **settings
-        )
+        settings.setdefault("clock", SystemClock())
+        edge = TcpEdge(on_frame=seen.on_frame, on_link=seen.on_link, on_note=seen.on_note, **settings)
         self._closers.append(lambda: edge.stop(0))
         return edge, seen
 
@@ -260,21 +259,29 @@ def test_peer_gone_inside_a_message(world: World, part: int, expected: int | Non
     assert [event[0] for event in seen.events] == ["up", "frame", "truncated", "down"]
 
 
-def test_silence_inside_a_message_ends_the_link_and_silence_between_messages_does_not(world: World) -> None:
-    edge, seen, port = world.server(limits=Limits(stall_s=0.15))
-    quiet, half = world.peer(port), world.peer(port)
+def test_silence_inside_a_message_ends_the_link(world: World) -> None:
+    clock = ManualClock()
+    _, seen, port = world.server(clock=clock, limits=Limits(stall_s=10))
+    quiet, dribbling, half, busy = [world.peer(port) for _ in range(4)]
+    seen.wait("up", 4)
     quiet.send(message(1))
     half.send(message(2)[:30])
-    seen.wait("down", 1, 2)
-    (note,) = seen.of("stalled")
+    data = message(3)
+    turns = 12
+    for turn in range(turns):
+        dribbling.send(data[turn : turn + 1])
+        busy.send(message(4))  # once it is through, the earlier bytes are, too, and the clock was looked at
+        seen.wait("frame", turn + 2)
+        clock.advance(2 * 10**9)
+    busy.send(message(4))
+    seen.wait("frame", turns + 2)
+    (note,) = seen.wait("stalled")
     assert (note.data["received"], note.data["expected"]) == (30, None)
     assert half.receive() is None
-    another = world.peer(port)
-    another.send(message(2)[:30])
-    seen.wait("down", 1, 3)
-    assert [link.number for link in edge.links()] == [1]
-    quiet.send(message(3))
-    assert seen.wait("frame", 2, 1) == [message(1), message(3)]
+    dribbling.send(data[turns:])
+    quiet.send(message(5))
+    seen.wait("frame", turns + 4)
+    assert len(seen.of("down")) == 1
 
 
 def test_callbacks_that_raise_are_noted_and_harm_nothing(world: World) -> None:
@@ -412,22 +419,37 @@ def test_ipv6(world: World) -> None:
     assert {link.peer for link in edge.links() if link.role == "client"} == {f"[{host}]:{port}"}
 
 
-def test_no_descriptors_left_to_accept(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tcp, "_NOTE_EVERY_S", 0.05)
-    _, seen, port = world.server()
-    client = socket.socket()
-    world.closes(client.close)
+@contextmanager
+def no_descriptors() -> Iterator[None]:
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     free = os.open(os.devnull, os.O_RDONLY)
     os.close(free)
     resource.setrlimit(resource.RLIMIT_NOFILE, (free, limits[1]))
     try:
-        client.connect((HERE, port))
-        seen.wait("accept_failed")
+        yield
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
-    client.sendall(message(1))
-    assert seen.wait("frame") == [message(1)]
+
+
+@pytest.mark.parametrize("pause_s", [0.05, 3600])
+def test_no_descriptors_left_to_accept(world: World, monkeypatch: pytest.MonkeyPatch, pause_s: float) -> None:
+    monkeypatch.setattr(tcp, "_NOTE_EVERY_S", pause_s)
+    _, seen, port = world.server()
+    peer = world.peer(port)
+    seen.wait("up")
+    client = socket.socket()
+    world.closes(client.close)
+    with no_descriptors():
+        client.connect((HERE, port))
+        seen.wait("accept_failed")
+        for turn in range(5):  # the others are served, and the loop does not spin on the listener
+            peer.send(message(turn))
+            seen.wait("frame", turn + 1)
+    if pause_s < 1:
+        client.sendall(message(9))
+        assert seen.wait("frame", 1, 2) == [message(9)]
+    else:
+        assert len(seen.of("accept_failed")) == 1
 
 
 def test_allow_list_with_nonsense(world: World) -> None:
@@ -444,7 +466,9 @@ def test_limits_are_positive(name: str) -> None:
 # ── client ────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_client_finds_a_late_server_and_comes_back_when_it_goes(world: World) -> None:
+def test_client_finds_a_late_server_and_comes_back_when_it_goes(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tcp, "_RETRY_FIRST_S", 0.001)
+    monkeypatch.setattr(tcp, "_RETRY_LAST_S", 0.016)
     reserved = world.listener()
     port = reserved.getsockname()[1]
     reserved.close()
@@ -455,6 +479,7 @@ def test_client_finds_a_late_server_and_comes_back_when_it_goes(world: World) ->
     assert note.data == {"peer": f"{HERE}:{port}", "reason": "Connection refused"}
     (waiting,) = edge.links()
     assert (waiting.number, waiting.role, waiting.connected) == (0, "client", False)
+    until(lambda: edge._dialers[0].delay_s == 0.016)  # it tried several times
 
     listener = world.listener(port)
     first = world.accepted(listener)
@@ -566,7 +591,8 @@ def test_unknown_links_are_ignored_and_counted(world: World) -> None:
     assert edge.counters() == {0: LinkCounters(ignored={"STRING/device": 2})}
 
 
-def test_slow_reader_loses_old_transforms_and_no_string(world: World) -> None:
+def test_slow_reader_loses_old_transforms_and_no_string(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tcp, "_NOTE_EVERY_S", 3600)
     edge, seen, port = world.server(limits=Limits(queue_messages=50))
     slow, fast = world.peer(port, 4096), world.peer(port)
     assert edge.wait_links(2, DEADLINE_S)
@@ -596,7 +622,9 @@ def test_slow_reader_loses_old_transforms_and_no_string(world: World) -> None:
     reader.join()
     assert [number_of(one) for one in got_fast] == list(range(1, 1001))
     assert seen.of("queue_drop", 2) == []
-    down = next(note for note in seen.of("down", 1))
+    notes = seen.of("queue_drop", 1)
+    assert (len(notes), notes[-1].data["dropped"]) == (2, {"TRANSFORM/tool": dropped})  # one at once, one at the end
+    (down,) = seen.of("down", 1)
     assert down.data["dropped"] == {"TRANSFORM/tool": dropped}
     assert down.data["unsent"] == 0
 
@@ -608,13 +636,30 @@ def test_the_stream_that_holds_most_gives_way(world: World) -> None:
     edge.send([1], [message(0, BIG)], "begun", True)
     for number in range(4):
         edge.send([1], [message(number, 2000)], "IMAGE/camera", False)
-        edge.send([1], [message(number)], "TRANSFORM/tool", False)
+        for _ in range(2):
+            edge.send([1], [message(number)], "TRANSFORM/tool", False)
     edge.send([1], [message(9, 2000)], "POLYDATA/tumour", True)
     assert edge.counters()[1].dropped == {"IMAGE/camera": 1}
     # too large for what the kept one leaves: it goes itself, the others stay
     edge.send([1], [message(9, 9000)], "IMAGE/camera", False)
     assert edge.counters()[1].dropped == {"IMAGE/camera": 2}
-    assert edge.counters()[1].queued_messages == 1 + 3 + 4 + 1
+    assert edge.counters()[1].queued_messages == 1 + 3 + 8 + 1
+
+
+def test_a_newer_message_replaces_the_oldest_of_its_own_stream(world: World) -> None:
+    edge, _, port = world.server(limits=Limits(queue_messages=6))
+    peer = world.peer(port, 4096)
+    assert edge.wait_links(1, DEADLINE_S)
+    edge.send([1], [message(0, BIG)], "begun", True)
+    edge.send([1], [message(1, 3000)], "IMAGE/camera", False)
+    for number in (2, 3, 4):
+        edge.send([1], [message(number)], "TRANSFORM/tool", False)
+    for number in (5, 6):
+        edge.send([1], [message(number)], "POINT/marker", False)
+    edge.send([1], [message(7)], "POINT/marker", False)  # pushes 5
+    edge.send([1], [message(8)], "STRING/plan", True)  # pushes 2, of those that are most, not the large 1
+    frames = [peer.receive() for _ in range(7)]
+    assert [number_of(frame) for frame in frames] == [0, 1, 3, 4, 6, 7, 8]
 
 
 def test_one_message_larger_than_the_queue_may_wait(world: World) -> None:
@@ -688,12 +733,16 @@ def test_a_blocked_sender_is_released(world: World, how: str) -> None:
     sender = threading.Thread(target=fill)
     sender.start()
     until(lambda: edge.counters()[1].queued_messages == 3)
+    stopper = threading.Thread(target=edge.stop, args=(10 * DEADLINE_S,))
     if how == "stop":
-        edge.stop(0)
+        stopper.start()  # and goes on trying to send what is queued
     else:
         peer.close()
     sender.join(DEADLINE_S)
     assert not sender.is_alive()
+    if how == "stop":
+        peer.close()
+        stopper.join(DEADLINE_S)
     seen.wait("down")
     total = edge.counters()[0]
     assert (total.dropped, total.ignored) == ({"a": 3}, {"a": 1})
@@ -783,6 +832,28 @@ def test_stop_sends_what_is_queued_and_ends_cleanly(world: World) -> None:
     total = edge.counters()[0]
     assert (total.sent_messages, total.ignored, total.dropped) == (20, {"late": 1}, {})
     assert edge.links() == []
+
+
+def test_stop_reads_what_peers_still_send_and_the_port_is_free_at_once(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tcp, "_DRAIN_S", DEADLINE_S)
+    edge, seen, port = world.server()
+    peer = world.peer(port)
+    assert edge.wait_links(1, DEADLINE_S)
+
+    def answer_the_end() -> None:
+        assert peer.receive() is None
+        peer.send(message(9))
+        peer.close()
+
+    reader = threading.Thread(target=answer_the_end)
+    reader.start()
+    edge.stop()
+    reader.join(DEADLINE_S)
+    assert [event[0] for event in seen.events] == ["up", "frame", "down"]
+    again, _ = world.edge()
+    assert again.listen(HERE, port) == (HERE, port)
 
 
 def test_stop_during_traffic_and_restart_on_the_same_port(world: World) -> None:
