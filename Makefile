@@ -23,8 +23,8 @@ check: static
 	@$(BIN)/python -m pytest -q tests/test_architecture.py
 
 static: $(READY)
-	@$(BIN)/ruff format -q --check . || { echo "To format: $(BIN)/ruff format"; exit 1; }
-	@$(BIN)/ruff check -q .
+	@$(BIN)/ruff format --check --quiet --output-format concise . || { echo "To format: $(BIN)/ruff format"; exit 1; }
+	@$(BIN)/ruff check --quiet --output-format concise .
 	@$(BIN)/mypy --no-error-summary
 	@$(BIN)/python tools/constraints.py --check
 

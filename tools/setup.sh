@@ -80,7 +80,7 @@ setup_venv() {
         extras='view,dev'
     fi
     "$VENV/bin/python" -c 'import pip' 2>/dev/null || make_venv
-    say "Installing Python packages into $VENV (about 450 MB, a few minutes, only once)."
+    say "Installing Python packages into $VENV (about 1 GB, a few minutes, only once)."
     for attempt in 1 2 3; do
         if "$VENV/bin/python" -m pip install -qq --disable-pip-version-check --retries 10 \
             -c constraints.txt -e ".[$extras]" </dev/null; then
