@@ -647,19 +647,19 @@ def test_the_stream_that_holds_most_gives_way(world: World) -> None:
 
 
 def test_a_newer_message_replaces_the_oldest_of_its_own_stream(world: World) -> None:
-    edge, _, port = world.server(limits=Limits(queue_messages=6))
+    edge, _, port = world.server(limits=Limits(queue_messages=7))
     peer = world.peer(port, 4096)
     assert edge.wait_links(1, DEADLINE_S)
     edge.send([1], [message(0, BIG)], "begun", True)
     edge.send([1], [message(1, 3000)], "IMAGE/camera", False)
-    for number in (2, 3, 4):
+    for number in (2, 3, 4, 5):
         edge.send([1], [message(number)], "TRANSFORM/tool", False)
-    for number in (5, 6):
+    for number in (6, 7):
         edge.send([1], [message(number)], "POINT/marker", False)
-    edge.send([1], [message(7)], "POINT/marker", False)  # pushes 5
-    edge.send([1], [message(8)], "STRING/plan", True)  # pushes 2, of those that are most, not the large 1
-    frames = [peer.receive() for _ in range(7)]
-    assert [number_of(frame) for frame in frames] == [0, 1, 3, 4, 6, 7, 8]
+    edge.send([1], [message(8)], "POINT/marker", False)  # pushes 6, of its own, not 2 of those that are most
+    edge.send([1], [message(9)], "STRING/plan", True)  # pushes 2, of those that are most, not the large 1
+    frames = [peer.receive() for _ in range(8)]
+    assert [number_of(frame) for frame in frames] == [0, 1, 3, 4, 5, 7, 8, 9]
 
 
 def test_one_message_larger_than_the_queue_may_wait(world: World) -> None:
