@@ -99,25 +99,36 @@ class Reader:
         self.echo = echo
         self.noted_lost = 0
         self.subscription: Any = None
-        self._alone = False
+        self._publishers = 0
         self._last = 0
+        self._unconfirmed = 0
 
     def matched(self, publishers: int) -> None:
-        self._alone = publishers == 1
-        self._last = 0  # another publisher counts from another number
+        """So many publishers are matched now.  Comes by another thread, perhaps after the first messages."""
+        if self._publishers == 0 and publishers == 1:
+            self.counts.lost += self._unconfirmed
+        else:
+            self._last = 0  # another publisher counts from another number
+        self._unconfirmed = 0
+        self._publishers = publishers
 
     def lost(self, messages: int) -> None:
         """The middleware reports a loss."""
-        if not self._alone:
+        if self._publishers != 1:
             self.counts.lost += messages
 
     def received(self, sequence: int | None) -> None:
+        """A message with its publisher's number (None or 0 where the middleware gives none)."""
         self.counts.received += 1
-        if not self._alone or not sequence:
+        if not sequence:
             return
-        if self._last and sequence > self._last + 1:
-            self.counts.lost += sequence - self._last - 1
+        missing = sequence - self._last - 1 if self._last else 0
         self._last = sequence
+        if missing > 0:
+            if self._publishers == 1:
+                self.counts.lost += missing
+            elif self._publishers == 0:
+                self._unconfirmed += missing
 
 
 class Writer:

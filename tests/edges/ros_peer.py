@@ -128,7 +128,7 @@ def main():
     peer = Peer()
     for line in sys.stdin:
         command, *arguments = json.loads(line)
-        print(json.dumps(getattr(peer, command)(*arguments)), flush=True)  # noqa: T201 (it is the protocol)
+        print(json.dumps(getattr(peer, command)(*arguments)), flush=True)  # noqa: T201 (the protocol)
     peer.node.destroy_node()
     peer.context.try_shutdown()
 

@@ -6,8 +6,8 @@ import json
 import os
 import subprocess
 import sys
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -29,6 +29,8 @@ def _clean(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in CHOSEN_BY_USER:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.chdir(tmp_path)
+    # the package may be found by a path relative to the folder just left
+    monkeypatch.setenv("PYTHONPATH", str(Path(ros_env.__file__).parents[2]))
 
 
 def prepare(**environ: str) -> tuple[list[str], dict[str, str], int]:
