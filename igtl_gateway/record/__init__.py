@@ -1,0 +1,1 @@
+"""Recording: entries into a session file, off the hot path."""

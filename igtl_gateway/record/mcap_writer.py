@@ -1,0 +1,221 @@
+"""The session file being written: entries in, MCAP out, as ``docs/session-log.md`` says.
+
+Synchronous and single-threaded; the recorder runs it in its own thread, tools use it as it is.  It adds no
+times or chance of its own: the same entries give the same file.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from io import BufferedWriter
+from pathlib import Path
+from typing import Any, Literal
+
+from mcap.writer import CompressionType, Writer
+
+from igtl_gateway import __version__
+from igtl_gateway.errors import RecordingError
+from igtl_gateway.qos import Qos
+from igtl_gateway.record.rostypes import RosTypes
+from igtl_gateway.session import layout
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.layout import LayoutError
+
+Compression = Literal["lz4", "zstd", "none"]
+QosOf = Callable[[str, str], Qos | None]
+
+#: Uncompressed size of a chunk: what a reader has to hold, and unpacks to see one message.
+CHUNK_BYTES = 1 << 20
+
+_COMPRESSIONS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
+#: Channels of ROS topics.  MCAP has 65,535 channels, and the other kinds need some.
+_MAX_ROS_CHANNELS = 60_000
+_U64 = 1 << 64
+
+
+@dataclass(frozen=True, slots=True)
+class _Stream:
+    """What needs a channel of its own."""
+
+    kind: Kind
+    channel: str
+    type: str
+
+
+class SessionWriter:
+    """Writes one session file.
+
+    Args:
+        path: the file to create.
+        session: what the recording says of itself (configuration, versions, host …).
+        qos_of: QoS of a ROS topic (name, type), None where it is not known.
+        compression: of the chunks.
+        chunk_bytes: size at which a chunk is closed.
+        overwrite: replace an existing file instead of refusing it.
+
+    Raises RecordingError when the file cannot be created.  From the constructor on it can be read by scanning,
+    and after :meth:`close` by its index.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        session: dict[str, str],
+        *,
+        qos_of: QosOf = lambda _topic, _type: None,
+        compression: Compression = "lz4",
+        chunk_bytes: int = CHUNK_BYTES,
+        overwrite: bool = False,
+    ) -> None:
+        self.path = path
+        #: Entries written so far.
+        self.entries = 0
+        #: ROS types of which no definition was found: their messages are kept, but other tools cannot decode them.
+        self.undefined: list[str] = []
+        self._qos_of = qos_of
+        self._types = RosTypes()
+        self._topics = layout.WireTopics()
+        self._channels: dict[_Stream, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._closed = False
+        self._failure = ""
+        self._file = _create(path, overwrite)
+        self._mcap = Writer(self._file, chunk_size=chunk_bytes, compression=_COMPRESSIONS[compression])
+        try:
+            self._start(session)
+        except OSError as error:
+            self._file.raw.close()
+            path.unlink(missing_ok=True)
+            raise RecordingError(f"cannot record to {path}: {_reason(error)}") from error
+
+    def _start(self, session: dict[str, str]) -> None:
+        facts = {**session, layout.FORMAT_VERSION_KEY: str(layout.FORMAT_VERSION)}
+        self._mcap.start(layout.MCAP_PROFILE, f"igtl-gateway {__version__}")
+        self._mcap.add_metadata(layout.SESSION_METADATA, layout.seal(facts))
+        configuration = facts.get(layout.CONFIGURATION_KEY, "{}").encode()
+        self._mcap.add_attachment(0, 0, layout.CONFIGURATION_ATTACHMENT, "application/json", configuration)
+        self._mcap.flush()  # type: ignore[no-untyped-call]
+
+    def write(self, entry: Entry) -> None:
+        """Add an entry; it is on its way to the disk after the next :meth:`flush`.
+
+        Raises LayoutError for an entry that the format cannot hold (the file is not touched), RecordingError when
+        the disk refuses (then nothing more can be written).
+        """
+        data = layout.pack_message(entry)
+        if not (0 <= entry.stamp_ns < _U64 and 0 <= entry.source_ns < _U64 and entry.seq >= 0):
+            found = f"number {entry.seq}, stamp {entry.stamp_ns} ns, source stamp {entry.source_ns} ns"
+            raise LayoutError(f"entry of {entry.channel or entry.kind.value}: found {found}, expected unsigned 64 bits")
+        channel = self._channel(entry)
+        with self._disk():
+            self._mcap.add_message(
+                channel,
+                log_time=entry.stamp_ns,
+                data=data,  # type: ignore[arg-type]  # takes any buffer
+                publish_time=entry.source_ns or entry.stamp_ns,
+                sequence=entry.seq & 0xFFFFFFFF,
+            )
+        self.entries += 1
+
+    def flush(self) -> None:
+        """Hand what was written to the operating system: a kill −9 does not lose it.  Raises RecordingError."""
+        with self._disk():
+            self._mcap.flush()  # type: ignore[no-untyped-call]
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file so far."""
+        return 0 if self._file.closed else self._file.tell()
+
+    def close(self, ledger: dict[str, Any]) -> None:
+        """Write the ledger and the index.  Idempotent.  Raises RecordingError; what was flushed stays readable."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._failure:
+            return
+        facts = {layout.LEDGER_KEY: json.dumps(ledger, sort_keys=True)}
+        with self._disk():
+            self._mcap.flush()  # type: ignore[no-untyped-call]
+            self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal(facts))
+            self._mcap.finish()  # type: ignore[no-untyped-call]
+            self._file.close()
+
+    def _channel(self, entry: Entry) -> int:
+        """The channel of an entry, opened if it is the first of its stream."""
+        stream = _Stream(entry.kind, entry.channel, entry.type)
+        known = self._channels.get(stream)
+        if known is not None:
+            return known
+        if entry.kind in layout.ROS_KINDS:
+            if len(self._channels) >= _MAX_ROS_CHANNELS:
+                raise LayoutError(f"topic {entry.channel}: found {len(self._channels)} channels, expected fewer")
+            qos = self._qos_of(entry.channel, entry.type) or Qos()
+            channel = self._register(entry.channel, entry.type, entry.kind, {layout.QOS_KEY: layout.qos_yaml(qos)})
+        elif entry.kind in layout.NOTE_KINDS:
+            channel = self._register(layout.NOTES_TOPIC, layout.NOTE_TYPE, entry.kind, {})
+        else:
+            topic = self._topics.topic(entry.kind, entry.type, layout.device_name(entry))
+            facts = {layout.STREAM_KEY: layout.escape(entry.channel)}
+            if topic in layout.SHARED_TOPICS:
+                # not kept under the stream's own name: there may be any number of them
+                stream, facts = _Stream(entry.kind, topic, ""), {}
+                if stream in self._channels:
+                    return self._channels[stream]
+            channel = self._register(topic, layout.RAW_MESSAGE_TYPE, entry.kind, facts)
+        self._channels[stream] = channel
+        return channel
+
+    def _register(self, topic: str, ros_type: str, kind: Kind, facts: dict[str, str]) -> int:
+        metadata = {layout.QOS_KEY: layout.qos_yaml(Qos()), layout.KIND_KEY: kind.value, **facts}
+        definition = self._types.find(ros_type)
+        if definition:
+            metadata[layout.TYPE_HASH_KEY] = definition.type_hash
+        elif ros_type not in self._schemas:
+            self.undefined.append(ros_type)
+        with self._disk():
+            if ros_type not in self._schemas:
+                # without a definition the encoding has to be empty, too, as in what rosbag2 writes
+                encoding = layout.SCHEMA_ENCODING if definition else ""
+                text = definition.text.encode() if definition else b""
+                self._schemas[ros_type] = self._mcap.register_schema(ros_type, encoding, text)
+            channel = self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, self._schemas[ros_type], metadata)
+        return channel
+
+    @contextmanager
+    def _disk(self) -> Iterator[None]:
+        """Around all that may touch the disk: its refusal ends the recording, with one clear line.
+
+        After an error nobody knows what is in the file and in the library's buffers, so no more is written.
+        """
+        if self._failure or self._file.closed:
+            raise RecordingError(self._failure or f"recording to {self.path}: already closed")
+        try:
+            yield
+        except OSError as error:
+            self._failure = f"recording to {self.path} failed: {_reason(error)}"
+            self._file.raw.close()
+            raise RecordingError(self._failure) from error
+
+
+def _create(path: Path, overwrite: bool) -> BufferedWriter:
+    """The open file.  Raises RecordingError with what is in the way."""
+    if path.is_dir():
+        raise RecordingError(f"cannot record to {path}: it is a directory")
+    if path.exists() and not path.is_file():
+        raise RecordingError(f"cannot record to {path}: it is not a regular file")
+    try:
+        return path.open("wb" if overwrite else "xb")
+    except FileExistsError:
+        raise RecordingError(f"cannot record to {path}: the file exists already") from None
+    except FileNotFoundError:
+        raise RecordingError(f"cannot record to {path}: there is no folder {path.parent}") from None
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"cannot record to {path}: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)

@@ -1,0 +1,1 @@
+"""Replay: entries out of a session file, paced, selected, verified."""

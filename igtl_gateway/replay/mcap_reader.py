@@ -1,0 +1,328 @@
+"""A session file being read: MCAP in, entries out, as ``docs/session-log.md`` says.
+
+A file is either read right or refused: checksums are verified of the index, of our metadata and of every chunk,
+and whatever the library below raises on damaged bytes leaves here as DamagedRecording.  MCAP files without our
+metadata ("foreign", such as rosbag2 recordings) are read as what ROS nodes said.
+
+Memory is bounded: one chunk at a time, as long as chunks do not overlap in time, which ours never do.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Message, Metadata, Schema, Statistics
+from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
+
+from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.qos import Qos
+from igtl_gateway.session import layout
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.layout import LayoutError
+
+_MAGIC = b"\x89MCAP0\r\n"
+# The end of every MCAP file: opcode, length, summary_start, summary_offset_start, summary_crc, magic
+_FOOTER = struct.Struct("<BQQQI8s")
+_FOOTER_OPCODE, _FOOTER_LENGTH = 2, 20
+_FOOTER_CRC_COVERS = 1 + 8 + 8 + 8
+_SEQUENCES = 1 << 32  # MCAP's sequence has 32 bits, entry numbers have no bound
+_ROS_TYPE = re.compile(r"\w+/msg/\w+", re.ASCII)
+
+_Decode = Callable[[Message, int], Entry]
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelSummary:
+    """A channel of the file.
+
+    Attributes:
+        topic: its topic in the file.
+        type: ROS message type in the file; ours for OpenIGTLink and notes.
+        kind: kind of its entries.
+        stream: the channel of its entries: the topic of ROS messages, ``TYPE/device name`` of OpenIGTLink; ``""``
+            where streams share the channel, and for notes.
+        count: messages.
+        qos: as recorded; None where the file does not say.
+    """
+
+    topic: str
+    type: str
+    kind: Kind
+    stream: str
+    count: int
+    qos: Qos | None
+
+
+@dataclass(frozen=True, slots=True)
+class SkippedChannel:
+    """A channel that is not read, and why."""
+
+    topic: str
+    type: str
+    count: int
+    why: str
+
+
+class SessionFile:
+    """An open session file; a context manager.  Use :meth:`open`.
+
+    Attributes:
+        path: the file.
+        session: what the recording says of itself; empty for foreign files.
+        format_version: version of ``docs/session-log.md`` that it follows.
+        ledger: what became of every message; None where the recording has none.
+        foreign: not a recording of ours: every message is a ROS_IN entry, numbered as read.
+        channels: what is in it.
+        skipped: what is in it but is not read.
+        entry_count: entries that :meth:`entries` gives.
+        start_ns, end_ns: UTC nanoseconds of the first and the last one; 0 in an empty file.
+    """
+
+    def __init__(self, path: Path, stream: IO[bytes]) -> None:
+        self.path = path
+        self._stream = stream
+        size = _check_ends(path, stream)
+        with self._reading("index"):
+            stream.seek(0)
+            self._reader = SeekingReader(stream, validate_crcs=True, record_size_limit=size)
+            summary = self._reader.get_summary()
+        if summary is None or summary.statistics is None:
+            raise UnsupportedRecording(f"{path}: has no index; {_recover(path)} makes one")
+        if summary.statistics.message_count and not summary.chunk_indexes:
+            raise UnsupportedRecording(f"{path}: has no chunks or no index of them; {_recover(path)} makes them")
+        session = self._metadata(summary, layout.SESSION_METADATA)
+        ledger = self._metadata(summary, layout.LEDGER_METADATA)
+        self.session = session or {}
+        self.format_version = self._version(session)
+        self.ledger = self._ledger(ledger)
+        channels: dict[int, Channel] = summary.channels
+        marked = any(layout.KIND_KEY in channel.metadata for channel in channels.values())
+        self.foreign = session is None and not marked
+        self._decoders: dict[int, _Decode] = {}
+        told: list[ChannelSummary | SkippedChannel] = []
+        for channel in channels.values():
+            with self._reading(f"channel {channel.topic}"):
+                schema = summary.schemas[channel.schema_id] if channel.schema_id else None
+            told.append(self._open_channel(channel, schema, summary.statistics))
+        self.channels = tuple(channel for channel in told if isinstance(channel, ChannelSummary))
+        self.skipped = tuple(channel for channel in told if isinstance(channel, SkippedChannel))
+        self.entry_count = sum(channel.count for channel in self.channels)
+        self.start_ns = summary.statistics.message_start_time
+        self.end_ns = summary.statistics.message_end_time
+
+    @classmethod
+    def open(cls, path: Path | str) -> SessionFile:
+        """Open a file and read what it says of itself; the entries are read by :meth:`entries`.
+
+        Raises UnsupportedRecording (no such file, not MCAP, of a newer version …) or DamagedRecording.
+        """
+        path = Path(path)
+        try:
+            if path.is_dir():
+                raise UnsupportedRecording(f"{path}: found a directory, expected the .mcap file in it")
+            if path.exists() and not path.is_file():
+                raise UnsupportedRecording(f"{path}: not a regular file")
+            stream = path.open("rb")
+        except (OSError, ValueError) as error:
+            reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+            raise UnsupportedRecording(f"{path}: cannot be opened: {reason}") from None
+        try:
+            return cls(path, stream)
+        except BaseException:
+            stream.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file.  Payloads that were read stay valid."""
+        self._stream.close()
+
+    def __enter__(self) -> SessionFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def entries(self) -> Iterator[Entry]:
+        """All entries in their order.  Payloads are one buffer each, views of OpenIGTLink messages.
+
+        Raises DamagedRecording where the file turns out to be damaged; what came before is right.
+        """
+        decoders, foreign = self._decoders, self.foreign
+        seq = count = 0
+        for message in self._messages():
+            decode = decoders.get(message.channel_id)
+            if decode is None:
+                continue
+            count += 1
+            if foreign:
+                seq = count
+            else:
+                step = (message.sequence - seq) % _SEQUENCES if seq else message.sequence
+                if not 0 < step < _SEQUENCES // 2:
+                    raise DamagedRecording(
+                        f"{self.path}: found entry number {message.sequence}, expected one above {seq % _SEQUENCES}"
+                    )
+                seq += step
+            try:
+                entry = decode(message, seq)
+            except LayoutError as error:
+                raise DamagedRecording(f"{self.path}: entry {seq}: {error}") from None
+            yield entry
+        if count != self.entry_count:
+            raise DamagedRecording(f"{self.path}: found {count} entries, expected {self.entry_count}")
+
+    def _messages(self) -> Iterator[Message]:
+        try:
+            for _, _, message in self._reader.iter_messages():
+                yield message
+        except Exception as error:  # of the library: whatever it makes of damaged bytes
+            raise self._damaged("entries", error) from error
+
+    # -- opening ----------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def _reading(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # of the library: whatever it makes of damaged bytes
+            raise self._damaged(what, error) from error
+
+    def _damaged(self, what: str, error: Exception) -> DamagedRecording:
+        return DamagedRecording(f"{self.path}: {what}: {type(error).__name__}: {error}")
+
+    def _metadata(self, summary: Summary, name: str) -> dict[str, str] | None:
+        """Items of the first metadata record of that name, checked; None if there is none."""
+        # by the index, which is under a checksum: a damaged name must not make the record disappear
+        for index in summary.metadata_indexes:
+            if index.name != name:
+                continue
+            with self._reading(f"metadata {name}"):
+                self._stream.seek(index.offset)
+                record = next(
+                    StreamReader(self._stream, skip_magic=True, record_size_limit=index.length).records,
+                )
+                if not isinstance(record, Metadata) or record.name != name:
+                    raise LayoutError(f"found {type(record).__name__}")
+                return layout.unseal(record.metadata)
+        return None
+
+    def _version(self, session: dict[str, str] | None) -> int:
+        if session is None:
+            return layout.FORMAT_VERSION
+        text = session.get(layout.FORMAT_VERSION_KEY, "")
+        if not (text.isascii() and text.isdigit()):
+            raise DamagedRecording(f"{self.path}: found format version {text!r}, expected a number")
+        if int(text) > layout.FORMAT_VERSION:
+            raise UnsupportedRecording(
+                f"{self.path}: found format version {text}, expected at most {layout.FORMAT_VERSION}; "
+                "read it with a newer igtl-gateway"
+            )
+        return int(text)
+
+    def _ledger(self, items: dict[str, str] | None) -> dict[str, Any] | None:
+        if items is None:
+            return None
+        with self._reading("ledger"):
+            ledger: dict[str, Any] = json.loads(items[layout.LEDGER_KEY])
+        return ledger
+
+    def _open_channel(
+        self, channel: Channel, schema: Schema | None, statistics: Statistics
+    ) -> ChannelSummary | SkippedChannel:
+        """Settle how a channel is read, or why it is not."""
+        count: int = statistics.channel_message_counts.get(channel.id, 0)
+        ros_type = schema.name if schema else ""
+        kind, why = self._kind(channel, schema)
+        if kind is None:
+            return SkippedChannel(channel.topic, ros_type, count, why)
+        self._decoders[channel.id] = _decoder(kind, channel.topic, ros_type)
+        stream = channel.metadata.get(layout.STREAM_KEY, "")
+        stream = channel.topic if kind in layout.ROS_KINDS else layout.unescape(stream)
+        qos = layout.parse_qos_yaml(channel.metadata.get(layout.QOS_KEY, ""))
+        return ChannelSummary(channel.topic, ros_type, kind, stream, count, qos)
+
+    def _kind(self, channel: Channel, schema: Schema | None) -> tuple[Kind | None, str]:
+        """Kind of a channel's entries; or None and why it cannot be read."""
+        if channel.message_encoding != layout.MESSAGE_ENCODING:
+            return None, f"found encoding {channel.message_encoding!r}, expected {layout.MESSAGE_ENCODING!r}"
+        if schema is None or not _ROS_TYPE.fullmatch(schema.name):
+            return None, f"found type {schema.name if schema else ''!r}, expected package/msg/Name"
+        if b"\n---" in schema.data:
+            return None, "a service, not a topic"
+        if self.foreign:
+            return Kind.ROS_IN, ""
+        name = channel.metadata.get(layout.KIND_KEY, "")
+        if name not in _KINDS:
+            return None, f"found kind {name!r}: not written by the gateway"
+        kind = _KINDS[name]
+        expected = layout.type_of(kind)
+        if expected and schema.name != expected:
+            return None, f"found type {schema.name!r}, expected {expected!r}"
+        return kind, ""
+
+
+_KINDS = {kind.value: kind for kind in Kind}
+
+
+def _decoder(kind: Kind, topic: str, ros_type: str) -> _Decode:
+    if kind in layout.WIRE_TOPICS:
+        return lambda message, seq: layout.unpack_raw(message.data, seq, message.log_time, message.publish_time)
+    if kind in layout.NOTE_KINDS:
+        return lambda message, seq: layout.unpack_note(message.data, seq, message.log_time)
+
+    def ros(message: Message, seq: int) -> Entry:
+        # MCAP says publish_time = log_time for "not set"
+        source_ns = message.publish_time if message.publish_time != message.log_time else 0
+        return Entry(seq, message.log_time, kind, topic, ros_type, (message.data,), (), source_ns)
+
+    return ros
+
+
+def _check_ends(path: Path, stream: IO[bytes]) -> int:
+    """Check what can be checked without the library: both ends and the index.  Gives the size of the file."""
+    try:
+        size = stream.seek(0, 2)
+        stream.seek(0)
+        start = stream.read(len(_MAGIC))
+        if not start:
+            raise UnsupportedRecording(f"{path}: the file is empty")
+        if not _MAGIC.startswith(start):
+            raise UnsupportedRecording(f"{path}: not an MCAP file: found {start.hex(' ')}, expected {_MAGIC.hex(' ')}")
+        cut = DamagedRecording(f"{path}: was cut off after {size:,} bytes; {_recover(path)} mends it")
+        if size < len(_MAGIC) + _FOOTER.size:
+            raise cut
+        stream.seek(-_FOOTER.size, 2)
+        footer = stream.read(_FOOTER.size)
+        opcode, length, summary_start, _, crc, magic = _FOOTER.unpack(footer)
+        if magic != _MAGIC:
+            raise cut
+        if (opcode, length) != (_FOOTER_OPCODE, _FOOTER_LENGTH) or summary_start > size - _FOOTER.size:
+            raise DamagedRecording(f"{path}: its footer is damaged; {_recover(path)} mends it")
+        if crc:
+            stream.seek(summary_start)
+            summary = stream.read(size - _FOOTER.size - summary_start)
+            found = zlib.crc32(footer[:_FOOTER_CRC_COVERS], zlib.crc32(summary))
+            if found != crc:
+                raise DamagedRecording(
+                    f"{path}: found checksum {found:08x} of its index, expected {crc:08x}; {_recover(path)} mends it"
+                )
+    except OSError as error:
+        raise DamagedRecording(f"{path}: cannot be read: {error.strerror}") from None
+    return size
+
+
+def _recover(path: Path) -> str:
+    return f"`pymcap-cli recover {path} mended.mcap`"
