@@ -238,9 +238,11 @@ class _TextOutput:
                 print(f"  {cause[0]} {cause[1]}: {number:,} times")
         if bridge.summary:
             summary = bridge.summary
+            lost = sum(summary.dropped.values())
             print(
-                f"recorded {count(summary.written_entries, 'entry', 'entries')} into {summary.path} ({size(summary.size_bytes)})"
-                + (f", LOST {summary.dropped_entries:,}" if summary.dropped_entries else "")
+                f"recorded {count(summary.entries, 'entry', 'entries')} into {summary.path} ({size(summary.size)})"
+                + (f", LOST {lost:,}" if lost else "")
+                + (f": {summary.failure}" if summary.failure else "")
             )
 
 
@@ -283,21 +285,30 @@ class _JsonOutput:
         if bridge.summary:
             told["recording"] = {
                 "path": bridge.summary.path,
-                "entries": bridge.summary.written_entries,
-                "dropped": bridge.summary.dropped_entries,
-                "bytes": bridge.summary.size_bytes,
+                "entries": bridge.summary.entries,
+                "dropped": sum(bridge.summary.dropped.values()),
+                "bytes": bridge.summary.size,
+                "failure": bridge.summary.failure,
             }
         print_json(told)
 
 
 def mapping(config: Config) -> list[str]:
     """What goes where, as lines of a table."""
-    lines = [f"mapping ({config.igtl_unit} in OpenIGTLink, {config.ros_unit} in ROS):"]
+    lines = [f"OpenIGTLink -> ROS ({config.igtl_unit} -> {config.ros_unit}):"]
+    rules = [(rule.device, rule.topic) for rule in config.to_ros]
+    for device, topic in rules:
+        lines.append(f"  device {device:<24} -> {topic}")
     for row in TO_ROS:
         topic = f"/igtl/in/<device>/{row.kind}"
         lines.append(f"  {'/'.join(row.igtl_types):<17} -> {topic:<29} {row.message.TYPE}")
+    lines.append(f"ROS -> OpenIGTLink ({config.ros_unit} -> {config.igtl_unit}):")
     for rule in config.to_igtl:
-        lines.append(f"  {rule.topic:<33} -> {rule.type or 'by type'} {rule.device or 'by topic'}")
-    for row_out in TO_IGTL:
-        lines.append(f"  {'/igtl/out/<device>':<19}{row_out.message.TYPE:<36} -> {row_out.igtl_type}")
+        lines.append(f"  {rule.topic} -> {rule.type or 'type by table'}, device {rule.device or 'by topic'}")
+    by_type: dict[str, list[str]] = {}
+    for out in TO_IGTL:
+        by_type.setdefault(out.message.TYPE, []).append(out.igtl_type)
+    for ros_type, (default, *others) in by_type.items():
+        on_request = f" (or {', '.join(others)}: --send)" if others else ""
+        lines.append(f"  /igtl/out/<device>  {ros_type:<36} -> {default}{on_request}")
     return lines

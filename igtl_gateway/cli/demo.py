@@ -61,9 +61,9 @@ def _demo(recording: Path, seconds: float) -> int:
     _title(1, "the bridge runs and records; a ROS 2 node and an OpenIGTLink client talk through it")
     summaries = _traffic(recording, seconds)
     for name, summary in summaries.items():
-        print(f"\n{name} received:")
+        print(f"\n{name} sent {count(sum(summary['sent'].values()), 'message')} and received:")
         for stream, told in sorted(summary["received"].items()):
-            print(f"  {stream:<36} {told['messages']:>5} messages, last: {told['last']}")
+            print(f"  {stream:<36} {told['messages']:>5}, last: {told['last']}")
         if not summary["received"]:
             raise DemoError(f"{name} received nothing")
     _title(2, f"what was recorded ({size(recording.stat().st_size)})")
@@ -92,27 +92,27 @@ def _traffic(recording: Path, seconds: float) -> dict[str, dict[str, Any]]:
         started = _event(bridge, "started")
         port = started["listen"][0]["port"]
         print(f"bridge: OpenIGTLink server on 127.0.0.1:{port}, ROS 2 node /igtl_gateway", flush=True)
-        with (
-            _program("igtl_gateway.demo.ros_node", str(seconds)) as node,
-            _program("igtl_gateway.demo.igtl_client", str(port), str(seconds)) as client,
-        ):
-            programs = {"ROS 2 node (rclpy)": node, "OpenIGTLink client (pyigtl)": client}
-            for name, program in programs.items():
-                _event(program, "ready")
-                print(f"{name}: running", flush=True)
-            summaries = {name: _event(program, "summary") for name, program in programs.items()}
+        with _program("igtl_gateway.demo.ros_node") as node:
+            _event(node, "ready")
+            print("ROS 2 node (rclpy): publishes and listens", flush=True)
+            with _program("igtl_gateway.demo.igtl_client", str(port), str(seconds)) as client:
+                _event(client, "ready")
+                print(f"OpenIGTLink client (pyigtl): sends and listens for {seconds:g} s", flush=True)
+                client_said = _event(client, "summary")
+            _close_input(node)
+            node_said = _event(node, "summary")
         bridge.send_signal(signal.SIGINT)
         stopped = _event(bridge, "stopped")
         recorded = stopped["recording"]
         print(f"bridge: stopped, {count(recorded['entries'], 'entry', 'entries')} recorded, {recorded['dropped']} lost")
-    return summaries
+    return {"ROS 2 node (rclpy)": node_said, "OpenIGTLink client (pyigtl)": client_said}
 
 
 @contextmanager
 def _program(module: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """A Python program beside us, ended with us."""
     command = [sys.executable, "-m", module, *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             yield process
             if process.wait(_PATIENCE_S):
@@ -131,6 +131,12 @@ def _event(program: subprocess.Popen[str], name: str) -> dict[str, Any]:
         if told.get("level") in ("WARN", "ERROR"):
             print(f"  {told['text']}")
     raise DemoError(f"{program.args!r} ended before it said {name!r}")
+
+
+def _close_input(program: subprocess.Popen[str]) -> None:
+    """Tell a program that it is time to end."""
+    if program.stdin:
+        program.stdin.close()
 
 
 def _gateway(*arguments: str) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pyigtl
 
 _RATE_HZ = 20.0
+_LOOKS = 5
 
 
 def main() -> None:
@@ -36,14 +37,19 @@ def main() -> None:
             _send(client, pyigtl.StringMessage(f"operator says hello, tick {tick}", device_name="Operator"), sent)
             points = [[10.0, 15.0, 20.0], [25.0, 30.0, 35.0], [-40.0, 45.0, -50.0]]
             _send(client, pyigtl.PointMessage(positions=points, device_name="Landmarks"), sent)
-        pace.wait(1.0 / _RATE_HZ)
-        # pyigtl keeps the newest message of each name only, so this counts what it saw, not what was sent
-        for message in client.get_latest_messages():
-            entry = heard.setdefault(f"{message.message_type} {message.device_name}", {"messages": 0, "last": ""})
-            entry["messages"] += 1
-            entry["last"] = _shown(message)
+        # pyigtl keeps the newest message of each name only: look often, or miss some
+        for _ in range(_LOOKS):
+            pace.wait(1.0 / _RATE_HZ / _LOOKS)
+            _look(client, heard)
     print(json.dumps({"event": "summary", "sent": sent, "received": heard}), flush=True)
     client.stop()
+
+
+def _look(client: Any, heard: dict[str, dict[str, Any]]) -> None:
+    for message in client.get_latest_messages():
+        entry = heard.setdefault(f"{message.message_type} {message.device_name}", {"messages": 0, "last": ""})
+        entry["messages"] += 1
+        entry["last"] = _shown(message)
 
 
 def _send(client: Any, message: Any, sent: dict[str, int]) -> None:

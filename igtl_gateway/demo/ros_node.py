@@ -1,6 +1,8 @@
 """A ROS 2 node as anybody would write it: typed publishers and subscribers, nothing of igtl_gateway.
 
-usage: python -m igtl_gateway.demo.ros_node SECONDS
+It publishes until its standard input ends.
+
+usage: python -m igtl_gateway.demo.ros_node
 """
 
 from __future__ import annotations
@@ -8,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import threading
 from array import array
 from typing import Any
 
@@ -19,7 +22,7 @@ from shape_msgs.msg import Mesh, MeshTriangle
 from std_msgs.msg import String
 
 WIDTH, HEIGHT = 64, 48
-_RATE_HZ = 50.0
+_RATE_HZ = 20.0
 
 
 class DemoNode(Node):  # type: ignore[misc]  # rclpy is untyped
@@ -71,12 +74,12 @@ class DemoNode(Node):  # type: ignore[misc]  # rclpy is untyped
         pose.transform.translation.z = 0.25
         pose.transform.rotation.z, pose.transform.rotation.w = math.sin(angle / 2), math.cos(angle / 2)
         self._publish("ToolToBase", pose)
-        if self.ticks % 10 == 0:
+        if self.ticks % 4 == 0:
             self._publish("Camera", self._image(now))
-        if self.ticks % 25 == 0:
+        if self.ticks % 10 == 0:
             self._publish("Cloud", self._cloud(now))
             self._publish("Target", PointStamped(header=pose.header, point=Point(x=0.01, y=-0.02, z=0.03)))
-        if self.ticks % 50 == 0:
+        if self.ticks % 20 == 0:
             self._publish("Robot", String(data=f"moving, tick {self.ticks}"))
             corners = [Point(x=0.0, y=0.0, z=0.0), Point(x=0.1, y=0.0, z=0.0), Point(x=0.0, y=0.1, z=0.0)]
             self._publish("Model", Mesh(triangles=[MeshTriangle(vertex_indices=[0, 1, 2])], vertices=corners))
@@ -112,11 +115,12 @@ def _shown(message: Any) -> str:
 
 
 def main() -> None:
-    seconds = float(sys.argv[1])
+    ended = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
     rclpy.init()
     node = DemoNode()
     print(json.dumps({"event": "ready"}), flush=True)
-    while node.ticks < seconds * _RATE_HZ:
+    while not ended.is_set():
         rclpy.spin_once(node, timeout_sec=0.1)
     print(json.dumps({"event": "summary", "sent": node.sent, "received": node.heard}), flush=True)
     node.destroy_node()
