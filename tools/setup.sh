@@ -12,7 +12,7 @@ cd "$(dirname "$0")/.."
 VENV=.venv
 PEER_PACKAGES=(g++ libopenigtlink-dev)
 
-say() { printf '%s\n' "$*" >&2; }
+say() { printf '%s\n' "$@" >&2; }
 
 # missing PACKAGE...: those that Debian does not have installed, one a line.
 missing() {
@@ -37,9 +37,9 @@ apt() {
         as_root=(sudo -n)
     fi
     say "Installing system packages: $*"
-    local quietly=("${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=120)
-    if ! { "${quietly[@]}" update && "${quietly[@]}" install -y --no-install-recommends "$@"; } >/dev/null </dev/null; then
-        say "apt-get could not install: $*"
+    local log quietly=("${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=120)
+    if ! log=$({ "${quietly[@]}" update && "${quietly[@]}" install -y --no-install-recommends "$@"; } 2>&1 </dev/null); then
+        say "$log" "apt-get could not install: $*"
         return 1
     fi
 }
