@@ -498,10 +498,8 @@ class RosEdge:
             self._note_once(Level.ERROR, "ros_publish_failed", f"{topic}: not published: {failure}", topic)
 
     def _note_overflow(self, topic: str) -> None:
-        text = (
-            f"{topic}: more than {HOLD_MESSAGES} messages or {HOLD_BYTES >> 20} MiB before its subscribers were matched, "
-            "the oldest went to those matched by then"
-        )
+        limit = f"{HOLD_MESSAGES} messages or {HOLD_BYTES >> 20} MiB"
+        text = f"{topic}: more than {limit} before all subscribers were matched, the oldest went to those that were"
         self._note_once(Level.INFO, "ros_hold_overflow", text, topic)
 
     def _refuse(self, action: str, topic: str, type_name: str, error: Exception) -> None:

@@ -21,6 +21,7 @@ HOLD_BYTES = 64 << 20
 
 _ECHO_MEMORY = 4096  # own messages remembered per topic: more than a reader has in its queue
 _ECHO_PREFIX = 256  # enough to hold the header with its stamp; whole images need not be kept
+_CAME_BACK = (0, b"")
 _DDS_STAMP_NS = 1  # DDS stamps are 32.32 fixed point: a nanosecond is lost at most
 
 
@@ -81,7 +82,11 @@ class Echo:
             if index < 0:
                 return False
             ended_ns, prefix = self._sent[index]
-            return source_ns <= ended_ns + _DDS_STAMP_NS and cdr.startswith(prefix)
+            own = source_ns <= ended_ns + _DDS_STAMP_NS and cdr.startswith(prefix)
+            if own:
+                # Each comes back once: should somebody send the very same at this moment, that one is let through.
+                self._sent[index] = _CAME_BACK
+            return own
 
 
 class Reader:
