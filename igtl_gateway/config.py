@@ -36,6 +36,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from string import Formatter
 from typing import Any, TypeVar
 
 from igtl_gateway.convert.units import UNITS, Lengths
@@ -101,12 +102,11 @@ class Config:
         if self.max_streams < 1:
             raise ConfigError(f"gateway.max_streams: found {self.max_streams}, expected 1 or more")
         for index, row in enumerate(self.to_ros):
-            try:
-                row.topic.format(device="a", kind="b", type="c")
-            except (KeyError, ValueError, IndexError):
+            if not _is_template(row.topic):
                 raise ConfigError(
-                    f"to_ros[{index}].topic: found {row.topic!r}, expected only {{device}}, {{kind}} and {{type}} in braces"
-                ) from None
+                    f"to_ros[{index}].topic: found {row.topic!r}, "
+                    "expected only {device}, {kind} and {type} in braces"
+                )
 
     def row_to_igtl(self, topic: str) -> ToIgtlRow | None:
         """The row for a ROS topic: the first that matches, or None where the topic is not bridged."""
@@ -125,7 +125,8 @@ class Config:
 
     def pick_stamp(self, row: _Row, source_ns: int, received_ns: int) -> int:
         """The stamp of an outgoing message: never 0."""
-        return source_ns if source_ns and (row.stamp or self.stamp) == "source" else received_ns
+        # a negative stamp (before 1970) has no tick word
+        return source_ns if source_ns > 0 and (row.stamp or self.stamp) == "source" else received_ns
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values: what is stored in a recording."""
@@ -191,6 +192,18 @@ _CHOICES = {
 }
 
 T = TypeVar("T")
+
+
+def _is_template(topic: str) -> bool:
+    """Whether ``topic`` has nothing but plain names in its braces; no attributes, indices or formats."""
+    try:
+        parts = list(Formatter().parse(topic))
+    except ValueError:
+        return False
+    return all(
+        name is None or (name in ("device", "kind", "type") and not layout and not conversion)
+        for _, name, layout, conversion in parts
+    )
 
 
 def _check_choices(place: str, settings: object, *, optional: bool) -> None:

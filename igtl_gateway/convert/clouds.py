@@ -16,9 +16,21 @@ import numpy.typing as npt
 
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, Header, PointCloud2, PointField, PointStamped
+from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.errors import ConversionError
+from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.point import Points
-from igtl_gateway.wire.polydata import CELL, NORMAL, RGBA, SCALAR, Attribute, Cells, PolyData
+from igtl_gateway.wire.polydata import (
+    CELL,
+    MAX_COMPONENTS,
+    NO_CELLS,
+    NORMAL,
+    RGBA,
+    SCALAR,
+    Attribute,
+    Cells,
+    PolyData,
+)
 
 Array = npt.NDArray[Any]
 
@@ -33,6 +45,7 @@ RGB_NAME, RGBA_NAME = "RGB", "RGBA"
 _COLOUR_COMPONENTS = {3: "rgb", 4: "rgba"}
 
 
+@ieee_754
 def points_to_ros(content: Points, to: ToRos) -> PointCloud2:
     """x, y, z, rgba and diameter of every point; names, groups and owners have no place in a cloud."""
     elements = content.elements
@@ -42,6 +55,7 @@ def points_to_ros(content: Points, to: ToRos) -> PointCloud2:
     return _cloud(columns, len(elements), to)
 
 
+@ieee_754
 def point_to_ros(content: Points, to: ToRos) -> PointStamped:
     """The first (in the table: the only) point."""
     x, y, z = content.elements["position"][0].tolist()
@@ -49,24 +63,29 @@ def point_to_ros(content: Points, to: ToRos) -> PointStamped:
     return PointStamped(Header(to.stamp_ns, to.frame_id), (lengths.to_ros(x), lengths.to_ros(y), lengths.to_ros(z)))
 
 
+@ieee_754
 def point_to_igtl(message: PointStamped, to: ToIgtl) -> Outgoing:
-    """As POINT with one nameless element."""
-    positions = to.lengths.to_igtl(np.array([message.point]))
+    """As POINT with one nameless element.  Raises ConversionError for numbers that are not finite."""
+    positions = to.lengths.to_igtl(np.array([message.point])).astype(">f4")
+    if not np.isfinite(positions).all():
+        raise ConversionError(f"PointStamped: found {message.point}, expected finite numbers")
     return Outgoing(Points.of(positions), message.header.stamp_ns)
 
 
+@ieee_754
 def cloud_to_points(message: PointCloud2, to: ToIgtl) -> Outgoing:
     """As POINT (136 bytes a point), with colour and diameter where the cloud has them."""
     columns = _columns(message)
-    xyz, kept = _finite_positions(columns)
+    positions, kept = _finite_positions(columns, to)
     colours = _colours(columns)
     diameters: Array | float = 0.0
-    if _DIAMETER in columns:
-        diameters = to.lengths.to_igtl(columns[_DIAMETER][kept].astype(np.float64))
-    content = Points.of(to.lengths.to_igtl(xyz), None if colours is None else colours[kept], diameters)
+    if _DIAMETER in columns and columns[_DIAMETER].ndim == 1:
+        diameters = to.lengths.to_igtl(columns[_DIAMETER][kept]).astype(">f4")
+    content = Points.of(positions, None if colours is None else colours[kept], diameters)
     return Outgoing(content, message.header.stamp_ns)
 
 
+@ieee_754
 def cloud_to_polydata(message: PointCloud2, to: ToIgtl) -> Outgoing:
     """As POLYDATA: 12 bytes a point, 4 for its vertex, and an attribute for every further field.
 
@@ -74,42 +93,61 @@ def cloud_to_polydata(message: PointCloud2, to: ToIgtl) -> Outgoing:
     the C++ bridge crashed at 200,000.
     """
     columns = _columns(message)
-    xyz, kept = _finite_positions(columns)
+    positions, kept = _finite_positions(columns, to)
+    count = len(positions)
     attributes = []
+    told = set(_XYZ)
     colours = _colours(columns)
     if colours is not None:
-        name, components = (RGBA_NAME, 4) if "rgba" in columns else (RGB_NAME, 3)
+        name, components = (RGBA_NAME, 4) if _is_packed(columns, "rgba") else (RGB_NAME, 3)
         attributes.append(Attribute.of(SCALAR, name, _unit_range(colours[kept][:, :components])))
-    if all(name in columns for name in _NORMALS):
+        told |= {name for name in _COLOURS if _is_packed(columns, name)}
+    if all(name in columns and columns[name].ndim == 1 for name in _NORMALS):
         normals = np.stack([columns[name][kept] for name in _NORMALS], axis=1)
         attributes.append(Attribute.of(NORMAL, "Normals", normals))
+        told |= set(_NORMALS)
     for name, values in columns.items():
-        if name in (*_XYZ, *_NORMALS, *_COLOURS):
+        if name in told:
             continue
-        if values.dtype.itemsize > np.dtype(np.float32).itemsize or values.dtype.kind in "iu" and values.dtype.itemsize > 2:
+        width = values.shape[1] if values.ndim > 1 else 1
+        if width > MAX_COMPONENTS:
+            to.warnings.append(("field_left_out", f"field {name!r} has {width} values a point, above {MAX_COMPONENTS}"))
+            continue
+        if values.dtype.itemsize > np.dtype(np.float32).itemsize or (
+            values.dtype.kind in "iu" and values.dtype.itemsize > 2
+        ):
             to.warnings.append(("float32_attribute", f"field {name!r} ({values.dtype}) is sent as float32"))
-        attributes.append(Attribute.of(SCALAR, name, values[kept].reshape(len(xyz), -1)))
-    vertices = Cells.of(np.arange(len(xyz)).reshape(1, -1)) if len(xyz) else Cells.of([])
-    content = PolyData(to.lengths.to_igtl(xyz).astype(">f4"), vertices, attributes=tuple(attributes))
+        attributes.append(Attribute.of(SCALAR, name, values[kept].reshape(count, width)))
+    vertices = Cells.of(np.arange(count).reshape(1, -1)) if count else NO_CELLS
+    content = PolyData(positions, vertices, attributes=tuple(attributes))
     return Outgoing(content, message.header.stamp_ns)
 
 
+@ieee_754
 def polydata_to_cloud(content: PolyData, to: ToRos) -> PointCloud2:
-    """Points with their point attributes as fields; cells and attributes of cells have no place in a cloud."""
+    """Points with their point attributes as fields; cells and attributes of cells have no place in a cloud.
+
+    No attribute ever takes the place of another: a name that is taken, or that means something else to readers
+    of clouds, gets underscores added.
+    """
     count = len(content.points)
     columns = _position_columns(to.lengths.to_ros(content.points))
     for attribute in content.attributes:
-        if attribute.type & CELL or attribute.tuples != count:
+        if attribute.type & CELL or attribute.tuples != count or not attribute.components:
             continue
         values = attribute.values
-        if field := colour_field(attribute):
+        field = colour_field(attribute)
+        if field and field not in columns:
             columns[field] = _packed(_bytes_of(values))
             if field == "rgb":
                 columns[field] = columns[field].view("<f4")  # as PCL packs it
-        elif attribute.type == NORMAL:
+        elif attribute.type == NORMAL and values.shape[1] == len(_NORMALS) and columns.keys().isdisjoint(_NORMALS):
             columns |= {name: values[:, axis].astype("<f4") for axis, name in enumerate(_NORMALS)}
         else:
-            columns[attribute.name or f"attribute{len(columns)}"] = values.astype("<f4")
+            name = visible(attribute.name) or f"attribute{len(columns)}"
+            while name in columns or name in _COLOURS:
+                name += "_"
+            columns[name] = values.astype("<f4")
     return _cloud(columns, count, to)
 
 
@@ -128,7 +166,7 @@ def _columns(message: PointCloud2) -> dict[str, Array]:
     count = message.width * message.height
     size = memoryview(message.data).nbytes
     row = message.width * message.point_step
-    if message.height > 1 and message.row_step < row or size < message.row_step * (message.height - 1) + row:
+    if (message.height > 1 and message.row_step < row) or size < message.row_step * (message.height - 1) + row:
         raise ConversionError(
             f"sensor_msgs/PointCloud2: found {size} bytes (row_step {message.row_step}), "
             f"expected {message.height} rows of {row} bytes"
@@ -151,34 +189,38 @@ def _columns(message: PointCloud2) -> dict[str, Array]:
         names.append(item.name)
         formats.append((dtype, item.count) if item.count > 1 else dtype)
         offsets.append(item.offset)
-    if missing := [name for name in _XYZ if name not in names]:
-        raise ConversionError(f"sensor_msgs/PointCloud2: found fields {names}, expected {', '.join(missing)} too")
-    layout = np.dtype(
-        {"names": names, "formats": formats, "offsets": offsets, "itemsize": message.point_step}
-    )
+    single = {name for name, kind in zip(names, formats, strict=True) if isinstance(kind, np.dtype)}
+    if missing := [name for name in _XYZ if name not in single]:
+        raise ConversionError(
+            f"sensor_msgs/PointCloud2: found fields {names}, expected {', '.join(missing)} too, one value each"
+        )
+    if not count:  # whatever it says of its layout, there is nothing to lay out
+        return {name: np.empty(0, np.float32) for name in names}
+    layout = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": message.point_step})
     shape, strides = (message.height, message.width), (message.row_step, message.point_step)
-    if not count:
-        points = np.empty(0, layout)
-    elif message.height == 1 or message.row_step == row:
+    if message.height == 1 or message.row_step == row:
         points = np.frombuffer(message.data, layout, count)
     else:
         points = np.ndarray(shape, layout, message.data, 0, strides).reshape(-1)
     return {name: points[name] for name in names}
 
 
-def _finite_positions(columns: dict[str, Array]) -> tuple[Array, Any]:
-    """(m, 3) float64 positions of the points that have finite ones, and what selects these points."""
-    xyz = np.stack([columns[name] for name in _XYZ], axis=1)
-    finite = np.isfinite(xyz).all(axis=1)
+def _finite_positions(columns: dict[str, Array], to: ToIgtl) -> tuple[Array, Any]:
+    """(m, 3) positions for the wire of the points that have finite ones, and what selects these points."""
+    positions = np.empty((len(columns["x"]), 3), ">f4")
+    for axis, name in enumerate(_XYZ):
+        positions[:, axis] = to.lengths.to_igtl(columns[name]).astype(">f4")
+    finite = np.isfinite(positions)
     if finite.all():
-        return xyz, slice(None)
-    return xyz[finite], finite
+        return positions, slice(None)
+    kept = finite.all(axis=1)
+    return positions[kept], kept
 
 
 def _colours(columns: dict[str, Array]) -> Array | None:
     """(n, 4) uint8 RGBA of a packed ``rgb`` or ``rgba`` field, else None."""
     for name in reversed(_COLOURS):
-        if name in columns and columns[name].dtype.itemsize == np.dtype(np.uint32).itemsize:
+        if _is_packed(columns, name):
             packed = np.ascontiguousarray(columns[name])
             word = packed.view(packed.dtype.str[0] + "u4").astype("<u4")
             colours = word.view(np.uint8).reshape(-1, 4)[:, [2, 1, 0, 3]]
@@ -188,17 +230,24 @@ def _colours(columns: dict[str, Array]) -> Array | None:
     return None
 
 
+def _is_packed(columns: dict[str, Array], name: str) -> bool:
+    """Whether a field holds one 4-byte word a point."""
+    return name in columns and columns[name].ndim == 1 and columns[name].dtype.itemsize == np.dtype(np.uint32).itemsize
+
+
 def _unit_range(colours: Array) -> Array:
     """uint8 0 … 255 as 0 … 1 in a way that ``_bytes_of`` undoes exactly."""
     return (colours / 255.0).astype(">f4")
 
 
 def _bytes_of(colours: Array) -> Array:
-    """Colours 0 … 1 as uint8; values above 1 are taken as 0 … 255 already."""
-    values = np.nan_to_num(colours.astype(np.float64))
-    if len(values) and values.max() <= 1.0:
-        values = values * 255.0
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+    """Colours 0 … 1 as uint8."""
+    return np.rint(np.clip(np.nan_to_num(unit_colours(colours).astype(np.float64)), 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def unit_colours(colours: Array) -> Array:
+    """Colours 0 … 1; where any value is above 1, all are taken as 0 … 255."""
+    return colours / 255.0 if (colours > 1.0).any() else colours
 
 
 def _packed(colours: Array) -> Array:

@@ -66,9 +66,7 @@ def image_to_ros(content: Image, to: ToRos) -> RosImage:
     encoding = _NAMES.get((scalar, components)) or f"{_OPENCV[scalar]}{components}"
     item = np.dtype(SCALARS[scalar]).itemsize
     step = width * components * item
-    return RosImage(
-        Header(to.stamp_ns, to.frame_id), height, width, encoding, int(big and item > 1), step, pixels
-    )
+    return RosImage(Header(to.stamp_ns, to.frame_id), height, width, encoding, int(big and item > 1), step, pixels)
 
 
 def image_to_igtl(message: RosImage, _: ToIgtl) -> Outgoing:
@@ -103,14 +101,15 @@ def _layout(encoding: str) -> tuple[int, int, bool]:
         if components <= _MAX_COMPONENTS:
             return _SCALAR_OF_OPENCV[f"{match[1]}C"], components, False
     raise ConversionError(
-        f"sensor_msgs/Image: found encoding {encoding!r}, expected one of {', '.join(_ENCODINGS)} or an OpenCV name such as 16UC1"
+        f"sensor_msgs/Image: found encoding {encoding!r}, "
+        f"expected one of {', '.join(_ENCODINGS)} or an OpenCV name such as 16UC1"
     )
 
 
 def _unpadded(pixels: memoryview, height: int, row: int, step: int) -> memoryview:
-    """The rows without what lies between them."""
-    padded = np.frombuffer(bytes(pixels).ljust(step * height, b"\x00"), np.uint8).reshape(height, step)
-    return np.ascontiguousarray(padded[:, :row]).reshape(-1).data
+    """The rows without what lies between them; the last may end with its pixels."""
+    rows: npt.NDArray[np.uint8] = np.ndarray((height, row), np.uint8, pixels, 0, (step, 1))
+    return np.ascontiguousarray(rows).reshape(-1).data
 
 
 def _red_first(pixels: npt.NDArray[Any]) -> memoryview:

@@ -13,14 +13,22 @@ import zlib
 from igtl_gateway.wire.fields import cut_text
 
 MAX_DEVICE_NAME = 20
+
+#: rmw refuses topics above 247 characters; half of that leaves room for what stands around the token.
+MAX_TOKEN = 120
 _NOT_IN_TOKEN = re.compile(r"[^A-Za-z0-9_]")
 #: ``To`` between a name that ends in lower case, digit or capital and one that starts with a capital.
 _A_TO_B = re.compile(r"^([A-Za-z0-9_]+?)To([A-Z][A-Za-z0-9_]*)$")
 
 
 def topic_token(name: str) -> str:
-    """``name`` as one token of a ROS topic: other characters become ``_``, never starting with a digit."""
-    token = _NOT_IN_TOKEN.sub("_", name) or "unnamed"
+    """``name`` as one token of a ROS topic: other characters become ``_``, never starting with a digit.
+
+    A name that a peer made too long (metadata knows no limit) keeps its beginning and gets its hash.
+    """
+    token = _NOT_IN_TOKEN.sub("_", name[:MAX_TOKEN]) or "unnamed"
+    if len(name) > MAX_TOKEN:
+        token = f"{token[: MAX_TOKEN - 5]}_{hashed(name)}"
     return f"_{token}" if token[0].isdigit() else token
 
 

@@ -58,18 +58,20 @@ def position_to_igtl(message: TransformStamped, to: ToIgtl) -> Outgoing:
 
 
 def _finite(message: TransformStamped, to: ToIgtl) -> tuple[tuple[float, ...], Quaternion]:
-    values = (*message.translation, *message.rotation)
-    if not all(map(math.isfinite, values)):
-        raise ConversionError(f"TransformStamped: found {values}, expected finite numbers")
-    return tuple(to.lengths.to_igtl(value) for value in message.translation), unit(message.rotation)
+    x, y, z = message.translation
+    to_igtl = to.lengths.to_igtl
+    translation = to_igtl(x), to_igtl(y), to_igtl(z)
+    if not all(map(math.isfinite, (*translation, *message.rotation))):
+        raise ConversionError(f"TransformStamped: found {message}, expected finite numbers")
+    return translation, unit(message.rotation)
 
 
 def unit(quaternion: tuple[float, ...]) -> Quaternion:
-    """The quaternion x, y, z, w at length 1."""
+    """The quaternion x, y, z, w at length 1.  Raises ConversionError where it has none, or one beyond all numbers."""
     x, y, z, w = quaternion
     length = math.sqrt(x * x + y * y + z * z + w * w)
-    if not length > 0.0:
-        raise ConversionError(f"quaternion: found {quaternion}, expected a length above 0")
+    if not 0.0 < length < math.inf:
+        raise ConversionError(f"quaternion: found {quaternion}, expected a finite length above 0")
     return x / length, y / length, z / length, w / length
 
 
@@ -99,7 +101,9 @@ def quaternion_of(r: Rows, to: ToRos) -> Quaternion:
     off = _distance_from_rotation(r)
     if off > _ROUNDING:
         if off > _NOTICEABLE:
-            to.warnings.append(("not_a_rotation", f"the matrix has scale or shear ({off:.3g}), which a pose cannot hold"))
+            to.warnings.append(
+                ("not_a_rotation", f"the matrix has scale or shear ({off:.3g}), which a pose cannot hold")
+            )
         r = _nearest_rotation(r, to.device_name)
     elif _determinant(r) < 0.0:
         raise _no_rotation(to.device_name, _determinant(r))

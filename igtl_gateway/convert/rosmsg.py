@@ -13,8 +13,8 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.convert.cdr import Reader, Writer
 from igtl_gateway.buffers import Buffer
+from igtl_gateway.convert.cdr import Reader, Writer
 from igtl_gateway.stamp import ns_to_ros, ros_to_ns
 
 Array = npt.NDArray[Any]
@@ -139,9 +139,7 @@ class Image:
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
         read = Reader(cdr, cls.TYPE)
-        return cls(
-            Header.read(read), read.u32(), read.u32(), read.string(), read.u8(), read.u32(), read.octets()
-        )
+        return cls(Header.read(read), read.u32(), read.u32(), read.string(), read.u8(), read.u32(), read.octets())
 
 
 #: sensor_msgs/msg/PointField datatype → numpy type without byte order.
@@ -195,12 +193,8 @@ class PointCloud2:
     def unpack(cls, cdr: Buffer) -> Self:
         read = Reader(cdr, cls.TYPE)
         header, height, width = Header.read(read), read.u32(), read.u32()
-        fields = tuple(
-            PointField(read.string(), read.u32(), read.u8(), read.u32()) for _ in range(read.count())
-        )
-        return cls(
-            header, height, width, fields, read.bool(), read.u32(), read.u32(), read.octets(), read.bool()
-        )
+        fields = tuple(PointField(read.string(), read.u32(), read.u8(), read.u32()) for _ in range(read.count()))
+        return cls(header, height, width, fields, read.bool(), read.u32(), read.u32(), read.octets(), read.bool())
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,9 +286,7 @@ class Marker:
         read.octets()
         read.sequence("f4", 2, 4)
         text = read.string()
-        return cls(
-            header, ns, marker_id, kind, action, pose[:3], pose[3:7], pose[7:], color, points, colors, text
-        )
+        return cls(header, ns, marker_id, kind, action, pose[:3], pose[3:7], pose[7:], color, points, colors, text)
 
 
 _RGBA = struct.Struct("<4f")

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.convert.clouds import RGBA_NAME, colour_field
+from igtl_gateway.convert.clouds import RGBA_NAME, colour_field, unit_colours
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.poses import matrix_of, unit
 from igtl_gateway.convert.rosmsg import Header, Marker, Mesh
+from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.polydata import CELL, NO_CELLS, SCALAR, Attribute, Cells, PolyData
 
@@ -36,6 +37,7 @@ def is_cloud(content: PolyData) -> bool:
     return not has_faces(content) and not has_lines(content)
 
 
+@ieee_754
 def polydata_to_mesh(content: PolyData, to: ToRos) -> Mesh:
     """All points; polygons cut into fans and strips into triangles, in their order."""
     return Mesh(_triangles(content).astype("<u4"), to.lengths.to_ros(content.points))
@@ -51,12 +53,13 @@ def polydata_to_lines(content: PolyData, to: ToRos) -> Marker:
     return _marker(content, Marker.LINE_LIST, _segments(content.lines).reshape(-1), _DRAWN_WIDTH, to)
 
 
+@ieee_754
 def _marker(content: PolyData, kind: int, indices: Array, scale: float, to: ToRos) -> Marker:
     colors = np.empty((0, 4), np.float32)
     for attribute in content.attributes:
         if not attribute.type & CELL and attribute.tuples == len(content.points) and colour_field(attribute):
             colors = np.ones((len(indices), 4), np.float32)
-            colors[:, : attribute.values.shape[1]] = attribute.values[indices]
+            colors[:, : attribute.values.shape[1]] = unit_colours(attribute.values)[indices]
             break
     return Marker(
         Header(to.stamp_ns, to.frame_id),
@@ -70,21 +73,26 @@ def _marker(content: PolyData, kind: int, indices: Array, scale: float, to: ToRo
     )
 
 
+@ieee_754
 def mesh_to_igtl(message: Mesh, to: ToIgtl) -> Outgoing:
-    """As POLYDATA with a polygon for each triangle.  Raises ConversionError for an index beyond the vertices."""
+    """As POLYDATA with a polygon for each triangle.
+
+    Raises ConversionError for an index beyond the vertices and for numbers that are not finite.
+    """
     highest = int(message.triangles.max()) if message.triangles.size else -1
     if highest >= len(message.vertices):
         raise ConversionError(
             f"shape_msgs/Mesh: found vertex index {highest}, expected below {len(message.vertices)}, the vertices"
         )
-    points = to.lengths.to_igtl(message.vertices).astype(">f4")
+    points = _finite(to.lengths.to_igtl(message.vertices), "shape_msgs/Mesh")
     return Outgoing(PolyData(points, polygons=Cells.of(message.triangles)))
 
 
+@ieee_754
 def marker_to_igtl(message: Marker, to: ToIgtl) -> Outgoing:
     """Lists of triangles, lines and points as POLYDATA, the marker's pose applied; a deletion as empty POLYDATA.
 
-    Raises ConversionError for the shapes that hold no points of their own.
+    Raises ConversionError for the shapes that hold no points of their own and for numbers that are not finite.
     """
     if message.action in _DELETIONS:
         return Outgoing(PolyData(np.empty((0, 3), ">f4")), message.header.stamp_ns)
@@ -104,7 +112,7 @@ def marker_to_igtl(message: Marker, to: ToIgtl) -> Outgoing:
     points = message.points
     if message.type == Marker.TRIANGLE_LIST:  # of the lists it is the one that viewers scale as a whole
         points = points * np.array(message.scale)
-    points = to.lengths.to_igtl(_posed(points, message)).astype(">f4")
+    points = _finite(to.lengths.to_igtl(_posed(points, message)), "visualization_msgs/Marker")
     attributes: tuple[Attribute, ...] = ()
     if len(message.colors) == count:
         attributes = (Attribute.of(SCALAR, RGBA_NAME, message.colors),)
@@ -125,6 +133,14 @@ _SHAPES = {
     Marker.POINTS: ("vertices", 0),
     Marker.TRIANGLE_LIST: ("polygons", 3),
 }
+
+
+def _finite(points: Array, place: str) -> Array:
+    """As the float32 of the wire.  A cell that refers to a missing point would be no cell, so none may be left out."""
+    wire = points.astype(">f4")
+    if not np.isfinite(wire).all():
+        raise ConversionError(f"{place}: found a coordinate that is not finite (as float32), expected finite numbers")
+    return wire
 
 
 def _posed(points: Array, message: Marker) -> Array:

@@ -85,7 +85,15 @@ TO_ROS: tuple[RosRow, ...] = (
         _STATES,
         lossy="scale and shear of a matrix that is no rotation (warned of); a reflection is refused",
     ),
-    RosRow(("POSITION", "QTRANS"), Position, rosmsg.TransformStamped, "transform", poses.position_to_ros, _STATES),
+    RosRow(
+        ("POSITION", "QTRANS"),
+        Position,
+        rosmsg.TransformStamped,
+        "transform",
+        poses.position_to_ros,
+        _STATES,
+        lossy="length and sign of the quaternion, which form was sent",
+    ),
     RosRow(("STRING",), String, rosmsg.String, "string", texts.string_to_ros, _TEXTS, lossy="stamp, encoding (UTF-8)"),
     RosRow(("STATUS",), Status, rosmsg.DiagnosticStatus, "status", texts.status_to_ros, _TEXTS, lossy="stamp"),
     RosRow(
@@ -172,7 +180,9 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         "frame id, rows and columns, points that are not finite, fields but colour and diameter",
     ),
     IgtlRow(rosmsg.Mesh, "POLYDATA", surfaces.mesh_to_igtl, _SURFACES, "double precision"),
-    IgtlRow(rosmsg.Marker, "POLYDATA", surfaces.marker_to_igtl, _SURFACES, "frame id, double precision, uniform colour"),
+    IgtlRow(
+        rosmsg.Marker, "POLYDATA", surfaces.marker_to_igtl, _SURFACES, "frame id, double precision, uniform colour"
+    ),
 )
 
 

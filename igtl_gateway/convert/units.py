@@ -17,6 +17,10 @@ UNITS = {"m": 1_000_000, "dm": 100_000, "cm": 10_000, "mm": 1_000, "um": 1}
 
 Number = TypeVar("Number", float, npt.NDArray[Any])
 
+#: Decorator for arithmetic on arrays: too large is infinity, as IEEE 754 has it for plain floats, and not a
+#: warning of numpy's on the user's console.
+ieee_754 = np.errstate(over="ignore", invalid="ignore")
+
 
 @dataclass(frozen=True, slots=True)
 class Lengths:

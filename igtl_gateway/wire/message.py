@@ -30,8 +30,8 @@ from typing import Any
 
 import fastcrc
 
-from igtl_gateway.errors import ChecksumMismatch, MalformedBody, TruncatedMessage
 from igtl_gateway.buffers import Buffer
+from igtl_gateway.errors import ChecksumMismatch, MalformedBody, TruncatedMessage
 from igtl_gateway.stamp import fraction_to_ns
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
@@ -118,7 +118,7 @@ class Item:
     @classmethod
     def of(cls, key: str, text: str) -> Item:
         """A pair with a text value, marked UTF-8 only where it has to be."""
-        return cls(key, text.encode(), US_ASCII if text.isascii() else UTF_8)
+        return cls(key, text.encode("utf-8", "surrogateescape"), US_ASCII if text.isascii() else UTF_8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +159,7 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
     body = view[HEADER_SIZE:]
     if body.nbytes != header.body_size:
         error = TruncatedMessage if body.nbytes < header.body_size else MalformedBody
-        raise error(f"{header.type} body", f"{body.nbytes} bytes", f"{header.body_size} bytes")
+        raise error(f"{visible(header.type)} body", f"{body.nbytes} bytes", f"{header.body_size} bytes")
     if check_crc and (crc := fastcrc.crc64.ecma_182(body)) != header.crc:
         raise ChecksumMismatch(f"{visible(header.type)} body, CRC-64", f"{crc:016x}", f"{header.crc:016x}")
     if header.version == 1:
@@ -253,6 +253,16 @@ def encode(message: Message) -> list[Buffer]:
     Raises:
         MalformedBody: a name, size or value that does not fit the format.
     """
+    try:
+        return _encode(message)
+    except struct.error as error:
+        found = f"a number outside its field ({error})"
+        raise MalformedBody(f"{visible(message.type)}, encoding", found, "what the layout holds") from None
+
+
+def _encode(message: Message) -> list[Buffer]:
+    if message.header_version not in HEADER_VERSIONS:
+        raise MalformedBody("header, version", message.header_version, "1 or 2")
     parts = message.content.pack()
     if message.header_version == 1:
         front, back = b"", b""

@@ -12,6 +12,7 @@ library writes nine components for every attribute type but 0x00 … 0x02: ``Att
 from __future__ import annotations
 
 import struct
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -38,6 +39,10 @@ _PADDED = {RGBA: 4, TCOORDS: 3, CELL | SCALAR: 1, CELL | VECTOR: 3, CELL | NORMA
 _PADDED_TO = 9
 
 MAX_ATTRIBUTE_NAME = 255
+MAX_COMPONENTS = 255
+
+#: Each costs a few microseconds to read, whatever it holds; real files have a dozen.
+MAX_ATTRIBUTES = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +84,8 @@ class Cells:
         """Where each cell's count stands in ``data``.  Raises MalformedBody if the cells do not fill the data."""
         if (width := self.width) is not None:
             return np.arange(0, len(self.data), width + 1, dtype=np.int64)
-        starts, position, sizes = [], 0, self.data.tolist()
+        # a memoryview of native words: only the counts become Python numbers, not every index
+        starts, position, sizes = array("q"), 0, self.data.astype(np.uint32).data
         end = len(sizes)
         for _ in range(min(self.count, end + 1)):
             if position >= end:
@@ -143,7 +149,7 @@ class Attribute:
 
     @classmethod
     def of(cls, kind: int, name: str, values: npt.NDArray[Any]) -> Self:
-        """From an (n, components) array."""
+        """From an (n, components) array of at most 255 components."""
         return cls(kind, name, values.shape[1], np.ascontiguousarray(values, F4).reshape(-1))
 
 
@@ -178,6 +184,8 @@ class PolyData:
             Cells.unpack(f"POLYDATA {name}", count, take(name, size), num_points)
             for name, count, size in zip(_SECTIONS, sizes[::2], sizes[1::2], strict=True)
         )
+        if num_attributes > MAX_ATTRIBUTES:
+            raise MalformedBody("POLYDATA head, offset 36", f"{num_attributes} attributes", f"at most {MAX_ATTRIBUTES}")
         heads = take("attribute heads", _ATTRIBUTE.size * num_attributes)
         names_size = 0
         names = []
@@ -205,6 +213,9 @@ class PolyData:
                 name = attribute.name.encode("utf-8", "surrogateescape")
                 if len(name) > MAX_ATTRIBUTE_NAME or b"\x00" in name:
                     raise MalformedBody("POLYDATA attribute name", repr(attribute.name), "at most 255 bytes, no NUL")
+                if not 0 <= attribute.components <= MAX_COMPONENTS:
+                    found = f"{attribute.components} components"
+                    raise MalformedBody(f"POLYDATA attribute {attribute.name!r}", found, f"at most {MAX_COMPONENTS}")
                 heads += _ATTRIBUTE.pack(attribute.type, attribute.components, attribute.tuples)
                 names += name + b"\x00"
             parts.append(heads + names + bytes(len(names) % 2))
