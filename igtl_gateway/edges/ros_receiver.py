@@ -1,8 +1,9 @@
 """Who takes the messages of our subscriptions out of the middleware: two ways behind one interface.
 
-Measured with TransformStamped at full speed: rclpy's executor, which builds a new wait set for every message,
-takes some hundred a second and falls behind a 1 kHz stream; one wait set kept by a thread of our own takes
-more than ten thousand.  rclpy is handed in, not imported (`igtl_gateway.edges.ros` alone imports it).
+Measured with TransformStamped at full speed, two busy cores: rclpy's executor, which builds a new wait set for
+every message, took 2,400 a second at 370 µs of CPU each (fewer the more there is on the node: 49 to 333 were
+seen); one wait set kept by a thread of our own took 11,300 at 56 µs.  At 1 kHz and below both have the same
+latency.  rclpy is handed in, not imported (`igtl_gateway.edges.ros` alone imports it).
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class Receiver(Protocol):
 
 
 class ExecutorReceiver:
-    """The executor of the node takes: slow (some hundred messages a second) but only public interfaces."""
+    """The executor of the node takes: slow, but only public interfaces."""
 
     group = None
 
