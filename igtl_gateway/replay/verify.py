@@ -171,7 +171,7 @@ def _fields(entry: Entry, data: Buffer) -> Iterator[tuple[str, Any]]:
     if entry.kind is Kind.IGTL_OUT:
         told = describe(data)
         # sizes and CRC follow from the content: name the cause before the consequence
-        for derived in ("crc", "body_size", "content_size"):
+        for derived in ("crc", "crc_ok", "body_size", "content_size"):
             told[derived] = told.pop(derived)
         return _flat(told, "")
     message = _MESSAGES.get(entry.type)

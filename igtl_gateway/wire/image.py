@@ -149,8 +149,8 @@ class Image:
             "subvol_offset": list(self.subvol_offset),
             "subvol_size": list(self.sub_size),
             "data_size": memoryview(self.pixels).nbytes,
-            "data_crc64": _crc(self.pixels),
             "data": pixels.tolist() if len(pixels) <= _SHOWN_VALUES else _summary(pixels),
+            "data_crc64": _crc(self.pixels),
         }
 
 

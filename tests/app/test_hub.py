@@ -1,0 +1,67 @@
+"""The hub: one order for inputs of many threads, no deadlock when a sink speaks."""
+
+from __future__ import annotations
+
+import threading
+
+from igtl_gateway.app.hub import Hub
+from igtl_gateway.clock import ManualClock
+from igtl_gateway.config import Config
+from igtl_gateway.convert.rosmsg import String
+from igtl_gateway.gateway import LINK_UP, Gateway, Session
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+
+TEXT = String("hello").pack()
+UP = Note(Level.INFO, LINK_UP, "up")
+
+
+def hub_with(*sinks: object) -> Hub:
+    return Hub(Session(Gateway(Config())), ManualClock(1_000), sinks)  # type: ignore[arg-type]
+
+
+def test_sinks_see_every_entry_in_the_order_of_the_log() -> None:
+    seen: list[Entry] = []
+    hub = hub_with(seen.append)
+    hub.link(1, UP)
+    hub.ros("/igtl/out/Text", String.TYPE, TEXT, 5)
+    hub.note(Note(Level.WARN, "odd", "odd"), 1)
+    assert [entry.kind for entry in seen] == [Kind.LINK, Kind.ROS_IN, Kind.IGTL_OUT, Kind.NOTE, Kind.EDGE_NOTE]
+    assert [entry.seq for entry in seen] == [1, 2, 3, 4, 5]
+
+
+def test_threads_do_not_interleave_within_one_input() -> None:
+    seen: list[Entry] = []
+    hub = hub_with(seen.append)
+    hub.link(1, UP)
+    start = threading.Barrier(4)
+
+    def bring() -> None:
+        start.wait()
+        for _ in range(200):
+            hub.ros("/igtl/out/Text", String.TYPE, TEXT, 0)
+
+    threads = [threading.Thread(target=bring) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [entry.seq for entry in seen] == list(range(1, len(seen) + 1))
+    messages = [entry.kind for entry in seen if entry.kind in (Kind.ROS_IN, Kind.IGTL_OUT)]
+    assert messages == [Kind.ROS_IN, Kind.IGTL_OUT] * 800
+
+
+def test_what_a_sink_says_follows_the_entries_being_handed_on() -> None:
+    seen: list[Entry] = []
+
+    def sink(entry: Entry) -> None:
+        seen.append(entry)
+        if entry.kind is Kind.IGTL_OUT:
+            hub.note(Note(Level.WARN, "queue_drop", "dropped"), 1)
+
+    hub = hub_with(sink)
+    hub.link(1, UP)
+    hub.ros("/igtl/out/Text", String.TYPE, TEXT, 0)
+    kinds = [entry.kind for entry in seen]
+    assert kinds == [Kind.LINK, Kind.ROS_IN, Kind.IGTL_OUT, Kind.NOTE, Kind.EDGE_NOTE]
+    assert [entry.seq for entry in seen] == [1, 2, 3, 4, 5]

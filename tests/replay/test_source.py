@@ -1,0 +1,70 @@
+"""What a replay sends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from igtl_gateway.replay.source import once, select, through_gateway
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.simulate.catalogue import SCENARIOS
+from igtl_gateway.wire import Header
+
+SCENARIO = SCENARIOS["paper-types"]
+OUT = frozenset({Kind.IGTL_OUT})
+
+
+@pytest.fixture(scope="module")
+def entries() -> list[Entry]:
+    return list(SCENARIO.entries())
+
+
+def told(entries: list[Entry]) -> list[tuple[str, bytes]]:
+    return [(entry.channel, entry.data()) for entry in entries]
+
+
+def test_through_the_same_gateway_comes_what_was_sent(entries: list[Entry]) -> None:
+    again = through_gateway(entries, SCENARIO.config, has_links=True)
+    assert told(list(select(again, OUT))) == told(list(select(entries, OUT)))
+
+
+def test_without_recorded_links_a_version_1_reader_is_assumed(entries: list[Entry]) -> None:
+    inputs = [entry for entry in entries if entry.kind is Kind.ROS_IN]
+    sent = list(select(through_gateway(inputs, SCENARIO.config, has_links=False), OUT))
+    assert len(sent) == len(inputs)
+    assert {Header.unpack(entry.data()).version for entry in sent} == {1}
+
+
+def test_of_two_header_versions_the_first_is_sent_once(entries: list[Entry]) -> None:
+    both = list(select(entries, OUT))
+    single = list(select(once(entries), OUT))
+    assert len(both) == 2 * len(single)
+    assert {Header.unpack(entry.data()).version for entry in single} == {1}
+
+
+@pytest.mark.parametrize(
+    ("globs", "channels"),
+    [
+        (("TRANSFORM/*",), {"TRANSFORM/ToolToBase"}),
+        (("Mono*",), {"IMAGE/Mono8", "IMAGE/Mono16"}),
+        (("Mono8", "STRING/**"), {"IMAGE/Mono8", "STRING/Greeting"}),
+        (("nothing",), set()),
+    ],
+)
+def test_streams_are_chosen_by_globs(entries: list[Entry], globs: tuple[str, ...], channels: set[str]) -> None:
+    assert {entry.channel for entry in select(entries, OUT, globs)} == channels
+
+
+def test_ros_topics_are_chosen_by_their_name_only(entries: list[Entry]) -> None:
+    ros = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
+    chosen = {entry.channel for entry in select(entries, ros, ("/igtl/in/**",))}
+    assert chosen and all(channel.startswith("/igtl/in/") for channel in chosen)
+
+
+def test_a_new_cause_sends_the_same_stream_again(entries: list[Entry]) -> None:
+    pair = [entry for entry in entries if entry.channel in ("/igtl/out/Greeting", "STRING/Greeting")]
+    ros_in = next(entry for entry in pair if entry.kind is Kind.ROS_IN)
+    sent = next(entry for entry in pair if entry.kind is Kind.IGTL_OUT)
+    log = [ros_in, sent, replace(sent, seq=sent.seq + 1), replace(ros_in, seq=sent.seq + 2), replace(sent, seq=sent.seq + 3)]
+    assert len(list(select(once(log), OUT))) == 2

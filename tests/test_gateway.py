@@ -1,0 +1,339 @@
+"""The gateway as a pure function: scripted scenarios on manual time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from igtl_gateway.buffers import join
+from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.gateway import FULL_NAME_KEY
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.stamp import ns_to_ticks
+from igtl_gateway.wire import Item, Message, Raw, decode, encode
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.point import Points
+from igtl_gateway.wire.polydata import Cells, PolyData
+from igtl_gateway.wire.text import Status, String
+from igtl_gateway.wire.transform import Transform
+from tests.script import T0_NS, Script
+
+POSE = Transform((1, 0, 0, 0, 1, 0, 0, 0, 1, 100.0, 200.0, 300.0))
+TRANSFORM = Message("TRANSFORM", "ProbeToTracker", POSE, ns_to_ticks(T0_NS))
+TOOL = rosmsg.TransformStamped(Header(T0_NS - 5, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
+SLICER_HELLO = Message("STATUS", "", Status(1), 0, 2, 0, (Item("dummy", b"dummy"),))
+
+
+def unstamped(message: Message) -> Message:
+    return replace(message, ticks=0)
+
+
+# -- routing ------------------------------------------------------------------------------------------------------
+
+
+def test_a_transform_becomes_a_stamped_transform_in_metres_between_the_frames_of_its_name() -> None:
+    script = Script()
+    assert script.igtl(TRANSFORM) == ["ros /igtl/in/ProbeToTracker/transform"]
+    message = rosmsg.TransformStamped.unpack(script.last[0].data())
+    assert message == rosmsg.TransformStamped(Header(T0_NS, "Tracker"), "Probe", (0.1, 0.2, 0.3), (0, 0, 0, 1))
+
+
+def test_a_name_without_to_is_a_child_of_the_base_frame() -> None:
+    script = Script(Config(base_frame="world"))
+    script.igtl(replace(TRANSFORM, device_name="Needle"))
+    message = rosmsg.TransformStamped.unpack(script.last[0].data())
+    assert (message.header.frame_id, message.child_frame_id) == ("world", "Needle")
+
+
+def test_a_ros_message_goes_to_all_links_in_one_entry() -> None:
+    script = Script()
+    script.up(1)
+    script.up(2)
+    assert script.ros("/igtl/out/Tool", TOOL) == ["igtl TRANSFORM/Tool v1 to 1,2"]
+    message = decode(script.last[0].data())
+    assert message == Message("TRANSFORM", "Tool", POSE, ns_to_ticks(T0_NS - 5))
+
+
+def test_without_links_a_ros_message_is_dropped_and_counted() -> None:
+    script = Script()
+    assert script.ros("/igtl/out/Tool", TOOL) == []
+    assert script.gateway.ledger.to_dict()["ros_in"]["/igtl/out/Tool"] == {"received": 1, "dropped": {"no_peer": 1}}
+    script.up(1)
+    assert script.ros("/igtl/out/Tool", TOOL) == ["igtl TRANSFORM/Tool v1 to 1"]
+    script.down(1)
+    assert script.ros("/igtl/out/Tool", TOOL) == []
+
+
+@pytest.mark.parametrize(
+    ("topic", "device"),
+    [
+        ("/igtl/out/Tool", "Tool"),
+        ("/igtl/out/Tool/transform", "Tool"),
+        ("/igtl/out/arm/tool", "arm_tool"),
+        ("/igtl/out/Tool/image", "Tool_image"),
+    ],
+)
+def test_device_names_come_from_topics(topic: str, device: str) -> None:
+    script = Script()
+    script.up(1)
+    assert script.ros(topic, TOOL) == [f"igtl TRANSFORM/{device} v1 to 1"]
+
+
+def test_a_topic_of_no_row_is_recorded_only() -> None:
+    script = Script()
+    script.up(1)
+    assert script.ros("/joint_states", TOOL) == []
+    assert script.gateway.ledger.to_dict()["ros_in"]["/joint_states"] == {"received": 1, "recorded_only": 1}
+    assert script.gateway.subscription("/joint_states", TOOL.TYPE) is None
+
+
+def test_rows_choose_device_type_units_and_stamps() -> None:
+    row = ToIgtlRow(topic="/arm/*", device="Arm", type="POSITION", ros_unit="mm", stamp="receive", qos=Qos(depth=7))
+    script = Script(Config(to_igtl=(row,)))
+    script.up(1)
+    assert script.gateway.subscription("/arm/pose", TOOL.TYPE) == Qos(depth=7)
+    assert script.ros("/arm/pose", TOOL) == ["igtl POSITION/Arm v1 to 1"]
+    message = decode(script.last[0].data())
+    assert message.content.describe()["position"] == pytest.approx([0.1, 0.2, 0.3])
+    assert message.ticks == ns_to_ticks(script.now_ns)
+
+
+def test_to_ros_rows_choose_topic_frames_and_units() -> None:
+    row = ToRosRow(device="Probe*", topic="/us/{device}/{type}_{kind}", frame_id="map", child_frame_id="us", ros_unit="mm")
+    script = Script(Config(to_ros=(row,)))
+    assert script.igtl(TRANSFORM) == ["ros /us/ProbeToTracker/transform_transform"]
+    message = rosmsg.TransformStamped.unpack(script.last[0].data())
+    assert (message.header.frame_id, message.child_frame_id) == ("map", "us")
+    assert message.translation == (100.0, 200.0, 300.0)
+
+
+def test_one_message_may_become_several() -> None:
+    script = Script()
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]).astype(">f4")
+    surface = PolyData(points, polygons=Cells.of([[0, 1, 2]]), lines=Cells.of([[0, 1]]))
+    assert script.igtl(Message("POLYDATA", "Model", surface)) == [
+        "ros /igtl/in/Model/mesh",
+        "ros /igtl/in/Model/marker",
+        "ros /igtl/in/Model/lines",
+    ]
+    assert script.igtl(Message("POLYDATA", "Cloud", PolyData(points))) == ["ros /igtl/in/Cloud/points"]
+    assert script.igtl(Message("POINT", "One", Points.of(points[:1]))) == ["ros /igtl/in/One/point", "ros /igtl/in/One/points"]
+    assert script.igtl(Message("POINT", "Many", Points.of(points))) == ["ros /igtl/in/Many/points"]
+
+
+def test_new_streams_are_announced_once() -> None:
+    script = Script(news=True)
+    assert script.igtl(TRANSFORM) == ["ros /igtl/in/ProbeToTracker/transform", "note stream"]
+    assert script.igtl(TRANSFORM) == ["ros /igtl/in/ProbeToTracker/transform"]
+
+
+# -- header versions ----------------------------------------------------------------------------------------------
+
+
+def test_a_peer_gets_version_1_until_it_has_shown_version_2() -> None:
+    script = Script()
+    script.up(1)
+    script.up(2)
+    script.igtl(SLICER_HELLO, link=2)
+    assert script.ros("/igtl/out/Tool", TOOL) == ["igtl TRANSFORM/Tool v1 to 1", "igtl TRANSFORM/Tool v2 to 2"]
+    script.igtl(TRANSFORM, link=2)
+    assert script.ros("/igtl/out/Tool", TOOL)[1] == "igtl TRANSFORM/Tool v2 to 2", "shown once is shown"
+    script.down(2)
+    script.up(3)
+    assert script.ros("/igtl/out/Tool", TOOL) == ["igtl TRANSFORM/Tool v1 to 1,3"]
+
+
+def test_a_message_of_a_damaged_version_2_shows_nothing() -> None:
+    script = Script()
+    script.up(1)
+    data = bytearray(join(encode(SLICER_HELLO)))
+    data[-1] ^= 1
+    assert script.igtl(bytes(data)) == ["note bad_crc"]
+    assert script.ros("/igtl/out/Tool", TOOL) == ["igtl TRANSFORM/Tool v1 to 1"]
+
+
+# -- time -----------------------------------------------------------------------------------------------------------
+
+
+def test_an_unset_stamp_is_the_time_of_receipt_never_1970() -> None:
+    script = Script()
+    script.igtl(unstamped(TRANSFORM))
+    assert rosmsg.TransformStamped.unpack(script.last[0].data()).header.stamp_ns == script.now_ns
+
+
+def test_a_ros_message_without_a_header_takes_the_stamp_of_its_sender_else_the_receipt() -> None:
+    script = Script()
+    script.up(1)
+    script.ros("/igtl/out/Text", rosmsg.String("a"), source_ns=T0_NS - 77)
+    assert decode(script.last[0].data()).ticks == ns_to_ticks(T0_NS - 77)
+    script.ros("/igtl/out/Text", rosmsg.String("a"))
+    assert decode(script.last[0].data()).ticks == ns_to_ticks(script.now_ns)
+
+
+def test_the_log_is_ordered_even_where_the_clock_steps_back() -> None:
+    script = Script()
+    script.up(1)
+    script.ros("/igtl/out/Tool", TOOL)
+    script.now_ns -= 3_600_000_000_000
+    script.ros("/igtl/out/Tool", TOOL)
+    stamps = [entry.stamp_ns for entry in script.log]
+    assert stamps == sorted(set(stamps))
+    assert [entry.seq for entry in script.log] == list(range(1, len(script.log) + 1))
+
+
+# -- names ----------------------------------------------------------------------------------------------------------
+
+
+def test_long_names_are_shortened_and_travel_whole_in_the_metadata() -> None:
+    script = Script()
+    script.up(1)
+    script.igtl(SLICER_HELLO)
+    topic = "/igtl/out/a_very_long_name_of_a_tool"
+    (line,) = script.ros(topic, TOOL)
+    message = decode(script.last[0].data())
+    assert len(message.device_name) == 20 and message.device_name.startswith("a_very_long_nam_")
+    assert message.metadata == (Item.of(FULL_NAME_KEY, "a_very_long_name_of_a_tool"),)
+    assert line == f"igtl TRANSFORM/{message.device_name} v2 to 1"
+    assert script.igtl(message) == ["ros /igtl/in/a_very_long_name_of_a_tool/transform"], "restored on the way back"
+
+
+def test_names_that_collide_on_a_topic_are_kept_apart() -> None:
+    script = Script()
+    first, second = (script.igtl(replace(TRANSFORM, device_name=name)) for name in ("Tip 1", "Tip-1"))
+    assert first == ["ros /igtl/in/Tip_1/transform"]
+    assert second != first and second[0].startswith("ros /igtl/in/Tip_1_")
+    assert script.igtl(replace(TRANSFORM, device_name="Tip 1")) == first
+
+
+@pytest.mark.parametrize("name", ["", "7th", "Sonde é", "\x01\x02", "a/b"])
+def test_any_name_gives_a_valid_topic(name: str) -> None:
+    script = Script()
+    (line,) = script.igtl(replace(TRANSFORM, device_name=name))
+    topic = line.removeprefix("ros ")
+    assert topic.isascii() and all(part and not part[0].isdigit() for part in topic[1:].split("/"))
+    assert topic.count("/") == 4
+
+
+# -- faults ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_bad_message_costs_itself_only() -> None:
+    script = Script()
+    good = join(encode(TRANSFORM))
+    corrupt = good[:-1] + bytes([good[-1] ^ 0xFF])
+    assert script.igtl(corrupt) == ["note bad_crc"]
+    assert script.notes[0].stream == "TRANSFORM/ProbeToTracker"
+    assert script.igtl(b"\x00\x09" + good[2:]) == ["note malformed"]
+    assert script.igtl(good) == ["ros /igtl/in/ProbeToTracker/transform"]
+    counts = script.gateway.ledger.to_dict()["igtl_in"]["TRANSFORM/ProbeToTracker"]
+    assert counts == {"received": 3, "decoded": 1, "converted": 1, "dropped": {"bad_crc": 1, "malformed": 1}}
+
+
+def test_the_crc_check_can_be_switched_off() -> None:
+    script = Script(Config(check_crc=False))
+    good = join(encode(TRANSFORM))
+    assert script.igtl(good[:50] + bytes(8) + good[58:]) == ["ros /igtl/in/ProbeToTracker/transform"]
+
+
+def test_unknown_types_are_counted_and_said_once() -> None:
+    script = Script()
+    unknown = Message("MYSTERY", "Box", Raw(b"abc"))
+    assert script.igtl(unknown) == ["note no_conversion"]
+    assert script.igtl(unknown) == []
+    assert script.gateway.ledger.to_dict()["igtl_in"]["MYSTERY/Box"]["dropped"] == {"no_conversion": 2}
+
+
+def test_an_empty_image_is_no_fault() -> None:
+    script = Script()
+    assert script.igtl(Message("IMAGE", "BrainLab", Raw(b""))) == ["note empty"]
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        replace(TRANSFORM, content=Transform((float("nan"),) * 12)),
+        replace(TRANSFORM, content=Transform((1, 0, 0, 0, 1, 0, 0, 0, -1, 0, 0, 0))),
+        replace(TRANSFORM, content=Transform((0.0,) * 12)),
+        Message("IMAGE", "Volume", Image((2, 2, 2), 3, bytes(8))),
+        Message("IMAGE", "Part", Image((4, 4, 1), 3, bytes(4), subvol_size=(2, 2, 1))),
+    ],
+)
+def test_what_cannot_be_converted_is_refused_with_a_note(message: Message) -> None:
+    script = Script()
+    assert script.igtl(message) == ["note conversion"]
+    assert "found" in script.notes[0].text and "expected" in script.notes[0].text
+
+
+def test_a_text_that_does_not_fit_is_refused_with_a_note() -> None:
+    script = Script()
+    script.up(1)
+    assert script.ros("/igtl/out/Text", rosmsg.String("x" * 70_000)) == ["note conversion"]
+    assert "70000 bytes" in script.notes[0].text and "65535" in script.notes[0].text
+    assert script.ros("/igtl/out/Text", rosmsg.String("x" * 65_535)) == ["igtl STRING/Text v1 to 1"]
+
+
+def test_a_ros_message_that_is_no_cdr_is_refused_with_a_note() -> None:
+    script = Script()
+    script.up(1)
+    assert script.feed(Kind.ROS_IN, (b"\x00\x01\x00\x00\xff",), "/igtl/out/Tool", TOOL.TYPE) == ["note conversion"]
+
+
+def test_scale_in_a_matrix_is_told_once_for_a_stream() -> None:
+    script = Script()
+    scaled = replace(TRANSFORM, content=Transform((2, 0, 0, 0, 2, 0, 0, 0, 2, 1, 2, 3)))
+    assert script.igtl(scaled) == ["ros /igtl/in/ProbeToTracker/transform", "note not_a_rotation"]
+    assert script.igtl(scaled) == ["ros /igtl/in/ProbeToTracker/transform"]
+
+
+def test_a_peer_that_invents_names_opens_a_limited_number_of_topics() -> None:
+    script = Script(Config(max_streams=3))
+    lines = [script.igtl(replace(TRANSFORM, device_name=f"D{index}")) for index in range(6)]
+    assert [bool(line and line[0].startswith("ros")) for line in lines] == [True] * 3 + [False] * 3
+    assert lines[3:] == [["note too_many_streams"], [], []]
+    assert script.igtl(replace(TRANSFORM, device_name="D0")) == ["ros /igtl/in/D0/transform"]
+
+
+def test_the_ledger_closes() -> None:
+    script = Script()
+    script.up(1)
+    for message in (TRANSFORM, Message("STRING", "S", String.of("a")), Message("MYSTERY", "M", Raw(b"x"))):
+        script.igtl(message)
+    for topic in ("/igtl/out/Tool", "/elsewhere"):
+        script.ros(topic, TOOL)
+    for direction in ("igtl_in", "ros_in"):
+        for counts in script.gateway.ledger.to_dict()[direction].values():
+            dropped = sum(counts.get("dropped", {}).values())
+            assert counts["received"] == counts.get("converted", 0) + counts.get("recorded_only", 0) + dropped
+
+
+# -- purity ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_same_inputs_give_the_same_bytes() -> None:
+    def run() -> list[tuple[object, ...]]:
+        script = Script()
+        script.up(1)
+        script.igtl(SLICER_HELLO)
+        script.igtl(TRANSFORM)
+        script.ros("/igtl/out/Tool", TOOL)
+        script.igtl(Message("MYSTERY", "M", Raw(b"x")))
+        return [(e.seq, e.stamp_ns, e.kind, e.channel, e.type, e.data(), e.links, e.source_ns) for e in script.log]
+
+    assert run() == run()
+
+
+def test_a_defect_of_ours_costs_one_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("oops")
+
+    monkeypatch.setattr(script.gateway, "_ros_stream", broken)
+    assert script.igtl(TRANSFORM) == ["note internal_error"]
+    monkeypatch.undo()
+    assert script.igtl(TRANSFORM) == ["ros /igtl/in/ProbeToTracker/transform"]
