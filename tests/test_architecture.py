@@ -87,7 +87,15 @@ PRINTERS = ("cli",)
 CLOCK_CALLS = frozenset({"now", "today", "utcnow"})
 
 #: Tests of no single module, relative to the folder of tests; a folder stands for all that is in it.
-UNMIRRORED = ("integration", "peers", "test_architecture.py", "test_gateway_fuzz.py")
+UNMIRRORED = (
+    "integration",
+    "peers",
+    "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
+    "test_architecture.py",
+    "test_gateway_fuzz.py",
+    "wire/test_bodies.py",  # every type of message against one list of checks
+    "wire/test_corpus.py",
+)
 
 
 def lies_in(module: str, unit: str) -> bool:
