@@ -32,7 +32,13 @@ class Script:
         self._news = news
 
     def feed(
-        self, kind: Kind, payload: Sequence[Buffer], channel: str = "", type_name: str = "", link: int = 0, source_ns: int = 0
+        self,
+        kind: Kind,
+        payload: Sequence[Buffer],
+        channel: str = "",
+        type_name: str = "",
+        link: int = 0,
+        source_ns: int = 0,
     ) -> list[str]:
         self.now_ns += 1_000_000
         links = (link,) if link else ()

@@ -104,7 +104,9 @@ def test_rows_choose_device_type_units_and_stamps() -> None:
 
 
 def test_to_ros_rows_choose_topic_frames_and_units() -> None:
-    row = ToRosRow(device="Probe*", topic="/us/{device}/{type}_{kind}", frame_id="map", child_frame_id="us", ros_unit="mm")
+    row = ToRosRow(
+        device="Probe*", topic="/us/{device}/{type}_{kind}", frame_id="map", child_frame_id="us", ros_unit="mm"
+    )
     script = Script(Config(to_ros=(row,)))
     assert script.igtl(TRANSFORM) == ["ros /us/ProbeToTracker/transform_transform"]
     message = rosmsg.TransformStamped.unpack(script.last[0].data())
@@ -122,7 +124,10 @@ def test_one_message_may_become_several() -> None:
         "ros /igtl/in/Model/lines",
     ]
     assert script.igtl(Message("POLYDATA", "Cloud", PolyData(points))) == ["ros /igtl/in/Cloud/points"]
-    assert script.igtl(Message("POINT", "One", Points.of(points[:1]))) == ["ros /igtl/in/One/point", "ros /igtl/in/One/points"]
+    assert script.igtl(Message("POINT", "One", Points.of(points[:1]))) == [
+        "ros /igtl/in/One/point",
+        "ros /igtl/in/One/points",
+    ]
     assert script.igtl(Message("POINT", "Many", Points.of(points))) == ["ros /igtl/in/Many/points"]
 
 

@@ -56,8 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="send a ROS topic to OpenIGTLink, as this device and type; may be repeated",
     )
     parser.add_argument("--no-ros", action="store_true", help="OpenIGTLink only")
-    parser.add_argument("--node-name", default="igtl_gateway", metavar="NAME", help="name of the ROS node (%(default)s)")
-    parser.add_argument("--queue-mib", type=int, default=64, metavar="MIB", help="send queue of each peer (%(default)s)")
+    parser.add_argument("--node-name", default="igtl_gateway", metavar="NAME", help="of the ROS node (%(default)s)")
+    parser.add_argument("--queue-mib", type=int, default=64, metavar="MIB", help="send queue of a peer (%(default)s)")
     parser.add_argument("--max-clients", type=int, default=32, metavar="N", help="peers at once (%(default)s)")
     parser.add_argument(
         "--max-body-mib", type=int, default=256, metavar="MIB", help="longest message accepted (%(default)s)"

@@ -44,7 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     for package, extra in (("rclpy", "ros"), ("pyigtl", "dev")):
         if importlib.util.find_spec(package) is None:
-            raise ConfigError(f'{package} is not installed here: pip install "igtl-gateway[{extra}]", or run `make demo`')
+            raise ConfigError(
+                f'{package} is not installed here: pip install "igtl-gateway[{extra}]", or run `make demo`'
+            )
     if not 1 <= options.seconds <= 600:
         raise ConfigError(f"--seconds: found {options.seconds}, expected 1 to 600")
     # the demo must neither hear nor disturb other robots

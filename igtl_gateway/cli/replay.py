@@ -45,7 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", choices=("igtl", "ros"), required=True, help="the side to drive")
     add_addresses(parser)
     parser.add_argument("--through-gateway", action="store_true", help="send what today's gateway makes of the inputs")
-    parser.add_argument("--config", type=Path, metavar="TOML", help="with --through-gateway: instead of the recorded one")
+    parser.add_argument(
+        "--config", type=Path, metavar="TOML", help="with --through-gateway: instead of the recorded one"
+    )
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument("--rate", type=float, default=1.0, metavar="R", help="recorded seconds per second (%(default)s)")
     pace.add_argument("--as-fast-as-possible", action="store_true", help="no pauses")
@@ -161,5 +163,3 @@ def _report(options: argparse.Namespace, player: Player, complete: bool) -> None
     for stream, number in sorted(played.by_stream.items()):
         print(f"  {stream:<40} {number:>8,}")
     print(f"sha256 {played.digest}", flush=True)
-
-

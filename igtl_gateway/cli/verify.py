@@ -18,7 +18,9 @@ EXAMPLES = """\
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path, help="a recording")
-    parser.add_argument("--config", metavar="TOML", type=Path, help="use this configuration instead of the recorded one")
+    parser.add_argument(
+        "--config", metavar="TOML", type=Path, help="use this configuration instead of the recorded one"
+    )
     parser.add_argument("--all", action="store_true", help="print all differences (up to 100), not only the first")
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
 

@@ -114,9 +114,14 @@ def _shown(message: Any) -> str:
     return repr(message.data)
 
 
+def _wait_for_end(ended: threading.Event) -> None:
+    sys.stdin.read()
+    ended.set()
+
+
 def main() -> None:
     ended = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    threading.Thread(target=_wait_for_end, args=(ended,), daemon=True).start()
     rclpy.init()
     node = DemoNode()
     print(json.dumps({"event": "ready"}), flush=True)

@@ -39,9 +39,7 @@ class PlaybackClock:
         return max(0, due_ns - now_ns)
 
 
-def paced(
-    entries: Iterable[Entry], clock: PlaybackClock, wait: Callable[[float], bool]
-) -> Iterator[Entry]:
+def paced(entries: Iterable[Entry], clock: PlaybackClock, wait: Callable[[float], bool]) -> Iterator[Entry]:
     """The entries, each when it is due.
 
     Args:

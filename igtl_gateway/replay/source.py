@@ -31,10 +31,10 @@ def through_gateway(entries: Iterable[Entry], config: Config, *, has_links: bool
 
 def once(entries: Iterable[Entry]) -> Iterator[Entry]:
     """Of a message that went out in several header versions only the first form: version 1 where it was sent."""
-    cause, sent = 0, set[str]()
+    sent: set[str] = set()
     for entry in entries:
         if entry.kind.is_input:
-            cause, sent = entry.seq, set()
+            sent = set()
         elif entry.kind is Kind.IGTL_OUT:
             if entry.channel in sent:
                 continue

@@ -7,6 +7,7 @@ wording.  Where bytes differ, both are decoded and the first field that differs 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -159,7 +160,7 @@ def _first_field(recorded: Entry, computed: Entry) -> tuple[str, Any, Any]:
         ):
             if path != other_path:
                 return path, value, f"nothing ({other_path} follows)"
-            if value != other_value and not (value != value and other_value != other_value):  # NaN equals NaN here
+            if value != other_value and not (_is_nan(value) and _is_nan(other_value)):
                 return path, value, other_value
     except GatewayError:
         pass  # not decodable: the bytes themselves are the answer
@@ -194,6 +195,10 @@ def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
         yield path, bytes(value)
     else:
         yield path, value
+
+
+def _is_nan(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
 
 
 def _name(entry: Entry) -> str:

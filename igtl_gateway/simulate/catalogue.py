@@ -46,7 +46,9 @@ def _star_inputs(duration_s: float | None) -> Iterator[Input]:
 
     begin_ns, approve_ns = start_ns - 200_000_000, start_ns + 2 * NS_PER_S
     navigation = (
-        fact(begin_ns - 1_000_000, "synthetic", "synthetic session: no robot, no patient, no camera; see simulate star"),
+        fact(
+            begin_ns - 1_000_000, "synthetic", "synthetic session: no robot, no patient, no camera; see simulate star"
+        ),
         link_up(begin_ns, 1, _NAVIGATION),
         said(begin_ns + 10_000_000, Message("STATUS", "Navigation", Status(1, 0, "", "ready"), ns_to_ticks(begin_ns))),
         said(approve_ns, Message("STRING", "Navigation", String.of("plan approved"), ns_to_ticks(approve_ns))),

@@ -66,5 +66,11 @@ def test_a_new_cause_sends_the_same_stream_again(entries: list[Entry]) -> None:
     pair = [entry for entry in entries if entry.channel in ("/igtl/out/Greeting", "STRING/Greeting")]
     ros_in = next(entry for entry in pair if entry.kind is Kind.ROS_IN)
     sent = next(entry for entry in pair if entry.kind is Kind.IGTL_OUT)
-    log = [ros_in, sent, replace(sent, seq=sent.seq + 1), replace(ros_in, seq=sent.seq + 2), replace(sent, seq=sent.seq + 3)]
+    log = [
+        ros_in,
+        sent,
+        replace(sent, seq=sent.seq + 1),
+        replace(ros_in, seq=sent.seq + 2),
+        replace(sent, seq=sent.seq + 3),
+    ]
     assert len(list(select(once(log), OUT))) == 2

@@ -1,0 +1,107 @@
+"""``decode``: the contract for scripts."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.buffers import join
+from igtl_gateway.cli import main
+from igtl_gateway.wire import Item, Message, Raw, encode
+from igtl_gateway.wire.text import String
+from igtl_gateway.wire.transform import Transform
+
+MESSAGES = [
+    Message("TRANSFORM", "Tool", Transform((1, 0, 0, 0, 1, 0, 0, 0, 1, 10.0, 20.0, 30.0)), 1 << 32 | 1 << 31),
+    Message("STRING", "Text", String.of("hé"), 0, 2, 7, (Item.of("key", "value"),)),
+    Message("MYSTERY", "Box", Raw(b"\x01\x02")),
+    Message("GET_STATUS", "", Raw(b"")),
+]
+STREAM = b"".join(join(encode(message)) for message in MESSAGES)
+
+
+def decoded(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[dict[str, object]], str]:
+    code = main(("decode", *arguments))
+    told = capsys.readouterr()
+    return code, [json.loads(line) for line in told.out.splitlines()], told.err
+
+
+@pytest.fixture
+def stream(tmp_path: Path) -> Path:
+    path = tmp_path / "stream.igtl"
+    path.write_bytes(STREAM)
+    return path
+
+
+def test_one_json_object_per_message(stream: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, told, err = decoded(capsys, str(stream))
+    assert (code, err) == (0, "")
+    assert [one["type"] for one in told] == [message.type for message in MESSAGES]
+    assert told[0]["timestamp"] == {"sec": 1, "frac": 1 << 31, "nanosec": 500_000_000}
+    assert told[0]["content"] == {"matrix": [[1, 0, 0, 10], [0, 1, 0, 20], [0, 0, 1, 30], [0, 0, 0, 1]]}
+    assert told[1]["ext"] == {"ext_header_size": 12, "metadata_header_size": 10, "metadata_size": 8, "message_id": 7}
+    assert told[1]["metadata"] == [{"key": "key", "encoding": 3, "value": "value"}]
+    assert told[1]["content"] == {"encoding": 106, "string": "hé", "string_hex": "68c3a9"}
+    assert all(one["crc_ok"] for one in told)
+    assert [one["offset"] for one in told] == [0, 106, 106 + 58 + 12 + 7 + 18, 106 + 95 + 60]
+
+
+def test_reencoding_gives_the_same_bytes(stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "again.igtl"
+    code, _, _ = decoded(capsys, str(stream), "--reencode", str(out))
+    assert code == 0
+    assert out.read_bytes() == STREAM
+
+
+def test_standard_input_is_a_file_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], stream: Path
+) -> None:
+    class Stdin:
+        buffer = io.BytesIO()
+
+        def fileno(self) -> int:
+            return self.file.fileno()
+
+        file = stream.open("rb")
+
+    monkeypatch.setattr("sys.stdin", Stdin())
+    assert len(decoded(capsys, "-")[1]) == len(MESSAGES)
+
+
+def test_damage_is_told_and_the_rest_decoded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = bytearray(STREAM)
+    bad[60] ^= 1
+    path = tmp_path / "bad.igtl"
+    path.write_bytes(bad)
+    out = tmp_path / "again.igtl"
+    code, told, _ = decoded(capsys, str(path), "--reencode", str(out))
+    assert code == 1
+    assert [one["crc_ok"] for one in told] == [False, True, True, True]
+    assert out.read_bytes() == bytes(bad), "what cannot be trusted stays as it was"
+
+
+@pytest.mark.parametrize("cut", [1, 57, 58, 105, 107])
+def test_a_stream_that_ends_inside_a_message(cut: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "cut.igtl"
+    path.write_bytes(STREAM[:cut])
+    code, told, err = decoded(capsys, str(path))
+    assert code == 1
+    assert len(told) == cut // 106
+    assert err.count("\n") == 1 and "ends inside" in err
+
+
+def test_a_header_that_announces_too_much(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "huge.igtl"
+    path.write_bytes(STREAM[:106] + STREAM[:42] + b"\x40" + bytes(15))
+    code, told, err = decoded(capsys, str(path))
+    assert (code, len(told)) == (1, 1)
+    assert err.startswith("igtl-gateway decode: offset 106: ") and "4611686018427387904" in err
+
+
+def test_a_missing_file_is_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = decoded(capsys, str(tmp_path / "none.igtl"))
+    assert code == 2
+    assert "No such file" in err
