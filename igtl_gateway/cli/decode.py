@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
     return 1 if damaged or framer.pending else 0
 
 
-def _messages(source: "BufferedReader[FileIO]", framer: Framer) -> Iterator[Buffer]:
+def _messages(source: BufferedReader[FileIO], framer: Framer) -> Iterator[Buffer]:
     while read := source.readinto1(framer.buffer()):
         yield from framer.received(read)
     yield from framer.received(0)  # raises what the last bytes announced

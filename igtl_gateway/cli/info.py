@@ -200,9 +200,8 @@ def _print_streams(streams: list[dict[str, Any]]) -> None:
         gap = f"GAP of {stream['longest_pause_s']:.1f} s" if stream["gap"] else ""
         ros_type = stream["type"] if "/" in stream["type"] else ""
         facts = ", ".join(fact for fact in (ros_type, stream["stamps"], gap) if fact)
-        print(
-            f"    {stream['stream']:<{width}} {stream['messages']:>7,} {rate:>10} {size(stream['bytes']):>9}  {facts}".rstrip()
-        )
+        counts = f"{stream['messages']:>7,} {rate:>10} {size(stream['bytes']):>9}"
+        print(f"    {stream['stream']:<{width}} {counts}  {facts}".rstrip())
 
 
 def _line(stamp_ns: int, note: Note, start_ns: int) -> str:

@@ -101,7 +101,7 @@ class RosEdge:
         direct: receive by our own wait set; False (or an rclpy without its internals) by the executor.
     """
 
-    def __init__(  # noqa: PLR0913 (keywords only)
+    def __init__(
         self,
         *,
         node_name: str = "igtl_gateway",

@@ -203,11 +203,11 @@ class SessionWriter:
 
 def _create(path: Path, overwrite: bool) -> BufferedWriter:
     """The open file.  Raises RecordingError with what is in the way."""
-    if path.is_dir():
-        raise RecordingError(f"cannot record to {path}: it is a directory")
-    if path.exists() and not path.is_file():
-        raise RecordingError(f"cannot record to {path}: it is not a regular file")
     try:
+        if path.is_dir():
+            raise RecordingError(f"cannot record to {path}: it is a directory")
+        if path.exists() and not path.is_file():
+            raise RecordingError(f"cannot record to {path}: it is not a regular file")
         return path.open("wb" if overwrite else "xb")
     except FileExistsError:
         raise RecordingError(f"cannot record to {path}: the file exists already") from None

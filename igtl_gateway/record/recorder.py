@@ -110,7 +110,7 @@ class Recorder:
         self._taken_bytes = 0  # of all entries that ever entered the queue …
         self._taken_entries = 0
         self._dropped: Counter[str] = Counter()
-        self._untold: Counter[str] = Counter()  # drops that no note has told of yet
+        self._untold: Counter[str] = Counter()  # drops at the bound that no note has told of yet
         self._closing = False
 
         self._batch: deque[Entry] = deque()  # what the thread is writing
@@ -171,13 +171,14 @@ class Recorder:
             self._summary = self._finish()
         return self._summary
 
-    def _count_drop(self, entry: Entry) -> None:
+    def _count_drop(self, entry: Entry, *, tell: bool = True) -> None:
         """The caller holds the lock."""
         stream = entry.channel or entry.kind.value
         if stream not in self._dropped and len(self._dropped) >= _MAX_STREAMS:
             stream = _OTHERS
         self._dropped[stream] += 1
-        self._untold[stream] += 1
+        if tell:
+            self._untold[stream] += 1
 
     # -- the recorder's thread --------------------------------------------------------------------------------
 
@@ -204,21 +205,19 @@ class Recorder:
             self._tell_drops()
 
     def _write(self, entry: Entry) -> None:
+        written = False
         try:
-            if self._failure:
-                with self._lock:
-                    self._count_drop(entry)
-                return
-            self._writer.write(entry)
+            if not self._failure:
+                self._writer.write(entry)
+                written = True
         except LayoutError as error:
-            with self._lock:
-                self._count_drop(entry)
             self._refused(entry, error)
         except RecordingError as error:
-            with self._lock:
-                self._count_drop(entry)
             self._fail(str(error))
         finally:
+            if not written:
+                with self._lock:
+                    self._count_drop(entry, tell=False)
             self._done_bytes += entry.size + _ENTRY_BYTES
             self._done_entries += 1
         if len(self._writer.undefined) > self._told_undefined:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 
@@ -60,8 +59,6 @@ def test_standard_input_is_a_file_too(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], stream: Path
 ) -> None:
     class Stdin:
-        buffer = io.BytesIO()
-
         def fileno(self) -> int:
             return self.file.fileno()
 
