@@ -311,7 +311,7 @@ def _check_ends(path: Path, stream: IO[bytes]) -> int:
             raise cut
         if (opcode, length) != (_FOOTER_OPCODE, _FOOTER_LENGTH) or summary_start > size - _FOOTER.size:
             raise DamagedRecording(f"{path}: its footer is damaged; {_recover(path)} mends it")
-        if crc:
+        if crc and summary_start:
             stream.seek(summary_start)
             summary = stream.read(size - _FOOTER.size - summary_start)
             found = zlib.crc32(footer[:_FOOTER_CRC_COVERS], zlib.crc32(summary))

@@ -1,0 +1,484 @@
+"""The recorder with real files, real processes killed for real, and a real disk limit.
+
+Waiting is on conditions, with a deadline that only a failure reaches.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import resource
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+
+from igtl_gateway.clock import ManualClock, SystemClock
+from igtl_gateway.errors import DamagedRecording, RecordingError
+from igtl_gateway.qos import Qos
+from igtl_gateway.record import recorder as recorder_module
+from igtl_gateway.record.mcap_writer import Compression, SessionWriter
+from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.session import layout
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from tests.record import samples
+
+DEADLINE_S = 30.0
+ROOT = Path(__file__).parents[2]
+
+
+class Bench:
+    """A recorder, what it said, and a way to hold its thread: inside the question for the QoS of a topic."""
+
+    def __init__(self, path: Path, **options: int | float | str | bool) -> None:
+        self.clock = ManualClock()
+        self.notes: list[Note] = []
+        self.asked = threading.Event()
+        self.go_on = threading.Event()
+        self.go_on.set()
+        self._changed = threading.Condition()
+        self.recorder = Recorder(
+            path,
+            samples.SESSION,
+            qos_of=self._qos_of,
+            on_note=self._on_note,
+            clock=self.clock,
+            **options,  # type: ignore[arg-type]
+        )
+
+    def hold(self, seq: int) -> None:
+        """Make the thread stop at an entry, and return when it does."""
+        self.wait_drained()
+        self.asked.clear()
+        self.go_on.clear()
+        self.recorder(samples.ros(seq, topic=f"/hold_{seq}"))
+        assert self.asked.wait(DEADLINE_S)
+
+    def _qos_of(self, _topic: str, _type: str) -> Qos | None:
+        self.asked.set()
+        assert self.go_on.wait(DEADLINE_S)
+        return None
+
+    def _on_note(self, note: Note) -> None:
+        with self._changed:
+            self.notes.append(note)
+            self._changed.notify_all()
+
+    def wait_drained(self) -> None:
+        clock, tick = SystemClock(), threading.Event()
+        deadline_ns = clock.monotonic_ns() + int(DEADLINE_S * 1e9)
+        while self.recorder.counters()["queued_entries"]:
+            assert clock.monotonic_ns() < deadline_ns
+            tick.wait(0.001)
+
+    def wait_notes(self, number: int) -> None:
+        with self._changed:
+            assert self._changed.wait_for(lambda: len(self.notes) >= number, DEADLINE_S)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "session.mcap"
+
+
+def read(path: Path) -> list[Entry]:
+    with SessionFile.open(path) as file:
+        return list(file.entries())
+
+
+# --- what is recorded ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
+def test_what_went_in_is_in_the_file(path: Path, compression: str) -> None:
+    bench = Bench(path, compression=compression)
+    entries = samples.every_kind(100)
+    for entry in entries:
+        bench.recorder(entry)
+    summary = bench.recorder.close({"streams": {"a": 1}})
+    assert (summary.path, summary.entries, summary.dropped, summary.failure) == (path, len(entries), {}, "")
+    assert summary.size == path.stat().st_size
+    assert read(path) == [samples.flat(entry) for entry in entries]
+    with SessionFile.open(path) as file:
+        assert file.session == {**samples.SESSION, "format_version": "1"}
+        assert file.ledger is not None
+        assert file.ledger["streams"] == {"a": 1}
+        assert file.ledger["recorder"]["written_entries"] == len(entries)
+        assert file.ledger["recorder"]["dropped_entries"] == 0
+    assert bench.notes == []
+
+
+def test_closing_twice_gives_the_same_summary(path: Path) -> None:
+    bench = Bench(path)
+    bench.recorder(samples.ros(1))
+    first = bench.recorder.close({"first": True})
+    before = path.read_bytes()
+    assert bench.recorder.close({"second": True}) == first
+    assert path.read_bytes() == before
+
+
+def test_entries_after_the_end_are_counted_as_dropped(path: Path) -> None:
+    bench = Bench(path)
+    bench.recorder.close({})
+    bench.recorder(samples.ros(1))
+    assert bench.recorder.counters()["dropped"] == {"/chatter": 1}
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
+def test_equal_entries_give_equal_files(tmp_path: Path, compression: Compression) -> None:
+    files = []
+    for name in ("a", "b"):
+        writer = SessionWriter(tmp_path / name, samples.SESSION, compression=compression, chunk_bytes=4096)
+        for entry in samples.every_kind(50):
+            writer.write(entry)
+        writer.close({})
+        files.append((tmp_path / name).read_bytes())
+    assert files[0] == files[1]
+
+
+def test_a_session_without_entries_is_a_whole_file(path: Path) -> None:
+    Bench(path).recorder.close({})
+    assert read(path) == []
+
+
+# --- the file cannot be created --------------------------------------------------------------------------------
+
+
+def _in_missing_folder(tmp_path: Path) -> Path:
+    return tmp_path / "no" / "such" / "session.mcap"
+
+
+def _directory(tmp_path: Path) -> Path:
+    return tmp_path
+
+
+def _existing(tmp_path: Path) -> Path:
+    path = tmp_path / "session.mcap"
+    path.write_bytes(b"precious")
+    return path
+
+
+def _under_a_file(tmp_path: Path) -> Path:
+    return _existing(tmp_path) / "session.mcap"
+
+
+def _too_long(tmp_path: Path) -> Path:
+    return tmp_path / ("x" * 300)
+
+
+def _device(_tmp_path: Path) -> Path:
+    return Path("/dev/full")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (_in_missing_folder, "there is no folder"),
+        (_directory, "it is a directory"),
+        (_existing, "exists already"),
+        (_under_a_file, "cannot record"),
+        (_too_long, "cannot record"),
+        (_device, "not a regular file"),
+    ],
+)
+def test_a_file_that_cannot_be_created(tmp_path: Path, make: Callable[[Path], Path], words: str) -> None:
+    path = make(tmp_path)
+    with pytest.raises(RecordingError, match=words) as caught:
+        Bench(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_existing_file_is_kept_unless_told_otherwise(tmp_path: Path) -> None:
+    path = _existing(tmp_path)
+    with pytest.raises(RecordingError):
+        Bench(path)
+    assert path.read_bytes() == b"precious"
+    bench = Bench(path, overwrite=True)
+    bench.recorder(samples.ros(1))
+    bench.recorder.close({})
+    assert read(path) == [samples.ros(1)]
+
+
+# --- drops -----------------------------------------------------------------------------------------------------
+
+
+def test_beyond_the_bound_entries_are_dropped_counted_and_noted(path: Path) -> None:
+    bench = Bench(path, queue_entries=10)
+    bench.hold(1)
+    for seq in range(2, 32):
+        bench.recorder(samples.igtl(seq, device="a" if seq % 2 else "b"))
+    # the held one counts, so nine of thirty found a place
+    dropped = {"TRANSFORM/a": 11, "TRANSFORM/b": 10}
+    counters = bench.recorder.counters()
+    assert (counters["dropped"], counters["dropped_entries"], counters["queued_entries"]) == (dropped, 21, 10)
+    bench.go_on.set()
+    bench.wait_notes(1)
+    (note,) = bench.notes
+    assert (note.level, note.code, note.data) == (Level.WARN, recorder_module.DROPPED, {"dropped": dropped})
+    told = Entry(40, samples.START_NS + 40, Kind.EDGE_NOTE, payload=(note.pack(),))
+    bench.recorder(told)
+    summary = bench.recorder.close({})
+    assert (summary.entries, summary.dropped) == (11, dropped)
+    entries = read(path)
+    assert [entry.seq for entry in entries] == [*range(1, 11), 40]
+    assert entries[-1] == told
+    with SessionFile.open(path) as file:
+        assert file.ledger is not None
+        assert file.ledger["recorder"]["dropped_entries"] == 21
+
+
+def test_the_bound_in_bytes(path: Path) -> None:
+    bench = Bench(path, queue_bytes=1_000_000)
+    bench.hold(1)
+    for seq in range(2, 12):
+        bench.recorder(samples.igtl(seq, body=bytes(200_000)))
+    assert bench.recorder.counters()["dropped_entries"] == 6
+    bench.go_on.set()
+    assert bench.recorder.close({}).entries == 5
+
+
+def test_one_entry_larger_than_the_bound_is_recorded(path: Path) -> None:
+    bench = Bench(path, queue_bytes=1000)
+    bench.recorder(samples.igtl(1, body=bytes(100_000)))
+    assert bench.recorder.close({}).entries == 1
+
+
+def test_drops_are_noted_at_most_once_a_second_but_all_of_them(path: Path) -> None:
+    bench = Bench(path, queue_entries=1)
+    bench.hold(1)
+    bench.recorder(samples.igtl(2))
+    bench.go_on.set()
+    bench.wait_notes(1)
+    bench.hold(3)
+    bench.recorder(samples.igtl(4))
+    bench.go_on.set()
+    bench.hold(5)  # the thread has been through its round of the first second: no second note
+    assert len(bench.notes) == 1
+    bench.clock.advance(1_000_000_000)
+    bench.recorder(samples.igtl(6))
+    bench.go_on.set()
+    bench.wait_notes(2)
+    assert [note.data for note in bench.notes] == [{"dropped": {"TRANSFORM/ProbeToTracker": n}} for n in (1, 2)]
+    assert bench.recorder.close({}).dropped == {"TRANSFORM/ProbeToTracker": 3}
+
+
+def test_streams_of_drops_are_bounded(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorder_module, "_MAX_STREAMS", 2)
+    bench = Bench(path)
+    bench.recorder.close({})
+    for number in range(5):
+        bench.recorder(samples.igtl(number, device=f"n{number}"))
+    assert bench.recorder.counters()["dropped"] == {"TRANSFORM/n0": 1, "TRANSFORM/n1": 1, "(others)": 3}
+
+
+# --- entries that do not fit -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        Entry(2, 2, Kind.IGTL_IN, "no slash", "IMAGE"),
+        Entry(2, -1, Kind.ROS_IN, "/chatter", "std_msgs/msg/String", (b"",)),
+        Entry(2, 2, Kind.ROS_IN, "/chatter", "std_msgs/msg/String", (b"",), source_ns=2**64),
+        Entry(2, 2, Kind.IGTL_OUT, "IMAGE/a", "IMAGE", (b"",), links=(2**32,)),
+    ],
+    ids=["channel", "stamp", "source stamp", "link"],
+)
+def test_an_entry_that_the_format_cannot_hold_costs_only_itself(path: Path, bad: Entry) -> None:
+    bench = Bench(path)
+    for entry in (samples.ros(1), bad, bad, samples.ros(3)):
+        bench.recorder(entry)
+    summary = bench.recorder.close({})
+    assert summary.dropped == {bad.channel: 2}
+    assert [(note.level, note.code, note.stream) for note in bench.notes] == [
+        (Level.ERROR, recorder_module.REFUSED, bad.channel)
+    ]
+    assert read(path) == [samples.ros(1), samples.ros(3)]
+
+
+def test_a_type_without_definition_is_recorded_and_noted_once(path: Path) -> None:
+    entries = [Entry(seq, seq, Kind.ROS_IN, f"/t{seq}", "unheard_of/msg/Thing", (b"\0\1\0\0x",)) for seq in (1, 2)]
+    bench = Bench(path)
+    for entry in entries:
+        bench.recorder(entry)
+    bench.recorder.close({})
+    assert [note.code for note in bench.notes] == [recorder_module.UNDEFINED]
+    assert read(path) == entries
+
+
+# --- kill −9 ---------------------------------------------------------------------------------------------------
+
+RECORDING_CHILD = """
+import sys, threading
+from pathlib import Path
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.record.recorder import Recorder
+from tests.record import samples
+path, clock = Path(sys.argv[1]), SystemClock()
+recorder = Recorder(path, samples.SESSION, qos_of=lambda topic, type: None, on_note=print, clock=clock)
+for seq in range(1, 1001):
+    recorder(samples.igtl(seq))
+print("given", flush=True)
+seq = 1000
+while True:
+    threading.Event().wait(0.001)
+    if sys.argv[2] == "busy":
+        seq += 1
+        recorder(samples.igtl(seq))
+"""
+
+
+def scanned(path: Path) -> Iterator[Entry]:
+    """Entries of a file without index, as far as it can be read."""
+    kinds = {}
+    with path.open("rb") as stream:
+        try:
+            for record in StreamReader(stream, validate_crcs=True).records:
+                if isinstance(record, Channel):
+                    kinds[record.id] = record.metadata[layout.KIND_KEY]
+                elif isinstance(record, Message):
+                    assert kinds[record.channel_id] == Kind.IGTL_IN.value
+                    yield layout.unpack_raw(record.data, record.sequence, record.log_time, record.publish_time)
+        except (McapError, ValueError, RuntimeError):
+            return
+
+
+@pytest.mark.parametrize("work", ["idle", "busy"])
+def test_after_kill_9_everything_flushed_is_there(path: Path, work: str) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", RECORDING_CHILD, str(path), work], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as child:
+        try:
+            assert child.stdout is not None
+            assert child.stdout.readline() == "given\n"
+            clock, tick = SystemClock(), threading.Event()
+            deadline_ns = clock.monotonic_ns() + int(DEADLINE_S * 1e9)
+            # nothing closes the file: that all thousand come to be read is the flush's work
+            while sum(1 for _ in scanned(path)) < 1000:
+                assert clock.monotonic_ns() < deadline_ns
+                tick.wait(0.05)
+        finally:
+            child.kill()
+        assert child.wait() == -signal.SIGKILL
+    entries = list(scanned(path))
+    assert len(entries) >= 1000
+    assert entries == [samples.flat(samples.igtl(seq)) for seq in range(1, len(entries) + 1)]
+    with pytest.raises(DamagedRecording, match=r"was cut off .* `pymcap-cli recover"):
+        SessionFile.open(path)
+    mended = path.with_name("mended.mcap")
+    subprocess.run(
+        [Path(sys.executable).with_name("pymcap-cli"), "recover", path, mended], check=False, capture_output=True
+    )
+    with SessionFile.open(mended) as file:
+        assert (file.foreign, file.session["config"], file.ledger) == (False, samples.SESSION["config"], None)
+        assert list(file.entries()) == entries
+
+
+# --- disk full -------------------------------------------------------------------------------------------------
+
+FULL_DISK_CHILD = """
+import json, sys, threading
+from pathlib import Path
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.record.recorder import Recorder
+from tests.record import samples
+from tests.record.test_recorder import noise
+notes, failed = [], threading.Event()
+def on_note(note):
+    notes.append(note.code)
+    failed.set()
+path, clock = Path(sys.argv[1]), SystemClock()
+recorder = Recorder(path, samples.SESSION, qos_of=lambda topic, type: None, on_note=on_note, clock=clock)
+seq = 0
+while not failed.is_set():
+    seq += 1
+    recorder(samples.igtl(seq, body=noise(seq)))
+recorder(samples.igtl(seq + 1))
+summary = recorder.close({})
+print(json.dumps({"given": seq + 1, "notes": notes, "entries": summary.entries, "dropped": summary.dropped,
+                  "failure": summary.failure}))
+"""
+
+
+def noise(seed: int) -> bytes:
+    """What no compression makes smaller."""
+    return random.Random(seed).randbytes(50_000)
+
+
+def test_when_the_disk_is_full_the_recording_ends_and_the_process_goes_on(path: Path) -> None:
+    limit = 4_000_000
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK_CHILD, str(path)],
+        cwd=ROOT, capture_output=True, text=True, check=True, timeout=120, preexec_fn=limited,
+    )  # fmt: skip
+    assert done.stderr == ""
+    told = json.loads(done.stdout)
+    assert told["notes"] == [recorder_module.FAILED]
+    assert str(path) in told["failure"]
+    assert sum(told["dropped"].values()) + told["entries"] == told["given"]
+    entries = list(scanned(path))
+    assert entries
+    assert entries == [samples.flat(samples.igtl(n, body=noise(n))) for n in range(1, len(entries) + 1)]
+
+
+def test_a_full_disk_at_the_start_is_told_and_leaves_nothing(path: Path) -> None:
+    code = f"""
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+from pathlib import Path
+from igtl_gateway.errors import RecordingError
+from igtl_gateway.record.mcap_writer import SessionWriter
+try:
+    SessionWriter(Path({str(path)!r}), {{}})
+except RecordingError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith(f"cannot record to {path}: ")
+    assert done.stdout.count("\n") == 1
+    assert not path.exists()
+
+
+def test_a_writer_that_failed_says_so_again_and_closes_quietly(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = SessionWriter(path, samples.SESSION)
+    writer.write(samples.ros(1))
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(writer._mcap, "flush", full)
+    for _ in range(2):
+        with pytest.raises(RecordingError, match="No space left on device"):
+            writer.flush()
+    writer.close({})
+
+
+def test_a_defect_in_the_thread_ends_the_recording_not_the_process(path: Path) -> None:
+    notes: list[Note] = []
+
+    def broken(_topic: str, _type: str) -> Qos | None:
+        raise KeyError("defect")
+
+    recorder = Recorder(path, {}, qos_of=broken, on_note=notes.append, clock=SystemClock())
+    recorder(samples.igtl(1))
+    for seq in range(2, 6):
+        recorder(samples.ros(seq))
+    summary = recorder.close({})
+    assert "KeyError" in summary.failure
+    assert [note.code for note in notes] == [recorder_module.FAILED]
+    assert summary.entries + sum(summary.dropped.values()) == 5
+    assert len(read(path)) == summary.entries  # closed all the same
