@@ -10,7 +10,17 @@ from typing import Any, Protocol
 
 from igtl_gateway import __version__
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
-from igtl_gateway.cli.common import add_addresses, addresses, count, load_config, print_json, size, stop_event
+from igtl_gateway.cli.common import (
+    add_addresses,
+    add_send,
+    addresses,
+    count,
+    load_config,
+    print_json,
+    size,
+    stop_event,
+    with_sends,
+)
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
@@ -48,13 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--record-all", action="store_true", help="with --record: record all ROS topics")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing recording")
     parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file")
-    parser.add_argument(
-        "--send",
-        action="append",
-        default=[],
-        metavar="TOPIC[=DEVICE[:TYPE]]",
-        help="send a ROS topic to OpenIGTLink, as this device and type; may be repeated",
-    )
+    add_send(parser)
     parser.add_argument("--no-ros", action="store_true", help="OpenIGTLink only")
     parser.add_argument("--node-name", default="igtl_gateway", metavar="NAME", help="of the ROS node (%(default)s)")
     parser.add_argument("--queue-mib", type=int, default=64, metavar="MIB", help="send queue of a peer (%(default)s)")
@@ -111,18 +115,6 @@ def run(options: argparse.Namespace) -> int:
         out.events(watch.take())
         out.stopped(bridge, watch)
     return 0
-
-
-def with_sends(config: Config, sends: list[str]) -> Config:
-    """``config`` with a row in front for each ``TOPIC[=DEVICE[:TYPE]]``."""
-    rows = []
-    for text in sends:
-        topic, _, rest = text.partition("=")
-        device, _, igtl_type = rest.partition(":")
-        if not topic.startswith("/"):
-            raise ConfigError(f"--send: found {text!r}, expected /topic, /topic=Device or /topic=Device:TYPE")
-        rows.append({"topic": topic, "device": device, "type": igtl_type})
-    return Config.from_dict(config.to_dict() | {"to_igtl": [*rows, *config.to_dict()["to_igtl"]]})
 
 
 class _Watch:

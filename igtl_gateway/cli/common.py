@@ -63,6 +63,29 @@ def addresses(options: argparse.Namespace) -> tuple[tuple[tuple[str, int], ...],
     return listen if listen or connect else ((DEFAULT_HOST, DEFAULT_PORT),), connect
 
 
+def add_send(parser: argparse.ArgumentParser) -> None:
+    """``--send``, any number of times."""
+    parser.add_argument(
+        "--send",
+        action="append",
+        default=[],
+        metavar="TOPIC[=DEVICE[:TYPE]]",
+        help="send a ROS topic to OpenIGTLink, as this device and type; may be repeated",
+    )
+
+
+def with_sends(config: Config, sends: list[str]) -> Config:
+    """``config`` with a row in front for each ``TOPIC[=DEVICE[:TYPE]]``."""
+    rows = []
+    for text in sends:
+        topic, _, rest = text.partition("=")
+        device, _, igtl_type = rest.partition(":")
+        if not topic.startswith("/"):
+            raise ConfigError(f"--send: found {text!r}, expected /topic, /topic=Device or /topic=Device:TYPE")
+        rows.append({"topic": topic, "device": device, "type": igtl_type})
+    return Config.from_dict(config.to_dict() | {"to_igtl": [*rows, *config.to_dict()["to_igtl"]]})
+
+
 def load_config(path: Path | None) -> Config:
     """The configuration of a file, or the default one."""
     return Config.from_toml(path) if path else Config()

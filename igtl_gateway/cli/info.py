@@ -32,6 +32,9 @@ _GAP_FACTOR = 10
 _GAP_MIN_NS = NS_PER_S
 _NS_PER_MS = 1_000_000
 
+#: So many stamps tell their quality; a longer session must not cost memory.
+_MAX_AGES = 100_000
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or a rosbag2 MCAP file")
@@ -51,7 +54,7 @@ class Stream:
     last_ns: int = 0
     longest_pause_ns: int = 0
     unstamped: int = 0
-    ages_ns: list[int] = field(default_factory=list)
+    ages_ns: list[int] = field(default_factory=list)  # of the first _MAX_AGES messages
 
     def add(self, entry: Entry) -> None:
         if self.messages:
@@ -62,10 +65,10 @@ class Stream:
         self.messages += 1
         self.bytes += entry.size
         if entry.kind.is_input:
-            if entry.source_ns:
-                self.ages_ns.append(entry.stamp_ns - entry.source_ns)
-            else:
+            if not entry.source_ns:
                 self.unstamped += 1
+            elif len(self.ages_ns) < _MAX_AGES:
+                self.ages_ns.append(entry.stamp_ns - entry.source_ns)
 
     @property
     def rate_hz(self) -> float:

@@ -13,16 +13,18 @@ from typing import Any
 from igtl_gateway.app.player import Plan, Player, igtl_sender, plan, planned, ros_sender
 from igtl_gateway.cli.common import (
     add_addresses,
+    add_send,
     addresses,
     count,
     print_json,
     recorded_config,
     size,
     stop_event,
+    with_sends,
 )
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.playback import PlaybackClock
 from igtl_gateway.session.entry import Entry
@@ -32,7 +34,8 @@ EXAMPLES = """\
   igtl-gateway replay out.mcap --to igtl --as-fast-as-possible     the same bytes in the same order, at once
   igtl-gateway replay out.mcap --to igtl --connect 127.0.0.1:18944 be the client
   igtl-gateway replay out.mcap --to ros --rate 0.5                 publish what ROS heard, at half speed
-  igtl-gateway replay bag.mcap --to igtl --through-gateway         recorded inputs through today's converters
+  igtl-gateway replay out.mcap --to igtl --through-gateway         recorded inputs through today's converters
+  igtl-gateway replay bag.mcap --to igtl --send /camera/image=Cam  a rosbag2 MCAP file: its topics as devices
   igtl-gateway replay out.mcap --to igtl --streams 'IMAGE/*'       some streams only
 
 At every rate the same messages go out in the same order; a slow reader slows the replay down, nothing is dropped."""
@@ -48,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", type=Path, metavar="TOML", help="with --through-gateway: instead of the recorded one"
     )
+    add_send(parser)
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument("--rate", type=float, default=1.0, metavar="R", help="recorded seconds per second (%(default)s)")
     pace.add_argument("--as-fast-as-possible", action="store_true", help="no pauses")
@@ -69,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
     if options.wait_peers is not None and options.wait_peers < 0:
         raise ConfigError(f"--wait-peers: found {options.wait_peers}, expected 0 or more")
     with SessionFile.open(options.file) as file, stop_event() as stop, ExitStack() as stack:
-        config = recorded_config(file.session, options.config)
+        config = with_sends(recorded_config(file.session, options.config), options.send)
         how = plan(file, options.to, options.through_gateway)
         entries = planned(file, config, how, options.streams)
         _tell(options, f"{options.file}: {how.why}")
@@ -84,6 +88,8 @@ def run(options: argparse.Namespace) -> int:
         finally:
             complete = finish() and not stop.is_set()
             _report(options, player, complete)
+    if complete and not player.played.messages:
+        raise GatewayError(f"{options.file}: nothing in it goes to {options.to}: see `igtl-gateway info`, and --send")
     return 0 if complete else 1
 
 
