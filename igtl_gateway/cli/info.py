@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -143,7 +143,7 @@ def run(options: argparse.Namespace) -> int:
             ],
             "session": file.session,
             "ledger": file.ledger,
-            "skipped": list(file.skipped),
+            "skipped": [asdict(skipped) for skipped in file.skipped],
         }
         if options.json:
             print_json(told)
@@ -184,7 +184,10 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
         ("problems", [f"{number:>7,}  {code}" for code, number in told["problems"].items()] or ["   none"]),
         ("first of each problem", _firsts(notes, start_ns)),
         ("losses", _losses(told["ledger"])),
-        ("skipped", told["skipped"]),
+        (
+            "skipped",
+            [f"{each['topic']} ({count(each['count'], 'message')}): {each['why']}" for each in told["skipped"]],
+        ),
     ):
         if lines:
             print(f"  {title}")

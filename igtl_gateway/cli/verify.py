@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from igtl_gateway.cli.common import count, print_json, recorded_config
+from igtl_gateway.errors import UnsupportedRecording
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import Report, verify
 
@@ -27,6 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     with SessionFile.open(options.file) as file:
+        if file.foreign:
+            raise UnsupportedRecording(f"{options.file}: is no session of igtl-gateway: it has no outputs to verify")
         config = recorded_config(file.session, options.config)
         recorder = (file.ledger or {}).get("recorder", {})
         report = verify(file.entries(), config, int(recorder.get("dropped_entries", 0)))
