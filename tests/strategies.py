@@ -1,0 +1,338 @@
+"""Hypothesis strategies for OpenIGTLink messages and ROS messages: valid ones, odd ones, broken ones.
+
+Numbers are drawn small and often at the edges: what breaks a codec is the shape of a message, not its bulk.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from igtl_gateway.buffers import join
+from igtl_gateway.convert import rosmsg
+from igtl_gateway.wire import Item, Message, Raw, encode
+from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.image import SCALARS, Image
+from igtl_gateway.wire.point import POINT_DTYPE, Points
+from igtl_gateway.wire.polydata import Attribute, Cells, PolyData
+from igtl_gateway.wire.text import Status, String
+from igtl_gateway.wire.transform import Position, Transform
+
+# -- numbers and texts ------------------------------------------------------------------------------------------
+
+finite32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
+any32 = st.floats(width=32)
+finite64 = st.floats(allow_nan=False, allow_infinity=False)
+any64 = st.floats() | st.sampled_from([0.0, -0.0, 1e-300, 1e300, 1e38, math.inf, -math.inf, math.nan])
+metres = st.floats(min_value=-1e4, max_value=1e4, allow_subnormal=False)
+u16 = st.integers(0, 0xFFFF)
+u32 = st.sampled_from([0, 1, 2, 3, 4, 255, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1]) | st.integers(0, 2**32 - 1)
+small = st.integers(0, 6)
+
+ascii_text = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), max_size=12)
+
+
+def fixed_text(width: int) -> st.SearchStrategy[str]:
+    """What a fixed-width field may hold: any bytes that do not end in NUL, as the codec decodes them."""
+    return (
+        st.binary(max_size=width).map(lambda data: data.rstrip(b"\x00").decode("utf-8", "surrogateescape")) | ascii_text
+    )
+
+
+# -- OpenIGTLink bodies -----------------------------------------------------------------------------------------
+
+
+def transforms(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Transform]:
+    return st.tuples(*[numbers] * 12).map(Transform)
+
+
+def positions(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Position]:
+    return st.builds(Position, st.tuples(*[numbers] * 3), st.tuples(*[numbers] * 4))
+
+
+strings = st.builds(String, st.binary(max_size=40), st.sampled_from([0, 3, 4, 17, 106, 1013, 1014, 1015, 2025, 65535]))
+
+
+@st.composite
+def statuses(draw: st.DrawFn) -> Status:
+    terminated = draw(st.booleans())
+    data = draw(st.binary(max_size=30))
+    if not terminated:
+        data = data.rstrip(b"\x00")
+    text = data.decode("utf-8", "surrogateescape")
+    subcode = draw(st.integers(-(2**63), 2**63 - 1))
+    return Status(draw(u16), subcode, draw(fixed_text(20)), text, terminated)
+
+
+@st.composite
+def points(draw: st.DrawFn, numbers: st.SearchStrategy[float]) -> Points:
+    elements = np.zeros(draw(st.integers(0, 4)), POINT_DTYPE)
+    for element in elements:
+        for field, width in (("name", 64), ("group", 32), ("owner", 20)):
+            element[field] = draw(st.binary(max_size=width))
+        element["rgba"] = draw(st.tuples(*[st.integers(0, 255)] * 4))
+        element["position"] = draw(st.tuples(*[numbers] * 3))
+        element["diameter"] = draw(numbers)
+    return Points(elements)
+
+
+def cells(count: int) -> st.SearchStrategy[Cells]:
+    """Cells over ``count`` points, of equal or of mixed length."""
+    if not count:
+        return st.lists(st.just([]), max_size=2).map(Cells.of)
+    index = st.integers(0, count - 1)
+    return st.lists(st.lists(index, max_size=6), max_size=5).map(Cells.of) | st.lists(
+        st.lists(index, min_size=3, max_size=3), max_size=4
+    ).map(Cells.of)
+
+
+@st.composite
+def attributes(draw: st.DrawFn, count: int, numbers: st.SearchStrategy[float]) -> Attribute:
+    kind = draw(st.sampled_from([0, 1, 2, 3, 4, 5, 0x10, 0x11, 0x12, 0x13, 0x14, 0x15, 0x77]))
+    components = draw(st.sampled_from([1, 2, 3, 4, 9, 255]))
+    tuples = draw(st.sampled_from([0, count, count, count + 1]))
+    name = draw(
+        st.sampled_from(["", "x", "y", "RGB", "rgba", "Colors", "rgb", "normal_x", "Normals", "diameter"])
+        | st.binary(max_size=20).map(lambda data: data.replace(b"\x00", b"").decode("utf-8", "surrogateescape"))
+    )
+    value = draw(st.lists(numbers, min_size=1, max_size=5))
+    data = np.resize(np.array(value, ">f4"), components * tuples).astype(">f4")
+    return Attribute(kind, name, components, data)
+
+
+@st.composite
+def polydatas(draw: st.DrawFn, numbers: st.SearchStrategy[float]) -> PolyData:
+    count = draw(small)
+    xyz = np.array(draw(st.lists(numbers, min_size=3 * count, max_size=3 * count)), ">f4").reshape(count, 3)
+    sections = [draw(cells(count)) for _ in range(4)]
+    names = draw(st.lists(attributes(count, numbers), max_size=4))
+    vertices, lines, polygons, strips = sections
+    return PolyData(xyz, vertices, lines, polygons, strips, tuple(names))
+
+
+@st.composite
+def images(draw: st.DrawFn, numbers: st.SearchStrategy[float], *, flat: bool = False) -> Image:
+    size = (draw(small), draw(small), 1 if flat else draw(st.integers(0, 3)))
+    offset = (0, 0, 0) if flat else tuple(draw(st.integers(0, n)) for n in size)
+    part = tuple(n if flat else draw(st.integers(0, n - at)) for n, at in zip(size, offset, strict=True))
+    scalar, components = draw(st.sampled_from(sorted(SCALARS))), draw(st.sampled_from([1, 2, 3, 4, 5, 254, 255]))
+    length = math.prod(part) * components * np.dtype(SCALARS[scalar]).itemsize
+    pixels = np.resize(np.frombuffer(draw(st.binary(min_size=1, max_size=16)), np.uint8), length).tobytes()
+    return Image(
+        size,
+        scalar,
+        pixels,
+        components,
+        draw(st.sampled_from([1, 2])),
+        draw(st.sampled_from([1, 2])),
+        draw(st.tuples(*[numbers] * 12)),
+        (offset[0], offset[1], offset[2]),
+        (part[0], part[1], part[2]),
+        draw(st.sampled_from([1, 1, 0, 65535])),
+    )
+
+
+def bodies(numbers: st.SearchStrategy[float] = any32) -> dict[str, st.SearchStrategy[Body]]:
+    """Type name → strategy of its contents."""
+    return {
+        "TRANSFORM": transforms(numbers),
+        "POSITION": positions(numbers),
+        "QTRANS": positions(numbers),
+        "STRING": strings,
+        "STATUS": statuses(),
+        "POINT": points(numbers),
+        "POLYDATA": polydatas(numbers),
+        "IMAGE": images(numbers),
+        "TDATA": st.binary(min_size=1, max_size=80).map(Raw),
+    }
+
+
+# -- OpenIGTLink messages ---------------------------------------------------------------------------------------
+
+items = st.builds(
+    Item,
+    st.binary(max_size=12).map(lambda key: key.decode("utf-8", "surrogateescape")),
+    st.binary(max_size=12),
+    u16,
+)
+full_names = ascii_text.map(lambda text: Item.of("DeviceName", text * 30))
+
+
+@st.composite
+def messages(draw: st.DrawFn, numbers: st.SearchStrategy[float] = any32) -> Message:
+    """Any message that can be encoded."""
+    table = bodies(numbers)
+    kind = draw(st.sampled_from(sorted(table)))
+    version = draw(st.sampled_from([1, 2]))
+    ticks = draw(st.sampled_from([0, 1, 2**64 - 1]) | st.integers(0, 2**64 - 1))
+    device = draw(fixed_text(20))
+    if version == 1:
+        return Message(kind, device, draw(table[kind]), ticks)
+    pairs = tuple(draw(st.lists(items | full_names, max_size=3)))
+    return Message(kind, device, draw(table[kind]), ticks, 2, draw(st.integers(0, 2**32 - 1)), pairs)
+
+
+@st.composite
+def damaged(draw: st.DrawFn, data: st.SearchStrategy[bytes], head: int) -> bytes:
+    """Bytes with some words overwritten, some bits flipped, and perhaps cut or lengthened behind ``head``."""
+    bent = bytearray(draw(data))
+    for _ in range(draw(st.integers(0, 3))):
+        if len(bent) > head:
+            at = draw(st.integers(head, len(bent) - 1))
+            bent[at] ^= 1 << draw(st.integers(0, 7))
+    if len(bent) > head + 4 and draw(st.booleans()):
+        at = draw(st.integers(head, len(bent) - 4))
+        word = draw(st.sampled_from([0, 1, 255, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF]))
+        bent[at : at + 4] = word.to_bytes(4, draw(st.sampled_from(["little", "big"])))
+    cut = draw(st.integers(0, 40))
+    if cut and draw(st.booleans()):
+        del bent[max(head, len(bent) - cut) :]
+    return bytes(bent + draw(st.sampled_from([b"", b"", b"\x00", b"\xff" * 7])))
+
+
+def resized(data: bytes) -> bytes:
+    """An OpenIGTLink message with the body size that its bytes really have: damage gets past the framing."""
+    return data[:42] + (len(data) - 58).to_bytes(8, "big") + data[50:]
+
+
+def wire_bytes(numbers: st.SearchStrategy[float] = any32) -> st.SearchStrategy[bytes]:
+    return messages(numbers).map(lambda message: join(encode(message)))
+
+
+#: Messages broken in their bodies (and sometimes in their headers).
+damaged_wire_bytes = damaged(wire_bytes(), 58).map(resized) | damaged(wire_bytes(), 0) | st.binary(max_size=200)
+
+
+# -- ROS messages -----------------------------------------------------------------------------------------------
+
+ros_text = st.text(st.characters(codec="utf-8", exclude_characters="\x00"), max_size=12)
+headers = st.builds(
+    rosmsg.Header,
+    st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1) | st.just(0),
+    ros_text,
+)
+
+
+def ros_transforms(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[rosmsg.TransformStamped]:
+    return st.builds(rosmsg.TransformStamped, headers, ros_text, st.tuples(*[numbers] * 3), st.tuples(*[numbers] * 4))
+
+
+def ros_points(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[rosmsg.PointStamped]:
+    return st.builds(rosmsg.PointStamped, headers, st.tuples(*[numbers] * 3))
+
+
+ENCODINGS = ["mono8", "mono16", "rgb8", "bgr8", "rgba8", "bgra8", "rgb16", "bgr16", "rgba16", "bgra16",
+             "bayer_rggb8", "bayer_gbrg16", "8UC1", "8SC2", "16SC1", "16UC3", "32SC1", "32FC1", "64FC2"]  # fmt: skip
+
+
+@st.composite
+def ros_images(draw: st.DrawFn) -> rosmsg.Image:
+    """Mostly consistent pictures, with row padding; sometimes nonsense."""
+    encoding = draw(st.sampled_from(ENCODINGS) | ros_text | st.sampled_from(["8UC0", "64FC999", "yuv422"]))
+    height, width, pad = draw(small), draw(small), draw(small)
+    step = width * 16 + pad
+    if draw(st.booleans()):
+        height, width, step = draw(u32), draw(u32), draw(u32)
+        data = draw(st.binary(max_size=64))
+    else:
+        data = bytes(step * height)
+    return rosmsg.Image(draw(headers), height, width, encoding, draw(st.integers(0, 255)), step, data)
+
+
+@st.composite
+def ros_clouds(draw: st.DrawFn) -> rosmsg.PointCloud2:
+    """Clouds with x, y, z and odd further fields; sizes sometimes contradict each other."""
+    sizes = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 8: 8}
+    names = st.sampled_from(
+        ["rgb", "rgba", "normal_x", "normal_y", "normal_z", "intensity", "diameter", "x", "", "big"]
+    )
+    fields, offset = [], 0
+    wanted = ["x", "y", "z", *draw(st.lists(names | ros_text, max_size=5))]
+    for name in wanted:
+        plain = name in ("x", "y", "z") and draw(st.integers(0, 9))
+        datatype = draw(st.sampled_from([7, 8]) if plain else st.integers(0, 9))
+        count = 1 if plain else draw(st.sampled_from([0, 1, 1, 2, 3, 256]))
+        fields.append(rosmsg.PointField(name, offset, datatype, count))
+        offset += sizes.get(datatype, 1) * max(count, 1)
+    height, width, pad = draw(st.integers(0, 3)), draw(small), draw(small)
+    row = offset * width + pad
+    data = np.resize(np.frombuffer(draw(st.binary(min_size=8, max_size=24)), np.uint8), row * height).tobytes()
+    if draw(st.integers(0, 4)) == 0:
+        height, width, row = draw(u32), draw(u32), draw(u32)
+        offset = draw(u32)
+    return rosmsg.PointCloud2(
+        draw(headers), height, width, tuple(fields), draw(st.booleans()), offset, row, data, draw(st.booleans())
+    )
+
+
+@st.composite
+def ros_meshes(draw: st.DrawFn, numbers: st.SearchStrategy[float]) -> rosmsg.Mesh:
+    count, faces = draw(small), draw(small)
+    vertices = np.array(draw(st.lists(numbers, min_size=3 * count, max_size=3 * count)), float).reshape(-1, 3)
+    index = st.integers(0, count) | u32 if draw(st.booleans()) else st.integers(0, max(count - 1, 0))
+    triangles = np.array(draw(st.lists(index, min_size=3 * faces, max_size=3 * faces)), "<u4").reshape(-1, 3)
+    return rosmsg.Mesh(triangles, vertices)
+
+
+@st.composite
+def ros_markers(draw: st.DrawFn, numbers: st.SearchStrategy[float]) -> rosmsg.Marker:
+    count = draw(st.integers(0, 7))
+    colours = draw(st.sampled_from([0, count, count, 1]))
+    return rosmsg.Marker(
+        draw(headers),
+        draw(ros_text),
+        draw(st.integers(-(2**31), 2**31 - 1)),
+        draw(st.integers(-1, 12)),
+        draw(st.sampled_from([0, 0, 0, 1, 2, 3])),
+        draw(st.tuples(*[numbers] * 3)),
+        draw(st.tuples(*[numbers] * 4)),
+        draw(st.tuples(*[numbers] * 3)),
+        draw(st.tuples(*[finite32] * 4)),
+        np.array(draw(st.lists(numbers, min_size=3 * count, max_size=3 * count)), float).reshape(-1, 3),
+        np.array(draw(st.lists(any32, min_size=4 * colours, max_size=4 * colours)), np.float32).reshape(-1, 4),
+        draw(ros_text),
+    )
+
+
+ros_diagnostics = st.builds(
+    rosmsg.DiagnosticStatus,
+    st.integers(0, 255),
+    ros_text,
+    ros_text,
+    ros_text,
+    st.lists(
+        st.tuples(
+            st.sampled_from(["code", "subcode", "error_name"]) | ros_text,
+            ros_text | st.integers(-(2**70), 2**70).map(str) | st.integers(0, 20).map(str),
+        ),
+        max_size=4,
+    ).map(tuple),
+)
+
+
+def ros_messages(numbers: st.SearchStrategy[float] = any64) -> dict[str, st.SearchStrategy[rosmsg.RosMessage]]:
+    """Type name → strategy of its messages."""
+    table: dict[type[rosmsg.RosMessage], st.SearchStrategy[Any]] = {
+        rosmsg.String: st.builds(rosmsg.String, ros_text),
+        rosmsg.TransformStamped: ros_transforms(numbers),
+        rosmsg.PointStamped: ros_points(numbers),
+        rosmsg.Image: ros_images(),
+        rosmsg.PointCloud2: ros_clouds(),
+        rosmsg.Mesh: ros_meshes(numbers),
+        rosmsg.Marker: ros_markers(numbers),
+        rosmsg.DiagnosticStatus: ros_diagnostics,
+    }
+    return {kind.TYPE: strategy for kind, strategy in table.items()}
+
+
+def packed(kind: str) -> st.SearchStrategy[bytes]:
+    """CDR bytes of one type: mostly good, sometimes damaged, sometimes garbage."""
+    good: st.SearchStrategy[bytes] = ros_messages()[kind].map(_pack)
+    return good | damaged(good, 4) | st.binary(max_size=60).map(lambda data: b"\x00\x01\x00\x00" + data)
+
+
+_pack: Callable[[rosmsg.RosMessage], bytes] = lambda message: message.pack()  # noqa: E731

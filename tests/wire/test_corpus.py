@@ -1,0 +1,142 @@
+"""Messages of other implementations: read as their authors read them, written back bit for bit.
+
+``corpus/`` was encoded by the C++ library 3.1, with what it decodes beside it.  It is complete in the folder
+``shared`` beside the project, with the vectors of the C library and captured traffic of its example programs;
+these are read where they are there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from igtl_gateway.buffers import join
+from igtl_gateway.errors import ChecksumMismatch, WireError
+from igtl_gateway.wire import Raw, decode, describe, encode
+from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.registry import BODIES
+from tests.conftest import SHARED
+
+OWN = Path(__file__).with_name("corpus")
+CASES = sorted({path.stem: path for folder in (SHARED / "corpus", OWN) for path in folder.glob("*.bin")}.values())
+#: What the C++ library says about itself, and where the message stood in its file.
+NOT_OURS = frozenset({"index", "offset"})
+
+
+def ids(path: Path) -> str:
+    return path.stem
+
+
+def expected(path: Path) -> list[dict[str, Any]]:
+    """The decoded messages beside a corpus file, without the library's own remarks."""
+    rows = json.loads(path.with_suffix(".json").read_text("utf-8"))
+    return [
+        {key: value for key, value in row.items() if key not in NOT_OURS and not key.startswith("lib")} for row in rows
+    ]
+
+
+def byte_by_byte(data: bytes) -> Iterator[bytes]:
+    framer = Framer()
+    for at in range(len(data)):
+        yield from map(bytes, framer.feed(data[at : at + 1]))
+    assert framer.pending == 0
+
+
+def framed(data: bytes) -> list[bytes]:
+    framer = Framer()
+    messages = [bytes(one) for one in framer.feed(data)]
+    assert framer.pending == 0
+    return messages
+
+
+def test_the_corpus_is_here() -> None:
+    types = {path.stem.partition("_v")[0] for path in OWN.glob("*.bin")}
+    assert types >= BODIES.keys() - {"QTRANS"}
+    assert len(types) >= 30
+
+
+@pytest.mark.parametrize("path", CASES, ids=ids)
+def test_decoded_as_the_library_does(path: Path) -> None:
+    messages = framed(path.read_bytes())
+    wanted = expected(path)
+    assert len(messages) == len(wanted)
+    for data, want in zip(messages, wanted, strict=True):
+        shown = describe(data)
+        if want["type"] not in BODIES:  # carried, not decoded
+            want.pop("content")
+            shown.pop("content")
+        assert shown == want
+
+
+@pytest.mark.parametrize("path", CASES, ids=ids)
+def test_written_back_bit_for_bit(path: Path) -> None:
+    for data in framed(path.read_bytes()):
+        message = decode(data)
+        assert join(encode(message)) == data
+        assert isinstance(message.content, BODIES.get(message.type, Raw) if message.content != Raw(b"") else Raw)
+
+
+@pytest.mark.parametrize("path", [path for path in CASES if path.stat().st_size < 2000], ids=ids)
+def test_byte_by_byte_and_with_more_behind(path: Path) -> None:
+    data = path.read_bytes()
+    assert list(byte_by_byte(data + data)) == framed(data) * 2
+    framer = Framer()
+    assert [bytes(one) for one in framer.feed(data + data[:30])] == framed(data)
+    assert framer.pending == 30
+
+
+@pytest.mark.parametrize("path", CASES, ids=ids)
+def test_damage_is_noticed(path: Path) -> None:
+    """A flipped bit in any body breaks the CRC; one byte less or more is no message."""
+    data = framed(path.read_bytes())[0]
+    with pytest.raises(WireError):
+        decode(data[:-1])
+    with pytest.raises(WireError):
+        decode(data + b"\x00")
+    if len(data) > 58:
+        bent = bytearray(data)
+        bent[-1] ^= 1
+        with pytest.raises(ChecksumMismatch):
+            decode(bytes(bent))
+        assert describe(bytes(bent))["crc_ok"] is False
+
+
+@pytest.mark.parametrize("path", sorted((SHARED / "data" / "igtl").glob("*.igtl")), ids=ids)
+def test_captured_traffic(path: Path) -> None:
+    data = path.read_bytes()
+    messages = framed(data)
+    assert messages
+    for one in messages:
+        assert join(encode(decode(one))) == one
+    assert b"".join(messages) == data
+
+
+VECTORS = SHARED / "vectors" / "index.json"
+INDEX: list[dict[str, Any]] = json.loads(VECTORS.read_text("utf-8"))["vectors"] if VECTORS.exists() else []
+
+
+def vector_bytes(vector: dict[str, Any]) -> bytes:
+    data = (VECTORS.parent / vector["file"]).read_bytes()
+    return data[: vector["bytes_used"]]
+
+
+@pytest.mark.parametrize("vector", [one for one in INDEX if one["kind"] == "message"], ids=lambda one: one["name"])
+def test_vectors_of_the_c_library(vector: dict[str, Any]) -> None:
+    data = vector_bytes(vector)
+    message = decode(data, check_crc=vector["crc_ok"])
+    shown = describe(data)
+    assert (shown["type"], shown["device_name"]) == (vector["type"], vector["device_name"])
+    assert shown["crc_ok"] is vector["crc_ok"]
+    assert shown["timestamp"]["frac"] == vector["timestamp"]["frac"]
+    again = join(encode(message))
+    assert again[58:] == data[58:]
+    if vector["crc_ok"]:
+        assert again == data
+    if vector["type"] in BODIES:
+        told = vector["expected"].keys() & shown["content"].keys()
+        assert told
+        assert {key: shown["content"][key] for key in told} == {key: vector["expected"][key] for key in told}
