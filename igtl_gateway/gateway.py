@@ -10,12 +10,13 @@ What happens to a message on its way:
   that applies gives one ROS message.
 * ROS → OpenIGTLink: the row of its type (or the configured one) gives a content, which is encoded once for
   each header version that the present links have shown, and addressed to all links at once.
+* The last message of a latched stream (plans, surfaces) is sent again to every link that comes up.
 * A message that fails on its way costs only itself: a note says why, the ledger counts it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from igtl_gateway.buffers import Buffer
@@ -73,6 +74,7 @@ class Gateway:
         self._to_ros: dict[tuple[str, str], _ToRosStream | None] = {}
         self._tokens: dict[str, str] = {}  # topic token → device that owns it
         self._devices: dict[str, str] = {}  # short device name → full name that owns it
+        self._latched: dict[str, Entry] = {}  # topic → its last message; as many as there are bridged topics
         self._said: set[tuple[str, str]] = set()
         self._news: list[_Reply] = []  # notes of streams that this entry opened
         self._qos: dict[str, Qos] = {}
@@ -117,11 +119,6 @@ class Gateway:
     def keep(self, entry: Entry) -> bool:
         """Whether an outgoing OpenIGTLink message must not be dropped at a full send queue."""
         return entry.type in _KEPT_TYPES
-
-    @property
-    def links(self) -> tuple[int, ...]:
-        """Numbers of the links that are up."""
-        return tuple(self._versions)
 
     # -- OpenIGTLink → ROS --------------------------------------------------------------------------------------
 
@@ -216,29 +213,39 @@ class Gateway:
         if stream is None:
             self.ledger.count(_ROS_IN, topic, "recorded_only")
             return []
+        if (stream.row.qos or stream.conversion.qos).latched:
+            self._latched[topic] = entry
         if not self._versions:
             self.ledger.drop(_ROS_IN, topic, "no_peer")
             return []
+        replies = self._send(entry, stream, self._versions)
+        if any(reply[0] is Kind.IGTL_OUT for reply in replies):
+            self.ledger.count(_ROS_IN, topic, "converted")
+        else:
+            self.ledger.drop(_ROS_IN, topic, "conversion")
+        return replies
+
+    def _send(self, entry: Entry, stream: _ToIgtlStream, versions: Mapping[int, int]) -> list[_Reply]:
+        """A ROS message to some links, each in the header version that it reads; or a note why not."""
         to = ToIgtl(self.config.lengths(stream.row))
         conversion = stream.conversion
         try:
             outgoing = conversion.convert(conversion.message.unpack(entry.payload[0]), to)
             stamp_ns = self.config.pick_stamp(stream.row, outgoing.stamp_ns or entry.source_ns, entry.stamp_ns)
             message = Message(conversion.igtl_type, stream.device, outgoing.content, ns_to_ticks(stamp_ns))
-            replies = self._encoded(message, stream, stamp_ns)
+            replies = self._encoded(message, stream, stamp_ns, versions)
         except (ConversionError, WireError) as error:
-            self.ledger.drop(_ROS_IN, topic, "conversion")
-            return [_note(Level.ERROR, "conversion", f"not sent: {error}", topic, ())]
-        self.ledger.count(_ROS_IN, topic, "converted")
+            return [_note(Level.ERROR, "conversion", f"not sent: {error}", entry.channel, ())]
         for reply in replies:
             self.ledger.count(_OUT, reply[1], "sent", len(reply[4]))
         return replies + self._warnings(to.warnings, entry)
 
-    def _encoded(self, message: Message, stream: _ToIgtlStream, stamp_ns: int) -> list[_Reply]:
+    @staticmethod
+    def _encoded(message: Message, stream: _ToIgtlStream, stamp_ns: int, versions: Mapping[int, int]) -> list[_Reply]:
         """One entry for each header version that links have shown, version 1 first."""
         replies: list[_Reply] = []
-        for version in sorted(set(self._versions.values())):
-            links = tuple(link for link, shown in self._versions.items() if shown == version)
+        for version in sorted(set(versions.values())):
+            links = tuple(link for link, shown in versions.items() if shown == version)
             if version > 1:
                 metadata = () if stream.device == stream.full_name else (Item.of(FULL_NAME_KEY, stream.full_name),)
                 message = replace(message, header_version=version, metadata=metadata)
@@ -271,12 +278,18 @@ class Gateway:
 
     def _on_link(self, entry: Entry) -> list[_Reply]:
         note = Note.unpack(entry.data())
+        replies: list[_Reply] = []
         for link in entry.links:
             if note.code == LINK_UP:
                 self._versions[link] = 1
+                # plans and surfaces are said once: whoever comes later gets the last of each, as a late
+                # subscriber of a transient-local topic does
+                for topic, last in self._latched.items():
+                    if stream := self._igtl_stream(topic, last.type):
+                        replies += self._send(last, stream, {link: 1})
             else:
                 self._versions.pop(link, None)
-        return []
+        return replies
 
     def _on_edge_note(self, entry: Entry) -> list[_Reply]:
         note = Note.unpack(entry.data())

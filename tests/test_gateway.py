@@ -162,6 +162,29 @@ def test_a_message_of_a_damaged_version_2_shows_nothing() -> None:
     assert script.ros("/igtl/out/Tool", TOOL) == ["igtl TRANSFORM/Tool v1 to 1"]
 
 
+# -- latched streams -------------------------------------------------------------------------------------------------
+
+MESH = rosmsg.Mesh(np.array([[0, 1, 2]], np.uint32), np.eye(3))
+
+
+def test_whoever_comes_later_gets_the_last_plan() -> None:
+    script = Script()
+    assert script.ros("/igtl/out/Plan", rosmsg.Mesh(MESH.triangles, np.zeros((3, 3)))) == []
+    assert script.ros("/igtl/out/Plan", MESH, source_ns=T0_NS) == []
+    assert script.ros("/igtl/out/Tool", TOOL) == [], "a pose is not worth keeping"
+    assert script.up(1) == ["igtl POLYDATA/Plan v1 to 1"]
+    first = script.last[0].data()
+    assert decode(first).ticks == ns_to_ticks(T0_NS), "its stamp is that of its sender, not of the link"
+    assert script.up(2) == ["igtl POLYDATA/Plan v1 to 2"]
+    assert script.last[0].data() == first
+
+
+def test_a_plan_that_cannot_be_sent_is_refused_to_each_link_with_a_note() -> None:
+    script = Script()
+    script.ros("/igtl/out/Plan", rosmsg.Mesh(np.array([[0, 1, 9]], np.uint32), np.eye(3)))
+    assert script.up(1) == ["note conversion"]
+
+
 # -- time -----------------------------------------------------------------------------------------------------------
 
 

@@ -180,7 +180,7 @@ class _TextOutput:
             print(f"OpenIGTLink  client of {host}:{port}, reconnecting")
         print(f"ROS 2        node /{bridge.options.node_name}" if bridge.ros else "ROS 2        off (--no-ros)")
         for note in notes:
-            print(f"             {note}")
+            print(f"             {note.partition(' (')[0]}")
         print(f"recording    {bridge.options.record or 'off (--record FILE)'}")
         if bridge.ros:
             for line in mapping(config):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from io import BufferedWriter
 from pathlib import Path
 from typing import Any, Literal
@@ -34,15 +33,6 @@ _COMPRESSIONS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD, "none
 #: Channels of ROS topics.  MCAP has 65,535 channels, and the other kinds need some.
 _MAX_ROS_CHANNELS = 60_000
 _U64 = 1 << 64
-
-
-@dataclass(frozen=True, slots=True)
-class _Stream:
-    """What needs a channel of its own."""
-
-    kind: Kind
-    channel: str
-    type: str
 
 
 class SessionWriter:
@@ -78,7 +68,7 @@ class SessionWriter:
         self._qos_of = qos_of
         self._types = RosTypes()
         self._topics = layout.WireTopics()
-        self._channels: dict[_Stream, int] = {}
+        self._channels: dict[tuple[Kind, str, str], int] = {}  # by kind, channel and type of the entries
         self._schemas: dict[str, int] = {}
         self._closed = False
         self._failure = ""
@@ -109,15 +99,20 @@ class SessionWriter:
         if not (0 <= entry.stamp_ns < _U64 and 0 <= entry.source_ns < _U64 and entry.seq >= 0):
             found = f"number {entry.seq}, stamp {entry.stamp_ns} ns, source stamp {entry.source_ns} ns"
             raise LayoutError(f"entry of {entry.channel or entry.kind.value}: found {found}, expected unsigned 64 bits")
-        channel = self._channel(entry)
-        with self._disk():
+        channel = self._channels.get((entry.kind, entry.channel, entry.type))
+        if channel is None:
+            channel = self._open_channel(entry)
+        self._check_open()
+        try:
             self._mcap.add_message(
                 channel,
                 log_time=entry.stamp_ns,
-                data=data,  # type: ignore[arg-type]  # takes any buffer
+                data=data,
                 publish_time=entry.source_ns or entry.stamp_ns,
                 sequence=entry.seq & 0xFFFFFFFF,
             )
+        except OSError as error:
+            raise self._failed(error) from error
         self.entries += 1
 
     def flush(self) -> None:
@@ -144,12 +139,9 @@ class SessionWriter:
             self._mcap.finish()  # type: ignore[no-untyped-call]
             self._file.close()
 
-    def _channel(self, entry: Entry) -> int:
-        """The channel of an entry, opened if it is the first of its stream."""
-        stream = _Stream(entry.kind, entry.channel, entry.type)
-        known = self._channels.get(stream)
-        if known is not None:
-            return known
+    def _open_channel(self, entry: Entry) -> int:
+        """The channel of the first entry of a stream."""
+        stream = (entry.kind, entry.channel, entry.type)
         if entry.kind in layout.ROS_KINDS:
             if len(self._channels) >= _MAX_ROS_CHANNELS:
                 raise LayoutError(f"topic {entry.channel}: found {len(self._channels)} channels, expected fewer")
@@ -162,7 +154,7 @@ class SessionWriter:
             facts = {layout.STREAM_KEY: layout.escape(entry.channel)}
             if topic in layout.SHARED_TOPICS:
                 # not kept under the stream's own name: there may be any number of them
-                stream, facts = _Stream(entry.kind, topic, ""), {}
+                stream, facts = (entry.kind, topic, ""), {}
                 if stream in self._channels:
                     return self._channels[stream]
             channel = self._register(topic, layout.RAW_MESSAGE_TYPE, entry.kind, facts)
@@ -187,18 +179,22 @@ class SessionWriter:
 
     @contextmanager
     def _disk(self) -> Iterator[None]:
-        """Around all that may touch the disk: its refusal ends the recording, with one clear line.
-
-        After an error nobody knows what is in the file and in the library's buffers, so no more is written.
-        """
-        if self._failure or self._file.closed:
-            raise RecordingError(self._failure or f"recording to {self.path}: already closed")
+        """Around all that may touch the disk: its refusal ends the recording, with one clear line."""
+        self._check_open()
         try:
             yield
         except OSError as error:
-            self._failure = f"recording to {self.path} failed: {_reason(error)}"
-            self._file.raw.close()
-            raise RecordingError(self._failure) from error
+            raise self._failed(error) from error
+
+    def _check_open(self) -> None:
+        if self._failure or self._file.closed:
+            raise RecordingError(self._failure or f"recording to {self.path}: already closed")
+
+    def _failed(self, error: OSError) -> RecordingError:
+        """After an error nobody knows what is in the file and in the library's buffers, so no more is written."""
+        self._failure = f"recording to {self.path} failed: {_reason(error)}"
+        self._file.raw.close()
+        return RecordingError(self._failure)
 
 
 def _create(path: Path, overwrite: bool) -> BufferedWriter:

@@ -106,14 +106,14 @@ class Recorder:
         self._queue_entries = queue_entries
 
         self._lock = threading.Lock()  # held for a few operations at a time; guards all up to the empty line
-        self._queue: deque[Entry] = deque()
+        self._queue: deque[tuple[Entry, int]] = deque()
         self._taken_bytes = 0  # of all entries that ever entered the queue …
         self._taken_entries = 0
         self._dropped: Counter[str] = Counter()
         self._untold: Counter[str] = Counter()  # drops at the bound that no note has told of yet
         self._closing = False
 
-        self._batch: deque[Entry] = deque()  # what the thread is writing
+        self._batch: deque[tuple[Entry, int]] = deque()  # what the thread is writing
         self._done_bytes = 0  # … and of those that left it; only the thread changes these
         self._done_entries = 0
         self._failure = ""
@@ -140,7 +140,7 @@ class Recorder:
                 return
             self._taken_bytes += size
             self._taken_entries += 1
-            self._queue.append(entry)
+            self._queue.append((entry, size))
         if (waiting_bytes > _WAKE_BYTES or waiting > _WAKE_ENTRIES) and not self._wake.is_set():
             self._wake.set()
 
@@ -199,12 +199,12 @@ class Recorder:
                 self._batch, self._queue, closing = self._queue, self._batch, self._closing
             while self._batch:
                 # out of the batch first: what is written must not be held in memory any longer
-                self._write(self._batch.popleft())
+                self._write(*self._batch.popleft())
                 self._flush_if_due()
             self._flush_if_due()
             self._tell_drops()
 
-    def _write(self, entry: Entry) -> None:
+    def _write(self, entry: Entry, size: int) -> None:
         written = False
         try:
             if not self._failure:
@@ -218,7 +218,7 @@ class Recorder:
             if not written:
                 with self._lock:
                     self._count_drop(entry, tell=False)
-            self._done_bytes += entry.size + _ENTRY_BYTES
+            self._done_bytes += size
             self._done_entries += 1
         if len(self._writer.undefined) > self._told_undefined:
             self._told_undefined = len(self._writer.undefined)
@@ -265,7 +265,7 @@ class Recorder:
     def _finish(self) -> RecordingSummary:
         with self._lock:
             # a thread that died of a defect left them behind
-            for entry in (*self._batch, *self._queue):
+            for entry, _ in (*self._batch, *self._queue):
                 self._count_drop(entry)
         counters = self.counters()
         try:

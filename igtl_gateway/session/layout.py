@@ -18,6 +18,7 @@ import json
 import re
 import struct
 import zlib
+from functools import lru_cache
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.qos import Qos
@@ -244,7 +245,7 @@ def _checksum(items: dict[str, str]) -> str:
 # --- messages --------------------------------------------------------------------------------------------------
 
 
-def pack_message(entry: Entry) -> bytes | bytearray:
+def pack_message(entry: Entry) -> bytes:
     """The CDR message of an entry: one copy of the payload, or none where it is one ``bytes`` of a ROS message.
 
     Raises LayoutError for an entry whose fields contradict its kind.
@@ -335,38 +336,40 @@ def _named(entry: Entry) -> str:
     return f"entry {entry.seq} ({entry.kind.value})"
 
 
-def _pack_raw(entry: Entry) -> bytearray:
-    device = device_name(entry)
-    out = bytearray(
-        _RAW_HEAD.pack(
-            _CDR_LE,
-            *ns_to_ros(entry.stamp_ns),
-            *ns_to_ros(entry.source_ns),
-            _header_ticks(entry),
-            entry.kind is Kind.IGTL_OUT,
-        )
+def _pack_raw(entry: Entry) -> bytes:
+    head = _RAW_HEAD.pack(
+        _CDR_LE,
+        *ns_to_ros(entry.stamp_ns),
+        *ns_to_ros(entry.source_ns),
+        _header_ticks(entry),
+        entry.kind is Kind.IGTL_OUT,
     )
-    _put_links(out, entry.links)
-    _put_string(out, escape(entry.type))
-    _put_string(out, escape(device))
+    links = struct.pack(f"<I{len(entry.links)}I", len(entry.links), *entry.links)
+    return b"".join((head, links, _packed_texts(entry.type, device_name(entry)), _U32.pack(entry.size), *entry.payload))
+
+
+@lru_cache(maxsize=2 * MAX_WIRE_STREAMS)
+def _packed_texts(*texts: str) -> bytes:
+    """Strings as they follow each other at an aligned offset; the end is aligned, too."""
+    out = bytearray()
+    for text in texts:
+        _put_string(out, escape(text))
     _align(out)
-    out += _U32.pack(entry.size)
-    for part in entry.payload:
-        out += part
-    return out
+    return bytes(out)
 
 
 def _header_ticks(entry: Entry) -> int:
     """The time stamp field of the OpenIGTLink header; 0 where the bytes are too few."""
-    start = b""
+    start: Buffer = b""
     for part in entry.payload:
-        start += memoryview(part)[: _TICKS_AT + _TICKS.size - len(start)]
-        if len(start) == _TICKS_AT + _TICKS.size:
+        # in one piece as a rule: then nothing is copied
+        start = b"".join((start, part[: _TICKS_AT + _TICKS.size])) if start else part
+        if len(start) >= _TICKS_AT + _TICKS.size:
             return int(_TICKS.unpack_from(start, _TICKS_AT)[0])
     return 0
 
 
-def _pack_note(entry: Entry) -> bytearray:
+def _pack_note(entry: Entry) -> bytes:
     if entry.channel or entry.type:
         raise LayoutError(f"{_named(entry)}: found channel {entry.channel!r}, type {entry.type!r}, expected neither")
     payload = entry.data()
@@ -379,7 +382,7 @@ def _pack_note(entry: Entry) -> bytearray:
     # ASCII, so that no undecodable byte of a peer gets into the file
     facts = note.data if canonical else payload.decode("utf-8", "surrogateescape")
     _put_string(out, json.dumps(facts, sort_keys=True, separators=(",", ":")))
-    return out
+    return bytes(out)
 
 
 def _note_of(payload: bytes) -> tuple[Note, bool]:
