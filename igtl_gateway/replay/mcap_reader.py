@@ -170,8 +170,8 @@ class SessionFile:
             if foreign:
                 seq = count
             else:
-                step = (message.sequence - seq) % _SEQUENCES if seq else message.sequence
-                if not 0 < step < _SEQUENCES // 2:
+                step = (message.sequence - seq) % _SEQUENCES
+                if step == 0 or (seq and step >= _SEQUENCES // 2):
                     raise DamagedRecording(
                         f"{self.path}: found entry number {message.sequence}, expected one above {seq % _SEQUENCES}"
                     )

@@ -265,7 +265,12 @@ def test_what_comes_before_the_damage_is_given(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("sequences", "words"),
-    [([1, 3, 2], "number 2, expected one above 3"), ([1, 1], "number 1"), ([0], "number 0")],
+    [
+        ([1, 3, 2], "number 2, expected one above 3"),
+        ([1, 1], "number 1"),
+        ([0], "number 0"),
+        ([1, 2**31 + 1], "number"),
+    ],
 )
 def test_entry_numbers_that_do_not_increase_are_refused(tmp_path: Path, sequences: list[int], words: str) -> None:
     _bag(tmp_path / "a", {layout.SESSION_METADATA: layout.seal({"format_version": "1"})}, sequences=sequences)
