@@ -145,6 +145,10 @@ def _open_ros(options: argparse.Namespace, file: SessionFile, how: Plan, stop: E
         while options.wait_peers and not edge.wait_for_subscribers(topic, options.wait_peers, 0.2):
             if stop.is_set():
                 return None, lambda: False
+    # whoever listens already is to hear the first message too
+    while not edge.wait_ready(0.2):
+        if stop.is_set():
+            return None, lambda: False
     return ros_sender(edge, file), lambda: True
 
 

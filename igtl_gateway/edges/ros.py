@@ -256,6 +256,18 @@ class RosEdge:
             self._matched.wait_for(lambda: self._stopping.is_set() or self.subscriber_count(topic) >= count, timeout_s)
         return self.subscriber_count(topic) >= count
 
+    def wait_ready(self, timeout_s: float) -> bool:
+        """Wait until no publisher holds messages back for subscribers that discovery has yet to match.
+
+        True at the latest some seconds after start; False if ``timeout_s`` was shorter, or at stop.
+        """
+        with self._matched:
+            self._matched.wait_for(lambda: self._stopping.is_set() or self._all_ready(), timeout_s)
+        return self._all_ready()
+
+    def _all_ready(self) -> bool:
+        return all(writer.ready for writer in self._all_writers())
+
     def _writer(self, topic: str, type_name: str, qos: Qos) -> Writer | None:
         """The publisher of the topic, made if there is none; None (and a note) if that is impossible."""
         if ("ros_refused", "publish", topic, type_name) in self._noted:
