@@ -142,12 +142,12 @@ class Gateway:
         outputs = [pair for pair in stream.outputs if isinstance(message.content, pair[0].content)]
         if not outputs:
             # Raw content under a type that has rows is an empty body: "nothing to show"
-            reason = "empty" if stream.outputs else "no_conversion"
+            if stream.outputs:
+                reason, level, what = "empty", Level.INFO, "has an empty body: nothing to publish"
+            else:
+                reason, level, what = "no_conversion", Level.WARN, "is recorded, but has no conversion to ROS"
             self.ledger.drop(_IN, entry.channel, reason)
-            text = f"{visible(message.type)} is recorded, but has no conversion to ROS"
-            if reason == "empty":
-                text = f"{visible(message.type)} with an empty body: nothing to publish"
-            return self._once(reason, message.type, Level.INFO, text, entry.channel, link)
+            return self._once(reason, message.type, level, f"{visible(message.type)} {what}", entry.channel, link)
         return self._publish(entry, message, device, stream, outputs)
 
     def _publish(

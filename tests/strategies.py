@@ -300,7 +300,7 @@ def ros_markers(draw: st.DrawFn, numbers: st.SearchStrategy[float]) -> rosmsg.Ma
 
 ros_diagnostics = st.builds(
     rosmsg.DiagnosticStatus,
-    st.integers(0, 255),
+    st.integers(0, 127),  # "byte", which rosbags takes as signed
     ros_text,
     ros_text,
     ros_text,

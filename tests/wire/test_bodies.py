@@ -158,7 +158,7 @@ def image_content(**changes: Any) -> bytes:
         struct.pack(">HBBBB3H", *list(fields.values())[:5], *fields["dims"])
         + f32(*[0] * 12)
         + struct.pack(">6H", *fields["offset"], *fields["size"])
-        + fields["pixels"]
+        + bytes(fields["pixels"])
     )
 
 
@@ -221,7 +221,7 @@ def test_image_sizes_beyond_their_fields(dimensions: tuple[int, int, int]) -> No
 
 def test_points_are_views() -> None:
     data = np.zeros(3 * 136, np.uint8)
-    points = Points.unpack(memoryview(data))
+    points = Points.unpack(data.data)
     assert np.shares_memory(points.elements, data)
     (only,) = points.pack()
     assert np.shares_memory(np.frombuffer(only, np.uint8), data)

@@ -121,7 +121,7 @@ INDEX: list[dict[str, Any]] = json.loads(VECTORS.read_text("utf-8"))["vectors"] 
 
 def vector_bytes(vector: dict[str, Any]) -> bytes:
     data = (VECTORS.parent / vector["file"]).read_bytes()
-    return data[: vector["bytes_used"]]
+    return bytes(data[: vector["bytes_used"]])
 
 
 @pytest.mark.parametrize("vector", [one for one in INDEX if one["kind"] == "message"], ids=lambda one: one["name"])

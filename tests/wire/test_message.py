@@ -76,7 +76,7 @@ def test_crc(data: bytes, crc: int) -> None:
 def test_too_short_for_a_header(size: int) -> None:
     for function in (decode, describe, Header.unpack):
         with pytest.raises(TruncatedMessage):
-            function(EXAMPLE[:size])  # type: ignore[operator]
+            function(EXAMPLE[:size])
 
 
 def test_every_truncation_is_told_as_one() -> None:
