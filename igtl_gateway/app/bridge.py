@@ -109,7 +109,7 @@ class Bridge:
             )
 
     def start(self) -> None:
-        """Open both sides.  Raises ConfigError or RosError; then nothing is left open but the recording."""
+        """Open both sides.  Raises ConfigError or RosError; then nothing is left open, and no recording is left."""
         try:
             self.addresses = [self.tcp.listen(*address) for address in self.options.listen]
             for address in self.options.connect:
@@ -118,6 +118,9 @@ class Bridge:
                 self.ros.start()
         except Exception:
             self.stop()
+            # A file about nothing would only be in the way of the next attempt, which never overwrites.
+            if self.summary:
+                self.summary.path.unlink(missing_ok=True)
             raise
         self.tcp.start()
 
