@@ -28,8 +28,8 @@ ROOT = Path(__file__).parents[2]
 TIMEOUT_S = 20.0
 HEADER_SIZE = 58
 
-#: conftest has 1 to 100.
-DOMAIN = 101 + os.getpid() % 100
+#: conftest has 1 to 100.  The second is for a bridge that must be alone with its nodes while another runs.
+DOMAIN, SECOND_DOMAIN = 101 + os.getpid() % 100, 201 + os.getpid() % 32
 
 Event = dict[str, Any]
 
@@ -171,12 +171,20 @@ class Bridge(Program):
 class RosClient(Program):
     """A foreign ROS 2 node, see ``ros_client``."""
 
-    def __init__(self, name: str, *, subscribe: dict[str, str] | None = None, advertise: dict[str, str] | None = None):
+    def __init__(
+        self,
+        name: str,
+        *,
+        subscribe: dict[str, str] | None = None,
+        advertise: dict[str, str] | None = None,
+        domain: int = DOMAIN,
+    ) -> None:
         """``subscribe`` and ``advertise``: type by topic, done when this returns."""
         self._answers: queue.Queue[dict[str, Any]] = queue.Queue()
         self._pending: list[tuple[str, Any]] = []
         script = str(Path(__file__).with_name("ros_client.py"))
-        super().__init__([sys.executable, script, name], stdin=subprocess.PIPE)
+        env = environment(ROS_DOMAIN_ID=str(domain))
+        super().__init__([sys.executable, script, name], env, stdin=subprocess.PIPE)
         for topic, kind in (subscribe or {}).items():
             self.subscribe(topic, kind)
         for topic, kind in (advertise or {}).items():

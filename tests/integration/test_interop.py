@@ -17,7 +17,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.integration.bridge import Bridge, RawPeer, RosClient, extended, free_port, message, unextended
+from tests.integration.bridge import (
+    SECOND_DOMAIN,
+    Bridge,
+    RawPeer,
+    RosClient,
+    extended,
+    free_port,
+    message,
+    unextended,
+)
 from tests.peers import reference
 from tests.peers.pyigtl_peer import PyigtlPeer
 from tests.peers.reference import SCALARS, ReferencePeer
@@ -643,12 +652,14 @@ def test_client_mode_outlives_its_server() -> None:
     """The server comes late, is killed and comes back on its port; each time both directions work."""
     port = free_port()
     with RosClient(
-        "beside", subscribe={"/igtl/in/Server/string": STRING}, advertise={"/igtl/out/Words": STRING}
+        "beside",
+        subscribe={"/igtl/in/Server/string": STRING},
+        advertise={"/igtl/out/Words": STRING},
+        domain=SECOND_DOMAIN,
     ) as ros:
-        bridge = Bridge("--connect", f"127.0.0.1:{port}")  # and a server, too
+        bridge = Bridge("--connect", f"127.0.0.1:{port}", ROS_DOMAIN_ID=str(SECOND_DOMAIN))  # and a server, too
         try:
             bridge.wait_code("connect_failed")
-            ros.wait_readers("/igtl/out/Words")
 
             def converse(server: ReferencePeer, turn: str) -> None:
                 ros.publish("/igtl/out/Words", {"data": f"first {turn}"})
@@ -659,6 +670,7 @@ def test_client_mode_outlives_its_server() -> None:
             with ReferencePeer.server(port) as server:
                 server.wait_connected()
                 bridge.wait_code("link_up")
+                ros.wait_readers("/igtl/out/Words")
                 converse(server, "late")
                 with RawPeer(bridge.port) as beside:
                     bridge.wait_code("link_up", 2)

@@ -1,0 +1,245 @@
+"""``igtl-gateway bridge`` as a person meets it: what it prints, how it ends, what it leaves behind."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader, make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from tests.integration.bridge import (
+    SECOND_DOMAIN,
+    TIMEOUT_S,
+    Bridge,
+    Program,
+    RawPeer,
+    Result,
+    RosClient,
+    gateway,
+    string,
+)
+
+needs_ros = pytest.mark.ros
+
+JOINTS, HEALTH, TEXT = "sensor_msgs/msg/JointState", "diagnostic_msgs/msg/DiagnosticArray", "std_msgs/msg/String"
+
+
+@pytest.fixture
+def programs() -> Iterator[list[Program]]:
+    """Programs that are ended with the test, however that goes."""
+    started: list[Program] = []
+    yield started
+    for program in started:
+        program.close()
+
+
+def run(programs: list[Program], *arguments: str, **changes: str) -> Result:
+    """A program that ends by itself."""
+    programs.append(gateway(*arguments, **changes))
+    return programs[-1].end(None)
+
+
+def refused(result: Result) -> str:
+    """The one line of a usage error."""
+    assert (result.code, result.out) == (2, "")
+    (line,) = result.err.splitlines()
+    return line
+
+
+def recorded(path: Path) -> list[tuple[str, str, Any]]:
+    """Topic, type and decoded message of a finished file, by its index, with the readers of the mcap project."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        summary = reader.get_summary()
+        assert summary is not None and summary.statistics is not None and summary.chunk_indexes
+        messages = [
+            (channel.topic, schema.name, decoded)
+            for schema, channel, _, decoded in reader.iter_decoded_messages()
+            if schema is not None
+        ]
+        assert len(messages) == summary.statistics.message_count
+    return messages
+
+
+def cut_off(path: Path) -> list[tuple[str, bytes]]:
+    """Topic and bytes of the messages of a file that has no end (yet), as far as it goes."""
+    found = []
+    try:
+        with path.open("rb") as stream:
+            for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
+                found.append((channel.topic, message.data))
+    except McapError:
+        pass  # the end of what there is
+    return found
+
+
+def wait_flushed(path: Path, enough: Callable[[list[tuple[str, bytes]]], bool]) -> None:
+    """Wait until the unfinished file holds what is asked for."""
+    deadline = time.monotonic() + TIMEOUT_S
+    while not enough(found := cut_off(path)):
+        assert time.monotonic() < deadline, f"not flushed: {[topic for topic, _ in found]}"
+        time.sleep(0.05)
+
+
+def hidden_ros(folder: Path) -> str:
+    """PYTHONPATH with which rclpy cannot be imported."""
+    package = folder / "rclpy"
+    package.mkdir()
+    (package / "__init__.py").write_text("raise ImportError('no rclpy in this test')\n")
+    here = Path(__file__).parents[2]
+    return f"{folder}:{here}"
+
+
+@needs_ros
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_without_options_until_a_signal(programs: list[Program], tmp_path: Path, number: signal.Signals) -> None:
+    """The default address may be taken by another bridge on this machine; any port then says the same."""
+    path = tmp_path / "out.mcap"
+    default = default_port_is_free()
+    bridge = gateway("bridge", "--record", str(path), *([] if default else ["--listen", "127.0.0.1:0"]))
+    programs.append(bridge)
+    bridge.wait_until(lambda: "Ctrl-C stops." in bridge.lines, "greeting")
+    shown = "\n".join(bridge.lines)
+    if default:
+        assert "server on 127.0.0.1:18944" in shown
+    assert f"recording    {path}" in shown
+    mapping = [" ".join(line.split()) for line in bridge.lines]
+    assert "TRANSFORM -> /igtl/in/<device>/transform geometry_msgs/msg/TransformStamped" in mapping
+    assert "/igtl/out/<device> std_msgs/msg/String -> STRING" in mapping
+    address = next(line for line in bridge.lines if "server on" in line).rpartition(":")[2]
+    with RawPeer(int(address)) as peer:
+        peer.send(string("to be kept"))
+        bridge.wait_until(lambda: any("STRING/Raw goes to" in line for line in bridge.lines), "stream")
+        result = bridge.end(number)
+    assert (result.code, result.err) == (0, "")
+    assert "stopped.  OpenIGTLink: 1 in, 0 out.  ROS: 0 in, 1 out.  refused: 0" in result.out
+    messages = recorded(path)
+    assert f"recorded {len(messages)} entries into {path}" in result.out
+    assert [message.data for topic, _, message in messages if topic == "/igtl/in/Raw/string"] == ["to be kept"]
+
+
+def default_port_is_free() -> bool:
+    try:
+        with socket.create_server(("127.0.0.1", 18944)):
+            return True
+    except OSError:
+        return False
+
+
+def test_port_in_use(programs: list[Program], tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        result = run(programs, "bridge", "--no-ros", "--listen", port, "--record", str(path))
+    line = refused(result)
+    assert f"127.0.0.1:{port}" in line and "in use" in line
+    assert not path.exists()
+
+
+def test_recording_that_cannot_be_made(programs: list[Program], tmp_path: Path) -> None:
+    missing, there = tmp_path / "missing" / "out.mcap", tmp_path / "there.mcap"
+    there.write_bytes(b"something else")
+    for path in (missing, there, tmp_path):
+        result = run(programs, "bridge", "--no-ros", "--listen", "0", "--record", str(path))
+        assert (result.code, result.out) == (1, "")
+        (line,) = result.err.splitlines()
+        assert str(path) in line
+    assert there.read_bytes() == b"something else"
+    assert list(tmp_path.iterdir()) == [there]
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("[gateway]\nros_unit = 'yard'\n", ("gateway.ros_unit", "'yard'")),
+        ("[[to_ros]]\ntopics = '/x'\n", ("to_ros[0].topics",)),
+        ("[gateway\n", ("TOML",)),
+    ],
+)
+def test_bad_configuration(programs: list[Program], tmp_path: Path, text: str, wanted: tuple[str, ...]) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    line = refused(run(programs, "bridge", "--no-ros", "--config", str(path)))
+    assert all(part in line for part in (str(path), *wanted))
+
+
+def test_other_hosts_need_an_allow_list(programs: list[Program]) -> None:
+    line = refused(run(programs, "bridge", "--no-ros", "--listen", "0.0.0.0:0"))
+    assert "0.0.0.0:0" in line and "allow" in line
+
+
+def test_what_to_record_without_a_file(programs: list[Program]) -> None:
+    assert "--record FILE is missing" in refused(run(programs, "bridge", "--no-ros", "--record-all"))
+
+
+def test_without_ros_installed(programs: list[Program], tmp_path: Path) -> None:
+    hiding = hidden_ros(tmp_path)
+    path = tmp_path / "out.mcap"
+    line = refused(run(programs, "bridge", "--listen", "0", "--record", str(path), PYTHONPATH=hiding))
+    assert "ROS 2 is not available" in line and "install" in line
+    assert not path.exists()
+    bridge = Bridge("--no-ros", "--record", str(path), PYTHONPATH=hiding)
+    programs.append(bridge)
+    with RawPeer(bridge.port) as peer:
+        peer.send(string("kept without ROS"))
+        bridge.wait_code("stream")
+        result = bridge.end()
+    assert (result.code, result.err) == (0, "")
+    kinds = {topic for topic, _, _ in recorded(path)}
+    assert "/igtl/in/Raw/string" in kinds
+
+
+@needs_ros
+@pytest.mark.parametrize("everything", [False, True])
+def test_other_topics_are_recorded(programs: list[Program], tmp_path: Path, everything: bool) -> None:
+    """A domain of its own: with ``--record-all`` nobody else's topics may come in."""
+    path = tmp_path / "out.mcap"
+    topics = {"/arm/joint_states": JOINTS, "/arm/health/all": HEALTH, "/chatter": TEXT}
+    wanted = set(topics) if everything else {"/arm/joint_states"}
+    options = ["--record-all"] if everything else ["--record-topics", "/arm/*"]
+    with RosClient("arm", advertise=topics, domain=SECOND_DOMAIN) as arm:
+        bridge = Bridge("--record", str(path), *options, ROS_DOMAIN_ID=str(SECOND_DOMAIN))
+        programs.append(bridge)
+        arm.wait_readers(*sorted(wanted))
+        head = {"stamp": {"sec": 7, "nanosec": 8}, "frame_id": "arm"}
+        arm.publish("/arm/joint_states", {"header": head, "name": ["a1", "a2"], "position": [0.5, -0.25]})
+        arm.publish("/arm/health/all", {"header": head, "status": [{"name": "drive", "message": "fine"}]})
+        arm.publish("/chatter", {"data": "aside"})
+        wait_flushed(path, lambda found: wanted <= {topic for topic, _ in found})
+        result = bridge.end()
+    assert (result.code, result.err) == (0, "")
+    found = {topic: (name, message) for topic, name, message in recorded(path) if topic in topics}
+    assert found.keys() == wanted
+    name, joints = found["/arm/joint_states"]
+    assert name == JOINTS
+    assert (joints.name, list(joints.position), joints.header.stamp.sec) == (["a1", "a2"], [0.5, -0.25], 7)
+    if everything:
+        assert found["/arm/health/all"][1].status[0].message == "fine"
+        assert found["/chatter"][1].data == "aside"
+
+
+def test_kill_9_leaves_what_was_flushed(programs: list[Program], tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    bridge = Bridge("--no-ros", "--record", str(path))
+    programs.append(bridge)
+
+    def is_there(found: list[tuple[str, bytes]]) -> bool:
+        return any(topic == "/igtl/in/Raw/string" and b"before the power went" in data for topic, data in found)
+
+    with RawPeer(bridge.port) as peer:
+        peer.send(string("before the power went"))
+        wait_flushed(path, is_there)
+        result = bridge.end(signal.SIGKILL)
+    assert result.code == -signal.SIGKILL
+    assert is_there(cut_off(path))
+    told = run(programs, "info", str(path))
+    assert told.code in (1, 2)
+    (line,) = told.err.splitlines()
+    assert str(path) in line and "recover" in line
