@@ -26,21 +26,10 @@ from igtl_gateway.convert.rosmsg import (
     TransformStamped,
 )
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.simulate.star_scene import (
-    APPROACH_S,
-    BASE_FROM_CAMERA,
-    CYCLE_S,
-    DRIVE_S,
-    IDLE_S,
-    SEED,
-    STITCHES,
-    WET_STITCH,
-    Array,
-    Noise,
-    Plan,
-    Scene,
-    quaternion,
-)
+from igtl_gateway.simulate.star_arm import APPROACH_S, BASE_FROM_CAMERA, CYCLE_S, DRIVE_S, IDLE_S, quaternion
+from igtl_gateway.simulate.star_numbers import SEED, Array, Noise
+from igtl_gateway.simulate.star_scene import Scene
+from igtl_gateway.simulate.star_tissue import STITCHES, WET_STITCH, Plan
 from igtl_gateway.stamp import NS_PER_S
 
 START_NS = 1_767_225_600 * NS_PER_S  #: 2026-01-01T00:00:00Z, unless the caller has another start
