@@ -461,6 +461,7 @@ class RosEdge:
                 except Exception as error:  # of ``wants``, or of a graph that changes meanwhile: look again
                     text = f"looking at the graph: {first_line(error)}"
                     self._note_once(Level.ERROR, "ros_callback_failed", text, "graph")
+                self._poll_events()
                 self._note_losses()
             bursting = self._release()
             with self._matched:
@@ -469,6 +470,16 @@ class RosEdge:
             left_s = max(0, next_look_ns - self._clock.monotonic_ns()) / 1e9
             self._wake.wait(_BURST_S if bursting else min(_RELEASE_S, left_s) if waiting else left_s)
             self._wake.clear()
+
+    def _poll_events(self) -> None:
+        running = self._running
+        if running is None:
+            return
+        try:
+            with self._lock:
+                running.receiver.poll_events()
+        except Exception as error:  # of one callback, or of rclpy internals that have changed
+            self._note_once(Level.ERROR, "ros_callback_failed", f"events: {first_line(error)}", "events")
 
     def _on_matched(self) -> None:
         self._wake.set()
