@@ -193,6 +193,25 @@ def test_nothing_is_lost_at_full_speed(peer: Peer, edge: RosEdge, heard: Heard) 
     assert [fields["child_frame_id"] for _, fields in taken] == [str(number) for number in range(2000)]
 
 
+def test_messages_do_not_wake_the_executor(peer: Peer, edge: RosEdge, heard: Heard) -> None:
+    topic, count = "/idle_executor", 500
+    heard.wanted[topic] = DEEP
+    peer.publisher(topic, TRANSFORM, {"depth": DEEP.depth})
+    assert peer.readers(topic, 1)
+    executor = edge._running.executor  # type: ignore[union-attr]  # running
+    turns, spin_once = [0], executor.spin_once
+
+    def counted() -> None:
+        turns[0] += 1
+        spin_once()
+
+    executor.spin_once = counted
+    peer.publish_times(topic, POSE, "child_frame_id", 0.001, count)
+    assert heard.until(lambda: heard.count(topic) == count)
+    del executor.spin_once
+    assert turns[0] < count / 20, "it is for services and timers; a turn costs more than a message"
+
+
 def test_own_topics_do_not_come_back(peer: Peer, edge: RosEdge, heard: Heard) -> None:
     """Neither where we alone publish, nor our part of a topic that others publish too, even with equal bytes."""
     heard.wanted |= {"/echo/ours": Qos(), "/echo/both": DEEP, "/echo/mark": Qos()}
