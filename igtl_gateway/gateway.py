@@ -75,7 +75,7 @@ class Gateway:
         self._tokens: dict[str, str] = {}  # topic token → device that owns it
         self._devices: dict[str, str] = {}  # short device name → full name that owns it
         self._latched: dict[str, Entry] = {}  # topic → its last message; as many as there are bridged topics
-        self._said: set[tuple[str, str]] = set()
+        self._said: set[tuple[str, str, int]] = set()
         self._news: list[_Reply] = []  # notes of streams that this entry opened
         self._qos: dict[str, Qos] = {}
         self._handlers: dict[Kind, Callable[[Entry], list[_Reply]]] = {
@@ -289,6 +289,7 @@ class Gateway:
                         replies += self._send(last, stream, {link: 1})
             else:
                 self._versions.pop(link, None)
+                self._said = {said for said in self._said if said[2] != link}
         return replies
 
     def _on_edge_note(self, entry: Entry) -> list[_Reply]:
@@ -301,18 +302,18 @@ class Gateway:
         self._news.append(_note(Level.INFO, "stream", f"{stream} goes {text}", stream, ()))
 
     def _once(self, code: str, about: str, level: Level, text: str, stream: str, link: int) -> list[_Reply]:
-        """A note, but only the first of its kind: what is common must not fill the log."""
-        if (code, about) in self._said:
+        """A note, but only the first of its kind from a link: what is common must not fill the log."""
+        if (code, about, link) in self._said:
             return []
-        self._said.add((code, about))
+        self._said.add((code, about, link))
         return [_note(level, code, text, stream, (link,))]
 
     def _warnings(self, warnings: list[tuple[str, str]], entry: Entry) -> list[_Reply]:
         """Notes for what a conversion had to bend, once for each stream and cause."""
         replies: list[_Reply] = []
         for code, text in warnings:
-            if (code, entry.channel) not in self._said:
-                self._said.add((code, entry.channel))
+            if (code, entry.channel, 0) not in self._said:
+                self._said.add((code, entry.channel, 0))
                 replies.append(_note(Level.WARN, code, text, entry.channel, entry.links))
         return replies
 

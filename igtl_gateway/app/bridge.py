@@ -76,21 +76,9 @@ class Bridge:
         self.addresses: list[Address] = []
         self.recorder: Recorder | None = None
         self.summary: RecordingSummary | None = None
-        if options.record:
-            self.recorder = Recorder(
-                options.record,
-                session_facts(config),
-                qos_of=lambda topic, ros_type: self.gateway.qos(topic) or self._subscription(topic, ros_type),
-                on_note=self._on_edge_note,
-                clock=clock,
-                overwrite=options.overwrite,
-            )
-        sinks: list[Callable[[Entry], None]] = [self._dispatch]
-        if self.recorder:
-            sinks.insert(0, self.recorder)
-        if on_entry:
-            sinks.append(on_entry)
-        self.hub = Hub(Session(self.gateway), clock, sinks)
+        self._clock = clock
+        sinks = (self._record, self._dispatch)
+        self.hub = Hub(Session(self.gateway), clock, (*sinks, on_entry) if on_entry else sinks)
         self.tcp = TcpEdge(
             on_frame=self.hub.igtl,
             on_link=lambda link, _up, note: self.hub.link(link, note),
@@ -109,11 +97,20 @@ class Bridge:
             )
 
     def start(self) -> None:
-        """Open both sides.  Raises ConfigError or RosError; then nothing is left open, and no recording is left."""
+        """Open both sides and the recording.  Raises ConfigError, RecordingError or RosError, and leaves nothing then."""
         try:
             self.addresses = [self.tcp.listen(*address) for address in self.options.listen]
             for address in self.options.connect:
                 self.tcp.connect(*address)
+            if self.options.record:  # behind the ports: one that is taken must not cost the recording of yesterday
+                self.recorder = Recorder(
+                    self.options.record,
+                    session_facts(self.gateway.config),
+                    qos_of=lambda topic, ros_type: self.gateway.qos(topic) or self._subscription(topic, ros_type),
+                    on_note=self._on_edge_note,
+                    clock=self._clock,
+                    overwrite=self.options.overwrite,
+                )
             if self.ros:
                 self.ros.start()
         except Exception:
@@ -150,6 +147,10 @@ class Bridge:
             "links": sent,
             "ros_topics": self.ros.counters() if self.ros else {},
         }
+
+    def _record(self, entry: Entry) -> None:
+        if self.recorder:
+            self.recorder(entry)
 
     def _dispatch(self, entry: Entry) -> None:
         """An output on its way out; called in the order of the log, under the hub's lock."""

@@ -66,6 +66,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-body-mib", type=int, default=256, metavar="MIB", help="longest message accepted (%(default)s)"
     )
+    parser.add_argument(
+        "--queue-messages", type=int, default=4096, metavar="N", help="the same, in messages (%(default)s)"
+    )
+    parser.add_argument(
+        "--stall-s", type=float, default=10.0, metavar="S", help="longest silence inside a message (%(default)s)"
+    )
     parser.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
     parser.add_argument("--json", action="store_true", help="print events as JSON lines")
 
@@ -91,6 +97,8 @@ def run(options: argparse.Namespace) -> int:
                 limits=Limits(
                     max_clients=options.max_clients,
                     queue_bytes=options.queue_mib << 20,
+                    queue_messages=options.queue_messages,
+                    stall_s=options.stall_s,
                     max_body=options.max_body_mib << 20,
                 ),
                 node_name=options.node_name,

@@ -1,0 +1,61 @@
+"""The bridge without ROS: what it leaves behind when it cannot start, and what it records."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.buffers import join
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.config import Config
+from igtl_gateway.errors import ConfigError, RecordingError
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.text import String
+
+HELLO = join(encode(Message("STRING", "Greeting", String.of("hello"))))
+
+
+def test_a_port_that_is_taken_does_not_cost_the_recording_of_yesterday(tmp_path: Path) -> None:
+    recording = tmp_path / "out.mcap"
+    recording.write_bytes(b"yesterday")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        options = BridgeOptions((taken.getsockname(),), ros=False, record=recording, overwrite=True)
+        with pytest.raises(ConfigError):
+            Bridge(Config(), options, SystemClock()).start()
+    assert recording.read_bytes() == b"yesterday"
+
+
+def test_a_recording_that_exists_is_refused_and_the_port_is_free_again(tmp_path: Path) -> None:
+    recording = tmp_path / "out.mcap"
+    recording.write_bytes(b"yesterday")
+    bridge = Bridge(Config(), BridgeOptions((("127.0.0.1", 0),), ros=False, record=recording), SystemClock())
+    with pytest.raises(RecordingError):
+        bridge.start()
+    socket.create_server(bridge.addresses[0]).close()
+    assert recording.read_bytes() == b"yesterday"
+
+
+def test_what_a_peer_says_is_in_the_recording(tmp_path: Path) -> None:
+    recording = tmp_path / "out.mcap"
+    seen: list[Entry] = []
+    options = BridgeOptions((("127.0.0.1", 0),), ros=False, record=recording)
+    bridge = Bridge(Config(), options, SystemClock(), seen.append)
+    bridge.start()
+    with socket.create_connection(bridge.addresses[0]) as peer:
+        peer.sendall(HELLO)
+        peer.shutdown(socket.SHUT_WR)
+        assert peer.recv(1) == b"", "the bridge closes when it has read all"
+    bridge.stop()
+    bridge.stop()
+    with SessionFile.open(recording) as file:
+        recorded = list(file.entries())
+        assert file.ledger and file.ledger["streams"]["igtl_in"]["STRING/Greeting"]["converted"] == 1
+    assert [(e.seq, e.kind, e.channel, e.data()) for e in recorded] == [
+        (e.seq, e.kind, e.channel, e.data()) for e in seen
+    ]
+    assert HELLO in [entry.data() for entry in recorded if entry.kind is Kind.IGTL_IN]
