@@ -97,7 +97,7 @@ class Bridge:
             )
 
     def start(self) -> None:
-        """Open both sides and the recording.  Raises ConfigError, RecordingError or RosError, and leaves nothing then."""
+        """Open both sides and the recording, or leave nothing: ConfigError, RecordingError or RosError."""
         try:
             self.addresses = [self.tcp.listen(*address) for address in self.options.listen]
             for address in self.options.connect:
