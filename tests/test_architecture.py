@@ -56,9 +56,9 @@ SIBLINGS = {"config": "convert"}
 #: is refused everywhere: give it a home first.
 HOMES: dict[str, tuple[str, ...]] = {
     # The live world
-    "asyncio": ("edges.tcp",),
-    "select": ("edges.tcp",),
-    "selectors": ("edges.tcp",),
+    "asyncio": (),
+    "select": ("edges.tcp.link",),
+    "selectors": ("edges.tcp.loop",),
     "socket": ("edges.tcp",),
     "socketserver": (),
     "ssl": (),
@@ -92,6 +92,7 @@ UNMIRRORED = (
     "peers",
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
     "test_architecture.py",
+    "test_fixtures.py",  # what the recordings in fixtures/ promise
     "test_gateway_fuzz.py",
     "wire/test_bodies.py",  # every type of message against one list of checks
     "wire/test_corpus.py",
@@ -244,7 +245,8 @@ def test_tests_mirror_the_package() -> None:
         ("convert.table", "from igtl_gateway.session.entry import Entry\nfrom igtl_gateway import wire"),
         ("config", "from igtl_gateway.convert.units import Lengths"),
         ("gateway", "from igtl_gateway import __version__, convert"),
-        ("edges.tcp", "import selectors, socket, threading"),
+        ("edges.tcp.loop", "import selectors, socket, threading"),
+        ("edges.tcp.link", "import select\nfrom igtl_gateway.edges.tcp.loop import Loop"),
         ("edges.ros", "import rclpy.node\nfrom igtl_gateway.edges import ros_env"),
         ("edges.ros", "import importlib\nimportlib.import_module(name)"),
         ("record.mcap_writer", "from mcap.writer import Writer"),
@@ -282,6 +284,7 @@ def test_what_is_allowed(module: str, source: str) -> None:
         ("convert.table", "from igtl_gateway.config import Config", "imports config (level 2)"),
         ("edges.tcp", "from igtl_gateway.edges.ros import Node", "imports edges.ros (level 4)"),
         ("edges.ros", "from . import tcp", "imports edges.tcp (level 4)"),
+        ("edges.ros", "from igtl_gateway.edges.tcp.loop import Loop", "imports edges.tcp (level 4)"),
         ("edges.ros_env", "from igtl_gateway.edges import ros", "imports edges.ros (level 4)"),
         ("record.recorder", "from igtl_gateway.replay import verify", "imports replay (level 4)"),
         ("replay.verify", "from ..record import rostypes", "imports record (level 4)"),
@@ -300,6 +303,8 @@ def test_what_is_allowed(module: str, source: str) -> None:
         ("convert.cdr", "from rosbags.typesys import Stores", "imports rosbags"),
         ("session.entry", "import numpy", "imports numpy"),
         ("wire.framer", "import socket", "imports socket"),
+        ("edges.ros", "import socket", "imports socket, whose home is edges.tcp"),
+        ("edges.tcp.edge", "import selectors", "imports selectors, whose home is edges.tcp.loop"),
         ("app", "import asyncio", "imports asyncio"),
         ("convert.names", "import crcmod", "imports crcmod, which has no home"),
         # Time, chance and the environment

@@ -1,0 +1,145 @@
+"""The client's part: one server that is tried until it is there, and again whenever it goes."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from igtl_gateway.edges.tcp.link import Link
+from igtl_gateway.edges.tcp.loop import WRITE, Loop
+from igtl_gateway.edges.tcp.reporter import Reporter
+from igtl_gateway.edges.tcp.sockets import place_of, resolve
+from igtl_gateway.session.note import Level, Note
+
+_CONNECT_TIMEOUT_S = 5.0  # the kernel's own would be two minutes
+_RETRY_FIRST_S = 0.1  # as fast as 3D Slicer retries: a server that restarts is back at once
+_RETRY_LAST_S = 5.0  # the longest that a user waits after switching the server on
+_LIVED_S = 1.0  # a link that lasted this long, or brought a byte, was a real one: retry fast again
+
+
+class Dialer:
+    """Connects, and hands the connection to ``up`` (socket, address, itself); of the I/O thread alone.
+
+    ``link`` is the connection that lives, if any; the edge sets it.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        up: Callable[[socket.socket, str, Dialer], None],
+        loop: Loop,
+        reporter: Reporter,
+    ) -> None:
+        self.target = place_of((host, port))
+        self.link: Link | None = None
+        self._host = host
+        self._port = port
+        self._up = up
+        self._loop = loop
+        self._reporter = reporter
+        self._delay_s = _RETRY_FIRST_S
+        self._causes: set[str] = set()  # noted already in this outage
+        self._addresses: list[tuple[int, Any]] = []  # family and address, still to be tried in this attempt
+        self._sock: socket.socket | None = None
+
+    def dial(self) -> None:
+        """Begin an attempt: find the addresses of the server."""
+        if self._loop.stopping or self.link:
+            return
+        try:
+            addresses = resolve(self._host, self._port, numeric=True)
+        except OSError:
+            # a name server can take seconds: not in this thread
+            threading.Thread(target=self._look_up, name="igtl-resolve", daemon=True).start()
+        else:
+            self._found(addresses, "")
+
+    def hang_up(self) -> None:
+        """Give up the connection that is being made, if any."""
+        if self._sock:
+            self._loop.unwatch(self._sock)
+            self._sock.close()
+            self._sock = None
+
+    def redial(self) -> None:
+        """Its link has gone."""
+        link, self.link = self.link, None
+        if link and link.lasted(_LIVED_S):
+            self._delay_s = _RETRY_FIRST_S
+            self._causes.clear()
+        self._retry()
+
+    def failed(self, exc: Exception) -> None:
+        """An unexpected error of ours: noted, and this attempt given up."""
+        self._reporter.note_error(exc)
+        self.hang_up()
+        self._retry()
+
+    def _look_up(self) -> None:
+        try:
+            found, cause = resolve(self._host, self._port, numeric=False), ""
+        except OSError as exc:
+            found, cause = [], f"{exc.strerror or exc}"
+        self._loop.post(partial(self._found, found, cause), self.failed)
+
+    def _found(self, addresses: list[tuple[int, Any]], cause: str) -> None:
+        self._addresses = addresses
+        self._dial_next(cause)
+
+    def _dial_next(self, cause: str) -> None:
+        """Try the next address, or give up this attempt for the cause."""
+        if self._loop.stopping:
+            return
+        if not self._addresses:
+            self._give_up(cause)
+            return
+        family, address = self._addresses.pop(0)
+        try:
+            self._sock = sock = socket.socket(family, socket.SOCK_STREAM)
+        except OSError as exc:
+            self._dial_next(f"{exc.strerror}")
+            return
+        sock.setblocking(False)
+        code = sock.connect_ex(address)
+        if code not in (0, errno.EINPROGRESS):
+            self.hang_up()
+            self._dial_next(os.strerror(code))
+            return
+        self._loop.watch(sock, WRITE, lambda _: self._dialled(sock, address), self.failed)
+        self._loop.later(_CONNECT_TIMEOUT_S, partial(self._timed_out, sock), self.failed)
+
+    def _dialled(self, sock: socket.socket, address: Any) -> None:
+        code = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        # A free port of the ephemeral range can be connected to itself; nobody is there.
+        if not code and sock.getsockname()[:2] == address[:2]:
+            code = errno.ECONNREFUSED
+        if code:
+            self.hang_up()
+            self._dial_next(os.strerror(code))
+            return
+        self._loop.unwatch(sock)
+        self._sock = None
+        self._up(sock, place_of(address), self)
+
+    def _timed_out(self, sock: socket.socket) -> None:
+        if self._sock is sock:
+            self.hang_up()
+            self._dial_next(os.strerror(errno.ETIMEDOUT))
+
+    def _give_up(self, cause: str) -> None:
+        if cause not in self._causes:
+            self._causes.add(cause)
+            text = f"cannot connect to {self.target}: {cause}; trying on"
+            data = {"peer": self.target, "reason": cause}
+            self._reporter.note(0, Note(Level.WARN, "connect_failed", text, data=data))
+        self._retry()
+
+    def _retry(self) -> None:
+        self._loop.later(self._delay_s, self.dial, self.failed)
+        self._delay_s = min(2 * self._delay_s, _RETRY_LAST_S)

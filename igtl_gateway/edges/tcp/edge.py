@@ -1,0 +1,277 @@
+"""``TcpEdge``: what the rest of the gateway sees of the links, and the life of the whole from start to stop."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.clock import Clock
+from igtl_gateway.edges.tcp.dialer import Dialer
+from igtl_gateway.edges.tcp.facts import Limits, LinkCounters, LinkInfo, Role
+from igtl_gateway.edges.tcp.link import FLUSH_S, Link, Surroundings
+from igtl_gateway.edges.tcp.listener import Listener
+from igtl_gateway.edges.tcp.loop import Loop
+from igtl_gateway.edges.tcp.outbox import Part
+from igtl_gateway.edges.tcp.reporter import Reporter
+from igtl_gateway.edges.tcp.sockets import PORT_MAX, AllowList, listening_socket, place_of, tune
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S
+
+_DRAIN_S = 0.25  # how long stop() waits for peers to close their side
+_JOINED = 4096  # bytes of a message up to which one copied buffer is sent faster than several (3.5 µs against 5.5)
+_LIMITS = Limits()
+
+
+class TcpEdge:
+    """Frames in by callback, frames out by ``send``.  Link numbers count from 1 and are never used twice.
+
+    Callbacks come from the I/O thread, one at a time: for each link first ``on_link(number, True, note)``, then
+    its frames, then ``on_link(number, False, note)``.  One that raises is noted, and things go on.
+
+    The clock paces retries, stalls and notes; it must run by itself.
+
+    Args:
+        on_frame: link number and one whole message, unchecked; the buffer is the receiver's to keep.
+        on_link: a peer came (True) or went; the note's data has ``peer``, ``local``, ``role``, and, when it went,
+            ``reason`` and the counts.
+        on_note: link number (0 if none) and a fact: ``truncated``, ``too_large``, ``stalled``, ``out_of_memory``,
+            ``queue_drop``, ``queue_full``, ``refused``, ``accept_failed``, ``connect_failed``, ``callback_failed``,
+            ``internal_error``.
+        clock: see above.
+        limits: what a peer can cost.
+        allow: networks (CIDR) whose peers may connect beside this host's own, or ``"any"``.
+        when_full: ``"drop"``: ``send`` never waits, see ``Outbox``; ``"block"``: ``send`` waits for room and
+            nothing is lost while the link lives (except in callbacks, which must not wait for themselves).
+
+    Raises ConfigError for a network that is none.
+    """
+
+    def __init__(
+        self,
+        *,
+        on_frame: Callable[[int, Buffer], None],
+        on_link: Callable[[int, bool, Note], None],
+        on_note: Callable[[int, Note], None],
+        clock: Clock,
+        limits: Limits = _LIMITS,
+        allow: Sequence[str] = (),
+        when_full: Literal["drop", "block"] = "drop",
+    ) -> None:
+        self._on_link = on_link
+        self._limits = limits
+        self._allow = AllowList(allow)
+        self._blocking = when_full == "block"
+
+        self._changed = threading.Condition()  # guards _links, _ignored, _gone; told when a waiter should look again
+        self._links: dict[int, Link] = {}
+        self._ignored: Counter[str] = Counter()
+        self._gone = LinkCounters()
+
+        self._loop = Loop(clock, self._run, self._failed)
+        self._reporter = Reporter(self._loop, on_note)
+        self._around = Surroundings(self._loop, self._reporter, limits, on_frame, self._notify, self._down)
+        self._last_number = 0
+        self._listeners: list[Listener] = []
+        self._dialers: list[Dialer] = []
+        self._flush_s = 0.0
+        self._finished = False
+
+    # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
+
+    def listen(self, host: str, port: int) -> tuple[str, int]:
+        """Serve peers at this address; port 0 chooses a free one.  Returns the address and port bound.
+
+        Raises ConfigError if the address is invalid or taken, or open to other hosts without an allow-list, and
+        after ``stop``.
+        """
+        sock = listening_socket(host, port, self._allow)
+        bound: tuple[str, int] = sock.getsockname()[:2]
+        listener = Listener(sock, self._allow, self._crowded, self._up, self._loop, self._reporter)
+        with self._changed:
+            if self._loop.stopping:
+                sock.close()
+                raise ConfigError(f"listen {place_of((host, port))}: the edge was stopped; a new one is needed")
+            self._listeners.append(listener)
+        self._loop.post(listener.open, listener.failed)
+        return bound
+
+    def connect(self, host: str, port: int) -> None:
+        """Stay connected to this server: try until it is there, and again whenever it goes.
+
+        Raises ConfigError for a port out of range, and after ``stop``.  Anything else may mend itself, and is noted.
+        """
+        if not 1 <= port <= PORT_MAX:
+            raise ConfigError(f"connect {host}: found port {port}, expected 1 to {PORT_MAX}")
+        dialer = Dialer(host, port, self._up, self._loop, self._reporter)
+        with self._changed:
+            if self._loop.stopping:
+                raise ConfigError(f"connect {dialer.target}: the edge was stopped; a new one is needed")
+            self._dialers.append(dialer)
+        self._loop.post(dialer.dial, dialer.failed)
+
+    def start(self) -> None:
+        """Start the I/O thread; once."""
+        self._loop.start()
+
+    def send(self, links: Sequence[int], buffers: Sequence[Buffer], stream: str, keep: bool) -> None:
+        """Send one message, as buffers one after the other, to each of these links.
+
+        The buffers must not change afterwards: what the kernel does not take at once is queued as it is.
+        Messages leave a link in the order of the calls.  Links that are gone are ignored and counted.
+        Raises TypeError or BufferError, with nothing sent, for a buffer that is not contiguous.
+        """
+        size = sum([memoryview(buffer).nbytes for buffer in buffers])
+        parts: Sequence[Part]
+        if size <= _JOINED:
+            parts = (b"".join(buffers),)
+        else:
+            # cast() refuses arrays with a zero in their shape
+            parts = [memoryview(buffer).cast("B") for buffer in buffers if memoryview(buffer).nbytes]
+        waits = self._blocking and not self._loop.inside()
+        for number in links:
+            link = self._links.get(number)
+            if link is None or not link.send(parts, size, stream, keep, waits):
+                with self._changed:
+                    self._ignored[stream] += 1
+
+    def counters(self) -> dict[int, LinkCounters]:
+        """Counts per link that is up; under 0 those of all links that are gone, taken together."""
+        with self._changed:
+            counts = {number: link.counters() for number, link in self._links.items()}
+            return {0: self._gone + LinkCounters(ignored=dict(self._ignored))} | counts
+
+    def flush(self, timeout_s: float) -> bool:
+        """Wait until nothing is queued for any link; False if that took too long."""
+        return self._wait(lambda: not self._queued(), timeout_s)
+
+    def links(self) -> list[LinkInfo]:
+        """The peers, and the servers that are not there yet."""
+        with self._changed:
+            live = [LinkInfo(link.number, link.peer, link.role, True) for link in self._live()]
+        return live + [LinkInfo(0, dialer.target, "client", False) for dialer in self._dialers if not dialer.link]
+
+    def wait_links(self, count: int, timeout_s: float | None) -> bool:
+        """Wait until at least ``count`` links are up; False if that took too long or the edge was stopped."""
+        return self._wait(lambda: len(self._live()) >= count, timeout_s)
+
+    def stop(self, flush_s: float = FLUSH_S) -> None:
+        """Accept no more, send what is queued (for ``flush_s`` seconds at most), close all links, end the thread.
+
+        Frames that arrive meanwhile are still delivered: do not call it under a lock that callbacks take.
+        Further calls do nothing; from a callback it only asks, and returns at once.
+        """
+        with self._changed:
+            if not self._loop.stopping:
+                self._flush_s = flush_s
+                self._loop.stopping = True
+            self._changed.notify_all()
+        self._loop.wake()
+        if not self._loop.started:
+            self._finish()
+        elif not self._loop.inside():
+            self._loop.join()
+
+    def _wait(self, condition: Callable[[], bool], timeout_s: float | None) -> bool:
+        if self._loop.inside():  # it would wait for itself
+            timeout_s = 0.0
+        with self._changed:
+            self._changed.wait_for(lambda: self._loop.stopping or condition(), timeout_s)
+            return condition()
+
+    def _live(self) -> list[Link]:
+        return [link for link in self._links.values() if link.announced]
+
+    def _queued(self) -> bool:
+        return any(not link.outbox.empty for link in self._links.values())
+
+    # ── the I/O thread ────────────────────────────────────────────────────────────────────────────────────────
+
+    def _run(self) -> None:
+        self._loop.run(self._sweep)
+        while not self._loop.stopping:
+            self._loop.turn(None)
+        self._finish()
+
+    def _sweep(self) -> None:
+        """Close the links that fell silent inside a message."""
+        self._loop.later(min(self._limits.stall_s / 4, 1.0), self._sweep)
+        for link in list(self._links.values()):
+            self._loop.run(link.sweep, link.failed)
+
+    def _failed(self, exc: Exception) -> None:
+        """An unexpected error of ours that concerns no single link, listener or server."""
+        self._reporter.note_error(exc)
+
+    def _crowded(self) -> str:
+        """Why no further peer may connect, or ``""``."""
+        most = self._limits.max_clients
+        full = sum(link.role == "server" for link in self._links.values()) >= most
+        return f"{most} clients are connected already" if full else ""
+
+    def _up(self, sock: socket.socket, peer: str, dialer: Dialer | None = None) -> None:
+        """A connection was made: give it a number, and tell."""
+        role: Role = "client" if dialer else "server"
+        try:
+            tune(sock)
+            link = Link(self._last_number + 1, sock, role, peer, self._around)
+            link.open()
+        except Exception:
+            self._loop.unwatch(sock)
+            sock.close()
+            raise
+        self._last_number += 1
+        if dialer:
+            dialer.link = link
+        with self._changed:
+            self._links[link.number] = link
+        data = {"peer": peer, "local": link.local, "role": role}
+        text = f"{peer} connected to {link.local}" if role == "server" else f"connected to {peer}"
+        note = Note(Level.INFO, "link_up", text, data=data)
+        self._reporter.call("on_link", self._on_link, link.number, True, note)
+        link.announced = True
+        self._notify()
+
+    def _down(self, link: Link, note: Note) -> None:
+        """The link has closed: keep its counts, and tell."""
+        counts = link.counters()
+        with self._changed:
+            del self._links[link.number]
+            self._gone += counts
+        for dialer in self._dialers:
+            if dialer.link is link:
+                self._loop.run(dialer.redial, dialer.failed)
+        self._reporter.call("on_link", self._on_link, link.number, False, note)
+        self._notify()
+
+    def _notify(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
+    def _finish(self) -> None:
+        """The orderly end: flush, half-close, read out, close."""
+        if self._finished:
+            return
+        for listener in self._listeners:
+            listener.close()
+        for dialer in self._dialers:
+            dialer.hang_up()
+        self._turns(self._queued, self._flush_s)
+        for link in self._links.values():
+            link.end_sending()
+        # Closing with unread bytes resets the connection, and the peer could lose the last that we sent.
+        self._turns(lambda: bool(self._links), _DRAIN_S)
+        for link in list(self._links.values()):
+            self._loop.run(link.close, link.failed)
+        self._loop.close()
+        self._finished = True
+
+    def _turns(self, condition: Callable[[], bool], timeout_s: float) -> None:
+        """Go on while the condition holds, for that long at most."""
+        deadline_ns = self._loop.now() + round(timeout_s * NS_PER_S)
+        while condition() and self._loop.now() < deadline_ns:
+            self._loop.turn(deadline_ns)

@@ -1,0 +1,326 @@
+"""One connection: sending in the caller's thread, receiving and the end in the I/O thread."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.edges.tcp.facts import Limits, LinkCounters, Role
+from igtl_gateway.edges.tcp.loop import READ, WRITE, Loop
+from igtl_gateway.edges.tcp.outbox import IOV_MAX, Message, Outbox, Part
+from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S, Reporter, error_note
+from igtl_gateway.edges.tcp.sockets import place_of
+from igtl_gateway.errors import MessageTooLarge
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.wire.framer import HEADER_SIZE, Framer
+
+FLUSH_S = 1.0  # how long what is queued is tried to be sent when the end has come
+
+_BLOCKED_POLL_MS = 100  # how soon a waiting sender sees that its link was closed
+_BODY_SIZE_AT = slice(42, 50)  # in the header, big-endian
+_ERRORS_MAX = 3  # unexpected errors of ours in a link's life; this one ends it
+_FAULTS = frozenset({"too_large", "out_of_memory", "stalled", "queue_full", "internal_error"})  # notes that end a link
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What all links of an edge share.
+
+    Attributes:
+        on_frame: the edge's callback.
+        drained: told when a queue has run empty.
+        closed: told last, with the note for ``on_link``.
+    """
+
+    loop: Loop
+    reporter: Reporter
+    limits: Limits
+    on_frame: Callable[[int, Buffer], None]
+    drained: Callable[[], None]
+    closed: Callable[[Link, Note], None]
+
+
+class Link:
+    """One connection.
+
+    ``_lock`` guards ``outbox``, ``_mute``, ``_reason``, ``_flagged``, ``_drops_watched`` and sending.
+    """
+
+    def __init__(self, number: int, sock: socket.socket, role: Role, peer: str, around: Surroundings) -> None:
+        self.number = number
+        self.role: Role = role
+        self.peer = peer
+        self.local = place_of(sock.getsockname())
+        self.announced = False  # by the edge
+        self.outbox = Outbox(around.limits)
+        self._sock = sock
+        self._around = around
+        self._loop = around.loop
+        self._reporter = around.reporter
+        self._lock = threading.Lock()
+        self._mute = False  # nothing may be sent any more
+        self._reason = ""  # why it is about to close
+        self._flagged = False  # the I/O thread watches for room in the socket, or was asked to
+        self._drops_watched = False  # the I/O thread knows that there are drops to note
+        # of the I/O thread alone
+        self._framer = Framer(around.limits.max_body)
+        self._room = self._framer.buffer()
+        self._up_ns = self._heard_ns = self._loop.now()
+        self._received_messages = 0
+        self._received_bytes = 0
+        self._drops_noted = 0
+        self._open = True
+        self._ended = False  # the peer sends no more; what is queued for it is still sent
+        self._torn = False  # bytes are on their way in or out: an error here loses the place in the stream
+        self._errors = 0
+
+    # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
+
+    def send(self, parts: Sequence[Part], size: int, stream: str, keep: bool, waits: bool) -> bool:
+        """Send or queue; False if the link takes nothing any more.  ``waits``: for room in the queue, if need be."""
+        while True:
+            with self._lock:
+                box = self.outbox
+                if self._mute:
+                    return False
+                if box.empty:
+                    sent = self._write(parts[:IOV_MAX])
+                    if sent == size:
+                        box.count_sent(size)
+                        return True
+                    return self._queue(Message(parts, size, stream, keep), sent)
+                if not waits or box.has_room(size):
+                    return self._queue(Message(parts, size, stream, keep), 0)
+                # Not left to the I/O thread, which may be waiting for a lock that our caller holds.
+                box.advance(self._write(box.parts()))
+                descriptor = self._sock.fileno()
+                full = not box.has_room(size)
+            if full:
+                if self._loop.stopping:
+                    return False
+                # If the link is closed meanwhile, this returns at once or late, and the loop finds it mute.
+                poll = select.poll()
+                poll.register(descriptor, select.POLLOUT)
+                poll.poll(_BLOCKED_POLL_MS)
+
+    def counters(self) -> LinkCounters:
+        with self._lock:
+            box = self.outbox
+            return LinkCounters(
+                box.sent_messages,
+                box.sent_bytes,
+                self._received_messages,
+                self._received_bytes,
+                box.messages,
+                box.bytes,
+                dict(box.dropped),
+            )
+
+    def _queue(self, message: Message, sent: int) -> bool:
+        """Queue what is left of the message; under the lock."""
+        if self._mute:
+            return False
+        box = self.outbox
+        drops = box.drops
+        if sent:
+            box.begin(message, sent)
+        elif not box.add(message):
+            self._mute = True
+            self._reason = "the send queue is full of messages that must not be dropped"
+            box.clear()
+            self._loop.post(self._overflowed, self.failed)
+            return False
+        if not self._flagged:
+            self._flagged = True
+            self._loop.post(self._watch_room, self.failed)
+        if box.drops > drops and not self._drops_watched:
+            self._drops_watched = True
+            self._loop.post(self._note_drops, self.failed)
+        return True
+
+    def _write(self, parts: Sequence[Part]) -> int:
+        """Bytes that the kernel takes now; under the lock.  A link that fails is muted, and 0 returned."""
+        try:
+            return self._sock.send(parts[0]) if len(parts) == 1 else self._sock.sendmsg(parts)
+        except (BlockingIOError, InterruptedError):
+            return 0
+        except OSError as exc:
+            self._mute = True
+            if not self._ended:
+                self._reason = f"sending failed: {exc.strerror or exc}"
+            self.outbox.clear()
+            # what the peer has sent before is still read, then the I/O thread finds the end and closes
+            with suppress(OSError):
+                self._sock.shutdown(socket.SHUT_RDWR)
+            return 0
+
+    # ── for the I/O thread ────────────────────────────────────────────────────────────────────────────────────
+
+    def open(self) -> None:
+        """Begin to listen to the peer."""
+        self._loop.watch(self._sock, READ, self._ready, self.failed)
+
+    def lasted(self, least_s: float) -> bool:
+        """Whether the link was a real one: it brought a byte, or lived that long."""
+        return self._received_bytes > 0 or self._loop.now() - self._up_ns >= least_s * NS_PER_S
+
+    def sweep(self) -> None:
+        """Close if the peer fell silent inside a message."""
+        silent_s = (self._loop.now() - self._heard_ns) / NS_PER_S
+        if self._framer.pending and not self._ended and silent_s > self._around.limits.stall_s:
+            self._fault(Level.WARN, "stalled", f"{self.peer} sent half a message, then nothing")
+
+    def end_sending(self) -> None:
+        """The edge stops: send no more, and let the peer know."""
+        with self._lock:
+            self._mute = True
+            self._reason = self._reason or "stopped"
+            with suppress(OSError):
+                self._sock.shutdown(socket.SHUT_WR)
+
+    def failed(self, exc: Exception) -> None:
+        """An unexpected error of ours: noted, and things go on.
+
+        It costs the link where the place in the stream of bytes is lost, and where errors come again and again.
+        """
+        self._errors += 1
+        self._reporter.note(self.number, error_note(exc, peer=self.peer, count=self._errors))
+        if self._open and (self._torn or self._errors >= _ERRORS_MAX):
+            self.close("internal_error")
+
+    def close(self, reason: str = "") -> None:
+        """Close for that reason, or the one known already, and tell."""
+        reason = reason or self._reason
+        self._open = False
+        with self._lock:
+            self._mute = True
+        self._loop.run(self._note_drops)
+        with self._lock:
+            self.outbox.clear()
+            self._loop.unwatch(self._sock)
+            self._sock.close()
+        if reason not in _FAULTS:
+            self._loop.run(self._note_truncated)
+        counts = self.counters()
+        data = {
+            "peer": self.peer,
+            "local": self.local,
+            "role": self.role,
+            "reason": reason,
+            "sent_messages": counts.sent_messages,
+            "sent_bytes": counts.sent_bytes,
+            "received_messages": counts.received_messages,
+            "received_bytes": counts.received_bytes,
+            "dropped": counts.dropped,
+            "unsent": self.outbox.unsent,
+        }
+        self._around.closed(self, Note(Level.INFO, "link_down", f"{self.peer} disconnected: {reason}", data=data))
+
+    def _ready(self, mask: int) -> None:
+        if self._open and mask & WRITE:
+            self._drain()
+        if self._open and mask & READ:
+            self._read()
+
+    def _read(self) -> None:
+        try:
+            count = self._sock.recv_into(self._room)
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError as exc:
+            self.close(self._reason or f"receiving failed: {exc.strerror or exc}")
+            return
+        if not count:
+            self._end()
+            return
+        self._torn = True
+        self._heard_ns = self._loop.now()
+        self._received_bytes += count
+        try:
+            for message in self._framer.received(count):
+                self._received_messages += 1
+                self._reporter.call("on_frame", self._around.on_frame, self.number, message)
+            self._room = self._framer.buffer()
+        except MessageTooLarge as exc:
+            self._fault(Level.ERROR, "too_large", f"message too large: {exc}")
+        except MemoryError:
+            self._fault(Level.ERROR, "out_of_memory", "no memory for the message that the peer announces")
+        self._torn = False
+
+    def _end(self) -> None:
+        """The peer sends no more.  It may still read: it gets what is queued for it, within ``FLUSH_S``."""
+        with self._lock:
+            self._mute = True
+            self._reason = self._reason or "closed by the peer"
+            self._ended = not self.outbox.empty
+        if not self._ended:
+            self.close()
+            return
+        self._loop.watch(self._sock, WRITE, self._ready, self.failed)
+        self._loop.later(FLUSH_S, self._give_up, self.failed)
+
+    def _give_up(self) -> None:
+        if self._open:
+            self.close()
+
+    def _drain(self) -> None:
+        """There is room in the socket."""
+        with self._lock:
+            box = self.outbox
+            self._torn = True
+            if not box.empty:
+                box.advance(self._write(box.parts()))
+            self._torn = False
+            if not box.empty:
+                return
+            if not self._ended:
+                self._flagged = False
+                self._loop.watch(self._sock, READ, self._ready, self.failed)
+        if self._ended:
+            self.close()
+        self._around.drained()
+
+    def _watch_room(self) -> None:
+        if self._open and not self._ended:
+            self._loop.watch(self._sock, READ | WRITE, self._ready, self.failed)
+
+    def _overflowed(self) -> None:
+        if self._open:
+            self._fault(Level.ERROR, "queue_full", f"{self.peer} does not read: {self._reason}")
+
+    def _fault(self, level: Level, code: str, text: str) -> None:
+        """Note what is wrong, and close."""
+        self._reporter.note(self.number, Note(level, code, text, data=self._unfinished()))
+        self.close(code)
+
+    def _note_drops(self) -> None:
+        """Note the drops so far, and again in a second if there are more."""
+        with self._lock:
+            box = self.outbox
+            if box.drops == self._drops_noted:
+                self._drops_watched = False
+                return
+            self._drops_noted = drops = box.drops
+            data = {"peer": self.peer, "dropped": dict(box.dropped), "messages": box.messages, "bytes": box.bytes}
+        text = f"{self.peer} reads too slowly: {drops} messages dropped so far"
+        self._reporter.note(self.number, Note(Level.WARN, "queue_drop", text, data=data))
+        self._loop.later(NOTE_EVERY_S, self._note_drops, self.failed)
+
+    def _note_truncated(self) -> None:
+        if self._framer.pending:
+            data = self._unfinished()
+            text = f"{self.peer} went inside a message: {data['received']} of {data['expected'] or '?'} bytes"
+            self._reporter.note(self.number, Note(Level.WARN, "truncated", text, data=data))
+
+    def _unfinished(self) -> dict[str, Any]:
+        """Facts about the message that the link is inside of."""
+        head = self._framer.pending_head()
+        expected = HEADER_SIZE + int.from_bytes(head[_BODY_SIZE_AT], "big") if len(head) == HEADER_SIZE else None
+        return {"received": self._framer.pending, "expected": expected, "head": head.hex(), "peer": self.peer}

@@ -1,0 +1,79 @@
+"""The server's part: one address where peers connect."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+
+from igtl_gateway.edges.tcp.loop import READ, Loop
+from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S, Reporter
+from igtl_gateway.edges.tcp.sockets import AllowList, place_of
+from igtl_gateway.session.note import Level, Note
+
+
+class Listener:
+    """Accepts peers and hands them to ``up`` (socket, address); of the I/O thread alone.
+
+    ``crowded`` says why no further peer may come, or ``""``.
+    """
+
+    def __init__(
+        self,
+        sock: socket.socket,
+        allow: AllowList,
+        crowded: Callable[[], str],
+        up: Callable[[socket.socket, str], None],
+        loop: Loop,
+        reporter: Reporter,
+    ) -> None:
+        self._sock = sock
+        self._allow = allow
+        self._crowded = crowded
+        self._up = up
+        self._loop = loop
+        self._reporter = reporter
+
+    def open(self) -> None:
+        if not self._loop.stopping:
+            self._loop.watch(self._sock, READ, self._accept, self.failed)
+
+    def close(self) -> None:
+        self._loop.unwatch(self._sock)
+        self._sock.close()
+
+    def failed(self, exc: Exception) -> None:
+        """An unexpected error of ours: noted, and tried again in a second."""
+        self._reporter.note_error(exc)
+        self._pause()
+
+    def _accept(self, mask: int) -> None:
+        try:
+            sock, address = self._sock.accept()
+        except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+            return
+        except OSError as exc:
+            # out of descriptors, mostly: the listener would stay ready and the loop spin
+            text = f"cannot accept connections at {place_of(self._sock.getsockname())}: {exc.strerror}"
+            self._reporter.note(0, Note(Level.ERROR, "accept_failed", text))
+            self._pause()
+            return
+        peer = place_of(address)
+        if address[0] not in self._allow:
+            self._refuse(sock, peer, "not in the allow-list")
+        elif reason := self._crowded():
+            self._refuse(sock, peer, reason)
+        else:
+            self._up(sock, peer)
+
+    def _pause(self) -> None:
+        self._loop.unwatch(self._sock)
+        self._loop.later(NOTE_EVERY_S, self.open, self.failed)
+
+    def _refuse(self, sock: socket.socket, peer: str, reason: str) -> None:
+        sock.close()
+
+        def make(count: int) -> Note:
+            data = {"peer": peer, "reason": reason, "count": count}
+            return Note(Level.WARN, "refused", f"connection of {peer} refused: {reason}", data=data)
+
+        self._reporter.note_slowly(f"refused: {reason}", make)

@@ -1,0 +1,154 @@
+"""The I/O thread: waits for sockets, for what other threads ask of it, and for the time, and does what is due.
+
+Whatever it does is an action with a rescue beside it.  An action that raises ends itself only: the exception goes
+to its rescue, or, where there is none, to ``on_error``, and the turn goes on.
+"""
+
+from __future__ import annotations
+
+import heapq
+import logging
+import selectors
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+
+from igtl_gateway.clock import Clock
+from igtl_gateway.stamp import NS_PER_S
+
+_log = logging.getLogger(__name__)
+
+READ = selectors.EVENT_READ
+WRITE = selectors.EVENT_WRITE
+
+_CALM_S = 0.1  # pause after a turn that failed as a whole: the next may fail as quickly
+
+Action = Callable[[], None]
+Rescue = Callable[[Exception], None]
+
+
+class Loop:
+    """One selector and the thread that runs ``body``, which is to call ``turn`` again and again.
+
+    ``stopping`` is set by the owner when the end has begun; everybody may look.
+    """
+
+    def __init__(self, clock: Clock, body: Action, on_error: Rescue) -> None:
+        self.stopping = False
+        self._clock = clock
+        self._on_error = on_error
+        self._thread = threading.Thread(target=body, name="igtl-tcp", daemon=True)
+        self._calm = threading.Event()  # never set
+        self._selector = selectors.DefaultSelector()
+        self._wake_in, self._wake_out = socket.socketpair()
+        self._wake_in.setblocking(False)
+        self._wake_out.setblocking(False)
+        self._todo: deque[tuple[Action, Rescue]] = deque()
+        self._timers: list[tuple[int, int, Action, Rescue]] = []
+        self._serial = 0
+        self.watch(self._wake_in, READ, self._woken)
+
+    # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
+
+    @property
+    def started(self) -> bool:
+        return self._thread.ident is not None
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def join(self) -> None:
+        self._thread.join()
+
+    def inside(self) -> bool:
+        """Whether the caller is the I/O thread."""
+        return threading.get_ident() == self._thread.ident
+
+    def now(self) -> int:
+        """Monotonic nanoseconds."""
+        return self._clock.monotonic_ns()
+
+    def post(self, action: Action, rescue: Rescue | None = None) -> None:
+        """Let the I/O thread do this soon."""
+        self._todo.append((action, rescue or self._on_error))
+        if not self.inside():
+            self.wake()
+
+    def wake(self) -> None:
+        with suppress(OSError):  # full: it is awake already; closed: it has ended
+            self._wake_out.send(b"\0")
+
+    # ── for the I/O thread ────────────────────────────────────────────────────────────────────────────────────
+
+    def later(self, delay_s: float, action: Action, rescue: Rescue | None = None) -> None:
+        """Do this in ``delay_s`` seconds."""
+        self._serial += 1
+        due_ns = self.now() + round(delay_s * NS_PER_S)
+        heapq.heappush(self._timers, (due_ns, self._serial, action, rescue or self._on_error))
+
+    def watch(
+        self, sock: socket.socket, events: int, action: Callable[[int], None], rescue: Rescue | None = None
+    ) -> None:
+        """From now on call the action when the socket is ready for one of these events, with those it is ready for."""
+        data = (action, rescue or self._on_error)
+        try:
+            self._selector.modify(sock, events, data)
+        except KeyError:
+            self._selector.register(sock, events, data)
+
+    def unwatch(self, sock: socket.socket) -> None:
+        """Forget the socket; always before it is closed."""
+        with suppress(KeyError):
+            self._selector.unregister(sock)
+
+    def turn(self, deadline_ns: int | None) -> None:
+        """Wait for something to do, not beyond the deadline, and do it."""
+        try:
+            self._turn(deadline_ns)
+        except Exception as exc:
+            self._rescue(self._on_error, exc)
+            self._calm.wait(_CALM_S)
+
+    def run(self, action: Action, rescue: Rescue | None = None) -> None:
+        """Do this now."""
+        try:
+            action()
+        except Exception as exc:
+            self._rescue(rescue or self._on_error, exc)
+
+    def close(self) -> None:
+        self._selector.close()
+        self._wake_in.close()
+        self._wake_out.close()
+
+    def _turn(self, deadline_ns: int | None) -> None:
+        if self._timers and (deadline_ns is None or self._timers[0][0] < deadline_ns):
+            deadline_ns = self._timers[0][0]
+        timeout = None
+        if self._todo:
+            timeout = 0.0
+        elif deadline_ns is not None:
+            timeout = max(0, deadline_ns - self.now()) / NS_PER_S
+        for key, mask in self._selector.select(timeout):
+            action, rescue = key.data
+            try:
+                action(mask)
+            except Exception as exc:
+                self._rescue(rescue, exc)
+        while self._todo:
+            self.run(*self._todo.popleft())
+        # after the sockets, so that a peer is not called silent for what was waiting in the kernel
+        while self._timers and self._timers[0][0] <= self.now():
+            self.run(*heapq.heappop(self._timers)[2:])
+
+    def _rescue(self, rescue: Rescue, exc: Exception) -> None:
+        try:
+            rescue(exc)
+        except Exception:  # the last resort: there is nobody left to tell
+            _log.exception("after %r, its rescue raised", exc)
+
+    def _woken(self, mask: int) -> None:
+        with suppress(BlockingIOError):
+            self._wake_in.recv(4096)

@@ -1,0 +1,178 @@
+"""What waits to be sent to one peer, and what is dropped when that becomes too much."""
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict, deque
+from collections.abc import Sequence
+from itertools import islice
+
+from igtl_gateway.edges.tcp.facts import Limits
+
+IOV_MAX = 1024  # buffers that one sendmsg takes (IOV_MAX of Linux and macOS)
+
+Part = bytes | memoryview
+
+
+class Message:
+    """One message on its way out: the buffers still to be sent."""
+
+    __slots__ = ("keep", "left", "parts", "stream")
+
+    def __init__(self, parts: Sequence[Part], left: int, stream: str, keep: bool) -> None:
+        self.parts = parts
+        self.left = left
+        self.stream = stream
+        self.keep = keep
+
+    def advance(self, count: int) -> None:
+        """``count`` more bytes are sent (less than what is left)."""
+        self.left -= count
+        for index, part in enumerate(self.parts):
+            if count < len(part):
+                self.parts = [part[count:], *self.parts[index + 1 :]]
+                return
+            count -= len(part)
+
+
+class Outbox:
+    """Messages waiting for one link, in order, within bounds.  Not locked: the link's lock guards it.
+
+    A message that has begun to be sent is always finished; it stands apart and the bounds are for those behind
+    it.  One message of any size may wait there.  When there is no room for a new message:
+
+    1. the oldest waiting message of the same stream with ``keep=False`` is dropped: the newer one replaces it;
+    2. else the oldest with ``keep=False`` of the stream that holds most of what has run out (bytes or messages);
+    3. where dropping all of them would not do, nothing is dropped for it: the new message itself is, or, if it
+       has ``keep=True`` as well, it is refused, and the link must be closed.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self.sent_messages = 0
+        self.sent_bytes = 0
+        self.dropped: Counter[str] = Counter()
+        self.drops = 0  # pushed out
+        self.unsent = 0  # left over at the end
+        self.waiting_bytes = 0
+        self._limits = limits
+        self._begun: Message | None = None
+        self._waiting: OrderedDict[int, Message] = OrderedDict()
+        self._serial = 0
+        # per stream the waiting messages that may be dropped, oldest first, and their bytes
+        self._droppable: dict[str, deque[int]] = {}
+        self._droppable_bytes: Counter[str] = Counter()
+        self._kept_messages = 0
+        self._kept_bytes = 0
+
+    @property
+    def empty(self) -> bool:
+        return self._begun is None and not self._waiting
+
+    @property
+    def messages(self) -> int:
+        return len(self._waiting) + (self._begun is not None)
+
+    @property
+    def bytes(self) -> int:
+        return self.waiting_bytes + (self._begun.left if self._begun else 0)
+
+    def has_room(self, size: int) -> bool:
+        """Whether a message of ``size`` bytes can be added without dropping any."""
+        return self._fits(len(self._waiting), self.waiting_bytes, size)
+
+    def add(self, message: Message) -> bool:
+        """Add it, making room if need be; False if it is refused (case 3 above)."""
+        if not self.has_room(message.left):
+            if not self._fits(self._kept_messages, self._kept_bytes, message.left):
+                if not message.keep:
+                    self._count_drop(message)
+                return not message.keep
+            while not self.has_room(message.left):
+                self._drop_one(message.stream)
+        self._serial += 1
+        self._waiting[self._serial] = message
+        self.waiting_bytes += message.left
+        if message.keep:
+            self._kept_messages += 1
+            self._kept_bytes += message.left
+        else:
+            self._droppable.setdefault(message.stream, deque()).append(self._serial)
+            self._droppable_bytes[message.stream] += message.left
+        return True
+
+    def begin(self, message: Message, sent: int) -> None:
+        """To an empty box: a message of which the first ``sent`` bytes are sent."""
+        message.advance(sent)
+        self.sent_bytes += sent
+        self._begun = message
+
+    def count_sent(self, size: int) -> None:
+        """A whole message of ``size`` bytes went past the empty box."""
+        self.sent_messages += 1
+        self.sent_bytes += size
+
+    def parts(self) -> list[Part]:
+        """The next buffers to be sent, as many as one system call takes."""
+        parts = list(self._begun.parts[:IOV_MAX]) if self._begun else []
+        for message in islice(self._waiting.values(), IOV_MAX - len(parts)):
+            parts += message.parts
+            if len(parts) >= IOV_MAX:
+                return parts[:IOV_MAX]
+        return parts
+
+    def advance(self, count: int) -> None:
+        """The first ``count`` bytes of ``parts()`` are sent."""
+        self.sent_bytes += count
+        while count:
+            message = self._begun or self._pop_first()
+            if count < message.left:
+                message.advance(count)
+                self._begun = message
+                return
+            count -= message.left
+            self._begun = None
+            self.sent_messages += 1
+
+    def clear(self) -> None:
+        """Count everything that is left as dropped."""
+        left = [self._begun] if self._begun else []
+        self._begun = None
+        while self._waiting:
+            left.append(self._pop_first())
+        self.unsent += len(left)
+        self.dropped.update(message.stream for message in left)
+
+    def _fits(self, messages: int, size: int, new: int) -> bool:
+        limits = self._limits
+        return not messages or (messages < limits.queue_messages and size + new <= limits.queue_bytes)
+
+    def _pop_first(self) -> Message:
+        _, message = self._waiting.popitem(last=False)
+        if message.keep:
+            self._kept_messages -= 1
+            self._kept_bytes -= message.left
+        else:
+            self._forget(message)  # the first of all is the first of its stream
+        self.waiting_bytes -= message.left
+        return message
+
+    def _drop_one(self, stream: str) -> None:
+        if stream not in self._droppable:
+            if len(self._waiting) >= self._limits.queue_messages:
+                stream = max(self._droppable, key=lambda name: len(self._droppable[name]))
+            else:
+                stream = max(self._droppable, key=self._droppable_bytes.__getitem__)
+        message = self._waiting.pop(self._droppable[stream][0])
+        self._forget(message)
+        self.waiting_bytes -= message.left
+        self._count_drop(message)
+
+    def _forget(self, message: Message) -> None:
+        """Take the oldest of its stream off the books of what may be dropped."""
+        self._droppable_bytes[message.stream] -= message.left
+        self._droppable[message.stream].popleft()
+        if not self._droppable[message.stream]:
+            del self._droppable[message.stream], self._droppable_bytes[message.stream]
+
+    def _count_drop(self, message: Message) -> None:
+        self.dropped[message.stream] += 1
+        self.drops += 1

@@ -1,0 +1,106 @@
+"""Addresses and sockets: who may connect, what a host's name means, how a socket is set up."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import socket
+from collections.abc import Sequence
+from typing import Any
+
+from igtl_gateway.errors import ConfigError
+
+PORT_MAX = 65535
+
+_BACKLOG = 64  # connections that may wait while one callback runs
+_KEEPALIVE = (  # a peer that lost power is found after 10 + 3 x 5 s; silent ones that live are kept
+    (socket.SOL_SOCKET, "SO_KEEPALIVE", 1),
+    (socket.IPPROTO_TCP, "TCP_KEEPIDLE", 10),
+    (socket.IPPROTO_TCP, "TCP_KEEPINTVL", 5),
+    (socket.IPPROTO_TCP, "TCP_KEEPCNT", 3),
+)
+
+
+class AllowList:
+    """Who may connect beside this host: networks (CIDR), or ``"any"``.  Raises ConfigError for a network that is none.
+
+    ``opens`` says whether it lets anybody in at all.
+    """
+
+    def __init__(self, allow: Sequence[str]) -> None:
+        self._any = "any" in allow
+        self._networks = [_network(text) for text in allow if text != "any"]
+        self.opens = self._any or bool(self._networks)
+
+    def __contains__(self, host: str) -> bool:
+        ip = _ip(host)
+        return ip.is_loopback or self._any or any(ip in network for network in self._networks)
+
+
+def tune(sock: socket.socket) -> None:
+    """As the connections of the edge are: non-blocking, sent without delay, found out when the peer is gone."""
+    sock.setblocking(False)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    for level, option, value in _KEEPALIVE:
+        if hasattr(socket, option):
+            sock.setsockopt(level, getattr(socket, option), value)
+
+
+def place_of(address: Any) -> str:
+    """``host:port`` of a socket address, ``[host]:port`` for IPv6."""
+    host, port = address[:2]
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def resolve(host: str, port: int, *, numeric: bool) -> list[tuple[int, Any]]:
+    """Family and address of a host, IPv4 first: that is where the peers listen.  Raises OSError."""
+    flags = socket.AI_NUMERICHOST if numeric else 0
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=flags)
+    except ValueError as exc:  # no name at all: an empty label, a zero byte
+        raise OSError(errno.EINVAL, f"{host!r} is no name of a host ({exc})") from None
+    return sorted(((family, address) for family, _, _, _, address in found), key=lambda one: one[0] != socket.AF_INET)
+
+
+def listening_socket(host: str, port: int, allow: AllowList) -> socket.socket:
+    """A listening socket; see ``TcpEdge.listen``.  Raises ConfigError."""
+    place = f"listen {place_of((host, port))}"
+    if not 0 <= port <= PORT_MAX:
+        raise ConfigError(f"{place}: found port {port}, expected 0 (any) to {PORT_MAX}")
+    try:
+        family, address = resolve(host, port, numeric=False)[0]
+    except OSError as exc:
+        raise ConfigError(f"{place}: found host {host!r} ({exc}), expected an address of this machine") from None
+    if not (allow.opens or _ip(address[0]).is_loopback):
+        raise ConfigError(
+            f"{place}: open to other hosts, but nobody is allowed to connect; "
+            'allow networks such as 192.168.1.0/24, or "any" for everybody'
+        )
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        # a restart must not wait for the connections of the run before to time out
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(_BACKLOG)
+        listener.setblocking(False)
+    except OSError as exc:
+        listener.close()
+        if exc.errno == errno.EADDRINUSE:
+            raise ConfigError(f"{place}: the port is in use by another program; stop it or choose another") from None
+        raise ConfigError(f"{place}: {exc.strerror or exc}") from None
+    return listener
+
+
+def _ip(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    """The address without its scope, and without the IPv6 form of an IPv4 address."""
+    ip = ipaddress.ip_address(host.partition("%")[0])
+    return getattr(ip, "ipv4_mapped", None) or ip
+
+
+def _network(text: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network:
+    try:
+        return ipaddress.ip_network(text)
+    except ValueError as exc:
+        raise ConfigError(
+            f'allow: found {text!r} ({exc}), expected "any" or a network such as 192.168.1.0/24'
+        ) from None

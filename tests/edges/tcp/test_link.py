@@ -1,0 +1,330 @@
+"""Links of the TCP edge over real sockets: receiving, sending, and how they end."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+
+from igtl_gateway.clock import ManualClock
+from igtl_gateway.edges.tcp import Limits, link
+from igtl_gateway.wire.framer import Framer
+from tests.edges.tcp.world import BIG, DEADLINE_S, HERE, World, header, message, number_of, until
+
+
+def test_order_of_callbacks_and_facts_of_a_link(world: World) -> None:
+    _, seen, port = world.server()
+    peer = world.peer(port)
+    own = "{}:{}".format(*peer.sock.getsockname())
+    peer.send(message(1) + message(2, 200_000))
+    peer.close()
+    (down,) = seen.wait("down")
+    assert [event[:2] for event in seen.events] == [("up", 1), ("frame", 1), ("frame", 1), ("down", 1)]
+    (up,) = seen.of("up")
+    assert (up.code, up.data) == ("link_up", {"peer": own, "local": f"{HERE}:{port}", "role": "server"})
+    assert (down.code, down.data["reason"]) == ("link_down", "closed by the peer")
+    assert (down.data["received_messages"], down.data["received_bytes"]) == (2, 106 + 200_058)
+
+
+def test_a_dribbling_peer_does_not_hold_up_the_others(world: World) -> None:
+    _, seen, port = world.server()
+    slow, fast = world.peer(port), world.peer(port)
+    slow.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    seen.wait("up", 2)
+    for turn, byte in enumerate(message(5) + message(6)):
+        slow.send(bytes([byte]))
+        fast.send(message(1000 + turn))
+        # every message of the fast one arrives while the slow one is inside its own
+        seen.wait("frame", turn + 1, 2)
+    assert [number_of(frame) for frame in seen.wait("frame", 2, 1)] == [5, 6]
+    assert seen.of("frame", 1) == [message(5), message(6)]
+
+
+@pytest.mark.parametrize("size", [2**62, 2**64 - 1, 10_001])
+def test_oversize_header_costs_its_own_link(world: World, size: int) -> None:
+    edge, seen, port = world.server(limits=Limits(max_body=10_000))
+    good, bad = world.peer(port), world.peer(port)
+    seen.wait("up", 2)
+    bad.send(message(1) + header(size))
+    (note,) = seen.wait("too_large")
+    seen.wait("down", 1, 2)
+    assert note.data["head"] == header(size).hex()
+    assert (note.data["received"], note.data["expected"]) == (58, 58 + size)
+    assert seen.of("frame", 2) == [message(1)]
+    assert seen.of("truncated") == []
+    good.send(message(2, 10_000))
+    assert seen.wait("frame", 1, 1) == [message(2, 10_000)]
+    assert [link.number for link in edge.links()] == [1]
+
+
+@pytest.mark.parametrize(("part", "expected"), [(20, None), (58, 106), (100, 106)])
+def test_peer_gone_inside_a_message(world: World, part: int, expected: int | None) -> None:
+    _, seen, port = world.server()
+    peer = world.peer(port)
+    peer.send(message(1) + message(2)[:part])
+    peer.close()
+    seen.wait("down")
+    (note,) = seen.of("truncated")
+    assert note.data["head"] == message(2)[: min(part, 58)].hex()
+    assert (note.data["received"], note.data["expected"]) == (part, expected)
+    assert [event[0] for event in seen.events] == ["up", "frame", "truncated", "down"]
+
+
+def test_silence_inside_a_message_ends_the_link(world: World) -> None:
+    clock = ManualClock()
+    _, seen, port = world.server(clock=clock, limits=Limits(stall_s=10))
+    quiet, dribbling, half, busy = [world.peer(port) for _ in range(4)]
+    seen.wait("up", 4)
+    quiet.send(message(1))
+    half.send(message(2)[:30])
+    data = message(3)
+    turns = 12
+    for turn in range(turns):
+        dribbling.send(data[turn : turn + 1])
+        busy.send(message(4))  # once it is through, the earlier bytes are, too, and the clock was looked at
+        seen.wait("frame", turn + 2)
+        clock.advance(2 * 10**9)
+    busy.send(message(4))
+    seen.wait("frame", turns + 2)
+    (note,) = seen.wait("stalled")
+    assert (note.data["received"], note.data["expected"]) == (30, None)
+    assert half.receive() is None
+    dribbling.send(data[turns:])
+    quiet.send(message(5))
+    seen.wait("frame", turns + 4)
+    assert len(seen.of("down")) == 1
+
+
+def test_many_buffers_of_any_shape(world: World) -> None:
+    edge, _, port = world.server()
+    peer = world.peer(port)
+    assert edge.wait_links(1, DEADLINE_S)
+    data = message(1, 5000)
+    pieces = [data[at : at + 1] for at in range(len(data))]  # more than one system call takes
+    edge.send([1], pieces, "a", True)
+    assert peer.receive() == data
+    for rows in (3, 3000):
+        shaped, nothing = np.arange(4 * rows, dtype=np.float32).reshape(rows, 4), np.empty((0, 3), np.float32)
+        edge.send([1], [header(shaped.nbytes), b"", shaped.data, nothing.data], "a", True)
+        assert peer.receive() == header(shaped.nbytes) + shaped.tobytes()
+    counters = edge.counters()[1]
+    assert (counters.sent_messages, counters.sent_bytes) == (3, len(data) + 2 * 58 + 16 * 3003)
+
+
+def test_buffers_that_are_not_contiguous_are_refused_before_anything_is_sent(world: World) -> None:
+    edge, _, port = world.server()
+    peer = world.peer(port)
+    assert edge.wait_links(1, DEADLINE_S)
+    for size in (48, 20_000):
+        with pytest.raises((TypeError, BufferError)):
+            edge.send([1], [header(size // 2), memoryview(bytes(size))[::2]], "a", True)
+    edge.send([1], [message(1)], "a", True)
+    assert peer.receive() == message(1)
+
+
+def test_block_mode_loses_nothing_with_a_slow_reader(world: World) -> None:
+    edge, seen, port = world.server(limits=Limits(queue_messages=5), when_full="block")
+    peer = world.peer(port, 4096)
+    assert edge.wait_links(1, DEADLINE_S)
+    lock = threading.Lock()  # held while sending and taken by callbacks: must not lock up
+    count = 200
+
+    def take_the_lock(number: int, frame: Any) -> None:
+        with lock:
+            pass
+
+    seen.on_frame_hook = take_the_lock
+
+    def replay() -> None:
+        for number in range(count):
+            with lock:
+                edge.send([1], [message(number, 20_000 if number % 10 else BIG // 4)], "TRANSFORM/tool", False)
+
+    sender = threading.Thread(target=replay)
+    sender.start()
+    until(lambda: edge.counters()[1].queued_messages >= 5)
+    peer.send(message(1))  # the I/O thread now waits for the lock, which the blocked sender holds
+    assert [number_of(peer.receive()) for _ in range(count)] == list(range(count))
+    sender.join(DEADLINE_S)
+    assert not sender.is_alive()
+    seen.wait("frame")
+    assert edge.counters()[1].dropped == {}
+
+
+@pytest.mark.parametrize("how", ["stop", "peer"])
+def test_a_blocked_sender_is_released(world: World, how: str) -> None:
+    edge, seen, port = world.server(limits=Limits(queue_messages=2), when_full="block")
+    peer = world.peer(port, 4096)
+    assert edge.wait_links(1, DEADLINE_S)
+    edge.send([1], [message(0, BIG)], "a", True)
+
+    def fill() -> None:
+        for number in range(3):
+            edge.send([1], [message(number)], "a", True)
+
+    sender = threading.Thread(target=fill)
+    sender.start()
+    until(lambda: edge.counters()[1].queued_messages == 3)
+    stopper = threading.Thread(target=edge.stop, args=(10 * DEADLINE_S,))
+    if how == "stop":
+        stopper.start()  # and goes on trying to send what is queued
+    else:
+        peer.close()
+    sender.join(DEADLINE_S)
+    assert not sender.is_alive()
+    if how == "stop":
+        peer.close()
+        stopper.join(DEADLINE_S)
+    seen.wait("down")
+    total = edge.counters()[0]
+    assert (total.dropped, total.ignored) == ({"a": 3}, {"a": 1})
+
+
+def test_threads_never_interleave_and_keep_their_order(world: World) -> None:
+    edge, _, port = world.server(limits=Limits(queue_messages=100_000))
+    peers = [world.peer(port, 8192), world.peer(port)]
+    assert edge.wait_links(2, DEADLINE_S)
+    each, threads = 1500, 4
+
+    def work(thread: int) -> None:
+        for number in range(each):
+            data = message(thread * each + number, 48 + 7 * (number % 200))
+            edge.send([1, 2], [data[:58], data[58:70], data[70:]], f"{thread}", True)
+
+    got: list[list[bytes]] = [[], []]
+    readers = [threading.Thread(target=lambda i=i: got[i].extend(peers[i].receive_all())) for i in range(2)]
+    senders = [threading.Thread(target=work, args=(thread,)) for thread in range(threads)]
+    for one in senders + readers:
+        one.start()
+    for one in senders:
+        one.join(DEADLINE_S)
+    assert edge.flush(DEADLINE_S)
+    edge.stop()
+    for one in readers:
+        one.join(DEADLINE_S)
+    for received in got:
+        assert len(received) == each * threads
+        for thread in range(threads):
+            own = [n for n in map(number_of, received) if n // each == thread]
+            assert own == list(range(thread * each, (thread + 1) * each))
+        for frame in received:
+            number = number_of(frame)
+            assert frame == message(number, 48 + 7 * (number % each % 200))
+
+
+def test_a_peer_that_half_closes_gets_what_is_queued_for_it(world: World) -> None:
+    edge, seen, port = world.server()
+    answers = [message(number, BIG // 2) for number in range(4)]
+
+    def answer(number: int, frame: Any) -> None:
+        for one in answers:
+            edge.send([number], [one], "IMAGE/camera", True)
+
+    seen.on_frame_hook = answer
+    peer = world.peer(port, 4096)
+    peer.send(message(1))
+    peer.sock.shutdown(socket.SHUT_WR)
+    assert peer.receive_all() == answers
+    (down,) = seen.wait("down")
+    assert (down.data["reason"], down.data["unsent"], down.data["sent_messages"]) == ("closed by the peer", 0, 4)
+    assert edge.flush(DEADLINE_S)
+
+
+def test_a_peer_that_half_closes_and_does_not_read_is_closed_in_time(world: World) -> None:
+    clock = ManualClock()
+    edge, seen, port = world.server(clock=clock)
+    peer, other = world.peer(port, 4096), world.peer(port)
+    seen.wait("up", 2)
+    edge.send([1], [message(0, BIG)], "IMAGE/camera", False)
+    edge.send([1], [message(1)], "STRING/plan", True)
+    peer.sock.shutdown(socket.SHUT_WR)
+
+    def refused() -> bool:
+        edge.send([1], [message(2)], "late", False)
+        return bool(edge.counters()[0].ignored)
+
+    until(refused)  # the end was seen: nothing more is taken
+    assert [link.number for link in edge.links()] == [1, 2]
+    late = edge.counters()[1].queued_messages - 2
+    clock.advance(round(link.FLUSH_S * 10**9))
+    other.send(message(3))
+    (down,) = seen.wait("down")
+    assert (down.data["reason"], down.data["unsent"]) == ("closed by the peer", 2 + late)
+    assert [link.number for link in edge.links()] == [2]
+
+
+@pytest.mark.parametrize("half_closed", [False, True])
+def test_stop_while_a_peer_does_not_read(world: World, half_closed: bool) -> None:
+    edge, seen, port = world.server()
+    peer = world.peer(port, 4096)
+    seen.wait("up")
+    edge.send([1], [message(0, BIG)], "IMAGE/camera", False)
+    if half_closed:
+        peer.sock.shutdown(socket.SHUT_WR)
+    edge.stop(0)
+    (down,) = seen.of("down")
+    assert down.data["unsent"] == 1
+
+
+def failing(monkeypatch: pytest.MonkeyPatch, times: int) -> None:
+    """Reading of link 1 raises so many times."""
+    left = [times]
+    read = link.Link._read
+
+    def fail(self: link.Link) -> None:
+        if self.number == 1 and left[0]:
+            left[0] -= 1
+            raise ZeroDivisionError("our own fault")
+        read(self)
+
+    monkeypatch.setattr(link.Link, "_read", fail)
+
+
+def test_an_error_of_our_own_is_noted_and_things_go_on(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    failing(monkeypatch, 2)
+    edge, seen, port = world.server()
+    world.peer(port).send(message(1))
+    assert seen.wait("frame") == [message(1)]
+    assert [note.data["count"] for note in seen.of("internal_error", 1)] == [1, 2]
+    (note, _) = seen.of("internal_error")
+    assert note.data["error"] == "ZeroDivisionError: our own fault"
+    assert note.data["place"].endswith(" fail")
+    assert [one.number for one in edge.links()] == [1]
+
+
+def test_an_error_of_our_own_that_comes_again_costs_its_link(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    failing(monkeypatch, 10**9)
+    _, seen, port = world.server()
+    bad, good = world.peer(port), world.peer(port)
+    seen.wait("up", 2)
+    bad.send(message(1))
+    (down,) = seen.wait("down", 1, 1)
+    assert down.data["reason"] == "internal_error"
+    assert len(seen.of("internal_error", 1)) == 3
+    good.send(message(2))
+    assert seen.wait("frame") == [message(2)]
+
+
+def test_an_error_that_loses_the_place_in_the_stream_costs_its_link(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    received = Framer.received
+
+    def fail(self: Framer, count: int) -> list[bytes | memoryview]:
+        if count == 66:
+            raise ZeroDivisionError("our own fault")
+        return received(self, count)
+
+    monkeypatch.setattr(Framer, "received", fail)
+    _, seen, port = world.server()
+    bad, good = world.peer(port), world.peer(port)
+    seen.wait("up", 2)
+    bad.send(message(1, 8))
+    (down,) = seen.wait("down")
+    assert (down.data["peer"], down.data["reason"]) == ("{}:{}".format(*bad.sock.getsockname()), "internal_error")
+    assert len(seen.of("internal_error", 1)) == 1
+    good.send(message(2))
+    assert seen.wait("frame") == [message(2)]

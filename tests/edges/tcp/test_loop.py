@@ -1,0 +1,52 @@
+"""The I/O thread's turns: what raises ends itself only, and goes to its own rescue."""
+
+from __future__ import annotations
+
+import logging
+import socket
+from collections.abc import Callable
+
+import pytest
+
+from igtl_gateway.clock import ManualClock
+from igtl_gateway.edges.tcp.loop import READ, Loop
+
+
+def test_every_kind_of_action_may_raise() -> None:
+    done: list[str] = []
+
+    def raises(name: str) -> Callable[..., None]:
+        def action(*_: object) -> None:
+            raise ZeroDivisionError(name)
+
+        return action
+
+    loop = Loop(ManualClock(), lambda: None, lambda exc: done.append(f"{exc} told"))
+    one, other = socket.socketpair()
+    with one, other:
+        other.send(b"!")
+        loop.watch(one, READ, raises("socket"), lambda exc: done.append(f"{exc} rescued"))
+        loop.post(raises("post"), lambda exc: done.append(f"{exc} rescued"))
+        loop.post(raises("orphan"))
+        loop.post(lambda: done.append("posted"))
+        loop.later(0, raises("timer"), lambda exc: done.append(f"{exc} rescued"))
+        loop.later(0, lambda: done.append("timed"))
+        loop.turn(None)
+        loop.unwatch(one)
+    loop.close()
+    assert done == ["socket rescued", "post rescued", "orphan told", "posted", "timer rescued", "timed"]
+
+
+def test_a_rescue_that_raises_is_the_last_resort(caplog: pytest.LogCaptureFixture) -> None:
+    def worse(exc: Exception) -> None:
+        raise RuntimeError("worse") from exc
+
+    loop = Loop(ManualClock(), lambda: None, worse)
+    done: list[int] = []
+    loop.post(lambda: done.append(1 // 0))
+    loop.post(lambda: done.append(1))
+    with caplog.at_level(logging.ERROR):
+        loop.turn(None)
+    loop.close()
+    assert done == [1]
+    assert "its rescue raised" in caplog.text

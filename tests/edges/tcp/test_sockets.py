@@ -1,0 +1,55 @@
+"""Addresses of the TCP edge: what is refused, and in which words."""
+
+from __future__ import annotations
+
+import pytest
+
+from igtl_gateway.errors import ConfigError
+from tests.edges.tcp.world import HERE, World
+
+
+def test_port_in_use(world: World) -> None:
+    _, _, port = world.server()
+    other, _ = world.edge()
+    with pytest.raises(ConfigError, match=rf"^listen 127\.0\.0\.1:{port}: the port is in use by another program"):
+        other.listen(HERE, port)
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "words"),
+    [
+        ("0.0.0.0", 0, "allow networks"),
+        ("no.such.host.invalid", 0, "expected an address of this machine"),
+        ("203.0.113.77", 0, "open to other hosts"),
+        (HERE, 65536, "expected 0"),
+        (HERE, -1, "expected 0"),
+    ],
+)
+def test_invalid_listen_address(world: World, host: str, port: int, words: str) -> None:
+    edge, _ = world.edge()
+    with pytest.raises(ConfigError, match=words) as caught:
+        edge.listen(host, port)
+    assert "\n" not in str(caught.value)
+
+
+def test_address_of_another_machine(world: World) -> None:
+    edge, _ = world.edge(allow=["any"])
+    with pytest.raises(ConfigError, match=r"^listen 203\.0\.113\.77:0: "):
+        edge.listen("203.0.113.77", 0)
+
+
+def test_ipv6(world: World) -> None:
+    edge, seen = world.edge()
+    try:
+        host, port = edge.listen("::1", 0)
+    except ConfigError as exc:
+        pytest.skip(str(exc))
+    edge.connect("::1", port)
+    edge.start()
+    seen.wait("up", 2)
+    assert {link.peer for link in edge.links() if link.role == "client"} == {f"[{host}]:{port}"}
+
+
+def test_allow_list_with_nonsense(world: World) -> None:
+    with pytest.raises(ConfigError, match=r"allow: found '192\.168\.1\.5/24'"):
+        world.edge(allow=["192.168.1.5/24"])
