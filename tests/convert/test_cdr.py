@@ -1,0 +1,104 @@
+"""CDR: alignment from behind the encapsulation header, zero padding, both byte orders, broken bytes."""
+
+from __future__ import annotations
+
+import struct
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from igtl_gateway.convert.cdr import Reader, Writer
+from igtl_gateway.errors import ConversionError
+
+LITTLE, BIG = b"\x00\x01\x00\x00", b"\x00\x00\x00\x00"
+
+
+def test_golden_bytes() -> None:
+    out = Writer()
+    out.u8(7)
+    out.string("ab")
+    out.f64s(1.0)
+    out.bool(True)
+    out.i32(-1)
+    out.sequence(np.array([1, 2], ">u2"), 2, 2)
+    out.octets(b"xyz")
+    out.f32(0.5)
+    assert out.finish() == (
+        LITTLE
+        + b"\x07\0\0\0" + b"\3\0\0\0ab\0"  # 1, padding, length with NUL
+        + b"\0" * 5 + struct.pack("<d", 1.0)  # aligned to 8 behind the encapsulation
+        + b"\1\0\0\0" + b"\xff" * 4
+        + b"\2\0\0\0" + b"\1\0\2\0"
+        + b"\3\0\0\0xyz" + b"\0"
+        + struct.pack("<f", 0.5)
+    )  # fmt: skip
+
+
+def test_an_empty_sequence_needs_no_alignment() -> None:
+    out = Writer()
+    out.sequence(np.empty((0, 3)), 8, 0)
+    out.u8(1)
+    assert out.finish() == LITTLE + b"\0\0\0\0\1"
+    read = Reader(LITTLE + b"\0\0\0\0\1", "t")
+    assert read.sequence("f8", 3, 8).shape == (0,)
+    assert read.u8() == 1
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_both_byte_orders(order: str) -> None:
+    data = (LITTLE if order == "<" else BIG) + struct.pack(f"{order}i4xd", -5, 2.5)
+    read = Reader(data, "t")
+    assert (read.i32(), read.array("f8", 1, 8)[0]) == (-5, 2.5)
+
+
+def test_arrays_and_octets_are_views() -> None:
+    out = Writer()
+    out.sequence(np.arange(6.0), 8, 2)
+    out.octets(b"abc")
+    data = np.frombuffer(out.finish(), np.uint8)
+    read = Reader(data.data, "t")
+    assert np.shares_memory(read.sequence("f8", 3, 8), data)
+    assert np.shares_memory(np.frombuffer(read.octets(), np.uint8), data)
+
+
+@pytest.mark.parametrize("head", [b"", b"\0\1", b"\1\0\0\0", b"\0\2\0\0", b"\0\7\0\0", b"\xff" * 4])
+def test_encapsulations_that_are_not_cdr(head: bytes) -> None:
+    with pytest.raises(ConversionError, match="encapsulation"):
+        Reader(head, "t")
+
+
+def test_ends_too_early() -> None:
+    for size in range(4):
+        with pytest.raises(ConversionError, match="ends at byte"):
+            Reader(LITTLE + bytes(size), "t").u32()
+
+
+@pytest.mark.parametrize("count", [0x7FFFFFFF, 0x80000000, 0xFFFFFFFF])
+def test_lying_lengths(count: int) -> None:
+    data = LITTLE + struct.pack("<I", count) + bytes(60)
+    tracemalloc.start()
+    for call in (
+        lambda: Reader(data, "t").octets(),
+        lambda: Reader(data, "t").string(),
+        lambda: Reader(data, "t").sequence("f8", 3, 8),
+        lambda: Reader(data, "t").sequence("u1", 1, 1),
+        lambda: Reader(data, "t").count(),
+    ):
+        with pytest.raises(ConversionError):
+            call()
+    assert tracemalloc.get_traced_memory()[1] < 100_000
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("text", ["", "plain", "é€😀", "\udcff no UTF-8"])
+def test_strings(text: str) -> None:
+    out = Writer()
+    out.string(text)
+    assert Reader(out.finish(), "t").string() == text
+
+
+def test_a_string_without_its_nul() -> None:
+    """Some writers leave it out; an announced length of 0 is an empty string."""
+    assert Reader(LITTLE + b"\2\0\0\0ab", "t").string() == "ab"
+    assert Reader(LITTLE + b"\0\0\0\0", "t").string() == ""
