@@ -4,10 +4,14 @@ Each line on stdin is ``[command, arguments…]`` and is answered by one JSON li
 gateway is imported here, and no executor runs: messages stay in the reader's queue until they are taken.
 """
 
+from __future__ import annotations
+
 import json
 import sys
 import time
+from collections.abc import Callable
 from importlib import import_module
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.node import Node
@@ -17,12 +21,12 @@ from rclpy.serialization import deserialize_message, serialize_message
 TIMEOUT_S = 15
 
 
-def message_class(name):
+def message_class(name: str) -> Any:
     package, _, kind = name.split("/")
     return getattr(import_module(f"{package}.msg"), kind)
 
 
-def set_message_fields(message, fields):
+def set_message_fields(message: Any, fields: dict[str, Any]) -> None:
     for name, value in fields.items():
         if isinstance(value, dict):
             set_message_fields(getattr(message, name), value)
@@ -30,13 +34,13 @@ def set_message_fields(message, fields):
             setattr(message, name, value)
 
 
-def as_dict(value):
+def as_dict(value: Any) -> Any:
     if not hasattr(value, "get_fields_and_field_types"):
         return value
     return {name: as_dict(getattr(value, name)) for name in value.get_fields_and_field_types()}
 
 
-def profile(depth=10, reliable=True, latched=False):
+def profile(depth: int = 10, reliable: bool = True, latched: bool = False) -> Any:
     return QoSProfile(
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
@@ -45,47 +49,48 @@ def profile(depth=10, reliable=True, latched=False):
 
 
 class Peer:
-    def __init__(self):
+    def __init__(self) -> None:
         self.context = Context()
         self.context.init(args=[])
         self.node = Node("peer", context=self.context)
-        self.publishers = {}
-        self.subscriptions = {}
+        self.publishers: dict[str, Any] = {}
+        self.subscriptions: dict[str, Any] = {}
 
-    def publisher(self, topic, kind, qos):
+    def publisher(self, topic: str, kind: str, qos: dict[str, Any]) -> None:
         self.publishers[topic] = self.node.create_publisher(message_class(kind), topic, profile(**qos))
 
-    def subscribe(self, topic, kind, qos):
+    def subscribe(self, topic: str, kind: str, qos: dict[str, Any]) -> None:
         self.subscriptions[topic] = self.node.create_subscription(
             message_class(kind), topic, lambda _: None, profile(**qos), raw=True
         )
 
-    def drop(self, topic):
+    def drop(self, topic: str) -> None:
         """Remove publisher and subscription of the topic."""
         if topic in self.publishers:
             self.node.destroy_publisher(self.publishers.pop(topic))
         if topic in self.subscriptions:
             self.node.destroy_subscription(self.subscriptions.pop(topic))
 
-    def readers(self, topic, count):
+    def readers(self, topic: str, count: int) -> bool:
         """Wait until the publisher has that many readers."""
         return self._until(lambda: self.publishers[topic].get_subscription_count() == count)
 
-    def writers(self, topic, count):
+    def writers(self, topic: str, count: int) -> bool:
         """Wait until the subscription has that many writers."""
         return self._until(lambda: self.subscriptions[topic].get_publisher_count() == count)
 
-    def publish(self, topic, fields):
+    def publish(self, topic: str, fields: dict[str, Any]) -> str:
         """Send one message; returns its bytes."""
         message = self.publishers[topic].msg_type()
         set_message_fields(message, fields)
         self.publishers[topic].publish(message)
-        return serialize_message(message).hex()
+        data: bytes = serialize_message(message)
+        return data.hex()
 
-    def publish_hex(self, topic, cdr):
+    def publish_hex(self, topic: str, cdr: str) -> None:
         self.publishers[topic].publish(bytes.fromhex(cdr))
 
-    def publish_many(self, topic, fields, counted, count):
+    def publish_many(self, topic: str, fields: dict[str, Any], counted: str, count: int) -> None:
         """Send ``count`` messages as fast as possible, the string field ``counted`` numbered."""
         message = self.publishers[topic].msg_type()
         set_message_fields(message, fields)
@@ -93,7 +98,7 @@ class Peer:
             setattr(message, counted, str(number))
             self.publishers[topic].publish(message)
 
-    def publish_times(self, topic, fields, counted, period_s, count):
+    def publish_times(self, topic: str, fields: dict[str, Any], counted: str, period_s: float, count: int) -> None:
         """Send at a steady rate, the string field ``counted`` holding the clock (for measurements)."""
         message = self.publishers[topic].msg_type()
         set_message_fields(message, fields)
@@ -102,12 +107,12 @@ class Peer:
             setattr(message, counted, str(time.monotonic_ns()))
             self.publishers[topic].publish(message)
 
-    def take(self, topic, count):
+    def take(self, topic: str, count: int) -> list[list[Any]]:
         """Wait for so many messages: ``[[bytes, fields]…]``; fewer if they do not come in time."""
         subscription = self.subscriptions[topic]
-        taken = []
+        taken: list[bytes] = []
 
-        def enough():
+        def enough() -> bool:
             while len(taken) < count and (message := subscription.handle.take_message(subscription.msg_type, True)):
                 taken.append(message[0])
             return len(taken) == count
@@ -115,7 +120,7 @@ class Peer:
         self._until(enough)
         return [[m.hex(), as_dict(deserialize_message(m, subscription.msg_type))] for m in taken]
 
-    def _until(self, condition):
+    def _until(self, condition: Callable[[], bool]) -> bool:
         deadline = time.monotonic() + TIMEOUT_S
         while not condition():
             if time.monotonic() > deadline:
@@ -124,7 +129,7 @@ class Peer:
         return True
 
 
-def main():
+def main() -> None:
     peer = Peer()
     for line in sys.stdin:
         command, *arguments = json.loads(line)

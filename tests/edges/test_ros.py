@@ -76,7 +76,7 @@ class Heard:
 
     def on_message(self, *message: Any) -> None:
         with self.changed:
-            self.messages.append(message)  # type: ignore[arg-type]
+            self.messages.append(message)
             self.changed.notify_all()
 
     def on_note(self, note: Note) -> None:
