@@ -67,4 +67,3 @@ class Entry:
     def size(self) -> int:
         """Payload length in bytes."""
         return total_size(self.payload)
-
