@@ -123,8 +123,14 @@ def quaternion_of(r: Rows, to: ToRos) -> Quaternion:
 
 def _distance_from_rotation(r: Rows) -> float:
     """Largest deviation of RᵀR from the identity."""
+    (a, b, c), (d, e, f), (g, h, i) = r
     return max(
-        abs(sum(r[k][i] * r[k][j] for k in range(3)) - (1.0 if i == j else 0.0)) for i in range(3) for j in range(i, 3)
+        abs(a * a + d * d + g * g - 1.0),
+        abs(b * b + e * e + h * h - 1.0),
+        abs(c * c + f * f + i * i - 1.0),
+        abs(a * b + d * e + g * h),
+        abs(a * c + d * f + g * i),
+        abs(b * c + e * f + h * i),
     )
 
 
