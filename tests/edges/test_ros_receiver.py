@@ -22,12 +22,27 @@ class Subscription:
         self.msg_type = str
         self.handle = self
         self.fails = fails
+        self.event_handlers: list[Event] = []
 
     def take_message(self, _message_type: Any, _raw: bool) -> tuple[str, None] | None:
         if self.fails:
             self.queue.clear()
             raise RuntimeError("the middleware refuses")
         return (self.queue.popleft(), None) if self.queue else None
+
+
+class Event:
+    """A QoS event with its callback, as rclpy's EventHandler: gives its state only when told that it is ready."""
+
+    def __init__(self, total_count_change: int) -> None:
+        self._ready_to_take_data = False
+        self.state = SimpleNamespace(total_count_change=total_count_change)
+        self.called: list[Any] = []
+        self.callback = self.called.append
+
+    def take_data(self) -> Any:
+        ready, self._ready_to_take_data = self._ready_to_take_data, False
+        return self.state if ready else None
 
 
 class Context(threading.Event):
@@ -79,7 +94,6 @@ class WaitSet:
 def stand_in(wait_set: type = WaitSet) -> Any:
     implementation = SimpleNamespace(WaitSet=wait_set, Subscription=Subscription)
     return SimpleNamespace(
-        subscription=SimpleNamespace(Subscription=Subscription),
         guard_condition=SimpleNamespace(GuardCondition=Guard),
         impl=SimpleNamespace(implementation_singleton=SimpleNamespace(rclpy_implementation=implementation)),
     )
@@ -132,6 +146,21 @@ def test_refusal_of_one_topic_is_reported_and_the_others_go_on() -> None:
     assert log.done.wait(TIMEOUT_S)
     receiver.stop()
     assert (log.lines, log.errors) == (["good"], ["the middleware refuses"])
+
+
+def test_events_are_polled_and_only_news_are_told() -> None:
+    receiver = Log(last="").receiver()
+    subscription = Subscription([], print)
+    news, none = Event(2), Event(0)
+    subscription.event_handlers = [news, none]
+    receiver.add(subscription)
+    receiver.poll_events()
+    assert (news.called, none.called) == ([news.state], [])
+
+
+def test_no_executor_waits_for_subscriptions_or_their_events() -> None:
+    group = Log(last="").receiver().group
+    assert not group.can_execute(Subscription([], print)) and not group.can_execute(Event(1))
 
 
 def test_missing_internals_are_seen() -> None:
