@@ -171,9 +171,10 @@ def _first_field(recorded: Entry, computed: Entry) -> tuple[str, Any, Any]:
 def _fields(entry: Entry, data: Buffer) -> Iterator[tuple[str, Any]]:
     if entry.kind is Kind.IGTL_OUT:
         told = describe(data)
-        # sizes and CRC follow from the content: name the cause before the consequence
-        for derived in ("crc", "crc_ok", "body_size", "content_size"):
-            told[derived] = told.pop(derived)
+        # errors, sizes and CRC follow from the content: name the cause before the consequence
+        for derived in ("error", "crc", "crc_ok", "body_size", "content_size"):
+            if derived in told:
+                told[derived] = told.pop(derived)
         return _flat(told, "")
     message = _MESSAGES.get(entry.type)
     return _flat(message.unpack(data), "") if message else iter(())

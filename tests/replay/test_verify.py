@@ -9,7 +9,7 @@ import pytest
 
 from igtl_gateway.config import Config
 from igtl_gateway.convert.units import UNITS
-from igtl_gateway.replay.verify import Report, verify
+from igtl_gateway.replay.verify import Report, compare, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.simulate.catalogue import SCENARIOS
 from igtl_gateway.simulate.scenario import Scenario
@@ -86,6 +86,23 @@ def test_one_changed_byte_is_named(entries: list[Entry], channel: str, at: int, 
 def test_bytes_that_do_not_decode_are_compared_as_bytes(entries: list[Entry]) -> None:
     report = verify(changed(entries, lambda e: is_out(e, "/igtl/in/Greeting/string"), lambda d: d[:5]), SCENARIO.config)
     assert report.differences[0].field.startswith("byte ")
+
+
+@pytest.mark.parametrize("cut", [1, 20, 58, 60])
+@pytest.mark.parametrize("channel", ["IMAGE/Mono8", "POLYDATA/Surface", "STRING/Greeting"])
+def test_a_message_that_was_cut_is_a_difference_not_a_failure(entries: list[Entry], channel: str, cut: int) -> None:
+    report = verify(changed(entries, lambda e: is_out(e, channel), lambda d: d[:-cut]), SCENARIO.config)
+    assert report.differing == 1
+
+
+@pytest.mark.parametrize("bit", range(0, 58 * 8, 3))
+def test_any_bit_of_a_header_is_a_difference_not_a_failure(entries: list[Entry], bit: int) -> None:
+    def flip(data: bytes) -> bytes:
+        return data[: bit // 8] + bytes([data[bit // 8] ^ 1 << bit % 8]) + data[bit // 8 + 1 :]
+
+    outs = [replace(e, payload=(flip(e.data()),)) for e in entries if e.kind is Kind.IGTL_OUT]
+    wanted = [e for e in entries if e.kind is Kind.IGTL_OUT]
+    assert all(compare(one, other, 1) for one, other in zip(outs, wanted, strict=True))
 
 
 def test_a_missing_output_is_a_finding_unless_the_recorder_declared_it(entries: list[Entry]) -> None:
