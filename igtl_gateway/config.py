@@ -39,6 +39,7 @@ from pathlib import Path
 from string import Formatter
 from typing import Any, TypeVar
 
+from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, Lengths
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.qos import Qos
@@ -49,6 +50,9 @@ IN_TOPIC = "/igtl/in/{device}/{kind}"
 
 #: Streams that one session may open in each direction: a peer that invents names must not fill the ROS graph.
 DEFAULT_MAX_STREAMS = 512
+
+#: Deepest queue of a ROS stream: beyond it a slow reader costs memory without end.
+MAX_DEPTH = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +103,20 @@ class Config:
         for name, rows in (("to_igtl", self.to_igtl), ("to_ros", self.to_ros)):
             for index, row in enumerate(rows):
                 _check_choices(f"{name}[{index}]", row, optional=True)
+                if row.qos and not 1 <= row.qos.depth <= MAX_DEPTH:
+                    raise ConfigError(f"{name}[{index}].qos.depth: found {row.qos.depth}, expected 1 to {MAX_DEPTH:,}")
         if self.max_streams < 1:
             raise ConfigError(f"gateway.max_streams: found {self.max_streams}, expected 1 or more")
+        for index, sent in enumerate(self.to_igtl):
+            if not _is_topic(sent.topic):
+                raise ConfigError(f"to_igtl[{index}].topic: found {sent.topic!r}, expected a topic such as /camera/image")
+            if sent.type not in _SENT_TYPES and sent.type != "":
+                raise ConfigError(
+                    f"to_igtl[{index}].type: found {sent.type!r}, expected one of {', '.join(_SENT_TYPES)}"
+                )
         for index, row in enumerate(self.to_ros):
+            if not (_is_topic(row.topic) and row.topic.startswith("/")):
+                raise ConfigError(f"to_ros[{index}].topic: found {row.topic!r}, expected a topic such as /in/{{device}}")
             if not _is_template(row.topic):
                 raise ConfigError(
                     f"to_ros[{index}].topic: found {row.topic!r}, "
@@ -185,6 +200,9 @@ def device_of_topic(topic: str, kind: str = "") -> str:
     return (head if head and tail == kind else path).replace("/", "_")
 
 
+#: What ROS messages may become.
+_SENT_TYPES = tuple(sorted({row.igtl_type for row in TO_IGTL}))
+
 _CHOICES = {
     "ros_unit": tuple(UNITS),
     "igtl_unit": tuple(UNITS),
@@ -192,6 +210,11 @@ _CHOICES = {
 }
 
 T = TypeVar("T")
+
+
+def _is_topic(topic: str) -> bool:
+    """Whether ``topic`` (a name or a pattern) can be one of the ROS graph, whose full names begin with a slash."""
+    return topic.startswith(("/", "**")) and not any(character.isspace() for character in topic)
 
 
 def _is_template(topic: str) -> bool:
