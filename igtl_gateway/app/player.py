@@ -71,11 +71,13 @@ class Played:
 
     messages: int = 0
     bytes: int = 0
+    unheard: int = 0  #: of the messages, those for which nobody was there
     by_stream: dict[str, int] = field(default_factory=dict)
     _hash: "hashlib._Hash" = field(default_factory=hashlib.sha256)  # noqa: UP037
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: Entry, heard: bool) -> None:
         self.messages += 1
+        self.unheard += not heard
         self.by_stream[entry.channel] = self.by_stream.get(entry.channel, 0) + 1
         for part in entry.payload:
             self.bytes += memoryview(part).nbytes
@@ -92,7 +94,7 @@ class Player:
 
     Args:
         entries: what to send, in order.
-        send: sends one entry; may wait.
+        send: sends one entry; may wait; tells whether anybody was there.
         rate: recorded seconds per real second; None: as fast as possible.
         clock: paces.
         stop: ends the playback when set.
@@ -101,7 +103,7 @@ class Player:
     def __init__(
         self,
         entries: Iterable[Entry],
-        send: Callable[[Entry], None],
+        send: Callable[[Entry], bool],
         rate: float | None,
         clock: Clock,
         stop: threading.Event,
@@ -116,26 +118,28 @@ class Player:
         for entry in self._entries:
             if self._stop.is_set():
                 break
-            self._send(entry)
-            self.played.add(entry)
+            self.played.add(entry, self._send(entry))
         return self.played
 
 
-def igtl_sender(edge: TcpEdge) -> Callable[[Entry], None]:
+def igtl_sender(edge: TcpEdge) -> Callable[[Entry], bool]:
     """Sends to every peer that is there.  The edge should have been made with ``when_full="block"``."""
 
-    def send(entry: Entry) -> None:
-        edge.send([link.number for link in edge.links() if link.connected], entry.payload, entry.channel, True)
+    def send(entry: Entry) -> bool:
+        links = [link.number for link in edge.links() if link.connected]
+        edge.send(links, entry.payload, entry.channel, True)
+        return bool(links)
 
     return send
 
 
-def ros_sender(edge: RosEdge, file: SessionFile) -> Callable[[Entry], None]:
-    """Publishes on the recorded topics with the recorded quality of service."""
+def ros_sender(edge: RosEdge, file: SessionFile) -> Callable[[Entry], bool]:
+    """Publishes on the recorded topics with the recorded quality of service; a graph always counts as listening."""
     offered = {(channel.topic, channel.type): channel.qos for channel in file.channels}
 
-    def send(entry: Entry) -> None:
+    def send(entry: Entry) -> bool:
         qos = offered.get((entry.channel, entry.type)) or _QOS
         edge.publish(entry.channel, entry.type, entry.data(), qos)
+        return True
 
     return send

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
     return 0 if complete else 1
 
 
-Opened = tuple[Callable[[Entry], None] | None, Callable[[], bool]]
+Opened = tuple[Callable[[Entry], bool] | None, Callable[[], bool]]
 
 
 def _open_igtl(options: argparse.Namespace, _file: SessionFile, _how: Plan, stop: Event, stack: ExitStack) -> Opened:
@@ -153,7 +153,9 @@ def _open_ros(options: argparse.Namespace, file: SessionFile, how: Plan, stop: E
 
 
 def _tell(options: argparse.Namespace, text: str) -> None:
-    print(text, file=sys.stderr if options.json else sys.stdout, flush=True)
+    # also called by the edges' threads: whether there still is a reader, the report finds out in ours
+    with suppress(BrokenPipeError):
+        print(text, file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
 def _report(options: argparse.Namespace, player: Player, complete: bool) -> None:
@@ -164,12 +166,15 @@ def _report(options: argparse.Namespace, player: Player, complete: bool) -> None
             "complete": complete,
             "messages": played.messages,
             "bytes": played.bytes,
+            "unheard": played.unheard,
             "sha256": played.digest,
             "streams": played.by_stream,
         }
         print_json(told)
         return
     print(f"{'sent' if complete else 'stopped after'} {count(played.messages, 'message')}, {size(played.bytes)}")
+    if played.unheard:
+        print(f"  {played.unheard:,} of them while no peer was connected")
     for stream, number in sorted(played.by_stream.items()):
         print(f"  {stream:<40} {number:>8,}")
     print(f"sha256 {played.digest}", flush=True)

@@ -128,6 +128,28 @@ def test_ctrl_c_ends_a_replay_with_a_summary() -> None:
     assert "stopped after" in out and "Traceback" not in err
 
 
+def test_what_no_peer_was_there_for_is_said() -> None:
+    with replay(str(TYPES), "--to", "igtl", "--listen", ":0", "--wait-peers", "0", "--rate", "1000") as process:
+        out, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    assert "of them while no peer was connected" in out
+    _, told = received(str(TYPES), "--as-fast-as-possible")
+    assert told["unheard"] == 0
+
+
+def test_an_output_that_nobody_reads_ends_without_a_traceback() -> None:
+    with server() as listener:
+        with replay(str(TYPES), "--to", "igtl", "--connect", target(listener), "--as-fast-as-possible") as process:
+            assert process.stdout and process.stderr
+            assert process.stdout.readline()
+            process.stdout.close()
+            peer, _ = listener.accept()
+            with peer:
+                assert everything(peer) == recorded(TYPES)
+            assert process.wait(PATIENCE_S) == 1
+            assert process.stderr.read() == ""
+
+
 def test_damage_in_the_middle_ends_a_replay_with_one_line(tmp_path: Path) -> None:
     data = TYPES.read_bytes()
     path = tmp_path / "flipped.mcap"
