@@ -109,14 +109,14 @@ class Config:
             raise ConfigError(f"gateway.max_streams: found {self.max_streams}, expected 1 or more")
         for index, sent in enumerate(self.to_igtl):
             if not _is_topic(sent.topic):
-                raise ConfigError(f"to_igtl[{index}].topic: found {sent.topic!r}, expected a topic such as /camera/image")
+                raise ConfigError(f"to_igtl[{index}].topic: found {sent.topic!r}, expected one such as /camera/image")
             if sent.type not in _SENT_TYPES and sent.type != "":
                 raise ConfigError(
                     f"to_igtl[{index}].type: found {sent.type!r}, expected one of {', '.join(_SENT_TYPES)}"
                 )
         for index, row in enumerate(self.to_ros):
             if not (_is_topic(row.topic) and row.topic.startswith("/")):
-                raise ConfigError(f"to_ros[{index}].topic: found {row.topic!r}, expected a topic such as /in/{{device}}")
+                raise ConfigError(f"to_ros[{index}].topic: found {row.topic!r}, expected one such as /in/{{device}}")
             if not _is_template(row.topic):
                 raise ConfigError(
                     f"to_ros[{index}].topic: found {row.topic!r}, "

@@ -112,6 +112,11 @@ class Gateway:
             return None
         return row.qos or conversion.qos
 
+    def lacks_conversion(self, topic: str, ros_type: str) -> bool:
+        """Whether a topic is to be bridged, but no row of the conversion table can do it."""
+        row = self.config.row_to_igtl(topic)
+        return row is not None and row_to_igtl(ros_type, row.type) is None
+
     def qos(self, topic: str) -> Qos | None:
         """The QoS of a topic that the gateway publishes."""
         return self._qos.get(topic)

@@ -22,7 +22,7 @@ from igtl_gateway.gateway import Gateway, Session
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.recorder import Recorder, RecordingSummary
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
+from igtl_gateway.session.note import Level, Note
 
 #: QoS of topics that are recorded only: deep enough for a burst; reliability adapts to the publishers.
 _RECORDED = Qos(depth=100)
@@ -77,6 +77,7 @@ class Bridge:
         self.recorder: Recorder | None = None
         self.summary: RecordingSummary | None = None
         self._clock = clock
+        self._seen: set[tuple[str, str]] = set()  # topics that were said to lack a conversion
         sinks = (self._record, self._dispatch)
         self.hub = Hub(Session(self.gateway), clock, (*sinks, on_entry) if on_entry else sinks)
         self.tcp = TcpEdge(
@@ -92,7 +93,7 @@ class Bridge:
             self.ros = RosEdge(
                 node_name=options.node_name,
                 on_message=self.hub.ros,
-                wants=self._subscription,
+                wants=self.wanted,
                 on_note=self._on_edge_note,
             )
 
@@ -159,6 +160,14 @@ class Bridge:
         elif entry.kind is Kind.ROS_OUT and self.ros:
             qos = self.gateway.qos(entry.channel) or _RECORDED
             self.ros.publish(entry.channel, entry.type, entry.data(), qos)
+
+    def wanted(self, topic: str, ros_type: str) -> Qos | None:
+        """How to subscribe to a topic that was found; said once if it was asked for, but cannot be bridged."""
+        if (topic, ros_type) not in self._seen and self.gateway.lacks_conversion(topic, ros_type):
+            self._seen.add((topic, ros_type))
+            text = f"{topic} is not sent to OpenIGTLink: nothing converts {ros_type}"
+            self.hub.note(Note(Level.WARN, "no_conversion", text, topic))
+        return self._subscription(topic, ros_type)
 
     def _subscription(self, topic: str, ros_type: str) -> Qos | None:
         """How to subscribe to a topic: to bridge it, or to record it, or not at all."""

@@ -10,10 +10,11 @@ import pytest
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.buffers import join
 from igtl_gateway.clock import SystemClock
-from igtl_gateway.config import Config
+from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.errors import ConfigError, RecordingError
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 
@@ -38,6 +39,23 @@ def test_a_recording_that_exists_is_refused_and_the_port_is_free_again(tmp_path:
         bridge.start()
     socket.create_server(bridge.addresses[0]).close()
     assert recording.read_bytes() == b"yesterday"
+
+
+def test_a_topic_that_was_asked_for_but_cannot_be_converted_is_said_once() -> None:
+    seen: list[Entry] = []
+    config = Config(to_igtl=(ToIgtlRow(topic="/scan", device="Scan"), ToIgtlRow(topic="/text", type="IMAGE")))
+    bridge = Bridge(config, BridgeOptions(ros=False), SystemClock(), seen.append)
+    for topic, ros_type in (
+        ("/scan", "sensor_msgs/msg/LaserScan"),
+        ("/scan", "sensor_msgs/msg/LaserScan"),
+        ("/text", "std_msgs/msg/String"),
+        ("/elsewhere", "sensor_msgs/msg/LaserScan"),
+        ("/igtl/out/a", "std_msgs/msg/String"),
+    ):
+        wanted = bridge.wanted(topic, ros_type)
+        assert (wanted is not None) == (topic == "/igtl/out/a")
+    notes = [Note.unpack(entry.data()) for entry in seen]
+    assert [(note.code, note.stream) for note in notes] == [("no_conversion", "/scan"), ("no_conversion", "/text")]
 
 
 def test_what_a_peer_says_is_in_the_recording(tmp_path: Path) -> None:
