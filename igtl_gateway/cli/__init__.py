@@ -30,6 +30,7 @@ VERBS = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; the console script ``igtl-gateway``."""
+    _open_outputs()
     parser = argparse.ArgumentParser(
         prog="igtl-gateway",
         description="ROS 2 and OpenIGTLink: bridged, recorded, replayed, verified.",
@@ -69,6 +70,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         # whoever read our output has seen enough; nothing more can be printed
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILURE
+
+
+def _open_outputs() -> None:
+    """Python has None for an output that the caller closed (``>&-``): nothing that is printed may fail for that."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
 
 
 def _say(verb: str, error: object, code: int) -> int:

@@ -43,6 +43,7 @@ What a device sends appears on /igtl/in/<device>/<kind>; what is published on /i
 
 _STATUS_EVERY_S = 0.5
 _MAX_EVENTS = 1000  # notes waiting to be printed; a flood of them must not cost memory
+_MAX_CAUSES = 1000  # causes of notes told one by one: a peer that invents device names must not flood the terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,6 +80,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     if (options.record_topics or options.record_all) and not options.record:
         raise ConfigError("--record-topics and --record-all say what goes into a file: --record FILE is missing")
+    if options.duration is not None and not 0 < options.duration < float("inf"):
+        raise ConfigError(f"--duration: found {options.duration:g}, expected a number of seconds above 0")
     listen, connect = addresses(options)
     config = with_sends(load_config(options.config), options.send)
     watch = _Watch()
@@ -109,9 +112,9 @@ def run(options: argparse.Namespace) -> int:
         )
         bridge.start()
         out: _Output = _JsonOutput() if options.json else _TextOutput(sys.stdout.isatty())
-        out.started(bridge, config, notes)
         started_ns = clock.monotonic_ns()
         try:
+            out.started(bridge, config, notes)
             while not stop.wait(_STATUS_EVERY_S):
                 out.events(watch.take())
                 seconds = (clock.monotonic_ns() - started_ns) / NS_PER_S
@@ -122,7 +125,7 @@ def run(options: argparse.Namespace) -> int:
             bridge.stop()
         out.events(watch.take())
         out.stopped(bridge, watch)
-    return 0
+    return 1 if bridge.summary and bridge.summary.failure else 0
 
 
 class _Watch:
@@ -198,6 +201,8 @@ class _TextOutput:
     def events(self, events: list[tuple[Kind, Note, tuple[int, ...]]]) -> None:
         for _, note, links in events:
             cause = (note.code, note.stream)
+            if cause not in self._repeats and len(self._repeats) >= _MAX_CAUSES:
+                cause = (note.code, "(other streams)")
             self._repeats[cause] += 1
             # everything is in the recording; here each cause of trouble is told once
             if note.level is Level.INFO or self._repeats[cause] == 1:
@@ -235,7 +240,7 @@ class _TextOutput:
         )
         for cause, number in sorted(self._repeats.items()):
             if number > 1 and cause[0] not in ("stream",):
-                print(f"  {cause[0]} {cause[1]}: {number:,} times")
+                print(f"  {' '.join(filter(None, cause))}: {number:,} times")
         if bridge.summary:
             summary = bridge.summary
             lost = sum(summary.dropped.values())

@@ -56,6 +56,8 @@ def run(options: argparse.Namespace) -> int:
     except MessageTooLarge as error:
         print(f"igtl-gateway decode: offset {offset}: {error}", file=sys.stderr)
         return 1
+    except BrokenPipeError:
+        raise  # of our output, not of the file
     except OSError as error:
         raise ConfigError(f"{options.file}: {error.strerror}") from None
     finally:

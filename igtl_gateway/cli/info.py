@@ -166,7 +166,10 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
     session = told["session"]
     kind = "a foreign MCAP file" if told["foreign"] else f"session log version {told['format_version']}"
     print(f"{told['file']}: {kind}, {size(told['bytes'])}")
-    print(f"  start     {told['start']}, {told['duration_s']:.3f} s, {count(told['entries'], 'entry', 'entries')}")
+    if told["entries"]:
+        print(f"  start     {told['start']}, {told['duration_s']:.3f} s, {count(told['entries'], 'entry', 'entries')}")
+    else:
+        print("  no entries")
     made = session.get("igtl_gateway_version")
     if made:
         print(f"  made by   igtl-gateway {made}" + (f" ({session['scenario']})" if "scenario" in session else ""))
@@ -231,8 +234,10 @@ def _losses(ledger: dict[str, Any] | None) -> list[str]:
             for reason, number in fates.get("dropped", {}).items():
                 lines.append(f"{number:>7,}  {direction} {stream}: {reason}")
     for link, fates in ledger.get("links", {}).items():
-        for stream, number in fates.get("dropped", {}).items():
-            lines.append(f"{number:>7,}  to link {link}, {stream}: send queue full, or link closed")
+        peer = "links that are gone" if link == "0" else f"link {link}"
+        for fate, reason in (("dropped", "send queue full, or link closed"), ("ignored", "the link was gone already")):
+            for stream, number in fates.get(fate, {}).items():
+                lines.append(f"{number:>7,}  to {peer}, {stream}: {reason}")
     recorder = ledger.get("recorder", {})
     if recorder.get("dropped_entries"):
         lines.append(f"{recorder['dropped_entries']:>7,}  entries that the recorder could not keep up with")

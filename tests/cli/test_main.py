@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from igtl_gateway.cli import VERBS, main
+from igtl_gateway.cli.simulate import facts
+from igtl_gateway.config import Config
+from igtl_gateway.record.mcap_writer import SessionWriter
 
 FIXTURE = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
 
@@ -88,3 +93,48 @@ def test_json_is_for_programs(capsys: pytest.CaptureFixture[str], tmp_path: Path
         code, out, err = outcome(capsys, verb, str(copy), "--json")
         assert code == 0 and not err
         assert key in json.loads(out)
+
+
+def test_info_tells_what_was_meant_for_links_that_were_gone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "losses.mcap"
+    links = {
+        "0": {"dropped": {"STRING/A": 2}, "ignored": {"STRING/A": 3}},
+        "7": {"dropped": {"STRING/B": 4}, "ignored": {}},
+    }
+    SessionWriter(path, facts("losses", Config())).close({"links": links})
+    code, out, _ = outcome(capsys, "info", str(path))
+    assert code == 0
+    assert "no entries" in out and "1970" not in out
+    losses = [line.split() for line in out.partition("losses\n")[2].splitlines()]
+    assert [(line[0], "gone," in line, line[-1]) for line in losses] == [
+        ("2", True, "closed"),
+        ("3", True, "already"),
+        ("4", False, "closed"),
+    ]
+
+
+@pytest.mark.parametrize("duration", ["0", "-1", "nan", "inf"])
+def test_a_duration_that_never_ends_is_usage(duration: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = outcome(capsys, "bridge", "--no-ros", "--listen", ":0", "--duration", duration)
+    assert code == 2
+    assert "--duration" in err
+
+
+@pytest.mark.parametrize("how", [">&-", "2>&-", ">&- 2>&-", "| :"])
+def test_closed_outputs_end_nothing_with_a_traceback(how: str, tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    command = f'"$0" -m igtl_gateway bridge --no-ros --listen :0 --duration 0.1 --record "$1" {how}'
+    ended = subprocess.run(
+        ["sh", "-c", command, sys.executable, str(path)], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert "Traceback" not in ended.stderr and "Exception" not in ended.stderr
+    assert main(("verify", str(path))) == 0, "the recording was closed"
+
+
+def test_decode_says_nothing_of_a_reader_that_has_seen_enough(tmp_path: Path) -> None:
+    path = tmp_path / "many.igtl"
+    path.write_bytes((Path(__file__).parents[1] / "wire" / "corpus" / "STRING_v1_s1.bin").read_bytes() * 5000)
+    command = ["sh", "-c", '"$0" -m igtl_gateway decode "$1" | head -1', sys.executable, str(path)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    assert ended.stdout.count("\n") == 1
+    assert ended.stderr == ""
