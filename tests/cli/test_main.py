@@ -11,9 +11,12 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import VERBS, main
+from igtl_gateway.cli.bridge import _TextOutput
 from igtl_gateway.cli.simulate import facts
 from igtl_gateway.config import Config
 from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.note import Level, Note
 
 FIXTURE = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
 
@@ -138,3 +141,23 @@ def test_decode_says_nothing_of_a_reader_that_has_seen_enough(tmp_path: Path) ->
     ended = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     assert ended.stdout.count("\n") == 1
     assert ended.stderr == ""
+
+
+def test_a_bridge_whose_recording_failed_ends_with_a_failure(tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    # 1,536 bytes: enough to begin a recording, not enough to close it
+    command = 'ulimit -f 3; exec "$0" -m igtl_gateway bridge --no-ros --listen :0 --duration 0.1 --record "$1"'
+    ended = subprocess.run(
+        ["sh", "-c", command, sys.executable, str(path)], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert ended.returncode == 1, ended.stderr
+    assert "File too large" in ended.stdout
+    assert "Traceback" not in ended.stderr
+
+
+def test_a_peer_that_invents_names_does_not_flood_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    terminal = _TextOutput(terminal=False)
+    for index in range(5000):
+        note = Note(Level.ERROR, "bad_crc", f"message refused: {index}", f"STRING/{index}")
+        terminal.events([(Kind.NOTE, note, (1,))])
+    assert capsys.readouterr().out.count("\n") <= 1001
