@@ -151,3 +151,22 @@ def test_what_holds_no_list_of_points_is_refused(message: Marker) -> None:
 def test_an_index_beyond_the_vertices_is_refused() -> None:
     with pytest.raises(ConversionError, match="found vertex index 3, expected below 3"):
         surfaces.mesh_to_igtl(Mesh(np.array([[0, 1, 3]], "u4"), np.zeros((3, 3))), ToIgtl())
+
+
+def test_colours_up_to_255_are_brought_to_what_markers_hold() -> None:
+    colours = Attribute.of(SCALAR, "RGB", np.tile([255.0, 51.0, 0.0], (5, 1)))
+    content = PolyData(POINTS, polygons=Cells.of([[0, 1, 2]]), attributes=(colours,))
+    assert surfaces.polydata_to_marker(content, TO).colors[0].tolist() == pytest.approx([1.0, 0.2, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 1e300])
+def test_a_surface_with_a_point_nowhere_is_refused(bad: float) -> None:
+    """Its cells refer to the point, so it cannot be left out as from a cloud."""
+    points = CORNERS.copy()
+    points[1, 1] = bad
+    with pytest.raises(ConversionError, match="not finite"):
+        surfaces.mesh_to_igtl(Mesh(np.array([[0, 1, 2]], "u4"), points), ToIgtl())
+    with pytest.raises(ConversionError, match="not finite"):
+        surfaces.marker_to_igtl(marker(Marker.POINTS, points=points), ToIgtl())
+    with pytest.raises(ConversionError, match="finite"):
+        surfaces.marker_to_igtl(marker(Marker.POINTS, orientation=(bad, 0.0, 0.0, 1.0)), ToIgtl())
