@@ -9,7 +9,7 @@ verification use what was in force that day.
     base_frame = "igtl"            # frame of all that names no frame of its own
     ros_unit = "m"                 # m, dm, cm, mm, um
     igtl_unit = "mm"
-    stamp = "source"               # source: the sender's stamp, else the gateway's; receive: the gateway's
+    stamp = "source"               # source: the sender's stamp, else the gateway's; receive, now: the gateway's
     check_crc = true
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first row that matches counts
@@ -44,7 +44,8 @@ from igtl_gateway.convert.units import UNITS, Lengths
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.qos import Qos
 
-STAMP_POLICIES = ("source", "receive")
+#: Which time an outgoing message tells.  An output leaves with its cause, so that ``now`` is the time of receipt.
+STAMP_POLICIES = ("source", "receive", "now")
 OUT_PREFIX = "/igtl/out/"
 IN_TOPIC = "/igtl/in/{device}/{kind}"
 

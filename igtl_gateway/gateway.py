@@ -139,7 +139,7 @@ class Gateway:
             self._versions[link] = message.header_version
         self.ledger.count(_IN, entry.channel, "decoded")
         device = _full_name(message)
-        stream = self._ros_stream(message.type, device)
+        stream = self._ros_stream(visible(message.type), device)
         if stream is None:
             self.ledger.drop(_IN, entry.channel, "too_many_streams")
             text = f"more than {self.config.max_streams} streams: {entry.channel} is recorded, not published"

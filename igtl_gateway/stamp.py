@@ -68,7 +68,7 @@ def ticks_to_ns(ticks: int) -> int:
 
 
 def ns_to_ticks(ns: int) -> int:
-    """Tick word of UTC nanoseconds, cut to what the field holds (1970 … 2106); 0 (unset) stays 0."""
+    """Tick word of UTC nanoseconds; 0 (unset) stays 0, as does what lies before 1970.  From 2106 on the field wraps."""
     seconds, rest = divmod(max(ns, 0), NS_PER_S)
     return (seconds & 0xFFFFFFFF) << 32 | ns_to_fraction(rest)
 

@@ -95,7 +95,7 @@ def test_a_message_is_always_stamped(source_ns: int) -> None:
         ({"max_streams": 0}, "gateway.max_streams"),
         ({"ros_unit": "inch"}, "gateway.ros_unit"),
         ({"igtl_unit": ""}, "gateway.igtl_unit"),
-        ({"stamp": "now"}, "gateway.stamp"),
+        ({"stamp": "later"}, "gateway.stamp"),
         ({"to_igtl": 1}, "to_igtl"),
         ({"to_igtl": [1]}, "to_igtl[0]"),
         ({"to_igtl": [{}, {"topik": "/a"}]}, "to_igtl[1].topik"),

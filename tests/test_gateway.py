@@ -276,6 +276,13 @@ def test_unknown_types_are_counted_and_said_once() -> None:
     assert script.gateway.ledger.to_dict()["igtl_in"]["MYSTERY/Box"]["dropped"] == {"no_conversion": 2}
 
 
+def test_a_type_name_ends_at_its_first_nul() -> None:
+    script = Script()
+    data = join(encode(Message("STRING\0xy", "Sloppy", String.of("a"))))
+    assert script.igtl(data) == ["ros /igtl/in/Sloppy/string"]
+    assert join(encode(decode(data))) == data
+
+
 def test_an_empty_image_is_no_fault() -> None:
     script = Script()
     assert script.igtl(Message("IMAGE", "BrainLab", Raw(b""))) == ["note empty"]

@@ -16,7 +16,7 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.clock import Clock
 from igtl_gateway.gateway import Session
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
+from igtl_gateway.session.note import Level, Note
 
 Sink = Callable[[Entry], None]
 
@@ -32,7 +32,7 @@ class _Input:
 
 
 class Hub:
-    """See the module.  Sinks must not block and must not raise.
+    """See the module.  Sinks must not block; one that raises is told of once, and the others get their entry.
 
     Args:
         session: the gateway with its numbering.
@@ -46,6 +46,7 @@ class Hub:
         self._sinks = tuple(sinks)
         self._lock = threading.Lock()
         self._owner = 0
+        self._complained: set[Sink] = set()
         # inputs that a sink brought while the lock was ours: they follow the entries being handed on
         self._waiting: deque[_Input] = deque()
 
@@ -90,4 +91,15 @@ class Hub:
         )
         for entry in entries:
             for sink in self._sinks:
-                sink(entry)
+                try:
+                    sink(entry)
+                except Exception as error:  # a defect of ours: the other sinks, and the session, go on
+                    self._complain(sink, error)
+
+    def _complain(self, sink: Sink, error: Exception) -> None:
+        """Note that a sink raised; once, for it will again, and be it over this note."""
+        if sink not in self._complained:
+            self._complained.add(sink)
+            text = f"{getattr(sink, '__qualname__', sink)} failed: {type(error).__name__}: {error}"
+            note = Note(Level.ERROR, "internal_error", text)
+            self._waiting.append(_Input(Kind.EDGE_NOTE, (note.pack(),)))

@@ -225,6 +225,20 @@ def _firsts(notes: list[tuple[int, Kind, Note]], start_ns: int) -> list[str]:
     return list(firsts.values())
 
 
+#: What the ledger calls it → what people call it; the codes of refused messages stand for themselves.
+_REASONS = {
+    "no_peer": "no OpenIGTLink peer was connected",
+    "no_conversion": "has no conversion to ROS",
+    "empty": "empty body, nothing to publish",
+    "too_many_streams": "more streams than allowed",
+    "conversion": "could not be converted",
+}
+
+
+def _side(direction: str) -> str:
+    return _DIRECTIONS[Kind(direction)] if direction in {kind.value for kind in _DIRECTIONS} else direction
+
+
 def _losses(ledger: dict[str, Any] | None) -> list[str]:
     if ledger is None:
         return ["   unknown: the recording has no ledger"]
@@ -232,7 +246,7 @@ def _losses(ledger: dict[str, Any] | None) -> list[str]:
     for direction, streams in ledger.get("streams", {}).items():
         for stream, fates in streams.items():
             for reason, number in fates.get("dropped", {}).items():
-                lines.append(f"{number:>7,}  {direction} {stream}: {reason}")
+                lines.append(f"{number:>7,}  {_side(direction)} {stream}: {_REASONS.get(reason, reason)}")
     for link, fates in ledger.get("links", {}).items():
         peer = "links that are gone" if link == "0" else f"link {link}"
         for fate, reason in (("dropped", "send queue full, or link closed"), ("ignored", "the link was gone already")):

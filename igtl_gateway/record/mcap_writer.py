@@ -206,7 +206,9 @@ def _create(path: Path, overwrite: bool) -> BufferedWriter:
             raise RecordingError(f"cannot record to {path}: it is not a regular file")
         return path.open("wb" if overwrite else "xb")
     except FileExistsError:
-        raise RecordingError(f"cannot record to {path}: the file exists already") from None
+        raise RecordingError(
+            f"cannot record to {path}: the file exists already, and is not replaced without --overwrite"
+        ) from None
     except FileNotFoundError:
         raise RecordingError(f"cannot record to {path}: there is no folder {path.parent}") from None
     except (OSError, ValueError) as error:

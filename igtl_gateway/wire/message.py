@@ -178,7 +178,7 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
 
 
 def _content(type_name: str, content: memoryview) -> Body:
-    codec = BODIES.get(type_name, Raw)
+    codec = BODIES.get(visible(type_name), Raw)  # C++ readers too stop at the first NUL
     if not content.nbytes and not getattr(codec, "MAY_BE_EMPTY", False):
         codec = Raw  # an empty body is a peer's way to say "I have none" (BrainLab images, refused queries)
     return codec.unpack(content)

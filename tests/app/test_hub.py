@@ -51,6 +51,20 @@ def test_threads_do_not_interleave_within_one_input() -> None:
     assert messages == [Kind.ROS_IN, Kind.IGTL_OUT] * 800
 
 
+def test_a_sink_that_raises_costs_the_others_nothing() -> None:
+    seen: list[Entry] = []
+
+    def broken(_entry: Entry) -> None:
+        raise ZeroDivisionError("oops")
+
+    hub = hub_with(broken, seen.append)
+    hub.link(1, UP)
+    hub.ros("/igtl/out/Text", String.TYPE, TEXT, 0)
+    kinds = [entry.kind for entry in seen]
+    assert kinds == [Kind.LINK, Kind.EDGE_NOTE, Kind.ROS_IN, Kind.IGTL_OUT, Kind.NOTE], "told once"
+    assert "ZeroDivisionError: oops" in Note.unpack(seen[1].data()).text
+
+
 def test_what_a_sink_says_follows_the_entries_being_handed_on() -> None:
     seen: list[Entry] = []
 
