@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-body-mib", type=int, default=256, metavar="MIB", help="longest message accepted (%(default)s)"
     )
     parser.add_argument(
-        "--queue-messages", type=int, default=4096, metavar="N", help="the same, in messages (%(default)s)"
+        "--queue-messages", type=int, default=4096, metavar="N", help="send queue of a peer (%(default)s)"
     )
     parser.add_argument(
         "--stall-s", type=float, default=10.0, metavar="S", help="longest silence inside a message (%(default)s)"

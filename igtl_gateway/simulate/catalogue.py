@@ -37,7 +37,7 @@ def _star_inputs(duration_s: float | None) -> Iterator[Input]:
     seconds = star.DURATION_S if duration_s is None else duration_s
     start_ns, end_ns = star.START_NS, star.START_NS + round(seconds * NS_PER_S)
     robot = (
-        Input(message.time_ns, Kind.ROS_IN, message.cdr, message.topic, message.type)
+        Input(message.time_ns, Kind.ROS_IN, message.cdr, message.topic, message.type, source_ns=message.sent_ns)
         for message in star.messages(seconds, start_ns)
     )
 

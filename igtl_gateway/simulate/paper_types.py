@@ -123,7 +123,8 @@ def inputs() -> Iterator[Input]:
     for name, message in _ros_messages(Header(0, "base")):
         time_ns += _STEP_NS
         stamped = _stamped(message, time_ns - 3_000_000)
-        yield Input(time_ns, Kind.ROS_IN, stamped.pack(), f"/igtl/out/{name}", message.TYPE)
+        topic = f"/igtl/out/{name}"
+        yield Input(time_ns, Kind.ROS_IN, stamped.pack(), topic, message.TYPE, source_ns=time_ns - 2_000_000)
     yield link_down(time_ns + _STEP_NS, _OLD, "127.0.0.1:52001")
     yield link_down(time_ns + _STEP_NS + 1, _NEW, "127.0.0.1:52002")
 

@@ -28,6 +28,7 @@ class Input:
     channel: str = ""
     type: str = ""
     link: int = 0
+    source_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,7 @@ class Scenario:
                 channel=given.channel,
                 type_name=given.type,
                 links=(given.link,) if given.link else (),
+                source_ns=given.source_ns,
             )
 
 

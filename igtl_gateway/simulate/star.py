@@ -56,6 +56,7 @@ class SceneMessage:
         type: ROS type, as ``"sensor_msgs/msg/Image"``.
         cdr: the serialised message.
         latched: whether the topic is transient local (its last message holds for late subscribers).
+        sent_ns: the sender's own stamp, UTC ns: when the sensor looked.
     """
 
     time_ns: int
@@ -63,6 +64,7 @@ class SceneMessage:
     type: str
     cdr: bytes
     latched: bool
+    sent_ns: int
 
 
 class _Session:
@@ -129,7 +131,14 @@ def _play(seed: int, start_ns: int, duration_ns: int) -> Iterator[SceneMessage]:
     for arrival_ns, row, number, since_ns in sorted(arrivals):
         stream = _STREAMS[row]
         message = stream.make(_Shot(session, number, since_ns))
-        yield SceneMessage(start_ns + arrival_ns, stream.topic, message.TYPE, message.pack(), stream.latched)
+        yield SceneMessage(
+            start_ns + arrival_ns,
+            stream.topic,
+            message.TYPE,
+            message.pack(),
+            stream.latched,
+            start_ns + since_ns,
+        )
 
 
 def _cloud(shot: _Shot) -> PointCloud2:
