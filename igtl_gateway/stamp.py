@@ -13,7 +13,6 @@ the seconds here.
 from __future__ import annotations
 
 NS_PER_S = 1_000_000_000
-UNSET = 0
 
 
 def _steps() -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from igtl_gateway import __version__
 from igtl_gateway.errors import ConfigError, GatewayError, RosError, UnsupportedRecording
 
-GOOD, FAILURE, USAGE = 0, 1, 2
+FAILURE, USAGE = 1, 2
 
 #: Verb → one line of help.  The module of the same name in this package has ``add_arguments`` and ``run``.
 VERBS = {

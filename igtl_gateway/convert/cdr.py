@@ -60,9 +60,6 @@ class Writer:
     def i32(self, value: int) -> None:
         self.pack(_I32, 4, value)
 
-    def f32(self, value: float) -> None:
-        self.pack(_F32, 4, value)
-
     def f64s(self, *values: float) -> None:
         """Consecutive float64 fields."""
         self.align(8)
@@ -100,7 +97,6 @@ class Writer:
 
 _U32 = struct.Struct("<I")
 _I32 = struct.Struct("<i")
-_F32 = struct.Struct("<f")
 
 
 class Reader:
@@ -149,9 +145,6 @@ class Reader:
 
     def i32(self) -> int:
         return int(self.unpack("i", 4)[0])
-
-    def f32(self) -> float:
-        return float(self.unpack("f", 4)[0])
 
     def string(self) -> str:
         size = self.u32()
