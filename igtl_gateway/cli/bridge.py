@@ -51,10 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--record", type=Path, metavar="FILE", help="record everything into this MCAP file")
     parser.add_argument(
         "--record-topics",
-        action="append",
+        action="extend",
+        nargs="+",
         default=[],
         metavar="GLOB",
-        help="with --record: record these ROS topics too (* one level, ** any); may be repeated",
+        help="with --record: record these ROS topics too (* one level, ** any)",
     )
     parser.add_argument("--record-all", action="store_true", help="with --record: record all ROS topics")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing recording")

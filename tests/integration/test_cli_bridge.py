@@ -203,7 +203,7 @@ def test_other_topics_are_recorded(programs: list[Program], tmp_path: Path, ever
     path = tmp_path / "out.mcap"
     topics = {"/arm/joint_states": JOINTS, "/arm/health/all": HEALTH, "/chatter": TEXT}
     wanted = set(topics) if everything else {"/arm/joint_states"}
-    options = ["--record-all"] if everything else ["--record-topics", "/arm/*"]
+    options = ["--record-all"] if everything else ["--record-topics", "/arm/*", "/nowhere"]
     with RosClient("arm", advertise=topics, domain=SECOND_DOMAIN) as arm:
         bridge = Bridge("--record", str(path), *options, ROS_DOMAIN_ID=str(SECOND_DOMAIN))
         programs.append(bridge)
