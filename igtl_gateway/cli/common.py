@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -106,14 +107,25 @@ def recorded_config(session: dict[str, str], path: Path | None = None) -> Config
 
 @contextmanager
 def stop_event() -> Iterator[threading.Event]:
-    """An event that SIGINT (Ctrl-C) and SIGTERM set; a second signal ends the program the hard way."""
+    """An event that SIGINT (Ctrl-C) and SIGTERM set; a second signal ends the program the hard way.
+
+    The handler runs in the main thread, perhaps while that is inside ``event.wait`` and holds the event's lock:
+    setting the event there would wait for that lock for ever.  So it writes to a pipe, and a thread sets the event.
+    """
     event = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    reader, writer = os.pipe()
+
+    def watch() -> None:
+        if os.read(reader, 1):
+            event.set()
 
     def on_signal(number: int, _frame: Any) -> None:
-        event.set()
+        os.write(writer, b"!")
         signal.signal(number, signal.SIG_DFL)
 
+    watcher = threading.Thread(target=watch, name="igtl-signals", daemon=True)
+    watcher.start()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     for number in before:
         signal.signal(number, on_signal)
     try:
@@ -121,6 +133,9 @@ def stop_event() -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        os.close(writer)
+        watcher.join()
+        os.close(reader)
 
 
 def print_json(value: Any) -> None:

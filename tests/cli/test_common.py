@@ -1,0 +1,59 @@
+"""What the verbs share."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+
+import pytest
+
+from igtl_gateway.cli.common import address, count, size, stop_event
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_sets_the_event(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with stop_event() as stop:
+        assert not stop.is_set()
+        signal.raise_signal(number)
+        assert stop.wait(10)
+    assert signal.getsignal(number) == before
+
+
+def test_a_signal_that_meets_the_main_thread_inside_the_event_does_not_hang() -> None:
+    with stop_event() as stop:
+        with stop._cond:  # type: ignore[attr-defined]  # what Event.wait holds for a moment
+            signal.raise_signal(signal.SIGINT)
+        assert stop.wait(10)
+
+
+def test_without_a_signal_nothing_is_set() -> None:
+    with stop_event() as stop:
+        pass
+    assert not stop.is_set()
+
+
+@pytest.mark.parametrize(
+    ("text", "parsed"),
+    [
+        ("127.0.0.1:18944", ("127.0.0.1", 18944)),
+        (":5000", ("127.0.0.1", 5000)),
+        ("5000", ("127.0.0.1", 5000)),
+        ("robot", ("robot", 18944)),
+        ("[::1]:5000", ("::1", 5000)),
+        ("[::1]", ("::1", 18944)),
+    ],
+)
+def test_addresses(text: str, parsed: tuple[str, int]) -> None:
+    assert address(text) == parsed
+
+
+@pytest.mark.parametrize("text", ["robot:port", "robot:65536", "robot:-1"])
+def test_addresses_that_are_none(text: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError, match="expected HOST:PORT"):
+        address(text)
+
+
+def test_numbers_for_people() -> None:
+    assert (count(1, "peer"), count(1234, "entry", "entries")) == ("1 peer", "1,234 entries")
+    assert (size(812), size(9_600_000), size(3e12)) == ("812 B", "9.6 MB", "3000.0 GB")
