@@ -17,7 +17,8 @@ from igtl_gateway.replay.playback import PlaybackClock, paced
 from igtl_gateway.replay.source import once, select, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
 
-_QOS = Qos(depth=100)
+#: For topics of which the file tells no quality of service.
+PLAYED_QOS = Qos(depth=100)
 
 #: What goes to each side, by preference: what the gateway sent; else what could stand for it.
 _OUTPUTS = {"igtl": Kind.IGTL_OUT, "ros": Kind.ROS_OUT}
@@ -138,7 +139,7 @@ def ros_sender(edge: RosEdge, file: SessionFile) -> Callable[[Entry], bool]:
     offered = {(channel.topic, channel.type): channel.qos for channel in file.channels}
 
     def send(entry: Entry) -> bool:
-        qos = offered.get((entry.channel, entry.type)) or _QOS
+        qos = offered.get((entry.channel, entry.type)) or PLAYED_QOS
         edge.publish(entry.channel, entry.type, entry.data(), qos)
         return True
 

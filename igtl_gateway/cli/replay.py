@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from igtl_gateway.app.player import Plan, Player, igtl_sender, plan, planned, ros_sender
+from igtl_gateway.app.player import PLAYED_QOS, Plan, Player, igtl_sender, plan, planned, ros_sender
 from igtl_gateway.cli.common import (
     add_addresses,
     add_send,
@@ -27,6 +27,7 @@ from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.playback import PlaybackClock
+from igtl_gateway.replay.source import fits
 from igtl_gateway.session.entry import Entry
 
 EXAMPLES = """\
@@ -137,11 +138,12 @@ def _open_ros(options: argparse.Namespace, file: SessionFile, how: Plan, stop: E
     )
     edge.start()
     stack.callback(edge.stop)
-    topics = {channel.topic for channel in file.channels if channel.kind in how.kinds}
-    for channel in file.channels:
-        if channel.kind in how.kinds and channel.qos:
-            edge.advertise(channel.topic, channel.type, channel.qos)
-    for topic in sorted(topics):
+    channels = [
+        channel for channel in file.channels if channel.kind in how.kinds and fits(channel.topic, options.streams)
+    ]
+    for channel in channels:
+        edge.advertise(channel.topic, channel.type, channel.qos or PLAYED_QOS)
+    for topic in sorted({channel.topic for channel in channels}):
         while options.wait_peers and not edge.wait_for_subscribers(topic, options.wait_peers, 0.2):
             if stop.is_set():
                 return None, lambda: False
@@ -149,7 +151,7 @@ def _open_ros(options: argparse.Namespace, file: SessionFile, how: Plan, stop: E
     while not edge.wait_ready(0.2):
         if stop.is_set():
             return None, lambda: False
-    return ros_sender(edge, file), lambda: True
+    return ros_sender(edge, file), lambda: stop.is_set() or edge.wait_ready(_FLUSH_S)
 
 
 def _tell(options: argparse.Namespace, text: str) -> None:

@@ -10,6 +10,7 @@ from igtl_gateway import __version__
 from igtl_gateway.cli.common import count, print_json, size
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.gateway import Gateway
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.simulate.catalogue import SCENARIOS
 
@@ -32,11 +33,16 @@ def run(options: argparse.Namespace) -> int:
     if options.duration is not None and not 0 < options.duration < 3600:
         raise ConfigError(f"--duration: found {options.duration}, expected more than 0 and less than 3600 seconds")
     scenario = SCENARIOS[options.name]
+    gateway = Gateway(scenario.config)
     writer = SessionWriter(
-        options.out, facts(options.name, scenario.config), compression="zstd", overwrite=options.overwrite
+        options.out,
+        facts(options.name, scenario.config),
+        qos_of=lambda topic, ros_type: gateway.qos(topic) or gateway.subscription(topic, ros_type),
+        compression="zstd",
+        overwrite=options.overwrite,
     )
     entries = 0
-    for entry in scenario.entries(options.duration):
+    for entry in scenario.entries(options.duration, gateway):
         writer.write(entry)
         entries += 1
     writer.close({})

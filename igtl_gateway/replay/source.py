@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 from igtl_gateway.config import Config, matches
 from igtl_gateway.gateway import LINK_UP, Gateway
@@ -48,16 +48,20 @@ def select(entries: Iterable[Entry], kinds: frozenset[Kind], streams: Iterable[s
     A glob fits the channel (``TYPE/device`` or the topic) or the device name alone.
     """
     globs = tuple(streams)
-    wanted: Callable[[str], bool] = lambda name: not globs or any(matches(glob, name) for glob in globs)  # noqa: E731
     known: dict[str, bool] = {}
     for entry in entries:
         if entry.kind in kinds:
             if entry.channel not in known:
-                known[entry.channel] = wanted(entry.channel) or (
-                    entry.kind in _IGTL and wanted(entry.channel.partition("/")[2])
+                known[entry.channel] = fits(entry.channel, globs) or (
+                    entry.kind in _IGTL and fits(entry.channel.partition("/")[2], globs)
                 )
             if known[entry.channel]:
                 yield entry
+
+
+def fits(name: str, globs: Sequence[str]) -> bool:
+    """Whether a name matches one of the globs, or there is none."""
+    return not globs or any(matches(glob, name) for glob in globs)
 
 
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})

@@ -45,9 +45,9 @@ class Scenario:
     config: Config
     inputs: Callable[[float | None], Iterable[Input]]
 
-    def entries(self, duration_s: float | None = None) -> Iterator[Entry]:
-        """The session log, outputs included."""
-        session = Session(Gateway(self.config))
+    def entries(self, duration_s: float | None = None, gateway: Gateway | None = None) -> Iterator[Entry]:
+        """The session log, outputs included; ``gateway`` is a new one with this configuration unless given."""
+        session = Session(gateway or Gateway(self.config))
         for given in self.inputs(duration_s):
             yield from session.input(
                 given.time_ns,

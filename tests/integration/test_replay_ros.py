@@ -23,7 +23,9 @@ HEARD = {
 
 def test_a_ros_node_hears_what_was_published_that_day() -> None:
     with RosClient("listener", subscribe=HEARD) as node:
-        program = gateway("replay", str(TYPES), "--to", "ros", "--as-fast-as-possible", "--json")
+        streams = [word for topic in HEARD for word in ("--streams", topic)]
+        options = ("--as-fast-as-possible", "--wait-peers", "1", *streams)
+        program = gateway("replay", str(TYPES), "--to", "ros", "--json", *options)
         try:
             pose = node.receive("/igtl/in/ProbeToTracker/transform")
             assert (pose["header"]["frame_id"], pose["child_frame_id"]) == ("Tracker", "Probe")
