@@ -79,16 +79,6 @@ def topics(session: list[SceneMessage]) -> Topics:
     return dict(grouped)
 
 
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    return Scene()
-
-
-@pytest.fixture(scope="module")
-def frames(scene: Scene) -> list[CloudFrame]:
-    return [scene.cloud(number, 0.1 + number) for number in range(SECONDS)]
-
-
 # ---------------------------------------------------------------- the session
 
 

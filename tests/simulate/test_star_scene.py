@@ -10,17 +10,7 @@ from igtl_gateway.simulate.star_camera import IMAGE_CAMERA, CloudFrame, View, no
 from igtl_gateway.simulate.star_numbers import Array, Mask
 from igtl_gateway.simulate.star_scene import Scene
 from igtl_gateway.simulate.star_tissue import FOCUS_M, STITCHES, WET_RADIUS_M, WET_STITCH, surface_distance
-from tests.simulate.star_truth import SECONDS, length
-
-
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    return Scene()
-
-
-@pytest.fixture(scope="module")
-def frames(scene: Scene) -> list[CloudFrame]:
-    return [scene.cloud(number, 0.1 + number) for number in range(SECONDS)]
+from tests.simulate.star_truth import length
 
 
 def test_another_seed_gives_other_noise() -> None:
