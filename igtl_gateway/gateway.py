@@ -24,6 +24,7 @@ from igtl_gateway.config import Config, ToIgtlRow, ToRosRow, device_of_topic
 from igtl_gateway.convert.context import ToIgtl, ToRos
 from igtl_gateway.convert.names import frames_of, hashed, short_device_name, topic_token
 from igtl_gateway.convert.table import IgtlRow, RosRow, row_to_igtl, rows_to_ros
+from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
@@ -51,6 +52,8 @@ class _ToIgtlStream:
     device: str
     full_name: str
     channel: str
+    lengths: Lengths
+    latched: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +64,7 @@ class _ToRosStream:
     outputs: tuple[tuple[RosRow, str], ...]
     frame_id: str
     child_frame_id: str
+    lengths: Lengths
 
 
 class Gateway:
@@ -106,16 +110,18 @@ class Gateway:
 
     def subscription(self, topic: str, ros_type: str) -> Qos | None:
         """The QoS with which to subscribe to a topic that is to be bridged, None if it is not."""
-        row = self.config.row_to_igtl(topic)
-        conversion = row and row_to_igtl(ros_type, row.type)
-        if not row or not conversion:
-            return None
-        return row.qos or conversion.qos
+        row, conversion = self._rows(topic, ros_type)
+        return row.qos or conversion.qos if row and conversion else None
 
     def lacks_conversion(self, topic: str, ros_type: str) -> bool:
         """Whether a topic is to be bridged, but no row of the conversion table can do it."""
+        row, conversion = self._rows(topic, ros_type)
+        return row is not None and conversion is None
+
+    def _rows(self, topic: str, ros_type: str) -> tuple[ToIgtlRow | None, IgtlRow | None]:
+        """The row of the configuration for a topic, and the one of the conversion table that it leads to."""
         row = self.config.row_to_igtl(topic)
-        return row is not None and row_to_igtl(ros_type, row.type) is None
+        return row, row_to_igtl(ros_type, row.type) if row else None
 
     def qos(self, topic: str) -> Qos | None:
         """The QoS of a topic that the gateway publishes."""
@@ -143,7 +149,7 @@ class Gateway:
         if stream is None:
             self.ledger.drop(_IN, entry.channel, "too_many_streams")
             text = f"more than {self.config.max_streams} streams: {entry.channel} is recorded, not published"
-            return self._once("too_many_streams", "", Level.WARN, text, entry.channel, link)
+            return self._once(entry, Level.WARN, "too_many_streams", text, "", link)
         outputs = [pair for pair in stream.outputs if isinstance(message.content, pair[0].content)]
         if not outputs:
             # Raw content under a type that has rows is an empty body: "nothing to show"
@@ -152,7 +158,7 @@ class Gateway:
             else:
                 reason, level, what = "no_conversion", Level.WARN, "is recorded, but has no conversion to ROS"
             self.ledger.drop(_IN, entry.channel, reason)
-            return self._once(reason, message.type, level, f"{visible(message.type)} {what}", entry.channel, link)
+            return self._once(entry, level, reason, f"{visible(message.type)} {what}", message.type, link)
         return self._publish(entry, message, device, stream, outputs)
 
     def _publish(
@@ -164,7 +170,7 @@ class Gateway:
         outputs: list[tuple[RosRow, str]],
     ) -> list[_Reply]:
         stamp_ns = self.config.pick_stamp(stream.row, ticks_to_ns(message.ticks), entry.stamp_ns)
-        to = ToRos(device, stamp_ns, stream.frame_id, stream.child_frame_id, self.config.lengths(stream.row))
+        to = ToRos(device, stamp_ns, stream.frame_id, stream.child_frame_id, stream.lengths)
         replies: list[_Reply] = []
         try:
             for row, topic in outputs:
@@ -196,7 +202,8 @@ class Gateway:
             self._qos.setdefault(topic, row.qos or conversion.qos)
         poses = any(conversion.kind == "transform" for conversion, _ in outputs)
         frame_id = row.frame_id or (parent if poses else self.config.base_frame)
-        self._to_ros[key] = _ToRosStream(row, tuple(outputs), frame_id, row.child_frame_id or child)
+        lengths = self.config.lengths(row)
+        self._to_ros[key] = _ToRosStream(row, tuple(outputs), frame_id, row.child_frame_id or child, lengths)
         if outputs:
             topics = ", ".join(dict.fromkeys(topic for _, topic in outputs))
             self._open_stream(f"{visible(igtl_type)}/{device}", f"to {topics}")
@@ -218,7 +225,7 @@ class Gateway:
         if stream is None:
             self.ledger.count(_ROS_IN, topic, "recorded_only")
             return []
-        if (stream.row.qos or stream.conversion.qos).latched:
+        if stream.latched:
             self._latched[topic] = entry
         if not self._versions:
             self.ledger.drop(_ROS_IN, topic, "no_peer")
@@ -232,7 +239,7 @@ class Gateway:
 
     def _send(self, entry: Entry, stream: _ToIgtlStream, versions: Mapping[int, int]) -> list[_Reply]:
         """A ROS message to some links, each in the header version that it reads; or a note why not."""
-        to = ToIgtl(self.config.lengths(stream.row))
+        to = ToIgtl(stream.lengths)
         conversion = stream.conversion
         try:
             outgoing = conversion.convert(conversion.message.unpack(entry.payload[0]), to)
@@ -265,8 +272,7 @@ class Gateway:
         return self._to_igtl[key]
 
     def _resolve_topic(self, topic: str, ros_type: str) -> _ToIgtlStream | None:
-        row = self.config.row_to_igtl(topic)
-        conversion = row and row_to_igtl(ros_type, row.type)
+        row, conversion = self._rows(topic, ros_type)
         if not row or not conversion:
             return None
         kinds = {other.kind for other in rows_to_ros(conversion.igtl_type)}
@@ -277,7 +283,8 @@ class Gateway:
             device = short_device_name(f"{full_name[:8]}_{hashed(device + full_name)}_{full_name}")
         channel = f"{conversion.igtl_type}/{device}"
         self._open_stream(topic, f"to {channel}" + (f" (for {full_name})" if device != full_name else ""))
-        return _ToIgtlStream(row, conversion, device, full_name, channel)
+        latched = (row.qos or conversion.qos).latched
+        return _ToIgtlStream(row, conversion, device, full_name, channel, self.config.lengths(row), latched)
 
     # -- links and notes ----------------------------------------------------------------------------------------
 
@@ -306,21 +313,16 @@ class Gateway:
         """Say where a new stream goes."""
         self._news.append(_note(Level.INFO, "stream", f"{stream} goes {text}", stream, ()))
 
-    def _once(self, code: str, about: str, level: Level, text: str, stream: str, link: int) -> list[_Reply]:
-        """A note, but only the first of its kind from a link: what is common must not fill the log."""
+    def _once(self, entry: Entry, level: Level, code: str, text: str, about: str, link: int = 0) -> list[_Reply]:
+        """A note, but only the first of its kind about this (from this link): the log is for what is new."""
         if (code, about, link) in self._said:
             return []
         self._said.add((code, about, link))
-        return [_note(level, code, text, stream, (link,))]
+        return [_note(level, code, text, entry.channel, entry.links)]
 
     def _warnings(self, warnings: list[tuple[str, str]], entry: Entry) -> list[_Reply]:
         """Notes for what a conversion had to bend, once for each stream and cause."""
-        replies: list[_Reply] = []
-        for code, text in warnings:
-            if (code, entry.channel, 0) not in self._said:
-                self._said.add((code, entry.channel, 0))
-                replies.append(_note(Level.WARN, code, text, entry.channel, entry.links))
-        return replies
+        return [reply for code, text in warnings for reply in self._once(entry, Level.WARN, code, text, entry.channel)]
 
 
 LINK_UP, LINK_DOWN = "link_up", "link_down"

@@ -116,7 +116,7 @@ class Bridge:
                 self.ros.start()
         except Exception:
             self.stop()
-            # A file about nothing would only be in the way of the next attempt, which never overwrites.
+            # a file about nothing would only be in the way of the next attempt
             if self.summary:
                 self.summary.path.unlink(missing_ok=True)
             raise
