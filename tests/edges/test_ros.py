@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -107,6 +108,14 @@ class Heard:
         return RosEdge(on_message=self.on_message, wants=self.wants, on_note=self.on_note, **settings)
 
 
+def wait_known(edge: RosEdge, topic: str) -> None:
+    """Wait until discovery has told the edge of a subscriber: what is published before that is nobody's."""
+    pause, deadline = threading.Event(), time.monotonic() + TIMEOUT_S
+    while not edge._running.node.count_subscribers(topic):  # type: ignore[union-attr]  # running
+        assert time.monotonic() < deadline, f"no subscriber of {topic} was discovered"
+        pause.wait(0.01)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _own_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
@@ -165,6 +174,7 @@ def test_bytes_arrive_exactly(peer: Peer, edge: RosEdge, heard: Heard) -> None:
     assert type_name == TRANSFORM
     assert source_ns > 1_700_000_000 * 10**9
     peer.subscribe("/exact/out", TRANSFORM, {})
+    wait_known(edge, "/exact/out")
     edge.publish("/exact/out", TRANSFORM, cdr, Qos())
     [[echoed, fields]] = peer.take("/exact/out", 1)
     assert bytes.fromhex(echoed) == cdr
@@ -185,6 +195,7 @@ def test_nothing_is_lost_at_full_speed(peer: Peer, edge: RosEdge, heard: Heard) 
     assert heard.until(lambda: heard.count("/flood/in") == 2000)
     assert edge.counters()["/flood/in"] == {"received": 2000, "published": 0, "held": 0, "lost": 0, "failed": 0}
     peer.subscribe("/flood/out", TRANSFORM, {"depth": DEEP.depth})
+    wait_known(edge, "/flood/out")
     sent = heard.of("/flood/in")
     for cdr in sent:
         edge.publish("/flood/out", TRANSFORM, cdr, DEEP)
@@ -364,6 +375,7 @@ def test_the_executor_receives_as_well(peer: Peer) -> None:
     peer.publish_many("/fallback/in", {}, "data", 50)
     assert own.until(lambda: own.of("/fallback/in") == strings(*map(str, range(50))))
     peer.subscribe("/fallback/out", STRING, {})
+    wait_known(edge, "/fallback/out")
     edge.publish("/fallback/out", STRING, string_cdr("out"), Qos())
     assert [fields["data"] for _, fields in peer.take("/fallback/out", 1)] == ["out"]
     edge.stop()
@@ -371,6 +383,7 @@ def test_the_executor_receives_as_well(peer: Peer) -> None:
 
 def test_publishing_from_several_threads_keeps_the_order_of_each(peer: Peer, edge: RosEdge) -> None:
     peer.subscribe("/threads", STRING, {"depth": DEEP.depth})
+    wait_known(edge, "/threads")
 
     def publish(name: str) -> None:
         for number in range(200):
