@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.wire.body import Body
 
@@ -18,6 +19,10 @@ class ToRos:
         frame_id: frame of the content; for transforms the parent.
         child_frame_id: for transforms.
         lengths: units of the two sides.
+        igtl_type: type name on the wire.
+        metadata: what the sender said besides (header version 2), without what the gateway itself understands.
+        message_id: sender's id of the message (header version 2).
+        link: number of the peer that it came from.
         warnings: (code, sentence) pairs that the conversion adds to: converted, but something was bent.
     """
 
@@ -26,6 +31,10 @@ class ToRos:
     frame_id: str
     child_frame_id: str
     lengths: Lengths = Lengths()
+    igtl_type: str = ""
+    metadata: tuple[MetadataItem, ...] = ()
+    message_id: int = 0
+    link: int = 0
     warnings: list[tuple[str, str]] = field(default_factory=list)
 
 
@@ -44,7 +53,19 @@ class Outgoing:
     Attributes:
         content: the OpenIGTLink body.
         stamp_ns: stamp in the ROS message's own header (UTC ns), 0 where it has none.
+        frame_id: frame in the ROS message's own header, "" where it has none.
+        child_frame_id: of a transform.
+        metadata: what the ROS message says besides; travels with header version 2.
+        igtl_type: type name on the wire where the content decides it, "" for that of the row.
+        device_name: device where the message names one, "" for that of the topic.
+        link: number of the only peer that it is for, 0 for all.
     """
 
     content: Body
     stamp_ns: int = 0
+    frame_id: str = ""
+    child_frame_id: str = ""
+    metadata: tuple[MetadataItem, ...] = ()
+    igtl_type: str = ""
+    device_name: str = ""
+    link: int = 0

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 from igtl_gateway.convert import clouds, images, poses, rosmsg, surfaces, texts
@@ -29,6 +30,14 @@ _PICTURES = Qos(depth=5)
 _SURFACES = Qos(depth=5, latched=True)
 
 
+class Role(Enum):
+    """What a row's message is to the others that the same OpenIGTLink message becomes."""
+
+    STANDARD = "standard"  #: a message of ROS itself
+    FULL = "full"  #: one of our own, published where the standard ones do not hold everything
+    ON_REQUEST = "on request"  #: published where the configuration names its kind
+
+
 @dataclass(frozen=True, slots=True)
 class RosRow:
     """OpenIGTLink → ROS.
@@ -39,9 +48,11 @@ class RosRow:
         message: class of the ROS message.
         kind: last token of the topic.
         convert: the conversion.
-        applies: whether this row is for a given content; a message may go by several rows.
         qos: of the publisher.
         lossy: what does not arrive, "" if nothing.
+        applies: whether this row is for a given content; a message may go by several rows.
+        role: what the message is to the others of its type, see ``Role``.
+        topic: the topic where it is always the same, as with /tf; "" for the configured one.
     """
 
     igtl_types: tuple[str, ...]
@@ -52,6 +63,8 @@ class RosRow:
     qos: Qos
     lossy: str = ""
     applies: Callable[[Any], bool] = lambda content: True
+    role: Role = Role.STANDARD
+    topic: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,155 @@
+"""Messages of the common ROS packages as values, beside those of ``rosmsg`` that are written out for speed.
+
+Field by field in the order of the definitions of ROS 2 Jazzy; lengths in metres, stamps in UTC ns, poses as
+(x, y, z, qx, qy, qz, qw).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.convert.igtl_msgs import HEADER, Pose
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.convert.structs import (
+    OCTETS,
+    POSE,
+    STRING,
+    TIME,
+    UINT32,
+    CdrType,
+    Struct,
+    nested,
+    numbers,
+    several,
+)
+
+Array = npt.NDArray[Any]
+
+
+def _nothing() -> Array:
+    return np.empty(0)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseStamped(Struct):
+    """geometry_msgs/msg/PoseStamped."""
+
+    TYPE: ClassVar[str] = "geometry_msgs/msg/PoseStamped"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, POSE)
+    header: Header
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class PoseArray(Struct):
+    """geometry_msgs/msg/PoseArray: poses (n, 7) float64."""
+
+    TYPE: ClassVar[str] = "geometry_msgs/msg/PoseArray"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, numbers("float64", 7, as_name="geometry_msgs/Pose[]"))
+    header: Header
+    poses: Array
+
+
+@dataclass(frozen=True, slots=True)
+class FrameTransform(Struct):
+    """geometry_msgs/msg/TransformStamped inside a TFMessage; the transform as a pose of the child in the parent."""
+
+    TYPE: ClassVar[str] = "geometry_msgs/msg/TransformStamped"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, STRING, POSE)
+    header: Header
+    child_frame_id: str
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class TFMessage(Struct):
+    """tf2_msgs/msg/TFMessage: what /tf and /tf_static carry."""
+
+    TYPE: ClassVar[str] = "tf2_msgs/msg/TFMessage"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (several(FrameTransform),)
+    transforms: tuple[FrameTransform, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class JointState(Struct):
+    """sensor_msgs/msg/JointState: radians or metres, per second, newton metres or newtons."""
+
+    TYPE: ClassVar[str] = "sensor_msgs/msg/JointState"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(STRING), *(numbers("float64") for _ in range(3)))
+    header: Header
+    name: tuple[str, ...]
+    position: Array = field(default_factory=_nothing)
+    velocity: Array = field(default_factory=_nothing)
+    effort: Array = field(default_factory=_nothing)
+
+
+@dataclass(frozen=True, slots=True)
+class CompressedImage(Struct):
+    """sensor_msgs/msg/CompressedImage."""
+
+    TYPE: ClassVar[str] = "sensor_msgs/msg/CompressedImage"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, STRING, OCTETS)
+    header: Header
+    format: str
+    data: Buffer
+
+
+@dataclass(frozen=True, slots=True)
+class CompressedVideo(Struct):
+    """foxglove_msgs/msg/CompressedVideo: one frame; format h264, h265, vp9 or av1."""
+
+    TYPE: ClassVar[str] = "foxglove_msgs/msg/CompressedVideo"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (TIME, STRING, OCTETS, STRING)
+    timestamp_ns: int
+    frame_id: str
+    data: Buffer
+    format: str
+
+
+@dataclass(frozen=True, slots=True)
+class MultiArrayDimension(Struct):
+    """std_msgs/msg/MultiArrayDimension: stride counts elements from this dimension inwards."""
+
+    TYPE: ClassVar[str] = "std_msgs/msg/MultiArrayDimension"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, UINT32, UINT32)
+    label: str
+    size: int
+    stride: int
+
+
+@dataclass(frozen=True, slots=True)
+class MultiArrayLayout(Struct):
+    """std_msgs/msg/MultiArrayLayout: outermost dimension first."""
+
+    TYPE: ClassVar[str] = "std_msgs/msg/MultiArrayLayout"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (several(MultiArrayDimension), UINT32)
+    dim: tuple[MultiArrayDimension, ...] = ()
+    data_offset: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _MultiArray(Struct):
+    layout: MultiArrayLayout
+    data: Array
+
+
+def _multi_array(name: str, number: str) -> type[_MultiArray]:
+    kind = type(name, (_MultiArray,), {"__slots__": (), "__doc__": f"std_msgs/msg/{name}: data (n,) {number}."})
+    kind.TYPE = f"std_msgs/msg/{name}"  # type: ignore[attr-defined]
+    kind.FIELDS = (nested(MultiArrayLayout), numbers(number))  # type: ignore[attr-defined]
+    return kind
+
+
+#: numpy type → class of std_msgs that holds such an array: Int8MultiArray … Float64MultiArray.
+MULTI_ARRAYS: dict[str, type[_MultiArray]] = {
+    np.dtype(number).str[1:]: _multi_array(f"{name}MultiArray", number)
+    for name, number in (
+        *(("Int8", "int8"), ("UInt8", "uint8"), ("Int16", "int16"), ("UInt16", "uint16")),
+        *(("Int32", "int32"), ("UInt32", "uint32"), ("Float32", "float32"), ("Float64", "float64")),
+    )
+}

@@ -1,0 +1,161 @@
+"""ROS 2 messages told by tables: a frozen dataclass with the CDR type of each field gives ``pack`` and ``unpack``.
+
+For messages that are many rather than fast; the few on the hot path are written out in ``rosmsg``.  Arrays of
+numbers stay numpy views on the received bytes, octets stay views, whatever the size.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.convert.cdr import Reader, Writer
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.stamp import ns_to_ros, ros_to_ns
+
+
+@dataclass(frozen=True, slots=True)
+class CdrType:
+    """How values of one type are written and read.
+
+    Attributes:
+        name: as in a .msg file.
+        write: appends a value.
+        read: takes the next value.
+    """
+
+    name: str
+    write: Callable[[Writer, Any], None]
+    read: Callable[[Reader], Any]
+
+
+def _number(name: str, code: str) -> CdrType:
+    layout = struct.Struct("<" + code)
+
+    def write(out: Writer, value: Any) -> None:
+        try:
+            out.pack(layout, layout.size, value)
+        except struct.error:
+            raise ConversionError(f"found {value!r}, expected a number that fits {name}") from None
+
+    return CdrType(name, write, lambda read: read.unpack(code, layout.size)[0])
+
+
+_CODES = {
+    "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q",
+    "float32": "f", "float64": "d",
+}  # fmt: skip
+INT16, UINT8, UINT16, UINT32, UINT64 = (_number(n, _CODES[n]) for n in ("int16", "uint8", "uint16", "uint32", "uint64"))
+FLOAT32, FLOAT64 = _number("float32", "f"), _number("float64", "d")
+BOOL = CdrType("bool", Writer.bool, Reader.bool)
+STRING = CdrType("string", Writer.string, Reader.string)
+#: uint8[]: any buffer, not copied.
+OCTETS = CdrType("uint8[]", Writer.octets, Reader.octets)
+
+_TIME = struct.Struct("<iI")
+#: builtin_interfaces/Time as UTC ns, 0 = unset.
+TIME = CdrType(
+    "builtin_interfaces/Time",
+    lambda out, ns: out.pack(_TIME, 4, *ns_to_ros(ns)),
+    lambda read: ros_to_ns(*read.unpack("iI", 4)),
+)
+
+
+def fixed(name: str, count: int, *, as_name: str = "") -> CdrType:
+    """``count`` equal numbers in a row, as a tuple: an array of fixed length, or a struct of equal fields."""
+    layout = struct.Struct(f"<{count}{_CODES[name]}")
+    align = layout.size // count
+    shown = as_name or f"{name}[{count}]"
+
+    def write(out: Writer, values: Any) -> None:
+        try:
+            out.pack(layout, align, *values)
+        except struct.error:
+            raise ConversionError(f"found {values!r}, expected {count} numbers that fit {shown}") from None
+
+    return CdrType(shown, write, lambda read: read.unpack(f"{count}{_CODES[name]}", align))
+
+
+#: geometry_msgs/Point and Vector3: x, y, z.
+POINT = fixed("float64", 3, as_name="geometry_msgs/Point")
+#: geometry_msgs/Pose: position x, y, z, then orientation x, y, z, w.
+POSE = fixed("float64", 7, as_name="geometry_msgs/Pose")
+
+
+def numbers(name: str, columns: int = 1, *, as_name: str = "") -> CdrType:
+    """A sequence of numbers, as an array (n,); of structs of ``columns`` equal numbers, as an array (n, columns)."""
+    kind = np.dtype(_CODES[name])
+    shape = (-1,) if columns == 1 else (-1, columns)
+
+    def write(out: Writer, values: Any) -> None:
+        array = np.asarray(values, kind)
+        out.sequence(array, kind.itemsize, len(array))
+
+    return CdrType(
+        as_name or f"{name}[]",
+        write,
+        lambda read: read.sequence(kind.str[1:], columns, kind.itemsize).reshape(shape),
+    )
+
+
+#: geometry_msgs/Point[] as an array (n, 3).
+POINTS = numbers("float64", 3, as_name="geometry_msgs/Point[]")
+
+
+def nested(of: CdrType | type[Struct]) -> CdrType:
+    """One struct inside another."""
+    return of if isinstance(of, CdrType) else CdrType(of.TYPE, _write_struct, of.read)
+
+
+def several(of: CdrType | type[Struct]) -> CdrType:
+    """A sequence of structs or texts, as a tuple."""
+    one = nested(of)
+
+    def write(out: Writer, values: Any) -> None:
+        out.u32(len(values))
+        for value in values:
+            one.write(out, value)
+
+    return CdrType(f"{one.name}[]", write, lambda read: tuple(one.read(read) for _ in range(read.count())))
+
+
+class Struct:
+    """Base of the value classes: a dataclass whose fields are, in order, of the types in ``FIELDS``."""
+
+    __slots__ = ()
+    TYPE: ClassVar[str]
+    FIELDS: ClassVar[tuple[CdrType, ...]]
+
+    def write(self, out: Writer) -> None:
+        """Append the fields."""
+        for item, kind in zip(dataclasses.fields(self), self.FIELDS, strict=True):  # type: ignore[arg-type]
+            kind.write(out, getattr(self, item.name))
+
+    @classmethod
+    def read(cls, cdr: Reader) -> Self:
+        """Take the fields."""
+        return cls(*[kind.read(cdr) for kind in cls.FIELDS])
+
+    def pack(self) -> bytes:
+        """CDR bytes.  Raises ConversionError for a number that its field cannot hold."""
+        out = Writer()
+        try:
+            self.write(out)
+        except ConversionError as error:
+            raise ConversionError(f"{self.TYPE}: {error}") from None
+        return out.finish()
+
+    @classmethod
+    def unpack(cls, cdr: Buffer) -> Self:
+        """From CDR bytes.  Raises ConversionError where they are none of this type."""
+        return cls.read(Reader(cdr, cls.TYPE))
+
+
+def _write_struct(out: Writer, value: Struct) -> None:
+    value.write(out)

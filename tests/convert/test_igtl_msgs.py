@@ -1,0 +1,116 @@
+"""Our own messages: the value classes against the definitions of the package, by an independent serialiser."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from igtl_gateway.convert import igtl_msgs
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.convert.structs import Struct
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.session.layout import OWN_TYPES
+
+DEFINITIONS = Path(__file__).parents[2] / "ros2" / "igtl_msgs" / "msg"
+CLASSES = {
+    kind.TYPE: kind
+    for kind in vars(igtl_msgs).values()
+    if isinstance(kind, type) and issubclass(kind, Struct) and kind is not Struct
+}
+#: Packed by hand in session/layout.
+BY_HAND = {"igtl_msgs/msg/Note"}
+
+
+def store() -> Typestore:
+    known = get_typestore(Stores.ROS2_JAZZY)
+    for path in sorted(DEFINITIONS.glob("*.msg")):
+        known.register(get_types_from_msg(path.read_text("utf-8"), f"igtl_msgs/msg/{path.stem}"))
+    return known
+
+
+STORE = store()
+
+
+def test_every_definition_has_its_class() -> None:
+    assert {f"igtl_msgs/msg/{path.stem}" for path in DEFINITIONS.glob("*.msg")} == CLASSES.keys() | BY_HAND
+
+
+@pytest.mark.parametrize("name", OWN_TYPES)
+def test_the_recording_has_the_same_definitions(name: str) -> None:
+    assert OWN_TYPES[name] == (DEFINITIONS / f"{name.rpartition('/')[2]}.msg").read_text("utf-8")
+
+
+def fields_of(path: Path) -> list[tuple[str, str]]:
+    lines = (line.partition("#")[0].split() for line in path.read_text("utf-8").splitlines())
+    return [(line[0], line[1]) for line in lines if len(line) == 2 and "=" not in line[1]]
+
+
+@pytest.mark.parametrize("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
+def test_fields_are_those_of_the_definition(kind: type[Struct]) -> None:
+    wanted = fields_of(DEFINITIONS / f"{kind.__name__}.msg")
+    have = [
+        (re.sub(r"^igtl_msgs/(msg/)?", "", cdr.name), re.sub("_ns$", "", item.name))
+        for item, cdr in zip(dataclasses.fields(kind), kind.FIELDS, strict=True)  # type: ignore[arg-type]
+    ]
+    assert have == wanted
+
+
+def sample(name: str, depth: int = 0) -> Any:
+    """A message of rosbags with something else in every field."""
+    number = iter(range(1, 1000))
+
+    def value(description: Any) -> Any:
+        match description:
+            case (1, ("string", _)) | (1, "string"):
+                return f"text {next(number)} ü"
+            case (1, (basic, _)) | (1, basic) if isinstance(basic, str):
+                return True if basic == "bool" else float(next(number)) / 3 if "float" in basic else next(number)
+            case (2, other):
+                return sample(other, depth + 1)
+            case (3, (inner, size)):
+                return array(inner, size)
+            case (4, (inner, _)):
+                return array(inner, 3)
+        raise AssertionError(description)
+
+    def array(inner: Any, size: int) -> Any:
+        values = [value(inner) for _ in range(size)]
+        match inner:
+            case (1, (basic, _)) if basic != "string":
+                return np.array(values, basic)
+        return values
+
+    fields = {item: value(description) for item, description in STORE.fielddefs[name][1]}
+    if name == "builtin_interfaces/msg/Time":
+        fields = {"sec": 1_700_000_000 + next(number), "nanosec": 5}
+    return STORE.types[name](**fields)
+
+
+@pytest.mark.parametrize("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
+def test_read_and_written_byte_for_byte(kind: type[Struct]) -> None:
+    theirs = bytes(STORE.serialize_cdr(sample(kind.TYPE), kind.TYPE))
+    assert kind.unpack(theirs).pack() == theirs
+    foreign = bytes(STORE.serialize_cdr(sample(kind.TYPE), kind.TYPE, little_endian=False))
+    assert kind.unpack(foreign).pack() == theirs
+
+
+@pytest.mark.parametrize("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
+def test_cut_off_is_refused(kind: type[Struct]) -> None:
+    whole = bytes(STORE.serialize_cdr(sample(kind.TYPE), kind.TYPE))
+    for size in range(len(whole) - 1):
+        with pytest.raises(ConversionError):
+            kind.unpack(whole[:size])
+
+
+def test_a_number_beyond_its_field_is_refused() -> None:
+    with pytest.raises(ConversionError, match="igtl_msgs/msg/Trajectory"):
+        igtl_msgs.TrajectoryList(
+            Header(), (igtl_msgs.Trajectory("", "", 1, (256, 0, 0, 0), (0, 0, 0), (0, 0, 0), 0.0, ""),)
+        ).pack()
