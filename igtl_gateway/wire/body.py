@@ -11,6 +11,9 @@ from igtl_gateway.buffers import Buffer
 class Body(Protocol):
     """The content of a message.
 
+    An empty content is ``Raw``, whatever the type, but for classes with a class variable ``MAY_BE_EMPTY`` that is
+    true: lists, and queries that are empty by design.
+
     ``unpack`` may keep views on its argument; ``pack`` is its mirror and gives buffers that are sent one after
     the other, small fields first.
     """
@@ -33,7 +36,7 @@ _SHOWN_BYTES = 64
 
 @dataclass(frozen=True, slots=True)
 class Raw:
-    """Content that is carried as it is: every type without a codec, and bodies that are empty by design."""
+    """Content that is carried as it is: every type without a codec, and empty bodies of types that have fields."""
 
     data: Buffer
 

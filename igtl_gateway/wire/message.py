@@ -24,7 +24,7 @@ buffers for one scatter-gather send; a payload is never joined with its header.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,9 +33,9 @@ import fastcrc
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import ChecksumMismatch, MalformedBody, TruncatedMessage
 from igtl_gateway.stamp import fraction_to_ns
-from igtl_gateway.wire.body import Body, Raw
+from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
-from igtl_gateway.wire.registry import BODIES
+from igtl_gateway.wire.registry import read_content
 
 HEADER_SIZE = 58
 _HEADER = struct.Struct(">H12s20sQQQ")
@@ -121,6 +121,15 @@ class Item:
         return cls(key, text.encode("utf-8", "surrogateescape"), US_ASCII if text.isascii() else UTF_8)
 
 
+def sorted_items(items: Iterable[Item]) -> tuple[Item, ...]:
+    """Metadata as the reference library keeps it: one item per key, the last one, in the order of the key's bytes.
+
+    For metadata that we make; what was received is encoded again in the order in which it came.
+    """
+    last = {item.key.encode("utf-8", "surrogateescape"): item for item in items}
+    return tuple(last[key] for key in sorted(last))
+
+
 @dataclass(frozen=True, slots=True)
 class Message:
     """One OpenIGTLink message.
@@ -163,25 +172,18 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
     if check_crc and (crc := fastcrc.crc64.ecma_182(body)) != header.crc:
         raise ChecksumMismatch(f"{visible(header.type)} body, CRC-64", f"{crc:016x}", f"{header.crc:016x}")
     if header.version == 1:
-        return Message(header.type, header.device_name, _content(header.type, body), header.ticks)
+        return Message(header.type, header.device_name, read_content(header.type, body), header.ticks)
     extended = Extended.unpack(body)
     content, metadata = extended.split(body)
     return Message(
         header.type,
         header.device_name,
-        _content(header.type, content),
+        read_content(header.type, content),
         header.ticks,
         header.version,
         extended.message_id,
         metadata,
     )
-
-
-def _content(type_name: str, content: memoryview) -> Body:
-    codec = BODIES.get(visible(type_name), Raw)  # C++ readers too stop at the first NUL
-    if not content.nbytes and not getattr(codec, "MAY_BE_EMPTY", False):
-        codec = Raw  # an empty body is a peer's way to say "I have none" (BrainLab images, refused queries)
-    return codec.unpack(content)
 
 
 @dataclass(frozen=True, slots=True)

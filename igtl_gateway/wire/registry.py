@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.bind import Bind
+from igtl_gateway.wire.body import Body, Raw
+from igtl_gateway.wire.command import Command
+from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway.wire.query import QUERIES
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.transform import Position, Transform
+from igtl_gateway.wire.video import Video
 
 BODIES: dict[str, type[Body]] = {
     "TRANSFORM": Transform,
@@ -18,4 +23,17 @@ BODIES: dict[str, type[Body]] = {
     "POINT": Points,
     "POLYDATA": PolyData,
     "IMAGE": Image,
+    "VIDEO": Video,
+    "BIND": Bind,
+    "COMMAND": Command,
+    "RTS_COMMAND": Command,
+    **QUERIES,
 }
+
+
+def read_content(type_name: str, content: memoryview) -> Body:
+    """The content of a message of that type.  Raises TruncatedMessage or MalformedBody."""
+    codec = BODIES.get(visible(type_name), Raw)  # C++ readers too stop at the first NUL
+    if not content.nbytes and not getattr(codec, "MAY_BE_EMPTY", False):
+        codec = Raw  # an empty body is a peer's way to say "I have none" (BrainLab images, refused queries)
+    return codec.unpack(content)

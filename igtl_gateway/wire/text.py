@@ -21,6 +21,20 @@ CODECS = {3: "ascii", 4: "latin-1", 106: "utf-8", 1013: "utf-16-be", 1014: "utf-
           18: "euc_jp", 113: "gbk", 2025: "gb2312", 2026: "big5", 2252: "cp1252"}  # fmt: skip
 
 
+def text_of(data: bytes, encoding: int) -> str:
+    """Bytes as text: in the encoding of that MIBenum, else as UTF-8; undecodable bytes are replaced."""
+    codec = CODECS.get(encoding, "utf-8")
+    try:
+        return data.decode("utf-8" if codec == "ascii" else codec)
+    except UnicodeDecodeError:
+        return data.decode("utf-8", "replace")
+
+
+def mib_of(text: str) -> int:
+    """The MIBenum to name for a text that is sent as UTF-8: US-ASCII where that is true."""
+    return 3 if text.isascii() else 106
+
+
 @dataclass(frozen=True, slots=True)
 class String:
     """STRING: u16 encoding (IANA MIBenum), u16 length, bytes without NUL.
@@ -50,16 +64,12 @@ class String:
     @classmethod
     def of(cls, text: str) -> Self:
         """A text, marked US-ASCII where that is true and UTF-8 where not."""
-        return cls(text.encode("utf-8", "surrogateescape"), 3 if text.isascii() else 106)
+        return cls(text.encode("utf-8", "surrogateescape"), mib_of(text))
 
     @property
     def text(self) -> str:
         """As text: in the named encoding, else as UTF-8 (what Slicer and PLUS send whatever they name)."""
-        codec = CODECS.get(self.encoding, "utf-8")
-        try:
-            return self.data.decode("utf-8" if codec == "ascii" else codec)
-        except UnicodeDecodeError:
-            return self.data.decode("utf-8", "replace")
+        return text_of(self.data, self.encoding)
 
     def describe(self) -> dict[str, Any]:
         return {"encoding": self.encoding, "string": self.text, "string_hex": self.data.hex()}

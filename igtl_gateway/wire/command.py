@@ -1,0 +1,68 @@
+"""COMMAND and RTS_COMMAND: a named instruction with a text, mostly XML, and its reply (``Protocol/command.md``)."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any, Self
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.wire.fields import decode_text, encode_text, visible
+from igtl_gateway.wire.text import mib_of, text_of
+
+#: The document calls the width of the name IGT_COMMAND_SIZE and gives no number; the library's code does.
+NAME_WIDTH = 128
+
+_HEAD = struct.Struct(f">I{NAME_WIDTH}sHI")
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """COMMAND and RTS_COMMAND: u32 id, name, u16 encoding, u32 length, text.
+
+    Attributes:
+        command_id: number of the command; its reply carries the same.
+        name: at most 128 bytes (127 for C++ readers).
+        data: the text as sent.
+        encoding: IANA MIBenum of the text, as in STRING.
+    """
+
+    command_id: int
+    name: str
+    data: bytes
+    encoding: int = 3
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        if content.nbytes < _HEAD.size:
+            raise TruncatedMessage("COMMAND content", f"{content.nbytes} bytes", f"at least {_HEAD.size} bytes")
+        command_id, name, encoding, size = _HEAD.unpack_from(content)
+        follow = content.nbytes - _HEAD.size
+        if size != follow:
+            error = TruncatedMessage if size > follow else MalformedBody
+            raise error("COMMAND content, offset 134, length", size, f"{follow}, the bytes that follow")
+        return cls(command_id, decode_text(name), bytes(content[_HEAD.size :]), encoding)
+
+    def pack(self) -> list[Buffer]:
+        name = encode_text(self.name, NAME_WIDTH, "COMMAND name")
+        return [_HEAD.pack(self.command_id, name, self.encoding, len(self.data)) + self.data]
+
+    @classmethod
+    def of(cls, command_id: int, name: str, text: str) -> Self:
+        """A command with a text, marked US-ASCII where that is true and UTF-8 where not."""
+        return cls(command_id, name, text.encode("utf-8", "surrogateescape"), mib_of(text))
+
+    @property
+    def text(self) -> str:
+        """The text: in the named encoding, else as UTF-8 (what Slicer and PLUS send whatever they name)."""
+        return text_of(self.data, self.encoding)
+
+    def describe(self) -> dict[str, Any]:
+        return {
+            "command_id": self.command_id,
+            "command_name": visible(self.name),
+            "encoding": self.encoding,
+            "command": self.text,
+            "command_hex": self.data.hex(),
+        }

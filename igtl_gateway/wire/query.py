@@ -1,0 +1,300 @@
+"""Queries: GET_ asks for one message, STT_ starts a stream, STP_ stops it, RTS_ acknowledges (``Protocol/query.md``).
+
+Most have no content.  The type name is the prefix and the name of the data, shortened where the document and
+the library do so: GET_TRANS (GET_TRANSFOR in part of the document), GET_CAPABIL, GET_VMETA.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+from igtl_gateway.buffers import Buffer, join
+from igtl_gateway.errors import MalformedBody
+from igtl_gateway.wire.bind import need, pack_names, read_count, read_names
+from igtl_gateway.wire.body import Body, Raw
+from igtl_gateway.wire.fields import decode_text, encode_text, visible
+
+_COORDINATE_WIDTH = 32
+_TRACKING = struct.Struct(f">i{_COORDINATE_WIDTH}s")
+_VIDEO = struct.Struct(">4sI")
+_NANOSECONDS = struct.Struct(">Q")
+_COUNT = struct.Struct(">H")
+_TYPE = struct.Struct(">12s")
+
+
+def _lengths(place: str, content: memoryview, *lengths: int) -> None:
+    if content.nbytes not in lengths:
+        wanted = " or ".join(map(str, lengths))
+        raise MalformedBody(f"{place} content", f"{content.nbytes} bytes", f"{wanted} bytes")
+
+
+@dataclass(frozen=True, slots=True)
+class Nothing:
+    """A query without content.
+
+    Attributes:
+        data: empty by every document; what a peer sends all the same is kept.
+    """
+
+    MAY_BE_EMPTY: ClassVar[bool] = True
+    data: Buffer = b""
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        return cls(bytes(content))
+
+    def pack(self) -> list[Buffer]:
+        return [self.data] if len(self.data) else []
+
+    def describe(self) -> dict[str, Any]:
+        return Raw(self.data).describe()
+
+
+@dataclass(frozen=True, slots=True)
+class StartTracking:
+    """STT_TDATA and STT_QTDATA: i32 least interval, 32 bytes name of the coordinate system.
+
+    The document puts a status byte before these in STT_QTDATA; no program does.
+
+    Attributes:
+        resolution: least time between two messages, milliseconds; 0 = as fast as they come.
+        coordinate_name: empty = the sender's default.
+        has_body: False for a query without content, which asks for the defaults.
+    """
+
+    MAY_BE_EMPTY: ClassVar[bool] = True
+    resolution: int = 0
+    coordinate_name: str = ""
+    has_body: bool = True
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        _lengths("STT_TDATA", content, 0, _TRACKING.size)
+        if not content.nbytes:
+            return cls(has_body=False)
+        resolution, name = _TRACKING.unpack(content)
+        return cls(resolution, decode_text(name))
+
+    def pack(self) -> list[Buffer]:
+        if not self.has_body:
+            return []
+        name = encode_text(self.coordinate_name, _COORDINATE_WIDTH, "STT_TDATA coordinate system")
+        return [_TRACKING.pack(self.resolution, name)]
+
+    def describe(self) -> dict[str, Any]:
+        return {"resolution": self.resolution, "coordinate_name": visible(self.coordinate_name)}
+
+
+@dataclass(frozen=True, slots=True)
+class StartVideo:
+    """STT_VIDEO: four letters of the wanted codec, u32 least interval.
+
+    Attributes:
+        codec: as in VIDEO.
+        resolution: least time between two frames, milliseconds.
+        trailing: the library declares nine bytes for these eight; one is accepted and kept.
+    """
+
+    codec: str
+    resolution: int = 0
+    trailing: bytes = b""
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        _lengths("STT_VIDEO", content, _VIDEO.size, _VIDEO.size + 1)
+        codec, resolution = _VIDEO.unpack_from(content)
+        return cls(decode_text(codec), resolution, bytes(content[_VIDEO.size :]))
+
+    def pack(self) -> list[Buffer]:
+        return [_VIDEO.pack(encode_text(self.codec, 4, "STT_VIDEO codec"), self.resolution) + self.trailing]
+
+    def describe(self) -> dict[str, Any]:
+        return {"codec": visible(self.codec), "resolution": self.resolution}
+
+
+@dataclass(frozen=True, slots=True)
+class StartPolyData:
+    """STT_POLYDATA: nothing, or u64 least interval.
+
+    Attributes:
+        resolution_ns: least time between two messages, nanoseconds; None = not said.
+    """
+
+    MAY_BE_EMPTY: ClassVar[bool] = True
+    resolution_ns: int | None = None
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        _lengths("STT_POLYDATA", content, 0, _NANOSECONDS.size)
+        return cls(_NANOSECONDS.unpack(content)[0] if content.nbytes else None)
+
+    def pack(self) -> list[Buffer]:
+        return [] if self.resolution_ns is None else [_NANOSECONDS.pack(self.resolution_ns)]
+
+    def describe(self) -> dict[str, Any]:
+        return {"resolution_ns": self.resolution_ns}
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """RTS_…: u8 status.
+
+    Attributes:
+        status: 0 success, 1 error; the library's RTS_POLYDATA has it the other way round.
+        has_body: False where the byte is missing, as the document has it for RTS_BIND.
+    """
+
+    MAY_BE_EMPTY: ClassVar[bool] = True
+    status: int = 0
+    has_body: bool = True
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        _lengths("RTS_", content, 0, 1)
+        return cls(content[0]) if content.nbytes else cls(has_body=False)
+
+    def pack(self) -> list[Buffer]:
+        return [struct.pack("B", self.status)] if self.has_body else []
+
+    def describe(self) -> dict[str, Any]:
+        return {"status": self.status}
+
+
+#: Type and device name of what is wanted of a BIND.
+Wanted = tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class GetBind:
+    """GET_BIND: u16 count, that many type names of 12 bytes, a table of names as in BIND.
+
+    Attributes:
+        children: type and name of each; none = everything, which is a query without content.
+        kept: the content as received, where it is not what we should write (the library forgets the padding).
+    """
+
+    MAY_BE_EMPTY: ClassVar[bool] = True
+    children: tuple[Wanted, ...] = ()
+    kept: bytes | None = None
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        query = cls(_read_children("GET_BIND", content, 0))
+        return query if join(query.pack()) == content else replace(query, kept=bytes(content))
+
+    def pack(self) -> list[Buffer]:
+        if self.kept is not None:
+            return [self.kept] if self.kept else []
+        return [_pack_children(self.children)] if self.children else []
+
+    def describe(self) -> dict[str, Any]:
+        return _describe_children(self.children)
+
+
+@dataclass(frozen=True, slots=True)
+class StartBind:
+    """STT_BIND: u64 least interval, then as GET_BIND.  The library's writer leaves the interval undefined.
+
+    Attributes:
+        resolution_ns: least time between two messages, nanoseconds.
+        children, kept: as in ``GetBind``.
+    """
+
+    MAY_BE_EMPTY: ClassVar[bool] = True
+    resolution_ns: int = 0
+    children: tuple[Wanted, ...] = ()
+    kept: bytes | None = None
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        resolution_ns = 0
+        if content.nbytes:
+            need(content, _NANOSECONDS.size, "STT_BIND interval")
+            (resolution_ns,) = _NANOSECONDS.unpack_from(content)
+        query = cls(resolution_ns, _read_children("STT_BIND", content, _NANOSECONDS.size))
+        return query if join(query.pack()) == content else replace(query, kept=bytes(content))
+
+    def pack(self) -> list[Buffer]:
+        if self.kept is not None:
+            return [self.kept] if self.kept else []
+        return [_NANOSECONDS.pack(self.resolution_ns) + (_pack_children(self.children) if self.children else b"")]
+
+    def describe(self) -> dict[str, Any]:
+        return {"resolution_ns": self.resolution_ns, **_describe_children(self.children)}
+
+
+def _read_children(place: str, content: memoryview, offset: int) -> tuple[Wanted, ...]:
+    """The list from ``offset`` on; nothing there is an empty list."""
+    if content.nbytes <= offset:
+        return ()
+    count = read_count(content, offset, f"{place} content")
+    names_at = offset + _COUNT.size + _TYPE.size * count
+    need(content, names_at, f"{place} types")
+    types = [decode_text(kind) for (kind,) in _TYPE.iter_unpack(content[offset + _COUNT.size : names_at])]
+    names, _, end = read_names(content, names_at, count, place)
+    if not end <= content.nbytes <= end + 1:  # a pad byte may stand outside the table
+        raise MalformedBody(f"{place} content", f"{content.nbytes} bytes", f"{end} bytes by its own sizes")
+    return tuple(zip(types, names, strict=True))
+
+
+def _pack_children(children: Sequence[Wanted]) -> bytes:
+    types = b"".join(encode_text(kind, _TYPE.size, "child, type name") for kind, _ in children)
+    table = pack_names([name for _, name in children])
+    return _COUNT.pack(len(children)) + types + _COUNT.pack(len(table)) + table
+
+
+def _describe_children(children: Sequence[Wanted]) -> dict[str, Any]:
+    return {"children": [{"type": visible(kind), "name": visible(name)} for kind, name in children]}
+
+
+# -- names ------------------------------------------------------------------------------------------------------------
+
+PREFIXES = ("GET", "STT", "STP", "RTS")
+
+#: Type of the data → what follows the prefix, where that is not the same.
+_SHORT = {"TRANSFORM": "TRANS", "CAPABILITY": "CAPABIL", "VIDEOMETA": "VMETA", "COLORTABLE": "COLORT"}
+#: The other way round, with what only documents write.
+_LONG = {"TRANS": "TRANSFORM", "TRANSFOR": "TRANSFORM", "CAPABIL": "CAPABILITY", "VMETA": "VIDEOMETA"}
+
+_STREAMED = ("TDATA", "QTDATA", "IMAGE", "TRANS", "TRANSFOR", "POSITION", "SENSOR", "POLYDATA", "NDARRAY", "BIND",
+             "VIDEO")  # fmt: skip
+_ASKED = ("STATUS", "CAPABIL", "STRING", "POINT", "TRAJ", "IMGMETA", "LBMETA", "COLORT", "VMETA")
+_ANSWERED = ("STATUS", "CAPABIL", "POINT", "TRAJ", "IMGMETA", "LBMETA")
+
+#: Type name of every query → its content.
+QUERIES: dict[str, type[Body]] = {
+    **{f"GET_{name}": Nothing for name in (*_STREAMED, *_ASKED)},
+    **{f"STT_{name}": Nothing for name in _STREAMED},
+    **{f"STP_{name}": Nothing for name in _STREAMED},
+    **{f"RTS_{name}": Reply for name in (*_STREAMED, *_ANSWERED)},
+    "GET_BIND": GetBind,
+    "STT_BIND": StartBind,
+    "STT_TDATA": StartTracking,
+    "STT_QTDATA": StartTracking,
+    "STT_VIDEO": StartVideo,
+    "STT_POLYDATA": StartPolyData,
+}
+
+
+def split_query(type_name: str) -> tuple[str, str] | None:
+    """Prefix and type of the data of a query, known or not; None for every other type name.
+
+    >>> split_query("GET_TRANS"), split_query("STT_FOO"), split_query("RTS_COMMAND")
+    (('GET', 'TRANSFORM'), ('STT', 'FOO'), None)
+    """
+    prefix, underscore, name = visible(type_name).partition("_")
+    if prefix not in PREFIXES or not underscore or not name or (prefix, name) == ("RTS", "COMMAND"):
+        return None
+    return prefix, _LONG.get(name, name)
+
+
+def query_name(prefix: str, base: str) -> str:
+    """Type name of a query on the wire.
+
+    >>> query_name("GET", "CAPABILITY"), query_name("STT", "TDATA")
+    ('GET_CAPABIL', 'STT_TDATA')
+    """
+    return f"{prefix}_{_SHORT.get(base, base)}"

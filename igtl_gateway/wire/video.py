@@ -1,0 +1,124 @@
+"""VIDEO: one encoded frame with its place in the patient (protocol 3.1, ``Protocol/video.md``).
+
+Content: 76 bytes (u16 version, u8 endian, 4 letters of the codec, u16 frame type, u8 coordinates, 3 × u16 size,
+12 × float32 matrix as IMAGE, 3 × u16 offset and 3 × u16 size of the sub-volume), then the bit stream.  The
+document gives the coordinates three bytes and the size one number; this is what the library sends.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any, Self
+
+import fastcrc
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.errors import TruncatedMessage
+from igtl_gateway.wire.fields import decode_text, encode_text, visible
+from igtl_gateway.wire.image import LITTLE_ENDIAN, RAS, Image, Triple
+from igtl_gateway.wire.transform import pack_floats
+
+_HEAD = struct.Struct(">HB4sHB3H")
+_MATRIX = struct.Struct(">12f")
+_SUB = struct.Struct(">3H3H")
+_SIZE = _HEAD.size + _MATRIX.size + _SUB.size
+
+KEY_FRAME = 1
+
+#: Frame types above this one mark a grey image; the frame's real type is then in the upper byte.
+_COLOUR_TYPES = 0xFF
+
+
+@dataclass(frozen=True, slots=True)
+class Video:
+    """VIDEO.
+
+    The fields about the pixels are kept as they are found: the frame can be carried, and mostly decoded,
+    whatever they say, and the library's own writer fills some of them wrongly.
+
+    Attributes:
+        codec: four letters: ``I420`` (raw), ``H264``, ``VP90``, ``X265``, ``O265``, ``AV10``.
+        size: columns i, rows j, slices k of the picture.
+        data: one encoded frame.
+        frame_type: 1 key frame, others need the frames before them; see ``is_grey``.
+        endian: 1 big, 2 little: of raw pixels.
+        coordinate: 1 RAS, 2 LPS: of the matrix.
+        wire_matrix: as ``Image.wire_matrix``, in millimetres.
+        subvol_offset: first pixel of the part that the frame shows.
+        subvol_size: its size; None stands for ``size``.
+        video_version: 1.
+    """
+
+    codec: str
+    size: Triple
+    data: Buffer
+    frame_type: int = KEY_FRAME
+    endian: int = LITTLE_ENDIAN
+    coordinate: int = RAS
+    wire_matrix: tuple[float, ...] = Image.IDENTITY
+    subvol_offset: Triple = (0, 0, 0)
+    subvol_size: Triple | None = None
+    video_version: int = 1
+
+    @property
+    def sub_size(self) -> Triple:
+        """Size of what the frame shows: the sub-volume, or the whole."""
+        return self.size if self.subvol_size is None else self.subvol_size
+
+    @property
+    def is_grey(self) -> bool:
+        """Whether the frame is marked as a grey image."""
+        return self.frame_type > _COLOUR_TYPES
+
+    @property
+    def is_key_frame(self) -> bool:
+        """Whether the frame can be decoded without those before it."""
+        return (self.frame_type >> 8 if self.is_grey else self.frame_type) == KEY_FRAME
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        if content.nbytes < _SIZE:
+            raise TruncatedMessage("VIDEO content", f"{content.nbytes} bytes", f"at least {_SIZE} bytes")
+        version, endian, codec, frame_type, coordinate, *size = _HEAD.unpack_from(content)
+        matrix = _MATRIX.unpack_from(content, _HEAD.size)
+        sub = _SUB.unpack_from(content, _HEAD.size + _MATRIX.size)
+        return cls(
+            decode_text(codec),
+            (size[0], size[1], size[2]),
+            content[_SIZE:],
+            frame_type,
+            endian,
+            coordinate,
+            matrix,
+            sub[:3],
+            sub[3:],
+            version,
+        )
+
+    def pack(self) -> list[Buffer]:
+        head = _HEAD.pack(
+            self.video_version,
+            self.endian,
+            encode_text(self.codec, 4, "VIDEO codec"),
+            self.frame_type,
+            self.coordinate,
+            *self.size,
+        )
+        sub = _SUB.pack(*self.subvol_offset, *self.sub_size)
+        return [head + pack_floats(_MATRIX, self.wire_matrix, "VIDEO matrix") + sub, self.data]
+
+    def describe(self) -> dict[str, Any]:
+        return {
+            "video_version": self.video_version,
+            "endian": self.endian,
+            "codec": visible(self.codec),
+            "frame_type": self.frame_type,
+            "coordinate": self.coordinate,
+            "size": list(self.size),
+            "wire_matrix": list(self.wire_matrix),
+            "subvol_offset": list(self.subvol_offset),
+            "subvol_size": list(self.sub_size),
+            "data_size": memoryview(self.data).nbytes,
+            "data_crc64": f"{fastcrc.crc64.ecma_182(self.data):016x}",
+        }
