@@ -1,18 +1,22 @@
 """The C++ peer on Debian's libopenigtlink (1.11), compiled once and driven through its pipes.
 
-Quirks of that library that a test sees:
+It sends and receives every type that the library has a class for (``ENCODERS``); ``LEFT_OUT`` says where a
+class is unusable.  Quirks of that library that a test sees beside those:
 
 - It knows header version 1 only.  The peer program skips a version 2 message by its size and reports it
   with ``"skipped": true`` and without content, as it does for types that it does not decode.
-- POSITION goes out in the 28-byte form only (encoding the short forms corrupts the library's heap).
-- POLYDATA without points is not sent either: the library sends uninitialised memory with a right CRC.
+- Reserved bytes (TDATA, QTDATA, TRAJ, IMGMETA, LBMETA) go out as they are in memory.  The peer program fills
+  all memory with ``JUNK`` first: the worst case, and the same in every run.
 - POLYDATA attributes other than point scalar, vector and normal (types 0, 1, 2) and tensors go out with 9
   components declared and 9·n floats: the data first, then whatever was in memory.  It reads 9·n floats of
   them too, whatever is declared, so a conforming one displaces those that follow; of cell scalars it loses
-  the number of components (9).  Texture coordinates it does not know.
+  the number of components (9).
 - An image's ``wire_matrix`` is sent with spacing 1, so it reaches the wire bit for bit; give ``matrix``
   (4 × 4, unit columns) and ``spacing`` instead to let the library multiply them.
 - A text ends at its first NUL; names inside bodies are read up to one byte less than their field.
+- The scan time of IMGMETA passes through nanoseconds by an older rule than today's: up to 12 ns are lost.
+- Tracking types other than 1 to 4 arrive as 1, scalar types of IMGMETA that it does not know as 0.
+- The table of names in its GET_BIND and STT_BIND is not padded to an even size.
 """
 
 from __future__ import annotations
@@ -40,7 +44,30 @@ LINK = ("-pthread", "-lOpenIGTLink")
 
 #: numpy's name of each scalar type of IMAGE.
 SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8"}
+#: Those of NDARRAY: complex numbers are listed as real, imaginary, real …
+NDARRAY_SCALARS = SCALARS | {13: "f8"}
 LITTLE_ENDIAN = 2
+#: COLORT: entries of 16 bits (others are bytes).
+MAP_UINT16 = 5
+
+#: What stands in bytes that the library never writes.
+JUNK = 0xA5
+
+#: What 1.11 cannot do without harm: (type, direction) → case and reason.  Sending one raises ValueError.
+LEFT_OUT = {
+    ("POSITION", "send"): "the 12- and 24-byte forms: packing them corrupts the heap",
+    ("POLYDATA", "send"): "no points: uninitialised memory goes out with a right CRC",
+    ("SENSOR", "send"): "a status (there is no setter), or more than 255 values (the length wraps)",
+    ("NDARRAY", "send"): "no dimension: it copies from a null pointer",
+    ("NDARRAY", "receive"): "no dimension: it copies to a null pointer and ends",
+    ("BIND", "send"): "no children (uninitialised memory goes out), or a name above 20 bytes (cut, its rest unwritten)",
+    ("GET_BIND", "send"): "no children: 4 uninitialised bytes go out",
+    ("GET_BIND", "receive"): "all: read by the layout of BIND, beyond the end",
+    ("STT_BIND", "send"): "no children, or an interval: 8 uninitialised bytes go out in its place",
+    ("STT_BIND", "receive"): "all: read by the layout of BIND, beyond the end",
+    ("STT_TDATA", "receive"): "a name of all 32 bytes: read on beyond a buffer without NUL",
+    ("STT_QTDATA", "receive"): "a name of all 32 bytes: read on beyond a buffer without NUL",
+}
 
 
 def available() -> str | None:
@@ -234,9 +261,14 @@ def _transform(content: Mapping[str, Any]) -> list[str]:
     return _numbers(content["matrix"][:3])
 
 
+def _check(type_name: str, harmless: bool) -> None:
+    """Raise ValueError for what the library would spoil its memory on."""
+    if not harmless:
+        raise ValueError(f"{type_name} is not sent with {LEFT_OUT[type_name, 'send']}")
+
+
 def _position(content: Mapping[str, Any]) -> list[str]:
-    if content.get("pack", "all") != "all":
-        raise ValueError(f"POSITION pack: found {content['pack']}, expected all (1.11 corrupts its heap otherwise)")
+    _check("POSITION", content.get("pack", "all") == "all")
     return _numbers([*content["position"], *content["quaternion"]])
 
 
@@ -252,20 +284,113 @@ def _status(content: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _point(content: Mapping[str, Any]) -> list[str]:
-    words = [str(len(content["elements"]))]
-    for element in content["elements"]:
-        words += [_text(element["name"]), _text(element["group"]), *_integers(element["rgba"])]
-        words += [*_numbers(element["position"]), *_numbers(element["diameter"]), _text(element["owner"])]
+def _texts(element: Mapping[str, Any], *keys: str) -> list[str]:
+    return [_text(element[key]) for key in keys]
+
+
+#: One element → words, by type of list.
+ELEMENTS: dict[str, Callable[[Mapping[str, Any]], list[str]]] = {
+    "POINT": lambda element: [
+        *_texts(element, "name", "group"),
+        *_integers(element["rgba"]),
+        *_numbers([*element["position"], element["diameter"]]),
+        *_texts(element, "owner"),
+    ],
+    "TRAJ": lambda element: [
+        *_texts(element, "name", "group"),
+        *_integers([element["type"], *element["rgba"]]),
+        *_numbers([*element["entry"], *element["target"], element["diameter"]]),
+        *_texts(element, "owner"),
+    ],
+    "TDATA": lambda element: [
+        *_texts(element, "name"),
+        *_integers([element["type"]]),
+        *_numbers(element["matrix"][:3]),
+    ],
+    "QTDATA": lambda element: [
+        *_texts(element, "name"),
+        *_integers([element["type"]]),
+        *_numbers([*element["position"], *element["quaternion"]]),
+    ],
+    "IMGMETA": lambda element: [
+        *_texts(element, "name", "device_name", "modality", "patient_name", "patient_id"),
+        *_integers([element["timestamp"]["sec"], element["timestamp"]["nanosec"]]),
+        *_integers([*element["size"], element["scalar_type"]]),
+    ],
+    "LBMETA": lambda element: [
+        *_texts(element, "name", "device_name"),
+        *_integers([element["label"], *element["rgba"], *element["size"]]),
+        *_texts(element, "owner"),
+    ],
+}
+
+
+def _list(type_name: str) -> Callable[[Mapping[str, Any]], list[str]]:
+    def encode(content: Mapping[str, Any]) -> list[str]:
+        elements = content["elements"]
+        return [str(len(elements)), *(word for element in elements for word in ELEMENTS[type_name](element))]
+
+    return encode
+
+
+def _sensor(content: Mapping[str, Any]) -> list[str]:
+    """The unit is taken decoded: the library makes the word of it."""
+    values, unit = content["values"], content["unit_decoded"]
+    _check("SENSOR", content.get("status", 0) == 0 and len(values) < 256)
+    pairs = [number for pair in unit["units"] for number in pair]
+    return [*_integers([unit["prefix"], *pairs, len(values)]), *_numbers(values)]
+
+
+def _ndarray(content: Mapping[str, Any]) -> list[str]:
+    size, data = content["size"], content["data"]
+    _check("NDARRAY", len(size) > 0)
+    numbers = np.asarray(data, NDARRAY_SCALARS[content["scalar_type"]])
+    return [*_integers([content["scalar_type"], len(size), *size]), _text(numbers.tobytes())]
+
+
+def _colour_table(content: Mapping[str, Any]) -> list[str]:
+    table = np.asarray(content["table"], np.uint16 if content["map_type"] == MAP_UINT16 else np.uint8)
+    return [*_integers([content["index_type"], content["map_type"]]), _text(table.tobytes())]
+
+
+def _capability(content: Mapping[str, Any]) -> list[str]:
+    return [str(len(content["types"])), *map(_text, content["types"])]
+
+
+def _start(content: Mapping[str, Any]) -> list[str]:
+    return [*_integers([content["resolution"]]), *_texts(content, "coordinate_name")]
+
+
+def _reply(content: Mapping[str, Any]) -> list[str]:
+    return _integers([content["status"]])
+
+
+def _nothing(_: Mapping[str, Any]) -> list[str]:
+    return []
+
+
+def _bind(content: Mapping[str, Any]) -> list[str]:
+    children = content["children"]
+    names = [child["name"].encode(errors="surrogateescape") for child in children]
+    _check("BIND", len(children) > 0 and all(len(name) <= 20 for name in names))
+    words = [str(len(children))]
+    for child, name in zip(children, names, strict=True):
+        words += [child["type"], _text(name), *ENCODERS[child["type"]](child["content"])]
     return words
+
+
+def _bind_query(type_name: str) -> Callable[[Mapping[str, Any]], list[str]]:
+    def encode(content: Mapping[str, Any]) -> list[str]:
+        children = content["children"]
+        _check(type_name, len(children) > 0)
+        return [str(len(children)), *(word for child in children for word in (child["type"], _text(child["name"])))]
+
+    return encode
 
 
 def _polydata(content: Mapping[str, Any]) -> list[str]:
     points = content.get("points", [])
-    if not len(points):
-        raise ValueError(
-            "POLYDATA points: found none, expected one at least (1.11 sends uninitialised memory otherwise)"
-        )
+    _check("POLYDATA", len(points) > 0)
     words = [str(len(points)), *_numbers(points)]
     for section in ("vertices", "lines", "polygons", "triangle_strips"):
         cells = content.get(section, [])
@@ -306,13 +431,40 @@ def _image(content: Mapping[str, Any]) -> list[str]:
     ]
 
 
+#: Queries that are a header only.
+WITHOUT_CONTENT = (
+    "GET_CAPABIL",
+    "GET_COLORT",
+    "GET_IMAGE",
+    "GET_IMGMETA",
+    "GET_LBMETA",
+    "GET_POINT",
+    "GET_POLYDATA",
+    "GET_STATUS",
+    "GET_TRAJ",
+    "GET_TRANS",
+    "STP_BIND",
+    "STP_QTDATA",
+    "STP_TDATA",
+)
+
 #: Content (with the corpus' keys) → words of the program's command, by type.
 ENCODERS: dict[str, Callable[[Mapping[str, Any]], list[str]]] = {
     "TRANSFORM": _transform,
     "POSITION": _position,
     "STRING": _string,
     "STATUS": _status,
-    "POINT": _point,
     "POLYDATA": _polydata,
     "IMAGE": _image,
+    "SENSOR": _sensor,
+    "NDARRAY": _ndarray,
+    "COLORT": _colour_table,
+    "CAPABILITY": _capability,
+    "BIND": _bind,
+    "GET_BIND": _bind_query("GET_BIND"),
+    "STT_BIND": _bind_query("STT_BIND"),
+    **{type_name: _list(type_name) for type_name in ELEMENTS},
+    **dict.fromkeys(("STT_TDATA", "STT_QTDATA"), _start),
+    **dict.fromkeys(("RTS_TDATA", "RTS_QTDATA", "RTS_BIND"), _reply),
+    **dict.fromkeys(WITHOUT_CONTENT, _nothing),
 }
