@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
+import fastcrc
+import numpy as np
+import numpy.typing as npt
+
 from igtl_gateway.buffers import Buffer
 
 
@@ -51,3 +55,25 @@ class Raw:
         if not len(self.data):
             return {}
         return {"raw_size": len(self.data), "raw_hex": bytes(self.data[:_SHOWN_BYTES]).hex()}
+
+
+#: Up to so many values are described one by one, more by count and CRC: the keys of the reference corpus.
+_SHOWN_VALUES = 256
+
+
+def shown_crc(data: Buffer) -> str:
+    """CRC-64 of bytes, for ``describe``."""
+    return f"{fastcrc.crc64.ecma_182(data):016x}"
+
+
+def shown_values(values: npt.NDArray[Any]) -> list[Any] | dict[str, Any]:
+    """A one-dimensional array for ``describe``: its values (complex ones as pairs), or count and CRC of many.
+
+    The CRC is that of the values as big-endian numbers: equal for equal values, whatever their byte order.
+    """
+    big = np.ascontiguousarray(values, values.dtype.newbyteorder(">"))
+    if len(big) > _SHOWN_VALUES:
+        return {"count": len(big), "crc64": shown_crc(big.view(np.uint8).data)}
+    pairs = big.view(">f8").reshape(-1, 2) if big.dtype.kind == "c" else big
+    shown: list[Any] = pairs.tolist()
+    return shown

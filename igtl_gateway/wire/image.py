@@ -7,12 +7,12 @@ import struct
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-import fastcrc
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.wire.body import shown_crc, shown_values
 from igtl_gateway.wire.transform import pack_floats
 
 _HEAD = struct.Struct(">HBBBB3H")
@@ -25,9 +25,6 @@ SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "
 BIG_ENDIAN, LITTLE_ENDIAN = 1, 2
 RAS, LPS = 1, 2
 _ORDER = {BIG_ENDIAN: ">", LITTLE_ENDIAN: "<"}
-
-#: Up to so many values are described one by one, more by count and CRC: the keys of the reference corpus.
-_SHOWN_VALUES = 256
 
 Triple = tuple[int, int, int]
 
@@ -137,7 +134,6 @@ class Image:
         return np.frombuffer(self.pixels, dtype).reshape(k, j, i, self.num_components)
 
     def describe(self) -> dict[str, Any]:
-        pixels = self.array.reshape(-1)
         return {
             "image_version": self.image_version,
             "num_components": self.num_components,
@@ -149,16 +145,6 @@ class Image:
             "subvol_offset": list(self.subvol_offset),
             "subvol_size": list(self.sub_size),
             "data_size": memoryview(self.pixels).nbytes,
-            "data": pixels.tolist() if len(pixels) <= _SHOWN_VALUES else _summary(pixels),
-            "data_crc64": _crc(self.pixels),
+            "data": shown_values(self.array.reshape(-1)),
+            "data_crc64": shown_crc(self.pixels),
         }
-
-
-def _crc(data: Buffer) -> str:
-    return f"{fastcrc.crc64.ecma_182(data):016x}"
-
-
-def _summary(pixels: npt.NDArray[Any]) -> dict[str, Any]:
-    """Count and CRC of the values as big-endian numbers: equal for equal pictures, whatever their byte order."""
-    values = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder(">"))
-    return {"count": len(values), "crc64": _crc(values.view(np.uint8).data)}

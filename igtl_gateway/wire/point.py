@@ -8,9 +8,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import MalformedBody
-from igtl_gateway.wire.fields import decode_text, visible
+from igtl_gateway.wire.elements import Elements
 
 #: One element.  ``diameter`` in the document is called ``radius`` in the library: the same number.
 POINT_DTYPE = np.dtype(
@@ -25,8 +23,8 @@ POINT_DTYPE = np.dtype(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Points:
+@dataclass(frozen=True, slots=True, eq=False)
+class Points(Elements):
     """POINT.
 
     Attributes:
@@ -34,17 +32,8 @@ class Points:
             in millimetres.
     """
 
-    MAY_BE_EMPTY: ClassVar[bool] = True
-    elements: npt.NDArray[np.void]
-
-    @classmethod
-    def unpack(cls, content: memoryview) -> Self:
-        if content.nbytes % POINT_DTYPE.itemsize:
-            raise MalformedBody("POINT content", f"{content.nbytes} bytes", f"a multiple of {POINT_DTYPE.itemsize}")
-        return cls(np.frombuffer(content, POINT_DTYPE))
-
-    def pack(self) -> list[Buffer]:
-        return [self.elements.view(np.uint8).data] if len(self.elements) else []
+    NAME: ClassVar[str] = "POINT"
+    DTYPE: ClassVar[np.dtype[np.void]] = POINT_DTYPE
 
     @classmethod
     def of(
@@ -59,23 +48,3 @@ class Points:
         elements["rgba"] = 255 if rgba is None else rgba
         elements["diameter"] = diameters
         return cls(elements)
-
-    def describe(self) -> dict[str, Any]:
-        def text(value: bytes) -> str:
-            return visible(decode_text(value))
-
-        return {
-            "elements": [
-                {
-                    "name": text(name),
-                    "group": text(group),
-                    "rgba": rgba,
-                    "position": position,
-                    "diameter": diameter,
-                    "owner": text(owner),
-                }
-                for name, group, rgba, position, diameter, owner in zip(
-                    *(self.elements[field].tolist() for field in POINT_DTYPE.names or ()), strict=True
-                )
-            ]
-        }

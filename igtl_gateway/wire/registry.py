@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.body import Body, Raw
+from igtl_gateway.wire.capability import Capability
+from igtl_gateway.wire.colort import ColorTable
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.metalists import ImageMetaList, LabelMetaList, VideoMetaList
+from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.query import QUERIES
+from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import Status, String
+from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
+from igtl_gateway.wire.trajectory import Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 from igtl_gateway.wire.video import Video
 
@@ -23,6 +30,18 @@ BODIES: dict[str, type[Body]] = {
     "POINT": Points,
     "POLYDATA": PolyData,
     "IMAGE": Image,
+    "TDATA": TrackingData,
+    "QTDATA": QuaternionTrackingData,
+    "TRAJ": Trajectories,
+    "IMGMETA": ImageMetaList,
+    "LBMETA": LabelMetaList,
+    "VIDEOMETA": VideoMetaList,
+    "SENSOR": Sensor,
+    "NDARRAY": NdArray,
+    "COLORT": ColorTable,
+    "COLORTABLE": ColorTable,  # in a test of the C library; accepted, never sent
+    "CAPABILITY": Capability,
+    "CAPABIL": Capability,  # the tail of the query's name; accepted, never sent
     "VIDEO": Video,
     "BIND": Bind,
     "COMMAND": Command,

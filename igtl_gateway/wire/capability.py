@@ -1,0 +1,49 @@
+"""CAPABILITY: the type names that a peer can receive (``Protocol/capability.md``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.errors import MalformedBody
+from igtl_gateway.wire.fields import decode_text, encode_text, visible
+
+_WIDTH = 12
+
+#: Far more than there are types; a list of the largest body would take gigabytes as text.
+MAX_TYPES = 65_535
+
+
+@dataclass(frozen=True, slots=True)
+class Capability:
+    """CAPABILITY: n × 12 bytes, one type name each.
+
+    Attributes:
+        types: type names; see ``igtl_gateway.wire.fields`` for odd bytes.
+    """
+
+    MAY_BE_EMPTY: ClassVar[bool] = True
+    types: tuple[str, ...]
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        count, rest = divmod(content.nbytes, _WIDTH)
+        if rest:
+            raise MalformedBody("CAPABILITY content", f"{content.nbytes} bytes", f"a multiple of {_WIDTH}")
+        _check(count)
+        data = bytes(content)
+        return cls(tuple(decode_text(data[at : at + _WIDTH]) for at in range(0, len(data), _WIDTH)))
+
+    def pack(self) -> list[Buffer]:
+        _check(len(self.types))
+        data = b"".join(encode_text(name, _WIDTH, "CAPABILITY type name") for name in self.types)
+        return [data] if data else []
+
+    def describe(self) -> dict[str, Any]:
+        return {"types": [visible(name) for name in self.types]}
+
+
+def _check(count: int) -> None:
+    if count > MAX_TYPES:
+        raise MalformedBody("CAPABILITY content", f"{count} type names", f"at most {MAX_TYPES}")

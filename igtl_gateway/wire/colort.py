@@ -1,0 +1,77 @@
+"""COLORT: the grey values or colours that stand for the values of an image (``Protocol/colortable.md``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.wire.body import shown_values
+
+#: Type of the index → entries of the table.
+ENTRIES = {3: 256, 5: 65_536}
+
+#: Type of an entry → numpy type and values of each: u8, u16 (big-endian), RGB.
+MAP_U8, MAP_U16, MAP_RGB = 3, 5, 19
+MAPS = {MAP_U8: ("u1", 1), MAP_U16: (">u2", 1), MAP_RGB: ("u1", 3)}
+
+_HEAD_SIZE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ColorTable:
+    """COLORT: u8 index type, u8 map type, the table.
+
+    Attributes:
+        index_type: key of ``ENTRIES``.
+        map_type: key of ``MAPS``.
+        table: the entries, big-endian.
+    """
+
+    index_type: int
+    map_type: int
+    table: Buffer
+
+    @classmethod
+    def unpack(cls, content: memoryview) -> Self:
+        if content.nbytes < _HEAD_SIZE:
+            raise TruncatedMessage("COLORT content", f"{content.nbytes} bytes", f"at least {_HEAD_SIZE} bytes")
+        table = cls(content[0], content[1], content[_HEAD_SIZE:])
+        table.check()
+        return table
+
+    def check(self) -> None:
+        """Raises MalformedBody where the types do not exist or the table is not of their size."""
+        for place, found, known in (
+            ("offset 0, index type", self.index_type, sorted(ENTRIES)),
+            ("offset 1, map type", self.map_type, sorted(MAPS)),
+        ):
+            if found not in known:
+                raise MalformedBody(f"COLORT content, {place}", found, f"one of {known}")
+        size = memoryview(self.table).nbytes
+        dtype, values = MAPS[self.map_type]
+        expected = ENTRIES[self.index_type] * values * np.dtype(dtype).itemsize
+        if size != expected:
+            raise MalformedBody("COLORT table", f"{size} bytes", f"{expected} bytes")
+
+    def pack(self) -> list[Buffer]:
+        self.check()
+        return [bytes((self.index_type, self.map_type)), self.table]
+
+    @property
+    def array(self) -> npt.NDArray[Any]:
+        """The entries as a view: (n,), or (n, 3) for RGB."""
+        dtype, values = MAPS[self.map_type]
+        flat = np.frombuffer(self.table, dtype)
+        return flat.reshape(-1, values) if values > 1 else flat
+
+    def describe(self) -> dict[str, Any]:
+        return {
+            "index_type": self.index_type,
+            "map_type": self.map_type,
+            "table": shown_values(self.array.reshape(-1)),
+        }

@@ -1,0 +1,102 @@
+"""IMGMETA, LBMETA and VIDEOMETA: what a peer has to offer.
+
+Each element names a device whose IMAGE or VIDEO can be asked for (``Protocol/imagemeta.md``, ``labelmeta.md``,
+``videometa.md``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from igtl_gateway.stamp import fraction_to_ns
+from igtl_gateway.wire.elements import Elements
+
+#: One image, 260 bytes.  ``ticks`` is the time of the scan as in the header, ``scalar_type`` as in IMAGE.
+IMAGE_META_DTYPE = np.dtype(
+    [
+        ("name", "S64"),
+        ("device_name", "S20"),
+        ("modality", "S32"),
+        ("patient_name", "S64"),
+        ("patient_id", "S64"),
+        ("ticks", ">u8"),
+        ("size", ">u2", 3),
+        ("scalar_type", "u1"),
+        ("reserved", "u1"),
+    ]
+)
+
+#: One label map, 116 bytes.  ``label`` 0 is unused; ``rgba`` all zero is no colour; ``owner`` is the labelled image.
+LABEL_META_DTYPE = np.dtype(
+    [
+        ("name", "S64"),
+        ("device_name", "S20"),
+        ("label", "u1"),
+        ("reserved", "u1"),
+        ("rgba", "u1", 4),
+        ("size", ">u2", 3),
+        ("owner", "S20"),
+    ]
+)
+
+#: One video source, 322 bytes.  ``focal_length`` in millimetres; ``matrix`` as in IMAGE.
+VIDEO_META_DTYPE = np.dtype(
+    [
+        ("name", "S64"),
+        ("device_name", "S64"),
+        ("patient_name", "S64"),
+        ("patient_id", "S64"),
+        ("zoom_level", ">i2"),
+        ("focal_length", ">f8"),
+        ("size", ">u2", 3),
+        ("matrix", ">f4", 12),
+        ("scalar_type", "u1"),
+        ("reserved", "u1"),
+    ]
+)
+
+
+def _show_ticks(ticks: int) -> dict[str, int]:
+    return {"sec": ticks >> 32, "nanosec": fraction_to_ns(ticks & 0xFFFFFFFF)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageMetaList(Elements):
+    """IMGMETA.
+
+    Attributes:
+        elements: structured array of ``IMAGE_META_DTYPE``.
+    """
+
+    NAME: ClassVar[str] = "IMGMETA"
+    DTYPE: ClassVar[np.dtype[np.void]] = IMAGE_META_DTYPE
+    SHOWN: ClassVar[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {"ticks": ("timestamp", _show_ticks)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelMetaList(Elements):
+    """LBMETA.
+
+    Attributes:
+        elements: structured array of ``LABEL_META_DTYPE``.
+    """
+
+    NAME: ClassVar[str] = "LBMETA"
+    DTYPE: ClassVar[np.dtype[np.void]] = LABEL_META_DTYPE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VideoMetaList(Elements):
+    """VIDEOMETA.
+
+    Attributes:
+        elements: structured array of ``VIDEO_META_DTYPE``.
+    """
+
+    NAME: ClassVar[str] = "VIDEOMETA"
+    DTYPE: ClassVar[np.dtype[np.void]] = VIDEO_META_DTYPE
+    SHOWN: ClassVar[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {"matrix": ("wire_matrix", list)}
