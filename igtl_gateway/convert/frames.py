@@ -1,0 +1,328 @@
+"""The tree of ROS frames, as /tf and /tf_static tell it, and what ``--tf-out`` asks of it.
+
+``FrameTree`` answers the question of tf2's look-up at time 0: where is a frame in another one, at the latest
+time that all moving edges between them can tell.  It reads no clock (the stamps of the messages are all the time
+there is), and its arithmetic is plain +, −, ×, ÷ and √ on Python floats, so that equal inputs give equal bits on
+every machine.  Rotations are interpolated linearly and normalised: between samples 0.1 rad apart that differs
+from the great circle by less than 10⁻⁵ rad, and it needs no trigonometry.
+
+Differences from tf2, each where tf2 would leave a user without an answer:
+
+* Quaternions of any length above 0 are taken and normalised; tf2 refuses those that are off by 1 %.
+* A second sample of one stamp replaces the first; tf2 ignores it.
+* A sample without stamp (0) holds at all times, like a static one; tf2 can look it up at no other time than 0.
+* Stamps that jump back by more than the history (a bag that is played again) clear the edge; tf2 ignores them.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections import Counter
+from dataclasses import dataclass, field
+
+from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
+from igtl_gateway.convert.igtl_msgs import Pose
+from igtl_gateway.convert.poses import Quaternion, unit
+from igtl_gateway.errors import ConfigError, ConversionError
+
+#: How far back an edge remembers, behind its newest sample: as tf2.
+HISTORY_NS = 10_000_000_000
+#: Samples of one edge: ten seconds at 200 Hz, two at 1 kHz.
+MAX_SAMPLES = 2_000
+#: Samples of all edges together (150 MB); beyond it an edge keeps no more than its last two.
+MAX_ALL_SAMPLES = 500_000
+MAX_FRAMES = 10_000
+
+#: Reasons for which a transform is refused: keys of ``FrameTree.refused``.
+NO_NAME, NO_POSE, CYCLE, TOO_MANY_FRAMES = "no_frame_name", "not_a_pose", "cycle", "too_many_frames"
+
+#: Children whose edges lead from the target, and from the base, up to the first frame that both lie in.
+Chain = tuple[tuple[str, ...], tuple[str, ...]]
+Vector = tuple[float, float, float]
+
+_IDENTITY: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(slots=True)
+class _Edge:
+    """A frame in its parent.
+
+    Attributes:
+        parent: frame id.
+        static: there is one sample, which holds at all times.
+        stamps: UTC ns, ascending.
+        poses: of the child in the parent, with unit quaternions; one for each stamp.
+        version: number of the update that last changed this edge.
+    """
+
+    parent: str
+    static: bool
+    stamps: list[int] = field(default_factory=list)
+    poses: list[Pose] = field(default_factory=list)
+    version: int = 0
+
+
+class FrameTree:
+    """See the module.
+
+    Args:
+        max_frames: frames that may have a parent; the transforms of further ones are refused.
+        max_samples: samples that one edge keeps.
+
+    Attributes:
+        refused: number of refused transforms by reason.
+    """
+
+    def __init__(self, max_frames: int = MAX_FRAMES, max_samples: int = MAX_SAMPLES) -> None:
+        self.refused: Counter[str] = Counter()
+        self._max_frames = max_frames
+        self._max_samples = max_samples
+        self._edges: dict[str, _Edge] = {}  # child → its edge
+        self._chains: dict[tuple[str, str], Chain | None] = {}  # of the present shape of the tree
+        self._samples = 0
+        self._version = 0
+
+    def update(self, message: TFMessage, static: bool) -> None:
+        """Take the transforms of a message of /tf, or of /tf_static.  What cannot be used is counted."""
+        for transform in message.transforms:
+            reason = self._take(transform, static or transform.header.stamp_ns == 0)
+            if reason:
+                self.refused[reason] += 1
+
+    def _take(self, transform: FrameTransform, static: bool) -> str:
+        """Add one sample; "" or why not."""
+        parent, child = frame_id(transform.header.frame_id), frame_id(transform.child_frame_id)
+        if not parent or not child:
+            return NO_NAME
+        pose = _unit_pose(transform.pose)
+        if pose is None:
+            return NO_POSE
+        edge = self._edges.get(child)
+        if edge is None or edge.parent != parent:
+            if edge is None and len(self._edges) >= self._max_frames:
+                return TOO_MANY_FRAMES
+            if self._lies_in(parent, child):
+                return CYCLE
+            self._chains.clear()
+        if edge is None or edge.parent != parent or edge.static != static:
+            self._samples -= len(edge.stamps) if edge else 0
+            edge = self._edges[child] = _Edge(parent, static)
+        self._version += 1
+        edge.version = self._version
+        self._insert(edge, transform.header.stamp_ns, pose)
+        return ""
+
+    def _insert(self, edge: _Edge, stamp_ns: int, pose: Pose) -> None:
+        stamps, poses = edge.stamps, edge.poses
+        if stamps and (edge.static or stamp_ns < stamps[-1] - HISTORY_NS):
+            self._samples -= len(stamps)
+            stamps.clear()
+            poses.clear()
+        at = len(stamps) if not stamps or stamp_ns > stamps[-1] else bisect_left(stamps, stamp_ns)
+        if at < len(stamps) and stamps[at] == stamp_ns:
+            poses[at] = pose
+            return
+        stamps.insert(at, stamp_ns)
+        poses.insert(at, pose)
+        self._samples += 1
+        limit = self._max_samples if self._samples <= MAX_ALL_SAMPLES else 2
+        surplus = max(len(stamps) - limit, bisect_left(stamps, stamps[-1] - HISTORY_NS), 0)
+        if surplus:
+            del stamps[:surplus], poses[:surplus]
+            self._samples -= surplus
+
+    def _lies_in(self, frame: str, ancestor: str) -> bool:
+        """Whether ``frame`` is ``ancestor`` or hangs below it."""
+        while frame != ancestor:
+            edge = self._edges.get(frame)
+            if edge is None:
+                return False
+            frame = edge.parent
+        return True
+
+    def chain(self, target: str, base: str) -> Chain | None:
+        """The edges between two frames, by child; None where nothing connects them."""
+        key = (target, base)
+        if key not in self._chains:
+            self._chains[key] = self._find_chain(target, base)
+        return self._chains[key]
+
+    def _find_chain(self, target: str, base: str) -> Chain | None:
+        up, down = self._way_up(target), self._way_up(base)
+        steps_down = {frame: step for step, frame in enumerate(down)}
+        for step, frame in enumerate(up):
+            if frame in steps_down:
+                return tuple(up[:step]), tuple(down[: steps_down[frame]])
+        return None
+
+    def _way_up(self, frame: str) -> list[str]:
+        """The frame, its parent, and so on to the root."""
+        way = [frame]
+        while edge := self._edges.get(way[-1]):
+            way.append(edge.parent)
+        return way
+
+    def version(self, target: str, base: str) -> int:
+        """A number that changes whenever ``latest`` may; 0 where nothing connects the frames."""
+        chain = self.chain(target, base)
+        return max((self._edges[child].version for part in chain for child in part), default=0) if chain else 0
+
+    def latest(self, target: str, base: str) -> tuple[int, Pose] | None:
+        """Stamp and pose of ``target`` in ``base``, at the latest time that all dynamic edges between them know.
+
+        The stamp is 0 where there are none.  None where nothing connects the frames, or where one edge's newest
+        sample is older than all that another one remembers.
+        """
+        chain = self.chain(target, base)
+        if chain is None:
+            return None
+        edges = [self._edges[child] for part in chain for child in part]
+        stamp_ns = min((edge.stamps[-1] for edge in edges if not edge.static), default=0)
+        if any(stamp_ns < edge.stamps[0] for edge in edges if not edge.static):
+            return None
+        target_pose, base_pose = (self._climb(part, stamp_ns) for part in chain)
+        return stamp_ns, _compose(_inverse(base_pose), target_pose) if chain[1] else target_pose
+
+    def _climb(self, children: tuple[str, ...], stamp_ns: int) -> Pose:
+        """Pose of the first child in the parent of the last one."""
+        pose = _IDENTITY
+        for step, child in enumerate(children):
+            edge = self._edges[child]
+            above = edge.poses[0] if edge.static else _pose_at(edge, stamp_ns)
+            pose = _compose(above, pose) if step else above
+        return pose
+
+
+def frame_id(name: str) -> str:
+    """A frame id as it is compared: tf's old leading slash means nothing."""
+    return name.lstrip("/")
+
+
+def _unit_pose(pose: Pose) -> Pose | None:
+    """The pose with a quaternion of length 1; None if it is none."""
+    if not all(map(math.isfinite, pose)):
+        return None
+    try:
+        return (*pose[:3], *unit(pose[3:]))
+    except ConversionError:
+        return None
+
+
+def _pose_at(edge: _Edge, stamp_ns: int) -> Pose:
+    """At a time between the first and the last sample."""
+    after = bisect_left(edge.stamps, stamp_ns)
+    if edge.stamps[after] == stamp_ns:
+        return edge.poses[after]
+    start_ns, end_ns = edge.stamps[after - 1], edge.stamps[after]
+    return _between(edge.poses[after - 1], edge.poses[after], (stamp_ns - start_ns) / (end_ns - start_ns))
+
+
+def _between(a: Pose, b: Pose, share: float) -> Pose:
+    """``share`` (0 … 1) of the way from a to b."""
+    # of b's two quaternions the one on a's side: the short way round, and never through 0
+    side = 1.0 if a[3] * b[3] + a[4] * b[4] + a[5] * b[5] + a[6] * b[6] >= 0.0 else -1.0
+    rest = 1.0 - share
+    x, y, z = (rest * p + share * q for p, q in zip(a[:3], b[:3], strict=True))
+    qx, qy, qz, qw = (rest * p + share * side * q for p, q in zip(a[3:], b[3:], strict=True))
+    return (x, y, z, *unit((qx, qy, qz, qw)))
+
+
+def _compose(a: Pose, b: Pose) -> Pose:
+    """The pose in a's parent of what has the pose b in a."""
+    ax, ay, az, aw = a[3:]
+    bx, by, bz, bw = b[3:]
+    x, y, z = _rotated(a[3:], b[:3])
+    rotation = unit(
+        (
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        )
+    )
+    return (a[0] + x, a[1] + y, a[2] + z, *rotation)
+
+
+def _inverse(pose: Pose) -> Pose:
+    qx, qy, qz, qw = pose[3:]
+    turned_back = (-qx, -qy, -qz, qw)
+    x, y, z = _rotated(turned_back, pose[:3])
+    return (-x, -y, -z, *turned_back)
+
+
+def _rotated(q: Quaternion, v: Vector) -> Vector:
+    """v + 2 u × (u × v + w v), with q = (u, w)."""
+    (x, y, z, w), (a, b, c) = q, v
+    d = y * c - z * b + w * a
+    e = z * a - x * c + w * b
+    f = x * b - y * a + w * c
+    return a + 2.0 * (y * f - z * e), b + 2.0 * (z * d - x * f), c + 2.0 * (x * e - y * d)
+
+
+# -- what is asked of the tree ------------------------------------------------------------------------------------
+
+#: Types in which frames can be sent, and whether one message holds several.
+_TYPES = {"TRANSFORM": False, "POSITION": False, "TDATA": True, "QTDATA": True}
+_FORM = "FRAME[,FRAME...]:BASE[=DEVICE[:TYPE]], such as tool0:base_link or probe,needle:tracker=Tracker:TDATA"
+
+
+@dataclass(frozen=True, slots=True)
+class TfRequest:
+    """ROS frames that are sent to OpenIGTLink: one ``--tf-out``.
+
+    Attributes:
+        frames: frame ids, without leading slash; more than one only for TDATA and QTDATA.
+        base: the frame that they are told in.
+        device: device name of the messages, of any length.
+        type: TRANSFORM, POSITION, TDATA or QTDATA.
+
+    Raises ConfigError for anything else.
+    """
+
+    frames: tuple[str, ...]
+    base: str
+    device: str
+    type: str
+
+    def __post_init__(self) -> None:
+        if self.type not in _TYPES:
+            raise _refusal(f"type {self.type!r}", f"one of {', '.join(_TYPES)}")
+        if not all((self.frames, *self.frames, self.base, self.device)):
+            raise _refusal(repr(self.text()), _FORM)
+        if len(self.frames) > 1 and not _TYPES[self.type]:
+            raise _refusal(f"{len(self.frames)} frames as {self.type}", "TDATA or QTDATA, which hold several")
+        if len({*self.frames, self.base}) <= len(self.frames):
+            raise _refusal(repr(self.text()), "frames that differ from each other and from the base")
+
+    @classmethod
+    def parse(cls, text: str) -> TfRequest:
+        """From the words of the command line: ``FRAME[,FRAME...]:BASE[=DEVICE[:TYPE]]``.
+
+        The device defaults to ``FRAMEToBASE`` (``ToolsToBASE`` for several frames), the type to TRANSFORM (TDATA
+        for several).
+        """
+        where, named, what = text.partition("=")
+        listed, colon, base = where.partition(":")
+        if not colon or ":" in base:
+            raise _refusal(repr(text), _FORM)
+        frames = tuple(frame_id(name.strip()) for name in listed.split(","))
+        base = frame_id(base.strip())
+        several = len(frames) > 1
+        device, typed, type_name = (part.strip() for part in what.partition(":"))
+        if (named and not device) or (typed and not type_name):
+            raise _refusal(repr(text), _FORM)
+        return cls(
+            frames,
+            base,
+            device or f"{'Tools' if several else frames[0]}To{base}",
+            type_name or ("TDATA" if several else "TRANSFORM"),
+        )
+
+    def text(self) -> str:
+        """What ``parse`` reads."""
+        return f"{','.join(self.frames)}:{self.base}={self.device}:{self.type}"
+
+
+def _refusal(found: str, expected: str) -> ConfigError:
+    return ConfigError(f"--tf-out: found {found}, expected {expected}")
