@@ -13,7 +13,7 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.body import shown_crc, shown_values
-from igtl_gateway.wire.transform import pack_floats
+from igtl_gateway.wire.transform import pack_floats, unpack_floats
 
 _HEAD = struct.Struct(">HBBBB3H")
 _MATRIX = struct.Struct(">12f")
@@ -69,7 +69,7 @@ class Image:
         if content.nbytes < _SIZE:
             raise TruncatedMessage("IMAGE content", f"{content.nbytes} bytes", f"at least {_SIZE} bytes")
         version, components, scalar, endian, coordinate, *dims = _HEAD.unpack_from(content)
-        matrix = _MATRIX.unpack_from(content, _HEAD.size)
+        matrix = unpack_floats(_MATRIX, content, _HEAD.size)
         sub = _SUB.unpack_from(content, _HEAD.size + _MATRIX.size)
         image = cls(
             (dims[0], dims[1], dims[2]),

@@ -131,6 +131,24 @@ def sorted_items(items: Iterable[Item]) -> tuple[Item, ...]:
 
 
 @dataclass(frozen=True, slots=True)
+class Layout:
+    """What surrounds the content of a version 2 message, where its sender did that unlike us.
+
+    Attributes:
+        extension: what follows the 12 known bytes of the extended header.
+        metadata_header, metadata: as received: missing, with bytes behind the items, or larger than we send.
+    """
+
+    extension: bytes
+    metadata_header: bytes
+    metadata: bytes
+
+    def holds(self, metadata: tuple[Item, ...]) -> bool:
+        """Whether it says what ``metadata`` says; it does not where that was replaced since."""
+        return _metadata(memoryview(self.metadata_header), memoryview(self.metadata))[0] == metadata
+
+
+@dataclass(frozen=True, slots=True)
 class Message:
     """One OpenIGTLink message.
 
@@ -142,6 +160,7 @@ class Message:
         header_version: 1 or 2.  Version 1 carries neither id nor metadata.
         message_id: sender's id of the message (version 2).
         metadata: pairs in wire order (version 2).
+        layout: for messages received: oddities around the content, so that they are encoded as they came.
     """
 
     type: str
@@ -151,6 +170,7 @@ class Message:
     header_version: int = 1
     message_id: int = 0
     metadata: tuple[Item, ...] = field(default=())
+    layout: Layout | None = None
 
 
 def decode(data: Buffer, *, check_crc: bool = True) -> Message:
@@ -174,7 +194,10 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
     if header.version == 1:
         return Message(header.type, header.device_name, read_content(header.type, body), header.ticks)
     extended = Extended.unpack(body)
-    content, metadata = extended.split(body)
+    content, head, data = extended.split(body)
+    items, items_end = _metadata(head, data)
+    extension = body[_EXTENDED.size : extended.ext_header_size]
+    tight = head.nbytes == _COUNT.size + len(items) * _ITEM.size and items_end == data.nbytes <= MAX_METADATA_SENT
     return Message(
         header.type,
         header.device_name,
@@ -182,7 +205,8 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
         header.ticks,
         header.version,
         extended.message_id,
-        metadata,
+        items,
+        None if tight and not extension else Layout(bytes(extension), bytes(head), bytes(data)),
     )
 
 
@@ -214,17 +238,18 @@ class Extended:
             )
         return extended
 
-    def split(self, body: memoryview) -> tuple[memoryview, tuple[Item, ...]]:
-        """Content and metadata of the body that this extended header begins."""
+    def split(self, body: memoryview) -> tuple[memoryview, memoryview, memoryview]:
+        """Content, metadata header and metadata of the body that this extended header begins."""
         # the library finds the metadata from the end of the body, so do we
         data_at = body.nbytes - self.metadata_size
         head_at = data_at - self.metadata_header_size
-        return body[self.ext_header_size : head_at], _metadata(body[head_at:data_at], body[data_at:])
+        return body[self.ext_header_size : head_at], body[head_at:data_at], body[data_at:]
 
 
-def _metadata(head: memoryview, data: memoryview) -> tuple[Item, ...]:
+def _metadata(head: memoryview, data: memoryview) -> tuple[tuple[Item, ...], int]:
+    """The items, and how much of ``data`` they take."""
     if head.nbytes == 0 and data.nbytes == 0:
-        return ()
+        return (), 0
     if head.nbytes < _COUNT.size:
         raise TruncatedMessage("metadata header", f"{head.nbytes} bytes", f"at least {_COUNT.size}")
     (count,) = _COUNT.unpack_from(head)
@@ -243,7 +268,7 @@ def _metadata(head: memoryview, data: memoryview) -> tuple[Item, ...]:
         key = bytes(data[offset:value_at]).decode("utf-8", "surrogateescape")
         items.append(Item(key, bytes(data[value_at:end]), encoding))
         offset = end
-    return tuple(items)
+    return tuple(items), offset
 
 
 def encode(message: Message) -> list[Buffer]:
@@ -269,11 +294,13 @@ def _encode(message: Message) -> list[Buffer]:
     if message.header_version == 1:
         front, back = b"", b""
     else:
-        back = _pack_metadata(message.metadata)
-        metadata_header_size = _COUNT.size + len(message.metadata) * _ITEM.size
-        front = _EXTENDED.pack(
-            _EXTENDED.size, metadata_header_size, len(back) - metadata_header_size, message.message_id
-        )
+        layout = message.layout
+        if layout is None or not layout.holds(message.metadata):
+            layout = Layout(b"", *_pack_metadata(message.metadata))
+        extended_size = _EXTENDED.size + len(layout.extension)
+        head, metadata = layout.metadata_header, layout.metadata
+        front = _EXTENDED.pack(extended_size, len(head), len(metadata), message.message_id) + layout.extension
+        back = head + metadata
     crc = fastcrc.crc64.ecma_182(front) if front else 0
     size = len(front) + len(back)
     for part in parts:
@@ -291,7 +318,8 @@ def _encode(message: Message) -> list[Buffer]:
     return buffers
 
 
-def _pack_metadata(items: Sequence[Item]) -> bytes:
+def _pack_metadata(items: Sequence[Item]) -> tuple[bytes, bytes]:
+    """Metadata header and metadata."""
     head = [_COUNT.pack(len(items))]
     data: list[bytes] = []
     for item in items:
@@ -303,7 +331,7 @@ def _pack_metadata(items: Sequence[Item]) -> bytes:
     packed = b"".join(data)
     if len(packed) > MAX_METADATA_SENT:
         raise MalformedBody("metadata", f"{len(packed)} bytes", f"at most {MAX_METADATA_SENT} bytes")
-    return b"".join(head) + packed
+    return b"".join(head), packed
 
 
 def describe(data: Buffer) -> dict[str, Any]:

@@ -161,6 +161,7 @@ class PolyData:
         points: (n, 3) float32.  The document names no unit; every peer uses millimetres.
         vertices, lines, polygons, triangle_strips: cells.
         attributes: values of points and cells.
+        name_padding: the byte that makes the size of the attribute names even, where there is one.
     """
 
     points: npt.NDArray[Any]
@@ -169,6 +170,7 @@ class PolyData:
     polygons: Cells = NO_CELLS
     triangle_strips: Cells = NO_CELLS
     attributes: tuple[Attribute, ...] = ()
+    name_padding: int = 0
 
     @property
     def cells(self) -> tuple[Cells, Cells, Cells, Cells]:
@@ -192,14 +194,15 @@ class PolyData:
         for index in range(num_attributes):
             names.append(take.until_nul(f"name of attribute {index}"))
             names_size += len(names[-1]) + 1
-        if names_size % 2:
-            take("padding of the attribute names", 1)
+        padding = take("padding of the attribute names", 1)[0] if names_size % 2 else 0
         attributes = []
         for index, (kind, components, tuples) in enumerate(_ATTRIBUTE.iter_unpack(heads)):
+            if tuples and not components:
+                raise MalformedBody(f"POLYDATA attribute {index}", f"{tuples} tuples of no components", "1 or more")
             data = take(f"data of attribute {index}", 4 * components * tuples)
             attributes.append(Attribute(kind, decode_text(names[index]), components, np.frombuffer(data, F4)))
         take.end()
-        return cls(points, vertices, lines, polygons, strips, tuple(attributes))
+        return cls(points, vertices, lines, polygons, strips, tuple(attributes), padding)
 
     def pack(self) -> list[Buffer]:
         head = [len(self.points)]
@@ -218,7 +221,7 @@ class PolyData:
                     raise MalformedBody(f"POLYDATA attribute {attribute.name!r}", found, f"at most {MAX_COMPONENTS}")
                 heads += _ATTRIBUTE.pack(attribute.type, attribute.components, attribute.tuples)
                 names += name + b"\x00"
-            parts.append(heads + names + bytes(len(names) % 2))
+            parts.append(heads + names + struct.pack("B", self.name_padding)[: len(names) % 2])
             parts += (_raw(attribute.data) for attribute in self.attributes if attribute.data.size)
         return parts
 

@@ -29,7 +29,7 @@ class Transform:
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes != _MATRIX.size:
             raise MalformedBody("TRANSFORM content", f"{content.nbytes} bytes", f"{_MATRIX.size} bytes")
-        return cls(_MATRIX.unpack(content))
+        return cls(unpack_floats(_MATRIX, content))
 
     def pack(self) -> list[Buffer]:
         return [pack_floats(_MATRIX, self.wire_matrix, "TRANSFORM matrix")]
@@ -72,7 +72,7 @@ class Position:
         form = _FORMS.get(content.nbytes)
         if form is None:
             raise MalformedBody("POSITION content", f"{content.nbytes} bytes", cls.LENGTHS)
-        values = _POSITION[form].unpack(content)
+        values = unpack_floats(_POSITION[form], content)
         position, rotation = values[:3], values[3:]
         if form == "position_only":
             rotation = (0.0, 0.0, 0.0, 1.0)
@@ -90,9 +90,43 @@ class Position:
         return {"pack": self.form, "position": list(self.position), "quaternion": list(self.quaternion)}
 
 
+# -- float32 ⇄ Python's float64 ---------------------------------------------------------------------------------------
+#
+# Processors make a signalling NaN quiet when they convert it; ``struct`` lets them.  A message is written back as it
+# was read, so NaNs are converted by their bits here.  A sum is NaN where a number is: the quickest look at them all.
+
+_DOUBLE = struct.Struct(">d")
+_WORD = struct.Struct(">I")
+
+
+def unpack_floats(layout: struct.Struct, content: memoryview, offset: int = 0) -> tuple[float, ...]:
+    """The float32 numbers of ``layout`` at ``offset``, every bit of a NaN kept."""
+    values = layout.unpack_from(content, offset)
+    if math.isnan(sum(values)):
+        words = struct.unpack_from(f">{len(values)}I", content, offset)
+        values = tuple(_nan_of(word) if math.isnan(value) else value for value, word in zip(values, words, strict=True))
+    return values
+
+
+def _nan_of(word: int) -> float:
+    bits = (word & 0x80000000) << 32 | 0x7FF << 52 | (word & 0x7FFFFF) << 29
+    (value,) = _DOUBLE.unpack(bits.to_bytes(8, "big"))
+    return float(value)
+
+
 def pack_floats(layout: struct.Struct, values: tuple[float, ...], place: str) -> bytes:
-    """``layout.pack``; a number too large for float32 is MalformedBody, not OverflowError."""
+    """The mirror of ``unpack_floats``; a number too large for float32 is MalformedBody, not OverflowError."""
     try:
-        return layout.pack(*values)
+        data = layout.pack(*values)
     except (OverflowError, struct.error) as error:
         raise MalformedBody(place, values, f"{layout.size // 4} float32 numbers ({error})") from None
+    if math.isnan(sum(values)):
+        words = zip(values, _WORD.iter_unpack(data), strict=True)
+        data = b"".join(_WORD.pack(_word_of(value) if math.isnan(value) else word) for value, (word,) in words)
+    return data
+
+
+def _word_of(nan: float) -> int:
+    bits = int.from_bytes(_DOUBLE.pack(nan), "big")
+    payload = bits >> 29 & 0x7FFFFF
+    return bits >> 32 & 0x80000000 | 0x7F800000 | (payload or 0x400000)  # without payload it would be infinity

@@ -11,13 +11,12 @@ import struct
 from dataclasses import dataclass
 from typing import Any, Self
 
-import fastcrc
-
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import TruncatedMessage
+from igtl_gateway.wire.body import shown_crc
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.image import LITTLE_ENDIAN, RAS, Image, Triple
-from igtl_gateway.wire.transform import pack_floats
+from igtl_gateway.wire.transform import pack_floats, unpack_floats
 
 _HEAD = struct.Struct(">HB4sHB3H")
 _MATRIX = struct.Struct(">12f")
@@ -81,7 +80,7 @@ class Video:
         if content.nbytes < _SIZE:
             raise TruncatedMessage("VIDEO content", f"{content.nbytes} bytes", f"at least {_SIZE} bytes")
         version, endian, codec, frame_type, coordinate, *size = _HEAD.unpack_from(content)
-        matrix = _MATRIX.unpack_from(content, _HEAD.size)
+        matrix = unpack_floats(_MATRIX, content, _HEAD.size)
         sub = _SUB.unpack_from(content, _HEAD.size + _MATRIX.size)
         return cls(
             decode_text(codec),
@@ -120,5 +119,5 @@ class Video:
             "subvol_offset": list(self.subvol_offset),
             "subvol_size": list(self.sub_size),
             "data_size": memoryview(self.data).nbytes,
-            "data_crc64": f"{fastcrc.crc64.ecma_182(self.data):016x}",
+            "data_crc64": shown_crc(self.data),
         }
