@@ -16,10 +16,18 @@ from igtl_gateway.buffers import join
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.capability import Capability
+from igtl_gateway.wire.colort import ENTRIES, MAP_RGB, MAP_U8, MAP_U16, MAPS, ColorTable
+from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.image import SCALARS, Image
-from igtl_gateway.wire.point import POINT_DTYPE, Points
+from igtl_gateway.wire.metalists import ImageMetaList, LabelMetaList, VideoMetaList
+from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
+from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Attribute, Cells, PolyData
+from igtl_gateway.wire.sensor import PREFIXES, UNITS, Sensor, unit_word
 from igtl_gateway.wire.text import Status, String
+from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
+from igtl_gateway.wire.trajectory import Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 
 # -- numbers and texts ------------------------------------------------------------------------------------------
@@ -69,15 +77,59 @@ def statuses(draw: st.DrawFn) -> Status:
 
 
 @st.composite
-def points(draw: st.DrawFn, numbers: st.SearchStrategy[float]) -> Points:
-    elements = np.zeros(draw(st.integers(0, 4)), POINT_DTYPE)
-    for element in elements:
-        for field, width in (("name", 64), ("group", 32), ("owner", 20)):
-            element[field] = draw(st.binary(max_size=width))
-        element["rgba"] = draw(st.tuples(*[st.integers(0, 255)] * 4))
-        element["position"] = draw(st.tuples(*[numbers] * 3))
-        element["diameter"] = draw(numbers)
-    return Points(elements)
+def elements(draw: st.DrawFn, kind: type[Elements], numbers: st.SearchStrategy[float]) -> Any:
+    """A list of any of the types that are lists: any text, any integers, reserved bytes too."""
+    array = np.zeros(draw(st.integers(0, 4)), kind.DTYPE)
+    for name in kind.DTYPE.names or ():
+        field = kind.DTYPE[name]
+        item = field.base
+        if item.kind == "S":
+            values: st.SearchStrategy[Any] = st.binary(max_size=item.itemsize)
+        elif item.kind == "f":
+            values = numbers
+        else:
+            info = np.iinfo(item)
+            values = st.sampled_from([0, info.max]) | st.integers(int(info.min), int(info.max))
+        for index in range(len(array)):
+            array[index][name] = draw(st.tuples(*[values] * math.prod(field.shape)) if field.shape else values)
+    return kind(array)
+
+
+def points(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Points]:
+    return elements(Points, numbers)
+
+
+def sensors(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Sensor]:
+    values = st.lists(numbers, max_size=6).map(lambda numbers: np.array(numbers, ">f8"))
+    return st.builds(Sensor, values, st.integers(0, 2**64 - 1) | unit_words, st.sampled_from([0, 1, 255]))
+
+
+#: Units as a careful sender writes them: no gaps, no codes that do not exist.
+unit_words = st.builds(
+    unit_word,
+    st.sampled_from(sorted(PREFIXES)),
+    st.lists(st.tuples(st.integers(1, len(UNITS)), st.integers(1, 7) | st.integers(-7, -1) | st.just(1)), max_size=6),
+)
+
+
+@st.composite
+def nd_arrays(draw: st.DrawFn) -> NdArray:
+    scalar = draw(st.sampled_from(sorted(NDARRAY_SCALARS)))
+    size = tuple(draw(st.lists(small, min_size=1, max_size=4) | st.just([1] * 255) | st.just([0] + [65535] * 9)))
+    length = math.prod(size) * np.dtype(NDARRAY_SCALARS[scalar]).itemsize
+    data = np.resize(np.frombuffer(draw(st.binary(min_size=1, max_size=16)), np.uint8), length).tobytes()
+    return NdArray(scalar, size, data)
+
+
+@st.composite
+def color_tables(draw: st.DrawFn) -> ColorTable:
+    index, kind = draw(st.sampled_from([3, 3, 3, 5])), draw(st.sampled_from(sorted(MAPS)))
+    length = ENTRIES[index] * {MAP_U8: 1, MAP_U16: 2, MAP_RGB: 3}[kind]
+    table = np.resize(np.frombuffer(draw(st.binary(min_size=1, max_size=16)), np.uint8), length).tobytes()
+    return ColorTable(index, kind, table)
+
+
+capabilities = st.lists(fixed_text(12), max_size=5).map(lambda names: Capability(tuple(names)))
 
 
 def cells(count: int) -> st.SearchStrategy[Cells]:
@@ -147,7 +199,19 @@ def bodies(numbers: st.SearchStrategy[float] = any32) -> dict[str, st.SearchStra
         "POINT": points(numbers),
         "POLYDATA": polydatas(numbers),
         "IMAGE": images(numbers),
-        "TDATA": st.binary(min_size=1, max_size=80).map(Raw),
+        "TDATA": elements(TrackingData, numbers),
+        "QTDATA": elements(QuaternionTrackingData, numbers),
+        "TRAJ": elements(Trajectories, numbers),
+        "IMGMETA": elements(ImageMetaList, numbers),
+        "LBMETA": elements(LabelMetaList, numbers),
+        "VIDEOMETA": elements(VideoMetaList, numbers),
+        "SENSOR": sensors(numbers),
+        "NDARRAY": nd_arrays(),
+        "COLORT": color_tables(),
+        "COLORTABLE": color_tables(),
+        "CAPABILITY": capabilities,
+        "CAPABIL": capabilities,
+        "CUSTOM": st.binary(min_size=1, max_size=80).map(Raw),
     }
 
 

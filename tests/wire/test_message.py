@@ -275,7 +275,7 @@ def test_payload_is_not_copied() -> None:
 
 
 def test_raw_payload_is_a_view_of_what_was_received() -> None:
-    data = framed(bytes(1000), 1, b"TDATA")
+    data = framed(bytes(1000), 1, b"CUSTOM")
     content = decode(data).content
     assert isinstance(content, Raw)
     received = np.frombuffer(data, np.uint8)
