@@ -10,13 +10,31 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from igtl_gateway.convert import clouds, images, poses, rosmsg, surfaces, texts
+import numpy as np
+
+from igtl_gateway.convert import (
+    clouds,
+    commands,
+    common_msgs,
+    igtl_msgs,
+    images,
+    numbers,
+    poses,
+    queries,
+    rosmsg,
+    surfaces,
+    texts,
+)
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.qos import Qos
+from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway.wire.query import QUERIES
+from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.transform import Position, Transform
 
@@ -44,7 +62,7 @@ class RosRow:
 
     Attributes:
         igtl_types: type names on the wire.
-        content: class of the decoded content.
+        content: class of the decoded content, or the several that it may be.
         message: class of the ROS message.
         kind: last token of the topic.
         convert: the conversion.
@@ -56,7 +74,7 @@ class RosRow:
     """
 
     igtl_types: tuple[str, ...]
-    content: type
+    content: type | tuple[type, ...]
     message: type[RosMessage]
     kind: str
     convert: Callable[[Any, ToRos], RosMessage]
@@ -73,7 +91,8 @@ class IgtlRow:
 
     Attributes:
         message: class of the ROS message.
-        igtl_type: type name on the wire; the first row of a ROS type is its default.
+        igtl_type: type name on the wire, or one of those that the message itself chooses from; the first row of a
+            ROS type is its default.
         convert: the conversion.
         qos: of the subscription.
         lossy: what does not arrive, "" if nothing.
@@ -87,6 +106,7 @@ class IgtlRow:
 
 
 _POINT_LOSS = "names, groups and owners"
+_TEXT_LOSS = "bytes that are no text, and what stands behind a NUL"
 
 TO_ROS: tuple[RosRow, ...] = (
     RosRow(
@@ -169,6 +189,60 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy="attributes but colour; polylines become segments",
         applies=surfaces.has_lines,
     ),
+    RosRow(("SENSOR",), Sensor, igtl_msgs.Sensor, "sensor", numbers.sensor_to_ros, _STATES, role=Role.FULL),
+    RosRow(
+        ("SENSOR",),
+        Sensor,
+        common_msgs.MULTI_ARRAYS["f8"],
+        "values",
+        numbers.sensor_to_values,
+        _STATES,
+        lossy="stamp, unit, status",
+    ),
+    RosRow(("NDARRAY",), NdArray, igtl_msgs.NdArray, "array", numbers.array_to_ros, _STATES, role=Role.FULL),
+    *(
+        RosRow(
+            ("NDARRAY",),
+            NdArray,
+            message,
+            f"{np.dtype(code).name}_array",
+            numbers.array_to_multi,
+            _STATES,
+            lossy="stamp",
+            applies=numbers.is_array_of(code),
+        )
+        for code, message in common_msgs.MULTI_ARRAYS.items()
+    ),
+    RosRow(
+        ("COMMAND",),
+        Command,
+        igtl_msgs.Command,
+        "command",
+        commands.command_to_ros,
+        _TEXTS,
+        lossy=_TEXT_LOSS,
+        role=Role.FULL,
+    ),
+    RosRow(
+        ("RTS_COMMAND",),
+        Command,
+        igtl_msgs.CommandReply,
+        "command_reply",
+        commands.reply_to_ros,
+        _TEXTS,
+        lossy=_TEXT_LOSS,
+        role=Role.FULL,
+    ),
+    RosRow(
+        tuple(QUERIES),
+        tuple(dict.fromkeys(QUERIES.values())),
+        igtl_msgs.Query,
+        "query",
+        queries.query_to_ros,
+        _TEXTS,
+        lossy="which messages of a BIND are wanted, intervals below a millisecond, content that no document knows",
+        role=Role.FULL,
+    ),
 )
 
 TO_IGTL: tuple[IgtlRow, ...] = (
@@ -196,6 +270,29 @@ TO_IGTL: tuple[IgtlRow, ...] = (
     IgtlRow(
         rosmsg.Marker, "POLYDATA", surfaces.marker_to_igtl, _SURFACES, "frame id, double precision, uniform colour"
     ),
+    IgtlRow(igtl_msgs.Sensor, "SENSOR", numbers.sensor_to_igtl, _STATES, "unit_text beside a unit"),
+    IgtlRow(
+        common_msgs.JointState,
+        "SENSOR",
+        numbers.joints_to_sensor,
+        _STATES,
+        "names, velocity, effort; positions of prismatic joints are called radians too",
+    ),
+    IgtlRow(igtl_msgs.NdArray, "NDARRAY", numbers.array_to_igtl, _STATES, "byte order (big-endian)"),
+    *(
+        IgtlRow(message, "NDARRAY", numbers.multi_to_array, _STATES, "labels, gaps between rows")
+        for message in common_msgs.MULTI_ARRAYS.values()
+    ),
+    IgtlRow(common_msgs.MULTI_ARRAYS["f8"], "SENSOR", numbers.values_to_sensor, _STATES, "layout"),
+    IgtlRow(igtl_msgs.Command, "COMMAND", commands.command_to_igtl, _TEXTS, "time-out, names above 127 bytes"),
+    IgtlRow(
+        igtl_msgs.CommandReply,
+        "RTS_COMMAND",
+        commands.reply_to_igtl,
+        _TEXTS,
+        "why there is no reply (TIMEOUT and NO_PEER are FAIL), error message of a success, names above 127 bytes",
+    ),
+    IgtlRow(igtl_msgs.Query, "GET_STATUS", queries.query_to_igtl, _TEXTS, "fields that the query has no place for"),
 )
 
 

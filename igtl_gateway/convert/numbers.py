@@ -1,0 +1,182 @@
+"""SENSOR and NDARRAY ⇄ igtl_msgs/Sensor, igtl_msgs/NdArray, std_msgs/*MultiArray and sensor_msgs/JointState.
+
+Numbers are never changed, only their byte order: big-endian in OpenIGTLink, little-endian in what we publish of
+std_msgs.  ``igtl_msgs/NdArray`` takes the bytes as they are and says which order they have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from igtl_gateway.convert import igtl_msgs
+from igtl_gateway.convert.common_msgs import (
+    MULTI_ARRAYS,
+    Array,
+    JointState,
+    MultiArrayDimension,
+    MultiArrayLayout,
+)
+from igtl_gateway.convert.common_msgs import (
+    _MultiArray as MultiArray,
+)
+from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.errors import ConversionError, MalformedBody
+from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
+from igtl_gateway.wire.sensor import MAX_VALUES, Sensor, parse_unit, unit_text
+
+#: Sizes of NDARRAY have 16 bits.
+MAX_SIZE = 65_535
+
+_RADIANS = parse_unit("rad")
+
+
+def sensor_to_ros(content: Sensor, to: ToRos) -> igtl_msgs.Sensor:
+    """Values as they are, the unit as word and as text."""
+    return igtl_msgs.Sensor(
+        Header(to.stamp_ns, to.frame_id),
+        content.status,
+        content.unit,
+        unit_text(content.unit),
+        content.values,
+        to.metadata,
+    )
+
+
+def sensor_to_igtl(message: igtl_msgs.Sensor, _: ToIgtl) -> Outgoing:
+    """``unit_text`` is read where ``unit`` is 0.  Raises ConversionError for texts that are no unit."""
+    try:
+        unit = message.unit or parse_unit(message.unit_text)
+    except ValueError as error:
+        raise ConversionError(
+            f"igtl_msgs/Sensor: found unit_text {message.unit_text!r}, expected a unit such as mm/s^2 ({error})"
+        ) from None
+    content = _sensor(message.values, message.TYPE, unit, message.status)
+    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+
+
+def sensor_to_values(content: Sensor, _: ToRos) -> MultiArray:
+    """The bare values in one dimension."""
+    return MULTI_ARRAYS["f8"](_layout((len(content.values),)), content.values)
+
+
+def values_to_sensor(message: MultiArray, _: ToIgtl) -> Outgoing:
+    """All values in a row, without unit."""
+    values, _size = _laid_out(message)
+    return Outgoing(_sensor(values, message.TYPE))
+
+
+def joints_to_sensor(message: JointState, _: ToIgtl) -> Outgoing:
+    """The positions, in radians: the protocol has one unit for all values."""
+    content = _sensor(message.position, message.TYPE, _RADIANS)
+    return Outgoing(content, message.header.stamp_ns, message.header.frame_id)
+
+
+def _sensor(values: Array, ros_type: str, unit: int = 0, status: int = 0) -> Sensor:
+    if len(values) > MAX_VALUES:
+        raise ConversionError(f"{ros_type}: found {len(values)} values, expected at most {MAX_VALUES}: SENSOR's limit")
+    return Sensor(np.asarray(values, ">f8"), unit, status)
+
+
+def array_to_ros(content: NdArray, to: ToRos) -> igtl_msgs.NdArray:
+    """The bytes as they came, big-endian."""
+    return igtl_msgs.NdArray(
+        Header(to.stamp_ns, to.frame_id),
+        content.scalar_type,
+        np.array(content.size, np.uint16),
+        True,
+        content.data,
+        to.metadata,
+    )
+
+
+def array_to_igtl(message: igtl_msgs.NdArray, _: ToIgtl) -> Outgoing:
+    """Raises ConversionError for unknown scalar types, and for a size that is not that of the data."""
+    content = _checked(NdArray(message.scalar_type, tuple(message.size.tolist()), message.data), message.TYPE)
+    code = _CODES[content.scalar_type]
+    # a complex number is two numbers, each with its own byte order
+    width = np.dtype(code).itemsize // (2 if code.startswith("c") else 1)
+    if not message.is_bigendian and width > 1:
+        swapped = np.frombuffer(message.data, f"u{width}").byteswap()
+        content = replace(content, data=swapped.view(np.uint8).data)
+    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+
+
+def _checked(content: NdArray, ros_type: str) -> NdArray:
+    try:
+        content.check()
+    except MalformedBody as error:
+        raise ConversionError(f"{ros_type}: {error}") from None
+    if any(count > MAX_SIZE for count in content.size):
+        raise ConversionError(f"{ros_type}: found size {content.size}, expected at most {MAX_SIZE} in each dimension")
+    return content
+
+
+def is_array_of(code: str) -> Callable[[NdArray], bool]:
+    """Whether an NDARRAY holds numbers of a numpy type, such as ``"f4"``."""
+    return lambda content: _CODES[content.scalar_type] == code
+
+
+def array_to_multi(content: NdArray, _: ToRos) -> MultiArray:
+    """As the std_msgs array of its type, with sizes and strides; there is none for complex numbers."""
+    return MULTI_ARRAYS[_CODES[content.scalar_type]](_layout(content.size), content.flat)
+
+
+def multi_to_array(message: MultiArray, _: ToIgtl) -> Outgoing:
+    """With the sizes of the layout; one dimension where there is no layout.
+
+    Raises ConversionError for a layout that contradicts the data or is beyond the limits of NDARRAY.
+    """
+    values, size = _laid_out(message)
+    data = np.ascontiguousarray(values, values.dtype.newbyteorder(">")).view(np.uint8).data
+    return Outgoing(_checked(NdArray(_SCALARS[values.dtype.str[1:]], size, data), message.TYPE))
+
+
+#: Scalar type of the wire ⇄ numpy type without byte order.
+_CODES = {scalar: np.dtype(code).str[1:] for scalar, code in NDARRAY_SCALARS.items()}
+_SCALARS = {code: scalar for scalar, code in _CODES.items()}
+
+
+def _layout(size: Sequence[int]) -> MultiArrayLayout:
+    return MultiArrayLayout(
+        tuple(MultiArrayDimension("", n, stride) for n, stride in zip(size, _strides(size), strict=True))
+    )
+
+
+def _strides(size: Sequence[int]) -> list[int]:
+    """Of each dimension: how many elements it and those inside it have, without gaps."""
+    return [math.prod(size[axis:]) for axis in range(len(size))]
+
+
+def _laid_out(message: MultiArray) -> tuple[Array, tuple[int, ...]]:
+    """The elements that the layout tells of, in a row, and their sizes.
+
+    Strides may leave gaps, as std_msgs has it; all 0 are taken as not filled in.
+    """
+    layout = message.layout
+    values = message.data[layout.data_offset :]
+    if layout.data_offset > len(message.data):
+        raise ConversionError(
+            f"{message.TYPE}: found data_offset {layout.data_offset}, expected at most {len(message.data)}"
+        )
+    if not layout.dim:
+        return values, (len(values),)
+    size = tuple(dim.size for dim in layout.dim)
+    strides = [dim.stride for dim in layout.dim]
+    if not any(strides):
+        strides = _strides(size)
+    inner = [*strides[1:], 1]
+    fits = all(stride >= n * below for stride, n, below in zip(strides, size, inner, strict=True))
+    if not fits or strides[0] != len(values):
+        raise ConversionError(
+            f"{message.TYPE}: found {len(values)} elements with sizes {size} and strides {strides}, "
+            f"expected {math.prod(size)} elements with strides {_strides(size)}"
+        )
+    rows = values.reshape(1, len(values))
+    for n, below in zip(size, inner, strict=True):
+        rows = rows[:, : n * below].reshape(len(rows) * n, below)
+    return rows.reshape(-1), size

@@ -1,0 +1,136 @@
+"""GET_, STT_, STP_ and RTS_ of every type ⇄ igtl_msgs/Query.
+
+One ROS type for all: its fields are those that any of the queries has, the rest stay 0 or empty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.igtl_msgs import Query
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.stamp import NS_PER_MS
+from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.fields import cut_text, visible
+from igtl_gateway.wire.query import (
+    QUERIES,
+    GetBind,
+    Nothing,
+    Reply,
+    StartBind,
+    StartPolyData,
+    StartTracking,
+    StartVideo,
+    query_name,
+    split_query,
+)
+
+_KINDS = {"GET": Query.GET, "STT": Query.START, "STP": Query.STOP, "RTS": Query.REPLY}
+_PREFIXES = {kind: prefix for prefix, kind in _KINDS.items()}
+
+_COORDINATE_BYTES = 31  # of 32
+_CODEC_BYTES = 4
+_U32 = 1 << 32
+
+
+def query_to_ros(content: Body, to: ToRos) -> Query:
+    """Intervals in whole milliseconds, rounded up: nobody gets more than was asked for."""
+    told = split_query(to.igtl_type)
+    if told is None:
+        raise ConversionError(f"query: found type {visible(to.igtl_type)!r}, expected GET_, STT_, STP_ or RTS_")
+    prefix, base = told
+    resolution, coordinate_name, codec, status = 0, "", "", 0
+    match content:
+        case StartTracking():
+            # signed in the code, unsigned in the document: the same 32 bits
+            resolution, coordinate_name = content.resolution % _U32, visible(content.coordinate_name)
+        case StartVideo():
+            resolution, codec = content.resolution, visible(content.codec)
+        case StartPolyData() | StartBind():
+            resolution = min(-(-(content.resolution_ns or 0) // NS_PER_MS), _U32 - 1)
+        case Reply():
+            status = content.status
+    return Query(
+        Header(to.stamp_ns, to.frame_id),
+        _KINDS[prefix],
+        base,
+        to.device_name,
+        resolution,
+        coordinate_name,
+        codec,
+        status,
+        to.link,
+        to.metadata,
+    )
+
+
+def query_to_igtl(message: Query, to: ToIgtl) -> Outgoing:
+    """Raises ConversionError for kinds and types of which there is no query.
+
+    Fields that the query has no place for are left out, with a warning.
+    """
+    prefix = _PREFIXES.get(message.kind)
+    if prefix is None:
+        raise ConversionError(f"{message.TYPE}: found kind {message.kind}, expected one of {sorted(_PREFIXES)}")
+    igtl_type = query_name(prefix, message.type)
+    codec = QUERIES.get(igtl_type)
+    if codec is None:
+        known = ", ".join(sorted({base for name in QUERIES for has, base in [_split(name)] if has == prefix}))
+        raise ConversionError(f"{message.TYPE}: found type {message.type!r} for {prefix}_, expected one of {known}")
+    carried, make = _CONTENTS[codec]
+    for field in _FIELDS:
+        if field not in carried and getattr(message, field):
+            told = f"{field} {getattr(message, field)!r} has no place in {igtl_type} and is left out"
+            to.warnings.append(("field_left_out", told))
+    return Outgoing(
+        make(message, to),
+        message.header.stamp_ns,
+        message.header.frame_id,
+        metadata=message.metadata,
+        igtl_type=igtl_type,
+        device_name=message.device_name,
+        link=message.link,
+    )
+
+
+def _split(query: str) -> tuple[str, str]:
+    told = split_query(query)
+    assert told is not None, query
+    return told
+
+
+def _start_tracking(message: Query, to: ToIgtl) -> Body:
+    name = cut_text(visible(message.coordinate_name), _COORDINATE_BYTES)
+    if name != visible(message.coordinate_name):
+        to.warnings.append(("name_cut", f"the coordinate name {message.coordinate_name!r} is sent as {name!r}"))
+    signed = (message.resolution + _U32 // 2) % _U32 - _U32 // 2
+    return StartTracking(signed, name)
+
+
+def _start_video(message: Query, _: ToIgtl) -> Body:
+    codec = visible(message.codec)
+    if len(codec.encode()) > _CODEC_BYTES:
+        raise ConversionError(f"{message.TYPE}: found codec {message.codec!r}, expected at most {_CODEC_BYTES} bytes")
+    return StartVideo(codec, message.resolution)
+
+
+def _start_polydata(message: Query, _: ToIgtl) -> Body:
+    # the library knows this query without content only
+    return StartPolyData(message.resolution * NS_PER_MS or None)
+
+
+#: Fields of ``Query`` that only some queries have a place for.
+_FIELDS = ("resolution", "coordinate_name", "codec", "status")
+
+#: Content of a query → the fields that it carries, and how it is made.
+_CONTENTS: dict[type[Body], tuple[set[str], Callable[[Query, ToIgtl], Body]]] = {
+    Nothing: (set(), lambda message, to: Nothing()),
+    GetBind: (set(), lambda message, to: GetBind()),
+    StartBind: ({"resolution"}, lambda message, to: StartBind(message.resolution * NS_PER_MS)),
+    StartTracking: ({"resolution", "coordinate_name"}, _start_tracking),
+    StartVideo: ({"resolution", "codec"}, _start_video),
+    StartPolyData: ({"resolution"}, _start_polydata),
+    Reply: ({"status"}, lambda message, to: Reply(message.status)),
+}
