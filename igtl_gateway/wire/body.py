@@ -67,13 +67,14 @@ def shown_crc(data: Buffer) -> str:
 
 
 def shown_values(values: npt.NDArray[Any]) -> list[Any] | dict[str, Any]:
-    """A one-dimensional array for ``describe``: its values (complex ones as pairs), or count and CRC of many.
+    """A one-dimensional array for ``describe``: its values, or count and CRC of many; complex ones are two each.
 
     The CRC is that of the values as big-endian numbers: equal for equal values, whatever their byte order.
     """
     big = np.ascontiguousarray(values, values.dtype.newbyteorder(">"))
+    if big.dtype.kind == "c":
+        big = big.view(">f8")
     if len(big) > _SHOWN_VALUES:
         return {"count": len(big), "crc64": shown_crc(big.view(np.uint8).data)}
-    pairs = big.view(">f8").reshape(-1, 2) if big.dtype.kind == "c" else big
-    shown: list[Any] = pairs.tolist()
+    shown: list[Any] = big.tolist()
     return shown
