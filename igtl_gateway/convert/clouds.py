@@ -69,7 +69,7 @@ def point_to_igtl(message: PointStamped, to: ToIgtl) -> Outgoing:
     positions = to.lengths.to_igtl(np.array([message.point])).astype(">f4")
     if not np.isfinite(positions).all():
         raise ConversionError(f"PointStamped: found {message.point}, expected finite numbers")
-    return Outgoing(Points.of(positions), message.header.stamp_ns)
+    return Outgoing(Points.of(positions), message.header.stamp_ns, message.header.frame_id)
 
 
 @ieee_754
@@ -82,7 +82,7 @@ def cloud_to_points(message: PointCloud2, to: ToIgtl) -> Outgoing:
     if _DIAMETER in columns and columns[_DIAMETER].ndim == 1:
         diameters = to.lengths.to_igtl(columns[_DIAMETER][kept]).astype(">f4")
     content = Points.of(positions, None if colours is None else colours[kept], diameters)
-    return Outgoing(content, message.header.stamp_ns)
+    return Outgoing(content, message.header.stamp_ns, message.header.frame_id)
 
 
 @ieee_754
@@ -120,7 +120,7 @@ def cloud_to_polydata(message: PointCloud2, to: ToIgtl) -> Outgoing:
         attributes.append(Attribute.of(SCALAR, name, values[kept].reshape(count, width)))
     vertices = Cells.of(np.arange(count).reshape(1, -1)) if count else NO_CELLS
     content = PolyData(positions, vertices, attributes=tuple(attributes))
-    return Outgoing(content, message.header.stamp_ns)
+    return Outgoing(content, message.header.stamp_ns, message.header.frame_id)
 
 
 @ieee_754

@@ -90,7 +90,7 @@ def image_to_igtl(message: RosImage, _: ToIgtl) -> Outgoing:
         pixels = _red_first(np.frombuffer(pixels, dtype).reshape(-1, components))
     endian = BIG_ENDIAN if message.is_bigendian and dtype.itemsize > 1 else LITTLE_ENDIAN
     image = Image((width, height, 1), scalar, pixels, components, endian)
-    return Outgoing(image, message.header.stamp_ns)
+    return Outgoing(image, message.header.stamp_ns, message.header.frame_id)
 
 
 def _layout(encoding: str) -> tuple[int, int, bool]:

@@ -1,4 +1,4 @@
-"""TRANSFORM and POSITION ⇄ geometry_msgs/TransformStamped.
+"""TRANSFORM and POSITION ⇄ geometry_msgs/TransformStamped; geometry_msgs/PoseStamped → both.
 
 All arithmetic is plain +, −, ×, ÷ and √ on Python floats: IEEE 754 fixes every bit of it, on every machine.
 (LAPACK does not: an SVD would make byte-exact verification depend on the library that numpy was built with.)
@@ -7,9 +7,13 @@ All arithmetic is plain +, −, ×, ÷ and √ on Python floats: IEEE 754 fixes 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.igtl_msgs import Pose
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
+from igtl_gateway.convert.units import Number
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.transform import Position, Transform
 
@@ -25,53 +29,95 @@ _MAX_ITERATIONS = 100
 
 def transform_to_ros(content: Transform, to: ToRos) -> TransformStamped:
     """Raises ConversionError for matrices that no rotation and translation can express."""
-    m = content.wire_matrix
-    if not all(map(math.isfinite, m)):
-        raise ConversionError(f"TRANSFORM {to.device_name!r}: found {list(m)}, expected finite numbers")
-    rotation = quaternion_of([[m[row], m[row + 3], m[row + 6]] for row in range(3)], to)
-    return _stamped(m[9:], rotation, to)
+    return _stamped(pose_of_matrix(content.wire_matrix, to, f"TRANSFORM {to.device_name!r}"), to)
 
 
 def position_to_ros(content: Position, to: ToRos) -> TransformStamped:
     """Raises ConversionError for a quaternion of no length or numbers that are not finite."""
-    if not all(map(math.isfinite, (*content.position, *content.quaternion))):
-        raise ConversionError(f"POSITION {to.device_name!r}: found {content}, expected finite numbers")
-    return _stamped(content.position, _positive(unit(content.quaternion)), to)
+    return _stamped(pose_of_position(content.position, content.quaternion, to, f"POSITION {to.device_name!r}"), to)
 
 
-def _stamped(translation: tuple[float, ...], rotation: Quaternion, to: ToRos) -> TransformStamped:
-    x, y, z = (to.lengths.to_ros(value) for value in translation)
-    return TransformStamped(Header(to.stamp_ns, to.frame_id), to.child_frame_id, (x, y, z), rotation)
+def _stamped(pose: Pose, to: ToRos) -> TransformStamped:
+    return TransformStamped(Header(to.stamp_ns, to.frame_id), to.child_frame_id, pose[:3], pose[3:])
+
+
+def pose_of_matrix(wire_matrix: Sequence[float], to: ToRos, place: str) -> Pose:
+    """Pose in ROS units of the twelve numbers of TRANSFORM; ``place`` is for warnings and errors.
+
+    Raises ConversionError for matrices that no rotation and translation can express.
+    """
+    m = wire_matrix
+    if not all(map(math.isfinite, m)):
+        raise ConversionError(f"{place}: found {list(m)}, expected finite numbers")
+    rotation = quaternion_of([[m[row], m[row + 3], m[row + 6]] for row in range(3)], to, place)
+    to_ros = to.lengths.to_ros
+    return (to_ros(m[9]), to_ros(m[10]), to_ros(m[11]), *rotation)
+
+
+def pose_of_position(position: Sequence[float], quaternion: Sequence[float], to: ToRos, place: str) -> Pose:
+    """Pose in ROS units of the numbers of POSITION; ``place`` is for errors.
+
+    Raises ConversionError for a quaternion of no length or numbers that are not finite.
+    """
+    if not all(map(math.isfinite, (*position, *quaternion))):
+        raise ConversionError(f"{place}: found {(*position, *quaternion)}, expected finite numbers")
+    x, y, z = position
+    to_ros = to.lengths.to_ros
+    return (to_ros(x), to_ros(y), to_ros(z), *_positive(unit(quaternion, place)))
 
 
 def transform_to_igtl(message: TransformStamped, to: ToIgtl) -> Outgoing:
     """As TRANSFORM.  Raises ConversionError for a quaternion of no length."""
-    translation, rotation = _finite(message, to)
-    (a, b, c), (d, e, f), (g, h, i) = matrix_of(rotation)
-    return Outgoing(Transform((a, d, g, b, e, h, c, f, i, *translation)), message.header.stamp_ns)
+    pose = (*message.translation, *message.rotation)
+    return _outgoing(_matrix(pose, to, "TransformStamped"), message.header, message.child_frame_id)
 
 
 def position_to_igtl(message: TransformStamped, to: ToIgtl) -> Outgoing:
     """As POSITION with all seven numbers."""
-    translation, rotation = _finite(message, to)
-    return Outgoing(Position(translation, rotation), message.header.stamp_ns)
+    pose = (*message.translation, *message.rotation)
+    return _outgoing(_position(pose, to, "TransformStamped"), message.header, message.child_frame_id)
 
 
-def _finite(message: TransformStamped, to: ToIgtl) -> tuple[tuple[float, ...], Quaternion]:
-    x, y, z = message.translation
+def pose_to_transform(message: PoseStamped, to: ToIgtl) -> Outgoing:
+    """As TRANSFORM.  Raises ConversionError for a quaternion of no length."""
+    return _outgoing(_matrix(message.pose, to, "PoseStamped"), message.header)
+
+
+def pose_to_position(message: PoseStamped, to: ToIgtl) -> Outgoing:
+    """As POSITION with all seven numbers."""
+    return _outgoing(_position(message.pose, to, "PoseStamped"), message.header)
+
+
+def _outgoing(content: Transform | Position, header: Header, child_frame_id: str = "") -> Outgoing:
+    return Outgoing(content, header.stamp_ns, header.frame_id, child_frame_id)
+
+
+def _matrix(pose: Pose, to: ToIgtl, place: str) -> Transform:
+    translation, rotation = _finite(pose, to, place)
+    (a, b, c), (d, e, f), (g, h, i) = matrix_of(rotation)
+    return Transform((a, d, g, b, e, h, c, f, i, *translation))
+
+
+def _position(pose: Pose, to: ToIgtl, place: str) -> Position:
+    return Position(*_finite(pose, to, place))
+
+
+def _finite(pose: Pose, to: ToIgtl, place: str) -> tuple[tuple[float, ...], Quaternion]:
+    """Translation in OpenIGTLink units and unit quaternion."""
+    x, y, z = pose[:3]
     to_igtl = to.lengths.to_igtl
     translation = to_igtl(x), to_igtl(y), to_igtl(z)
-    if not all(map(math.isfinite, (*translation, *message.rotation))):
-        raise ConversionError(f"TransformStamped: found {message}, expected finite numbers")
-    return translation, unit(message.rotation)
+    if not all(map(math.isfinite, (*translation, *pose[3:]))):
+        raise ConversionError(f"{place}: found {pose}, expected finite numbers")
+    return translation, unit(pose[3:], place)
 
 
-def unit(quaternion: tuple[float, ...]) -> Quaternion:
+def unit(quaternion: Sequence[float], place: str = "quaternion") -> Quaternion:
     """The quaternion x, y, z, w at length 1.  Raises ConversionError where it has none, or one beyond all numbers."""
     x, y, z, w = quaternion
     length = math.sqrt(x * x + y * y + z * z + w * w)
     if not 0.0 < length < math.inf:
-        raise ConversionError(f"quaternion: found {quaternion}, expected a finite length above 0")
+        raise ConversionError(f"{place}: found quaternion {quaternion}, expected a finite length above 0")
     return x / length, y / length, z / length, w / length
 
 
@@ -83,8 +129,8 @@ def _positive(q: Quaternion) -> Quaternion:
     return q
 
 
-def matrix_of(q: Quaternion) -> Rows:
-    """Rotation matrix of a unit quaternion x, y, z, w."""
+def matrix_of(q: tuple[Number, Number, Number, Number]) -> list[list[Number]]:
+    """Rotation matrix of a unit quaternion x, y, z, w: four numbers, or four columns of many."""
     x, y, z, w = q
     return [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
@@ -93,7 +139,7 @@ def matrix_of(q: Quaternion) -> Rows:
     ]
 
 
-def quaternion_of(r: Rows, to: ToRos) -> Quaternion:
+def quaternion_of(r: Rows, to: ToRos, place: str) -> Quaternion:
     """Unit quaternion (w ≥ 0) of a 3 × 3 matrix: of the nearest rotation where it is none.
 
     Warns where scale or shear is lost.  Raises ConversionError for a reflection or a singular matrix.
@@ -102,11 +148,11 @@ def quaternion_of(r: Rows, to: ToRos) -> Quaternion:
     if off > _ROUNDING:
         if off > _NOTICEABLE:
             to.warnings.append(
-                ("not_a_rotation", f"the matrix has scale or shear ({off:.3g}), which a pose cannot hold")
+                ("not_a_rotation", f"{place}: the matrix has scale or shear ({off:.3g}), which a pose cannot hold")
             )
-        r = _nearest_rotation(r, to.device_name)
+        r = _nearest_rotation(r, place)
     elif _determinant(r) < 0.0:
-        raise _no_rotation(to.device_name, _determinant(r))
+        raise _no_rotation(place, _determinant(r))
     (a, b, c), (d, e, f), (g, h, i) = r
     # Shepperd's method: divide by the largest component, never by one near 0
     trace = a + e + i
@@ -139,17 +185,17 @@ def _determinant(r: Rows) -> float:
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-def _nearest_rotation(r: Rows, name: str) -> Rows:
+def _nearest_rotation(r: Rows, place: str) -> Rows:
     """Polar decomposition by Newton's iteration R ← (R + R⁻ᵀ) / 2 (Higham 1986)."""
     # first to size 1, so that millimetre scales do not cost iterations or overflow
     size = max(abs(value) for row in r for value in row)
     if not size > 0.0:
-        raise _no_rotation(name, 0.0)
+        raise _no_rotation(place, 0.0)
     r = [[value / size for value in row] for row in r]
     for _ in range(_MAX_ITERATIONS):
         det = _determinant(r)
         if not det > 1e-12:
-            raise _no_rotation(name, det)
+            raise _no_rotation(place, det)
         (a, b, c), (d, e, f), (g, h, i) = r
         inverse_transposed = [
             [(e * i - f * h) / det, (f * g - d * i) / det, (d * h - e * g) / det],
@@ -162,6 +208,6 @@ def _nearest_rotation(r: Rows, name: str) -> Rows:
     return r
 
 
-def _no_rotation(name: str, determinant: float) -> ConversionError:
+def _no_rotation(place: str, determinant: float) -> ConversionError:
     what = "a reflection" if determinant < 0 else "a singular matrix"
-    return ConversionError(f"TRANSFORM {name!r}: found {what} (determinant {determinant:.3g}), expected a rotation")
+    return ConversionError(f"{place}: found {what} (determinant {determinant:.3g}), expected a rotation")

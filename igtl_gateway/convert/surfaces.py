@@ -17,9 +17,10 @@ from igtl_gateway.wire.polydata import CELL, NO_CELLS, SCALAR, Attribute, Cells,
 
 Array = npt.NDArray[Any]
 
-_GREY = (0.8, 0.8, 0.8, 1.0)
+#: What has no colour is drawn like this.
+GREY = (0.8, 0.8, 0.8, 1.0)
 #: Drawn width of lines and points in ROS viewers, in metres.
-_DRAWN_WIDTH = 0.001
+DRAWN_WIDTH = 0.001
 _MIN_LINE, _MIN_FACE = 2, 3
 
 
@@ -50,7 +51,7 @@ def polydata_to_marker(content: PolyData, to: ToRos) -> Marker:
 
 def polydata_to_lines(content: PolyData, to: ToRos) -> Marker:
     """The lines as LINE_LIST: a polyline of n points becomes n − 1 segments."""
-    return _marker(content, Marker.LINE_LIST, _segments(content.lines).reshape(-1), _DRAWN_WIDTH, to)
+    return _marker(content, Marker.LINE_LIST, _segments(content.lines).reshape(-1), DRAWN_WIDTH, to)
 
 
 @ieee_754
@@ -67,7 +68,7 @@ def _marker(content: PolyData, kind: int, indices: Array, scale: float, to: ToRo
         0,
         kind,
         scale=(scale, scale, scale),
-        color=_GREY,
+        color=GREY,
         points=to.lengths.to_ros(content.points[indices]),
         colors=colors,
     )
@@ -95,7 +96,7 @@ def marker_to_igtl(message: Marker, to: ToIgtl) -> Outgoing:
     Raises ConversionError for the shapes that hold no points of their own and for numbers that are not finite.
     """
     if message.action in _DELETIONS:
-        return Outgoing(PolyData(np.empty((0, 3), ">f4")), message.header.stamp_ns)
+        return Outgoing(PolyData(np.empty((0, 3), ">f4")), message.header.stamp_ns, message.header.frame_id)
     count = len(message.points)
     shape = _SHAPES.get(message.type)
     if shape is None:
@@ -119,7 +120,7 @@ def marker_to_igtl(message: Marker, to: ToIgtl) -> Outgoing:
     elif len(message.colors):
         to.warnings.append(("colours_left_out", f"{len(message.colors)} colours for {count} points"))
     cells = {"vertices": NO_CELLS, "lines": NO_CELLS, "polygons": NO_CELLS} | {section: Cells.of(indices)}
-    return Outgoing(PolyData(points, **cells, attributes=attributes), message.header.stamp_ns)
+    return Outgoing(PolyData(points, **cells, attributes=attributes), message.header.stamp_ns, message.header.frame_id)
 
 
 _DELETIONS = (2, 3)
