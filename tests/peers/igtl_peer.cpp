@@ -308,7 +308,7 @@ std::string content_of(igtl::TransformMessage* message) {
 std::string content_of(igtl::PositionMessage* message) {
   static const std::map<int, std::string> packs = {
       {igtl::PositionMessage::POSITION_ONLY, "position_only"},
-      {igtl::PositionMessage::WITH_QUATERNION3, "with_quaternion3"},
+      {igtl::PositionMessage::WITH_QUATERNION3, "quaternion3"},
       {igtl::PositionMessage::ALL, "all"}};
   float position[3], quaternion[4];
   message->GetPosition(position);

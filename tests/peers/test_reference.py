@@ -20,7 +20,7 @@ from fastcrc import crc64
 
 from tests.peers import Message, PeerError, pyigtl_peer, reference
 from tests.peers.pyigtl_peer import PyigtlPeer
-from tests.peers.reference import ENCODERS, JUNK, MAP_UINT16, ReferencePeer
+from tests.peers.reference import ENCODERS, JUNK, MAP_UINT16, STAMP_NS, ReferencePeer
 
 CORPUS = Path(__file__).parents[3] / "shared" / "corpus"
 FILES = sorted(path.stem for name in ENCODERS for path in CORPUS.glob(f"{name}_v1_*.bin"))
@@ -111,7 +111,7 @@ def test_reference_decodes_the_corpus(shared_pair: Pair, stem: str) -> None:
         for element, other in zip(got["content"]["elements"], expected["content"]["elements"], strict=True):
             older, newer = element.pop("timestamp"), other.pop("timestamp")
             assert older["sec"] == newer["sec"]
-            assert 0 <= newer["nanosec"] - older["nanosec"] <= LOST_NS
+            assert 0 <= newer["nanosec"] - older["nanosec"] <= STAMP_NS
     assert got["content"] == expected["content"]
 
 
@@ -143,12 +143,13 @@ def test_reference_encodes_the_corpus(shared_pair: Pair, stem: str) -> None:
 #: Size of an element and where its reserved byte is.
 RESERVED = {"TDATA": (70, 21), "QTDATA": (50, 21), "TRAJ": (150, 97), "IMGMETA": (260, 259), "LBMETA": (116, 85)}
 SCAN_TIME_AT = 244
-#: The library's nanoseconds are so much below ours; once on reading, once more on writing.
-LOST_NS = 12
 
 
 def as_the_library_leaves_it(type_name: str, body: bytes, sent: bytes) -> bytes:
-    """``body`` with reserved bytes unwritten, and with the scan times of ``sent`` if they are close."""
+    """``body`` with reserved bytes unwritten, and with the scan times of ``sent`` if they are close.
+
+    (They come from the JSON's nanoseconds, so two conversions lie between.)
+    """
     if type_name not in RESERVED:
         return body
     size, reserved = RESERVED[type_name]
@@ -156,7 +157,7 @@ def as_the_library_leaves_it(type_name: str, body: bytes, sent: bytes) -> bytes:
     expected[reserved::size] = bytes([JUNK]) * (len(body) // size)
     for start in range(SCAN_TIME_AT, len(body), size) if type_name == "IMGMETA" else ():
         time = slice(start, start + 8)
-        assert abs(int.from_bytes(sent[time]) - int.from_bytes(body[time])) <= 2 * LOST_NS / 1e9 * 2**32
+        assert abs(int.from_bytes(sent[time]) - int.from_bytes(body[time])) <= 2 * STAMP_NS / 1e9 * 2**32
         expected[time] = sent[time]
     return bytes(expected)
 
@@ -261,12 +262,22 @@ def test_receive_takes_matches_in_order_and_leaves_the_rest(pair: Pair) -> None:
     assert len(peer.messages) == 4
 
 
+NO_UNIT = {"prefix": 0, "units": [[0, 0]] * 6}
+
+
 @needs_reference
 @pytest.mark.parametrize(
     ("type_name", "content", "complaint"),
     [
         ("POSITION", {"pack": "position_only", "position": [1, 2, 3], "quaternion": [0, 0, 0, 1]}, "heap"),
         ("POLYDATA", {"points": [], "vertices": [[0]]}, "uninitialised"),
+        ("SENSOR", {"unit_decoded": NO_UNIT, "values": [0.0] * 256}, "wraps"),
+        ("SENSOR", {"unit_decoded": NO_UNIT, "values": [], "status": 1}, "setter"),
+        ("NDARRAY", {"scalar_type": 11, "size": [], "data": [1.0]}, "null"),
+        ("BIND", {"children": []}, "uninitialised"),
+        ("BIND", {"children": [{"type": "GET_IMAGE", "name": "x" * 21, "content": {}}]}, "unwritten"),
+        ("GET_BIND", {"children": []}, "uninitialised"),
+        ("STT_BIND", {"children": []}, "uninitialised"),
     ],
 )
 def test_what_spoils_the_librarys_memory_is_not_sent(
@@ -281,6 +292,7 @@ def test_what_spoils_the_librarys_memory_is_not_sent(
 
 SMALL_IMAGE = {"dimensions": [2, 2, 1], "scalar_type": 3, "wire_matrix": [0.0] * 12, "data": b"abcd"}
 TENSOR = {"type": 3, "ncomponents": 3, "n": 1, "name": "short", "data": [0, 0, 0]}
+TOOL = {"name": "Tool", "type": 2, "position": [0, 0, 0], "quaternion": [0, 0, 0, 1]}
 
 
 @needs_reference
@@ -291,6 +303,12 @@ TENSOR = {"type": 3, "ncomponents": 3, "n": 1, "name": "short", "data": [0, 0, 0
         ("IMAGE", SMALL_IMAGE | {"subvol_offset": [1, 0, 0]}, "refuses this sub-volume"),
         ("POLYDATA", {"points": [[0, 0, 0]], "attributes": [TENSOR]}, "refuses attribute type 3 with 3 components"),
         ("POLYDATA", {"points": [[0, 0, 0]], "attributes": [TENSOR | {"ncomponents": 9}]}, "too few words"),
+        ("QTDATA", {"elements": [TOOL | {"name": "x" * 21}]}, "refuses this name"),
+        ("QTDATA", {"elements": [TOOL | {"type": 5}]}, "refuses this type"),
+        ("NDARRAY", {"scalar_type": 3, "size": [3], "data": [1, 2]}, "expected 3 bytes, found 2"),
+        ("COLORT", {"index_type": 3, "map_type": 3, "table": [1, 2]}, "expected 256 bytes, found 2"),
+        ("STT_TDATA", {"resolution": 0, "coordinate_name": "x" * 33}, "refuses this coordinate name"),
+        ("GET_BIND", {"children": [{"type": "TwelveLetter", "name": ""}]}, "refuses this child"),
     ],
 )
 def test_what_the_library_cannot_encode_is_raised(
@@ -353,6 +371,46 @@ def test_an_image_of_camera_size_survives_both_ways(pair: Pair) -> None:
     assert got["content"]["wire_matrix"] == [0.5, 0, 0, 0, -0.5, 0, 0, 0, -2, 10, 20, 30]
     assert got["lib"] == {"lib_spacing": content["spacing"], "lib_matrix": content["matrix"]}
     assert got["content"]["data_hex"] == pixels.hex()
+
+
+@needs_reference
+def test_a_child_that_the_library_has_not_is_skipped(pair: Pair) -> None:
+    """The others of its BIND are read; one without a byte has no content."""
+    peer, link = pair
+    types = [("COMMAND", 3), ("TRANSFORM", 48), ("TRANSFORM", 0), ("POINT", 0)]
+    names = b"A\0B\0C\0D\0"
+    body = struct.pack(">H", len(types)) + b"".join(struct.pack(">12sQ", name.encode(), size) for name, size in types)
+    link.sendall(message("BIND", body + struct.pack(">H", len(names)) + names + b"abc\0" + IDENTITY))
+    unknown, transform, nothing, points = peer.receive()["content"]["children"]
+    assert unknown == {"type": "COMMAND", "name": "A", "size": 3, "skipped": True}
+    assert (transform["name"], transform["content"]["matrix"][3]) == ("B", [0, 0, 0, 1])
+    assert nothing == {"type": "TRANSFORM", "name": "C", "size": 0, "content": {}}
+    assert points == {"type": "POINT", "name": "D", "size": 0, "content": {"elements": []}}
+
+
+@needs_reference
+@pytest.mark.parametrize(
+    "type_name", ["TRANSFORM", "STATUS", "IMAGE", "SENSOR", "NDARRAY", "COLORT", "BIND", "STT_TDATA", "RTS_BIND"]
+)
+def test_a_body_that_should_not_be_empty_leaves_the_stream_in_step(pair: Pair, type_name: str) -> None:
+    """The library would wait for as many bytes as the type has by default."""
+    peer, link = pair
+    link.sendall(message(type_name, b"") + message("STRING", b"\0\3\0\2hi"))
+    got = peer.receive(type_name)
+    assert (got["crc_ok"], got["content"]) == (True, {})
+    assert peer.receive("STRING")["content"]["string"] == "hi"
+
+
+@needs_reference
+def test_queries_of_bind_as_the_library_writes_them(pair: Pair) -> None:
+    """No padding behind the names; the interval is whatever was in memory."""
+    peer, link = pair
+    content = {"children": [{"type": "TRANSFORM", "name": "AB"}, {"type": "IMAGE", "name": "C"}]}
+    expected = struct.pack(">H12s12sH", 2, b"TRANSFORM", b"IMAGE", 5) + b"AB\0C\0"
+    peer.send("GET_BIND", "Dev", content)
+    assert read_message(link)[58:] == expected
+    peer.send("STT_BIND", "Dev", content)
+    assert read_message(link)[58:] == bytes([JUNK]) * 8 + expected
 
 
 def polydata(*attributes: tuple[int, int, list[float]]) -> bytes:
