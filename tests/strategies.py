@@ -15,20 +15,33 @@ from hypothesis import strategies as st
 from igtl_gateway.buffers import join
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.wire import Item, Message, Raw, encode
+from igtl_gateway.wire.bind import Bind, Child
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.colort import ENTRIES, MAP_RGB, MAP_U8, MAP_U16, MAPS, ColorTable
+from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.image import SCALARS, Image
 from igtl_gateway.wire.metalists import ImageMetaList, LabelMetaList, VideoMetaList
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Attribute, Cells, PolyData
+from igtl_gateway.wire.query import (
+    QUERIES,
+    GetBind,
+    Nothing,
+    Reply,
+    StartBind,
+    StartPolyData,
+    StartTracking,
+    StartVideo,
+)
 from igtl_gateway.wire.sensor import PREFIXES, UNITS, Sensor, unit_word
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
 from igtl_gateway.wire.trajectory import Trajectories
 from igtl_gateway.wire.transform import Position, Transform
+from igtl_gateway.wire.video import Video
 
 # -- numbers and texts ------------------------------------------------------------------------------------------
 
@@ -46,9 +59,9 @@ ascii_text = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), max_
 
 def fixed_text(width: int) -> st.SearchStrategy[str]:
     """What a fixed-width field may hold: any bytes that do not end in NUL, as the codec decodes them."""
-    return (
-        st.binary(max_size=width).map(lambda data: data.rstrip(b"\x00").decode("utf-8", "surrogateescape")) | ascii_text
-    )
+    return st.binary(max_size=width).map(
+        lambda data: data.rstrip(b"\x00").decode("utf-8", "surrogateescape")
+    ) | ascii_text.map(lambda text: text[:width])
 
 
 # -- OpenIGTLink bodies -----------------------------------------------------------------------------------------
@@ -62,7 +75,8 @@ def positions(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Position]:
     return st.builds(Position, st.tuples(*[numbers] * 3), st.tuples(*[numbers] * 4))
 
 
-strings = st.builds(String, st.binary(max_size=40), st.sampled_from([0, 3, 4, 17, 106, 1013, 1014, 1015, 2025, 65535]))
+mib = st.sampled_from([0, 3, 4, 17, 106, 1013, 1014, 1015, 2025, 65535])
+strings = st.builds(String, st.binary(max_size=40), mib)
 
 
 @st.composite
@@ -188,8 +202,72 @@ def images(draw: st.DrawFn, numbers: st.SearchStrategy[float], *, flat: bool = F
     )
 
 
+u8 = st.integers(0, 255)
+u64 = st.sampled_from([0, 1, 2**63, 2**64 - 1]) | st.integers(0, 2**64 - 1)
+commands = st.builds(Command, u32, fixed_text(128), st.binary(max_size=40), mib)
+
+
+def videos(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Video]:
+    triple = st.tuples(u16, u16, u16)
+    return st.builds(
+        Video,
+        fixed_text(4),
+        triple,
+        st.binary(max_size=40),
+        u16,
+        u8,
+        u8,
+        st.tuples(*[numbers] * 12),
+        triple,
+        triple,
+        u16,
+    )
+
+
+child_names = st.binary(max_size=24).map(lambda name: name.replace(b"\x00", b"").decode("utf-8", "surrogateescape"))
+
+
+def binds(table: dict[str, st.SearchStrategy[Body]], depth: int = 3) -> st.SearchStrategy[Bind]:
+    """Of known contents, of contents that nobody can read, of BIND again."""
+    known = st.sampled_from(sorted(table)).flatmap(lambda kind: st.tuples(st.just(kind), table[kind].map(_content)))
+    garbage = st.tuples(st.sampled_from([*table, "CUSTOM"]), st.binary(max_size=30))
+    inner = st.tuples(st.just("BIND"), binds(table, depth - 1).map(_content)) if depth else st.nothing()
+    child = st.builds(lambda pair, name: Child(pair[0], name, pair[1]), known | garbage | inner, child_names)
+    return st.lists(child, max_size=3).map(lambda children: Bind(tuple(children)))
+
+
+def _content(body: Body) -> bytes:
+    return join(body.pack())
+
+
+wanted = st.lists(st.tuples(fixed_text(12), child_names), max_size=3).map(tuple)
+QUERY_BODIES: dict[type[Body], st.SearchStrategy[Body]] = {
+    Nothing: st.builds(Nothing, st.just(b"") | st.binary(max_size=4)),
+    Reply: st.builds(Reply, u8) | st.just(Reply(has_body=False)),
+    StartTracking: st.builds(StartTracking, st.integers(-(2**31), 2**31 - 1), fixed_text(32))
+    | st.just(StartTracking(has_body=False)),
+    StartVideo: st.builds(StartVideo, fixed_text(4), u32, st.binary(max_size=1)),
+    StartPolyData: st.builds(StartPolyData, st.none() | u64),
+    GetBind: st.builds(GetBind, wanted),
+    StartBind: st.builds(StartBind, u64, wanted),
+}
+
+
 def bodies(numbers: st.SearchStrategy[float] = any32) -> dict[str, st.SearchStrategy[Body]]:
     """Type name → strategy of its contents."""
+    table = _data_bodies(numbers)
+    return {
+        **table,
+        "BIND": binds(table),
+        "COMMAND": commands,
+        "RTS_COMMAND": commands,
+        "VIDEO": videos(numbers),
+        "CUSTOM": st.binary(min_size=1, max_size=80).map(Raw),
+        **{kind: QUERY_BODIES[body] for kind, body in QUERIES.items()},
+    }
+
+
+def _data_bodies(numbers: st.SearchStrategy[float]) -> dict[str, st.SearchStrategy[Body]]:
     return {
         "TRANSFORM": transforms(numbers),
         "POSITION": positions(numbers),
@@ -211,7 +289,6 @@ def bodies(numbers: st.SearchStrategy[float] = any32) -> dict[str, st.SearchStra
         "COLORTABLE": color_tables(),
         "CAPABILITY": capabilities,
         "CAPABIL": capabilities,
-        "CUSTOM": st.binary(min_size=1, max_size=80).map(Raw),
     }
 
 
@@ -230,7 +307,8 @@ full_names = ascii_text.map(lambda text: Item.of("DeviceName", text * 30))
 def messages(draw: st.DrawFn, numbers: st.SearchStrategy[float] = any32) -> Message:
     """Any message that can be encoded."""
     table = bodies(numbers)
-    kind = draw(st.sampled_from(sorted(table)))
+    # there are more names of queries than of data, and less to be found in them
+    kind = draw(st.sampled_from(sorted(table.keys() - QUERIES.keys())) | st.sampled_from(sorted(QUERIES)))
     version = draw(st.sampled_from([1, 2]))
     ticks = draw(st.sampled_from([0, 1, 2**64 - 1]) | st.integers(0, 2**64 - 1))
     device = draw(fixed_text(20))

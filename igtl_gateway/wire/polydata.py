@@ -20,7 +20,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.fields import decode_text, visible
 
@@ -153,9 +153,9 @@ class Attribute:
         return cls(kind, name, values.shape[1], np.ascontiguousarray(values, F4).reshape(-1))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class PolyData:
-    """POLYDATA.
+    """POLYDATA.  Two are equal if their bytes on the wire are.
 
     Attributes:
         points: (n, 3) float32.  The document names no unit; every peer uses millimetres.
@@ -171,6 +171,12 @@ class PolyData:
     triangle_strips: Cells = NO_CELLS
     attributes: tuple[Attribute, ...] = ()
     name_padding: int = 0
+
+    def __eq__(self, other: object) -> bool:
+        return join(self.pack()) == join(other.pack()) if isinstance(other, PolyData) else NotImplemented
+
+    # holds arrays that their owner may change: no key of a dict
+    __hash__ = None  # type: ignore[assignment]
 
     @property
     def cells(self) -> tuple[Cells, Cells, Cells, Cells]:
