@@ -19,11 +19,13 @@ from igtl_gateway.convert import (
     igtl_msgs,
     images,
     numbers,
+    plans,
     poses,
     queries,
     rosmsg,
     surfaces,
     texts,
+    tracking,
 )
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.rosmsg import RosMessage
@@ -36,6 +38,8 @@ from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.query import QUERIES
 from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import Status, String
+from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
+from igtl_gateway.wire.trajectory import Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 
 #: A reader that lags half a second at 1 kHz of tracking loses nothing.
@@ -107,6 +111,12 @@ class IgtlRow:
 
 _POINT_LOSS = "names, groups and owners"
 _TEXT_LOSS = "bytes that are no text, and what stands behind a NUL"
+#: Measured: a rotation goes through float32 matrices and quaternions, and no number moves further.
+_ROUNDED = "rotations within 2e-7"
+_TO_FLOAT32 = f"double precision (float32; {_ROUNDED})"
+_HEADER_1 = "frame ids and metadata toward peers of header version 1"
+_TOOLS = (TrackingData, QuaternionTrackingData)
+_POSES = f"{_ROUNDED}; of matrices that are no rotation the same as with TRANSFORM"
 
 TO_ROS: tuple[RosRow, ...] = (
     RosRow(
@@ -116,7 +126,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "transform",
         poses.transform_to_ros,
         _STATES,
-        lossy="scale and shear of a matrix that is no rotation (warned of); a reflection is refused",
+        lossy=f"{_ROUNDED}; scale and shear of a matrix that is no rotation (warned of); a reflection is refused",
     ),
     RosRow(
         ("POSITION", "QTRANS"),
@@ -243,32 +253,121 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy="which messages of a BIND are wanted, intervals below a millisecond, content that no document knows",
         role=Role.FULL,
     ),
+    RosRow(
+        ("TDATA", "QTDATA"),
+        _TOOLS,
+        igtl_msgs.TrackingData,
+        "tracking",
+        tracking.tracking_to_ros,
+        _STATES,
+        lossy=f"which form was sent, length and sign of quaternions, reserved bytes, {_TEXT_LOSS}; {_POSES}",
+        role=Role.FULL,
+    ),
+    RosRow(
+        ("TDATA", "QTDATA"),
+        _TOOLS,
+        common_msgs.PoseArray,
+        "poses",
+        tracking.tracking_to_poses,
+        _STATES,
+        lossy=f"names and types; {_POSES}",
+    ),
+    RosRow(
+        ("TRANSFORM",),
+        Transform,
+        common_msgs.TFMessage,
+        "tf",
+        tracking.transform_to_tf,
+        _STATES,
+        lossy="as with TransformStamped; a frame that would be its own parent is left out",
+        topic="/tf",
+    ),
+    RosRow(
+        ("POSITION", "QTRANS"),
+        Position,
+        common_msgs.TFMessage,
+        "tf",
+        tracking.position_to_tf,
+        _STATES,
+        lossy="as with TransformStamped; a frame that would be its own parent is left out",
+        topic="/tf",
+    ),
+    RosRow(
+        ("TDATA", "QTDATA"),
+        _TOOLS,
+        common_msgs.TFMessage,
+        "tf",
+        tracking.tracking_to_tf,
+        _STATES,
+        lossy=f"types, frames that would be their own parents; names become frame ids; {_POSES}",
+        topic="/tf",
+    ),
+    RosRow(
+        ("TRAJ",),
+        Trajectories,
+        igtl_msgs.TrajectoryList,
+        "trajectories",
+        plans.trajectories_to_ros,
+        _SURFACES,
+        lossy=f"reserved bytes, {_TEXT_LOSS}",
+        role=Role.FULL,
+    ),
+    RosRow(
+        ("TRAJ",),
+        Trajectories,
+        rosmsg.Marker,
+        "lines",
+        plans.trajectories_to_lines,
+        _SURFACES,
+        lossy=f"{_POINT_LOSS}, diameters, trajectories of one point; without a colour (all 0) a line is grey",
+    ),
+    RosRow(
+        ("POINT",),
+        Points,
+        igtl_msgs.PointList,
+        "landmarks",
+        plans.points_to_ros,
+        _SURFACES,
+        lossy=_TEXT_LOSS,
+        applies=plans.is_labeled,
+        role=Role.FULL,
+    ),
 )
 
 TO_IGTL: tuple[IgtlRow, ...] = (
-    IgtlRow(rosmsg.TransformStamped, "TRANSFORM", poses.transform_to_igtl, _STATES, "frame ids, double precision"),
-    IgtlRow(rosmsg.TransformStamped, "POSITION", poses.position_to_igtl, _STATES, "frame ids, double precision"),
+    IgtlRow(rosmsg.TransformStamped, "TRANSFORM", poses.transform_to_igtl, _STATES, f"{_TO_FLOAT32}, {_HEADER_1}"),
+    IgtlRow(
+        rosmsg.TransformStamped,
+        "POSITION",
+        poses.position_to_igtl,
+        _STATES,
+        f"double precision (float32), length of the quaternion, {_HEADER_1}",
+    ),
     IgtlRow(rosmsg.String, "STRING", texts.string_to_igtl, _TEXTS, "texts above 65,535 bytes are refused"),
     IgtlRow(rosmsg.DiagnosticStatus, "STATUS", texts.status_to_igtl, _TEXTS, "name, hardware id, further values"),
-    IgtlRow(rosmsg.Image, "IMAGE", images.image_to_igtl, _PICTURES, "frame id; BGR is sent as RGB"),
-    IgtlRow(rosmsg.PointStamped, "POINT", clouds.point_to_igtl, _STATES, "frame id, double precision"),
+    IgtlRow(rosmsg.Image, "IMAGE", images.image_to_igtl, _PICTURES, f"{_HEADER_1}; BGR is sent as RGB"),
+    IgtlRow(rosmsg.PointStamped, "POINT", clouds.point_to_igtl, _STATES, f"double precision, {_HEADER_1}"),
     IgtlRow(
         rosmsg.PointCloud2,
         "POLYDATA",
         clouds.cloud_to_polydata,
         _PICTURES,
-        "frame id, rows and columns, points that are not finite; fields become float32",
+        f"rows and columns, points that are not finite, {_HEADER_1}; fields become float32",
     ),
     IgtlRow(
         rosmsg.PointCloud2,
         "POINT",
         clouds.cloud_to_points,
         _PICTURES,
-        "frame id, rows and columns, points that are not finite, fields but colour and diameter",
+        f"rows and columns, points that are not finite, fields but colour and diameter, {_HEADER_1}",
     ),
     IgtlRow(rosmsg.Mesh, "POLYDATA", surfaces.mesh_to_igtl, _SURFACES, "double precision"),
     IgtlRow(
-        rosmsg.Marker, "POLYDATA", surfaces.marker_to_igtl, _SURFACES, "frame id, double precision, uniform colour"
+        rosmsg.Marker,
+        "POLYDATA",
+        surfaces.marker_to_igtl,
+        _SURFACES,
+        f"double precision, uniform colour, {_HEADER_1}",
     ),
     IgtlRow(igtl_msgs.Sensor, "SENSOR", numbers.sensor_to_igtl, _STATES, "unit_text beside a unit"),
     IgtlRow(
@@ -293,6 +392,49 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         "why there is no reply (TIMEOUT and NO_PEER are FAIL), error message of a success, names above 127 bytes",
     ),
     IgtlRow(igtl_msgs.Query, "GET_STATUS", queries.query_to_igtl, _TEXTS, "fields that the query has no place for"),
+    IgtlRow(
+        igtl_msgs.TrackingData,
+        "TDATA",
+        tracking.tracking_to_tdata,
+        _STATES,
+        f"{_TO_FLOAT32}, names above 19 bytes, {_HEADER_1}",
+    ),
+    IgtlRow(
+        igtl_msgs.TrackingData,
+        "QTDATA",
+        tracking.tracking_to_qtdata,
+        _STATES,
+        f"double precision (float32), length of quaternions, names above 19 bytes, {_HEADER_1}",
+    ),
+    IgtlRow(
+        common_msgs.PoseArray,
+        "TDATA",
+        tracking.poses_to_tdata,
+        _STATES,
+        f"{_TO_FLOAT32}, {_HEADER_1}; the tools are called Tool1, Tool2, …",
+    ),
+    IgtlRow(common_msgs.PoseStamped, "TRANSFORM", poses.pose_to_transform, _STATES, f"{_TO_FLOAT32}, {_HEADER_1}"),
+    IgtlRow(
+        common_msgs.PoseStamped,
+        "POSITION",
+        poses.pose_to_position,
+        _STATES,
+        f"double precision (float32), length of the quaternion, {_HEADER_1}",
+    ),
+    IgtlRow(
+        igtl_msgs.TrajectoryList,
+        "TRAJ",
+        plans.trajectories_to_igtl,
+        _SURFACES,
+        f"double precision (float32), texts longer than their fields, {_HEADER_1}; only finite numbers are sent",
+    ),
+    IgtlRow(
+        igtl_msgs.PointList,
+        "POINT",
+        plans.points_to_igtl,
+        _SURFACES,
+        f"double precision (float32), texts longer than their fields, {_HEADER_1}; only finite numbers are sent",
+    ),
 )
 
 

@@ -1,0 +1,149 @@
+"""What a plan is made of: TRAJ ⇄ igtl_msgs/TrajectoryList, → visualization_msgs/Marker; POINT ⇄ igtl_msgs/PointList.
+
+Both lists have everything that the wire has.  float32 millimetres become float64 metres and come back to the
+same bits.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.convert.columns import set_texts, texts
+from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.igtl_msgs import LabeledPoint, PointList, Trajectory, TrajectoryList
+from igtl_gateway.convert.rosmsg import Header, Marker
+from igtl_gateway.convert.surfaces import DRAWN_WIDTH, GREY
+from igtl_gateway.convert.units import ieee_754
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.wire.point import POINT_DTYPE, Points
+from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, TRAJECTORY_DTYPE, Trajectories
+
+Array = npt.NDArray[Any]
+
+#: What a marker asks of a viewer.
+_ADD, _DELETE = 0, 2
+
+_LABELS = ("name", "group", "owner")
+#: The first bytes of the labels of a point: none of them is set where all are 0.
+_FIRST_BYTES = np.dtype([("name", "u1"), ("", "V63"), ("group", "u1"), ("", "V51"), ("owner", "u1"), ("", "V19")])
+
+
+def trajectories_to_ros(content: Trajectories, to: ToRos) -> TrajectoryList:
+    """One ``Trajectory`` for each element."""
+    elements = content.elements
+    columns = zip(
+        texts(elements, "name"),
+        texts(elements, "group"),
+        elements["type"].tolist(),
+        map(tuple, elements["rgba"].tolist()),
+        map(tuple, _to_ros(elements["entry"], to).tolist()),
+        map(tuple, _to_ros(elements["target"], to).tolist()),
+        _to_ros(elements["diameter"], to).tolist(),
+        texts(elements, "owner"),
+        strict=True,
+    )
+    return TrajectoryList(_header(to), tuple(Trajectory(*row) for row in columns), to.metadata)
+
+
+def trajectories_to_igtl(message: TrajectoryList, to: ToIgtl) -> Outgoing:
+    """The inverse.  Raises ConversionError for numbers that float32 cannot hold."""
+    rows = message.trajectories
+    elements = np.zeros(len(rows), TRAJECTORY_DTYPE)
+    elements["type"] = [row.type for row in rows]
+    _set_labels(elements, rows, to)
+    for field in ("entry", "target"):
+        _set_lengths(elements, field, [getattr(row, field) for row in rows], to, TrajectoryList.TYPE)
+    _set_lengths(elements, "diameter", [row.diameter for row in rows], to, TrajectoryList.TYPE)
+    return _outgoing(Trajectories(elements), message)
+
+
+@ieee_754
+def trajectories_to_lines(content: Trajectories, to: ToRos) -> Marker:
+    """A line from entry to target for each trajectory that has both; without any, what was drawn is deleted."""
+    elements = content.elements
+    points = np.stack([_to_ros(elements["entry"], to), _to_ros(elements["target"], to)], axis=1)
+    drawn = (elements["type"] == ENTRY_AND_TARGET) & np.isfinite(points).all(axis=(1, 2))
+    rgba = elements["rgba"][drawn]
+    colors = (rgba / 255.0).astype("<f4")
+    colors[~rgba.any(axis=1)] = GREY  # all zero is what C++ senders leave unset, not a line to be invisible
+    return Marker(
+        _header(to),
+        to.device_name,
+        0,
+        Marker.LINE_LIST,
+        _ADD if drawn.any() else _DELETE,
+        scale=(DRAWN_WIDTH, DRAWN_WIDTH, DRAWN_WIDTH),
+        color=GREY,
+        points=points[drawn].reshape(-1, 3),
+        colors=np.repeat(colors, 2, axis=0),
+    )
+
+
+def is_labeled(content: Points) -> bool:
+    """Whether any point has a name, a group or an owner; or there is no point, which clears those that had.
+
+    Looks at three bytes of each point: a cloud of 10,000 nameless ones costs 0.04 ms.
+    """
+    elements = content.elements
+    first = elements.view(_FIRST_BYTES)
+    return not len(elements) or any(bool(first[name].any()) for name in _LABELS)
+
+
+def points_to_ros(content: Points, to: ToRos) -> PointList:
+    """One ``LabeledPoint`` for each element."""
+    elements = content.elements
+    columns = zip(
+        texts(elements, "name"),
+        texts(elements, "group"),
+        map(tuple, elements["rgba"].tolist()),
+        map(tuple, _to_ros(elements["position"], to).tolist()),
+        _to_ros(elements["diameter"], to).tolist(),
+        texts(elements, "owner"),
+        strict=True,
+    )
+    return PointList(_header(to), tuple(LabeledPoint(*row) for row in columns), to.metadata)
+
+
+def points_to_igtl(message: PointList, to: ToIgtl) -> Outgoing:
+    """The inverse.  Raises ConversionError for numbers that float32 cannot hold."""
+    rows = message.points
+    elements = np.zeros(len(rows), POINT_DTYPE)
+    _set_labels(elements, rows, to)
+    _set_lengths(elements, "position", [row.position for row in rows], to, PointList.TYPE)
+    _set_lengths(elements, "diameter", [row.diameter for row in rows], to, PointList.TYPE)
+    return _outgoing(Points(elements), message)
+
+
+def _header(to: ToRos) -> Header:
+    return Header(to.stamp_ns, to.frame_id)
+
+
+def _outgoing(content: Points | Trajectories, message: PointList | TrajectoryList) -> Outgoing:
+    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+
+
+@ieee_754
+def _to_ros(lengths: Array, to: ToRos) -> Array:
+    return to.lengths.to_ros(lengths)
+
+
+def _set_labels(elements: Array, rows: tuple[Trajectory, ...] | tuple[LabeledPoint, ...], to: ToIgtl) -> None:
+    for field in _LABELS:
+        set_texts(elements, field, [getattr(row, field) for row in rows], to)
+    elements["rgba"] = np.array([row.rgba for row in rows], np.uint8).reshape(-1, 4)
+
+
+@ieee_754
+def _set_lengths(elements: Array, field: str, values: list[Any], to: ToIgtl, place: str) -> None:
+    """As float32 of OpenIGTLink's unit."""
+    column = elements[field]
+    column[...] = to.lengths.to_igtl(np.array(values, np.float64).reshape(column.shape))
+    finite = np.isfinite(column)
+    if not finite.all():
+        index = int(np.argwhere(~finite)[0][0])
+        raise ConversionError(
+            f"{place}, element {index}: found {field} {values[index]}, expected finite numbers within float32"
+        )

@@ -1,0 +1,161 @@
+"""TDATA and QTDATA ⇄ igtl_msgs/TrackingData, → geometry_msgs/PoseArray; poses of all types → tf2_msgs/TFMessage.
+
+A frame of tracking counts as a whole: one tool that no pose can express costs the message, because a list of
+poses without one of them would give the rest wrong numbers.  Tools are few, so they are read one by one, with
+the arithmetic of ``poses``; on the way out the same formulas work on columns, to the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.convert.columns import set_texts, texts
+from igtl_gateway.convert.common_msgs import FrameTransform, PoseArray, TFMessage
+from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.igtl_msgs import Pose, TrackedTool, TrackingData
+from igtl_gateway.convert.names import frames_of, topic_token
+from igtl_gateway.convert.poses import matrix_of, pose_of_matrix, pose_of_position, position_to_ros, transform_to_ros
+from igtl_gateway.convert.rosmsg import Header, TransformStamped
+from igtl_gateway.convert.units import ieee_754
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.wire import tracking as wire
+from igtl_gateway.wire.transform import Position, Transform
+
+Array = npt.NDArray[Any]
+Tracking = wire.TrackingData | wire.QuaternionTrackingData
+
+_POSE_COLUMNS = 7
+
+
+def tracking_to_ros(content: Tracking, to: ToRos) -> TrackingData:
+    """Raises ConversionError for a tool whose matrix or quaternion is no pose."""
+    types = content.elements["type"].tolist()
+    tools = (TrackedTool(name, kind, pose) for (name, pose), kind in zip(_tools(content, to), types, strict=True))
+    return TrackingData(Header(to.stamp_ns, to.frame_id), tuple(tools), to.metadata)
+
+
+def tracking_to_poses(content: Tracking, to: ToRos) -> PoseArray:
+    """The poses in the order of the tools.  Raises ConversionError as ``tracking_to_ros``."""
+    poses = np.array([pose for _, pose in _tools(content, to)]).reshape(-1, _POSE_COLUMNS)
+    return PoseArray(Header(to.stamp_ns, to.frame_id), poses)
+
+
+def tracking_to_tf(content: Tracking, to: ToRos) -> TFMessage:
+    """Each tool as a frame: a name ``AToB`` is A in B, any other one is a child of the stream's frame.
+
+    A tool without name gets that of the device with its index.  Raises ConversionError as ``tracking_to_ros``.
+    """
+    frames = []
+    for index, (name, pose) in enumerate(_tools(content, to)):
+        if name:
+            parent, child = frames_of(topic_token(name), to.frame_id)
+        else:
+            parent, child = to.frame_id, topic_token(f"{to.device_name}_{index}")
+        frames.append((parent, child, pose))
+    return _tf(frames, to)
+
+
+def transform_to_tf(content: Transform, to: ToRos) -> TFMessage:
+    """Raises ConversionError as ``transform_to_ros``."""
+    return _one_tf(transform_to_ros(content, to), to)
+
+
+def position_to_tf(content: Position, to: ToRos) -> TFMessage:
+    """Raises ConversionError as ``position_to_ros``."""
+    return _one_tf(position_to_ros(content, to), to)
+
+
+def _one_tf(message: TransformStamped, to: ToRos) -> TFMessage:
+    return _tf([(to.frame_id, to.child_frame_id, (*message.translation, *message.rotation))], to)
+
+
+def _tf(frames: Iterable[tuple[str, str, Pose]], to: ToRos) -> TFMessage:
+    """Of (parent, child, pose); tf2 refuses a frame that is its own parent, so it is left out with a warning."""
+    transforms = []
+    for parent, child, pose in frames:
+        if parent == child:
+            to.warnings.append(("own_parent", f"frame {child!r} would be its own parent and is left out of /tf"))
+        else:
+            transforms.append(FrameTransform(Header(to.stamp_ns, parent), child, pose))
+    return TFMessage(tuple(transforms))
+
+
+def _tools(content: Tracking, to: ToRos) -> list[tuple[str, Pose]]:
+    """Name and pose of each tool."""
+    elements = content.elements
+    names = texts(elements, "name")
+    places = [f"{content.NAME} {to.device_name!r}, tool {name!r}" for name in names]
+    if isinstance(content, wire.QuaternionTrackingData):
+        rows = zip(elements["position"].tolist(), elements["quaternion"].tolist(), places, strict=True)
+        poses = [pose_of_position(position, quaternion, to, place) for position, quaternion, place in rows]
+    else:
+        matrices = zip(elements["matrix"].tolist(), places, strict=True)
+        poses = [pose_of_matrix(matrix, to, place) for matrix, place in matrices]
+    return list(zip(names, poses, strict=True))
+
+
+def tracking_to_tdata(message: TrackingData, to: ToIgtl) -> Outgoing:
+    """As TDATA.  Raises ConversionError for numbers that are not finite and for quaternions of no length."""
+    return _sent(message, wire.TrackingData(_matrices(_tool_poses(message), to, TrackingData.TYPE)), to)
+
+
+def tracking_to_qtdata(message: TrackingData, to: ToIgtl) -> Outgoing:
+    """As QTDATA.  Raises ConversionError as ``tracking_to_tdata``."""
+    positions, rotations = _finite(_tool_poses(message), to, TrackingData.TYPE)
+    elements = np.zeros(len(positions), wire.QTRACKING_DTYPE)
+    elements["position"] = positions
+    elements["quaternion"] = rotations
+    return _sent(message, wire.QuaternionTrackingData(elements), to)
+
+
+def poses_to_tdata(message: PoseArray, to: ToIgtl) -> Outgoing:
+    """As TDATA of tools ``Tool1``, ``Tool2``, …  Raises ConversionError as ``tracking_to_tdata``."""
+    elements = _matrices(message.poses, to, PoseArray.TYPE)
+    elements["type"] = wire.TOOL_6D
+    set_texts(elements, "name", (f"Tool{number}" for number in range(1, len(elements) + 1)), to)
+    return Outgoing(wire.TrackingData(elements), message.header.stamp_ns, message.header.frame_id)
+
+
+def _sent(message: TrackingData, content: Tracking, to: ToIgtl) -> Outgoing:
+    """With the names and types of the tools filled in."""
+    set_texts(content.elements, "name", (tool.name for tool in message.tools), to)
+    content.elements["type"] = [tool.type for tool in message.tools]
+    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+
+
+def _tool_poses(message: TrackingData) -> Array:
+    return np.array([tool.pose for tool in message.tools]).reshape(-1, _POSE_COLUMNS)
+
+
+@ieee_754
+def _matrices(poses: Array, to: ToIgtl, place: str) -> Array:
+    """Elements of TDATA with the matrices of (n, 7) poses."""
+    positions, rotations = _finite(poses, to, place)
+    x, y, z, w = rotations.T
+    elements = np.zeros(len(poses), wire.TRACKING_DTYPE)
+    matrix = elements["matrix"]
+    for row, values in enumerate(matrix_of((x, y, z, w))):
+        for column, value in enumerate(values):
+            matrix[:, 3 * column + row] = value
+    matrix[:, 9:] = positions
+    return elements
+
+
+@ieee_754
+def _finite(poses: Array, to: ToIgtl, place: str) -> tuple[Array, Array]:
+    """Positions (n, 3) float32 in OpenIGTLink units and unit quaternions (n, 4) of (n, 7) poses."""
+    positions = to.lengths.to_igtl(poses[:, :3]).astype(">f4")
+    x, y, z, w = poses[:, 3:].T
+    lengths = np.sqrt(x * x + y * y + z * z + w * w)
+    usable = np.isfinite(positions).all(axis=1) & np.isfinite(lengths) & (lengths > 0.0)
+    if not usable.all():
+        index = int(np.argmin(usable))
+        raise ConversionError(
+            f"{place}, pose {index}: found {poses[index].tolist()}, "
+            "expected finite numbers and a quaternion of a finite length above 0"
+        )
+    return positions, poses[:, 3:] / lengths[:, None]
