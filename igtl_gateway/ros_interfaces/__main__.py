@@ -1,0 +1,32 @@
+"""``python -m igtl_gateway.ros_interfaces``: compile all packages ahead of their first import; say where they are."""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+from igtl_gateway.ros_interfaces.cache import package_path
+from igtl_gateway.ros_interfaces.definitions import PACKAGES
+
+_STAND_INS = Path(__file__).parent / "python"
+
+
+def main() -> int:
+    """One line for each package; 1 if there is one that cannot be imported here."""
+    failed = False
+    for package in PACKAGES:
+        real = find_spec(package)
+        try:
+            if real and real.origin and _STAND_INS not in Path(real.origin).parents:
+                print(f"{package}: {Path(real.origin).parent} (installed)")
+            else:
+                print(f"{package}: {package_path(package)[0]}")
+        except ImportError as error:
+            print(error, file=sys.stderr)
+            failed = True
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,289 @@
+"""Compiles a ROS 2 interface package to one Python extension, without ament and CMake.
+
+    python -P build.py PACKAGE DEFINITIONS PREFIX WORK    gives WORK/result/PACKAGE
+
+Run as a program, in a process of its own.  Strategy: the code generators that the ROS wheels carry are called as
+CMake would call them, for messages and services.  All that they make for C, Python and the two type supports that
+rmw_fastrtps_cpp asks for goes into one extension ``PACKAGE_s__rosidl_typesupport_c``, where ``dispatch.h`` takes
+the place of the one generator that is left out, rosidl_typesupport_c's.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+#: Generator → the header with its visibility macros, which CMake would configure.
+_VISIBILITY = {
+    generator: f"{generator}__visibility_control.h"
+    for generator in ("rosidl_generator_c", "rosidl_typesupport_introspection_c", "rosidl_typesupport_fastrtps_c")
+}
+
+#: Libraries of every package of definitions, ``lib{package}__{this}.so``.
+_LIBRARIES_OF_A_PACKAGE = (
+    "rosidl_generator_c",
+    "rosidl_generator_py",
+    "rosidl_typesupport_c",
+    "rosidl_typesupport_fastrtps_c",
+    "rosidl_typesupport_introspection_c",
+)
+_LIBRARIES = (
+    "fastcdr",
+    "rcutils",
+    "rosidl_runtime_c",
+    "rosidl_typesupport_fastrtps_c",
+    "rosidl_typesupport_fastrtps_cpp",
+    "rosidl_typesupport_introspection_c",
+)
+
+_DISPATCH = Path(__file__).with_name("dispatch.h")
+
+
+@dataclass(frozen=True, slots=True)
+class Package:
+    """What is compiled, and where.
+
+    Attributes:
+        name: of the package.
+        definitions: its folder, with ``msg/*.msg`` and ``srv/*.srv``.
+        prefix: folder with the wheels' ``share``, ``include`` and ``lib``.
+        work: folder for all that is made.
+        interfaces: the definition files, relative to ``definitions``.
+    """
+
+    name: str
+    definitions: Path
+    prefix: Path
+    work: Path
+    interfaces: tuple[Path, ...]
+
+    @property
+    def generated(self) -> Path:
+        """The folder of the generated code: a Python package, and C headers by ``PACKAGE/...``."""
+        return self.work / self.name
+
+    @property
+    def introspection(self) -> Path:
+        """The same for one generator, whose files have the names of another's."""
+        return self.work / "introspection" / self.name
+
+    @property
+    def kinds(self) -> list[str]:
+        """``msg``, ``srv``: the subfolders there are."""
+        return sorted({path.parts[0] for path in self.interfaces})
+
+    def idl(self, interface: Path) -> Path:
+        """The generated IDL of a definition."""
+        return self.generated / interface.with_suffix(".idl")
+
+    def arguments(self, file: str, generator: str = "", **more: object) -> str:
+        """The arguments of a generator, as the JSON file that it wants; its path."""
+        content: dict[str, object] = {
+            "package_name": self.name,
+            "output_dir": str(self.generated),
+            "idl_tuples": [f"{self.generated}:{path.with_suffix('.idl')}" for path in self.interfaces],
+            "ros_interface_dependencies": [],
+            "target_dependencies": [],
+            **more,
+        }
+        if generator:
+            content["template_dir"] = str(self.prefix / "share" / generator / "resource")
+        path = self.work / f"{file}.json"
+        path.write_text(json.dumps(content))
+        return str(path)
+
+
+def generate(package: Package) -> None:
+    """All C, C++ and Python of the package, below ``package.generated``."""
+    import rosidl_parser.parser
+
+    # Six generators parse every file again, which is half of all the time.  Before they take hold of the function:
+    rosidl_parser.parser.parse_idl_file = _once_per_file(rosidl_parser.parser.parse_idl_file)
+    from rosidl_adapter import convert_to_idl
+    from rosidl_generator_type_description import generate_type_hash
+
+    for interface in package.interfaces:
+        package.idl(interface).parent.mkdir(parents=True, exist_ok=True)
+        convert_to_idl(package.definitions, package.name, interface, package.generated)
+    share = package.prefix / "share"
+    others = [f"{path.name}:{path}" for path in share.iterdir() if path.name != package.name]
+    generate_type_hash(package.arguments("type_hash", include_paths=others))
+    for kind in package.kinds:
+        for generator, header in _VISIBILITY.items():
+            text = (share / generator / "resource" / f"{header}.in").read_text()
+            text = text.replace("@PROJECT_NAME@", package.name).replace("@PROJECT_NAME_UPPER@", package.name.upper())
+            (package.generated / kind / header).write_text(text)
+    # Processes, because generators keep global state; forked, so that they know the parsed files.
+    context = multiprocessing.get_context("fork")
+    with context.Pool(os.cpu_count()) as pool:
+        pool.starmap(_generate, [(package, name) for name in _GENERATORS], chunksize=1)
+    (package.generated / "__init__.py").touch()
+    (package.generated / "dispatch.c").write_text(_dispatch(package))
+
+
+def _once_per_file(parse: Callable[[Any], object]) -> Callable[[Any], object]:
+    results: dict[Path, object] = {}
+
+    def parse_once(locator: Any) -> object:
+        path = locator.get_absolute_path()
+        if path not in results:
+            results[path] = parse(locator)
+        return results[path]
+
+    return parse_once
+
+
+def _generate_c(package: Package) -> None:
+    from rosidl_generator_c import generate_c
+
+    idl = [path.with_suffix(".idl") for path in package.interfaces]
+    generate_c(
+        package.arguments(
+            "c",
+            "rosidl_generator_c",
+            type_description_tuples=[f"{path}:{package.generated / path.with_suffix('.json')}" for path in idl],
+            ros_interface_files=[str(package.definitions / path) for path in package.interfaces],
+        )
+    )
+
+
+def _generate_fastrtps(package: Package) -> None:
+    from rosidl_typesupport_fastrtps_c import generate_typesupport_fastrtps_c
+
+    generate_typesupport_fastrtps_c(package.arguments("fastrtps", "rosidl_typesupport_fastrtps_c"))
+
+
+def _generate_introspection(package: Package) -> None:
+    from rosidl_typesupport_introspection_c import generate_c
+
+    output = {"output_dir": str(package.introspection)}
+    generate_c(package.arguments("introspection_arguments", "rosidl_typesupport_introspection_c", **output))
+
+
+def _generate_python(package: Package) -> None:
+    from rosidl_generator_py import generate_py
+
+    generate_py(package.arguments("python", "rosidl_generator_py"), ["rosidl_typesupport_c"])
+
+
+#: The longest first.
+_GENERATORS: dict[str, Callable[[Package], None]] = {
+    "python": _generate_python,
+    "c": _generate_c,
+    "fastrtps": _generate_fastrtps,
+    "introspection": _generate_introspection,
+}
+
+
+def _generate(package: Package, name: str) -> None:
+    _GENERATORS[name](package)
+
+
+def _dispatch(package: Package) -> str:
+    """C code that finds the type supports of every interface."""
+    from rosidl_pycommon import convert_camel_case_to_lower_case_underscore as lower
+
+    lines = [f'#include "{_DISPATCH}"']
+    for interface in package.interfaces:
+        kind, name = interface.parts[0], interface.stem
+        for part in ("functions", "type_support"):
+            lines.append(f'#include "{package.name}/{kind}/detail/{lower(name)}__{part}.h"')
+        lines.append(f"{'SERVICE' if kind == 'srv' else 'MESSAGE'}({package.name}, {kind}, {name})")
+    return "\n".join([*lines, ""])
+
+
+def compile_extension(package: Package) -> Path:
+    """The extension, from all that has been generated."""
+    import numpy as np
+
+    root = package.prefix / "include"
+    outside = [Path(sysconfig.get_path("include")), Path(np.get_include()), root, *sorted(root.iterdir())]
+    folders = [package.generated.parent, package.introspection.parent, *outside]
+    options = ["-O1", "-fPIC", *(f"-I{folder}" for folder in folders if folder.is_dir())]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        objects = list(pool.map(lambda source: _compile(source, options), _units(package)))
+    extension = package.generated / f"{package.name}_s__rosidl_typesupport_c.so"
+    libraries = [package.prefix / "lib" / f"lib{name}.so" for name in _LIBRARIES]
+    for name in sorted(_needed(package)):
+        of_package = [package.prefix / "lib" / f"lib{name}__{library}.so" for library in _LIBRARIES_OF_A_PACKAGE]
+        libraries += [path for path in of_package if path.exists()]
+    search = f"-Wl,-rpath,{package.prefix / 'lib'}"
+    tuning = ["-s", "-Wl,--as-needed", "-Wl,--allow-shlib-undefined"]
+    _run(["g++", "-shared", "-o", extension, *tuning, search, *objects, *libraries])
+    return extension
+
+
+def _units(package: Package) -> list[Path]:
+    """What is compiled: many generated files in one go, since most of the time goes into the same headers."""
+    folders = (package.generated, package.introspection)
+    sources = [path for folder in folders for path in sorted(folder.rglob("*")) if path.suffix in {".c", ".cpp"}]
+    groups: dict[str, list[Path]] = {}
+    for source in sources:
+        # ..._s.c, __functions.c, __type_support.c, __type_support_c.cpp; files named otherwise stay by themselves,
+        # and so do descriptions, which define the same static names.
+        match = re.search(r"(__functions\.c|__type_support\.c|__type_support_c\.cpp|_s\.c)$", source.name)
+        groups.setdefault(match[1] if match else str(source), []).append(source)
+    units = []
+    for name, members in groups.items():
+        if len(members) == 1:
+            units += members
+            continue
+        unit = package.work / f"all{name}"
+        unit.write_text("".join(f'#include "{member}"\n' for member in members))
+        units.append(unit)
+    # The C++ one takes longest.
+    return sorted(units, key=lambda unit: unit.suffix != ".cpp")
+
+
+def _compile(source: Path, options: list[str]) -> Path:
+    compiler = ["gcc", "-std=gnu11"] if source.suffix == ".c" else ["g++", "-std=c++17"]
+    made = source.with_suffix(f"{source.suffix}.o")
+    _run([*compiler, *options, "-c", source, "-o", made])
+    return made
+
+
+def _run(command: list[str | Path]) -> None:
+    run = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False)
+    if run.returncode:
+        raise RuntimeError(run.stdout.decode(errors="replace"))
+
+
+def _needed(package: Package) -> set[str]:
+    """The packages whose interfaces are used."""
+    texts = [package.idl(interface).read_text("iso-8859-1") for interface in package.interfaces]
+    found = {name for text in texts for name in re.findall(r'#include "(\w+)/msg/', text)}
+    services = {"service_msgs", "builtin_interfaces"} if "srv" in package.kinds else set()
+    return (found | services) - {package.name}
+
+
+def main(arguments: list[str]) -> None:
+    """Compile and lay out what an import needs, and the definitions for programs that look for them."""
+    name, definitions, prefix, work = arguments
+    folder = Path(definitions).resolve()
+    files = sorted([*folder.glob("msg/*.msg"), *folder.glob("srv/*.srv")])
+    package = Package(name, folder, Path(prefix), Path(work), tuple(path.relative_to(folder) for path in files))
+    package.work.mkdir(parents=True)
+    generate(package)
+    extension = compile_extension(package)
+    result = package.work / "result" / name
+    for kind in package.kinds:
+        (result / kind).mkdir(parents=True)
+        for path in [*package.generated.glob(f"{kind}/*.py"), *folder.glob(f"{kind}/*.{kind}")]:
+            shutil.copy(path, result / kind)
+    shutil.copy(package.generated / "__init__.py", result)
+    shutil.copy(extension, result)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
