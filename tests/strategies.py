@@ -95,17 +95,17 @@ def elements(draw: st.DrawFn, kind: type[Elements], numbers: st.SearchStrategy[f
     """A list of any of the types that are lists: any text, any integers, reserved bytes too."""
     array = np.zeros(draw(st.integers(0, 4)), kind.DTYPE)
     for name in kind.DTYPE.names or ():
-        field = kind.DTYPE[name]
-        item = field.base
+        item = kind.DTYPE[name].base
         if item.kind == "S":
             values: st.SearchStrategy[Any] = st.binary(max_size=item.itemsize)
         elif item.kind == "f":
             values = numbers
         else:
             info = np.iinfo(item)
-            values = st.sampled_from([0, info.max]) | st.integers(int(info.min), int(info.max))
-        for index in range(len(array)):
-            array[index][name] = draw(st.tuples(*[values] * math.prod(field.shape)) if field.shape else values)
+            values = st.sampled_from([0, int(info.max)]) | st.integers(int(info.min), int(info.max))
+        # a few values, repeated: drawing each number of a matrix would take most of the time of the tests
+        few = np.array(draw(st.lists(values, min_size=1, max_size=5)), item)
+        array[name] = np.resize(few, array[name].shape)
     return kind(array)
 
 
