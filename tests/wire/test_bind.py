@@ -1,0 +1,183 @@
+"""BIND: the table of names in all its layouts, children that nobody can read, BIND in BIND."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from igtl_gateway.buffers import join
+from igtl_gateway.errors import MalformedBody, TruncatedMessage, WireError
+from igtl_gateway.wire.bind import MAX_DEPTH, Bind, Child
+from igtl_gateway.wire.body import Raw
+from igtl_gateway.wire.point import Points
+from igtl_gateway.wire.text import String
+from tests import strategies
+
+
+def name(text: str) -> bytes:
+    return text.encode().ljust(12, b"\0")
+
+
+def sized(*sizes: int) -> bytes:
+    return b"".join(struct.pack(">Q", size) for size in sizes)
+
+
+HEADS = b"\0\2" + name("STRING") + sized(5) + name("CUSTOM") + sized(2)
+STRING = b"\0\3\0\1x"
+GOLDEN = HEADS + b"\0\6" + b"ab\0c\0\0" + STRING + b"\0" + b"yz"
+CHILDREN = (Child("STRING", "ab", STRING), Child("CUSTOM", "c", b"yz"))
+
+
+def read(data: bytes) -> Bind:
+    return Bind.unpack(memoryview(data))
+
+
+def test_golden_bytes() -> None:
+    bind = read(GOLDEN)
+    assert bind == Bind(CHILDREN)
+    assert join(Bind(CHILDREN).pack()) == GOLDEN
+    assert [child.body() for child in bind.children] == [String(b"x"), Raw(b"yz")]
+    assert bind.describe()["children"][0] == {
+        "type": "STRING",
+        "name": "ab",
+        "size": 5,
+        "content": {"encoding": 3, "string": "x", "string_hex": "78"},
+    }
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        HEADS + b"\0\5" + b"ab\0c\0" + STRING + b"\0" + b"yz",  # no padding, an odd size
+        HEADS + b"\0\4" + b"ab\0c" + STRING + b"\0" + b"yz",  # no NUL at the end either
+        HEADS + b"\0\6" + b"ab\0c\0?" + STRING + b"\0" + b"yz",  # padding of heap garbage
+        HEADS + b"\0\x0a" + b"ab\0c\0more\0" + STRING + b"\0" + b"yz",
+        GOLDEN[:-3] + b"\xee" + b"yz",  # garbage behind a content of odd size
+    ],
+)
+def test_odd_tables_and_pads_are_read_and_written_back(data: bytes) -> None:
+    bind = read(data)
+    assert [(child.name, bytes(child.content)) for child in bind.children] == [("ab", STRING), ("c", b"yz")]
+    assert join(bind.pack()) == data
+    assert join(replace(bind, name_table=None, pads=None).pack()) == GOLDEN
+
+
+@pytest.mark.parametrize("pads", [b"\0\0", b"\0", b"\0\7", b"\1"])
+def test_the_last_pad_may_be_missing(pads: bytes) -> None:
+    child = name("CUSTOM") + sized(1)
+    data = b"\0\2" + child * 2 + b"\0\2\0\0" + b"x" + pads[:1] + b"y" + pads[1:]
+    bind = read(data)
+    assert [bytes(one.content) for one in bind.children] == [b"x", b"y"]
+    assert join(bind.pack()) == data
+    assert (bind.pads is None) is (pads == b"\0\0")
+
+
+def test_no_children() -> None:
+    assert join(Bind(()).pack()) == bytes(4)
+    assert read(bytes(4)) == Bind(())
+
+
+def test_every_truncation() -> None:
+    for size in range(len(GOLDEN)):
+        with pytest.raises(TruncatedMessage):
+            read(GOLDEN[:size])
+    with pytest.raises(MalformedBody, match="by its own sizes"):
+        read(GOLDEN + b"\0")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\xff\xff" + GOLDEN[2:],  # 65,535 children
+        b"\0\1" + name("CUSTOM") + sized(2**64 - 1) + b"\0\2a\0",
+        HEADS + b"\xff\xff" + b"ab\0c\0",
+        HEADS + b"\0\2" + b"a\0" + STRING + b"\0" + b"yz",  # one name for two
+        HEADS + b"\0\0" + STRING + b"\0" + b"yz",
+        HEADS[:-8] + sized(3) + GOLDEN[len(HEADS) :],
+        HEADS[:-8] + sized(1) + GOLDEN[len(HEADS) :] + b"\0",
+    ],
+)
+def test_lies(data: bytes) -> None:
+    with pytest.raises(WireError):
+        read(data)
+
+
+@pytest.mark.parametrize(
+    "child",
+    [
+        Child("T" * 13, "", b""),
+        Child("CUSTOM", "a\0b", b""),
+        Child("CUSTOM", "n" * 65_535, b""),
+        Child("BIND", "", b"\xff\xff"),
+    ],
+)
+def test_what_does_not_fit(child: Child) -> None:
+    with pytest.raises(WireError):
+        Bind((child,)).pack()
+
+
+def test_too_many_children() -> None:
+    with pytest.raises(struct.error):  # which encode tells as MalformedBody
+        Bind((Child("CUSTOM", "", b""),) * 65_536).pack()
+
+
+def nested(depth: int) -> Bind:
+    bind = Bind((Child("CUSTOM", "", b"x"),))
+    for _ in range(depth - 1):
+        bind = Bind((Child("BIND", "", join(bind.pack())),))
+    return bind
+
+
+def test_nesting_ends() -> None:
+    data = join(nested(MAX_DEPTH).pack())
+    assert join(read(data).pack()) == data
+    deeper = b"\0\1" + name("BIND") + sized(len(data)) + b"\0\2\0\0" + data
+    with pytest.raises(MalformedBody, match="levels"):
+        read(deeper)
+    with pytest.raises(MalformedBody, match="levels"):
+        Bind((Child("BIND", "", data),)).pack()
+    shown = read(data).describe()
+    for _ in range(MAX_DEPTH - 1):
+        shown = shown["children"][0]["content"]
+    assert shown["children"][0]["content"]["raw_hex"] == "78"
+
+
+def test_a_child_that_nobody_can_read() -> None:
+    """It costs its siblings nothing."""
+    bind = read(join(Bind((Child("IMAGE", "broken", b"??"), *CHILDREN)).pack()))
+    with pytest.raises(TruncatedMessage):
+        bind.children[0].body()
+    broken, whole, _ = bind.describe()["children"]
+    assert broken["error"]["code"] == "truncated"
+    assert "content" not in broken
+    assert whole["content"]["string"] == "x"
+
+
+def test_empty_children_are_as_empty_messages() -> None:
+    bind = read(join(Bind((Child("IMAGE", "none", b""), Child("POINT", "", b""))).pack()))
+    image, points = (child.body() for child in bind.children)
+    assert image == Raw(b"")
+    assert isinstance(points, Points)
+
+
+def test_children_are_views() -> None:
+    received = np.frombuffer(GOLDEN, np.uint8)
+    bind = read(GOLDEN)
+    for child in bind.children:
+        assert np.shares_memory(np.frombuffer(child.content, np.uint8), received)
+    assert sum(np.shares_memory(np.frombuffer(part, np.uint8), received) for part in bind.pack()) == len(CHILDREN)
+
+
+@given(strategies.binds(strategies.bodies()), st.data())
+def test_decoded_children_are_encoded_to_the_same_bytes(bind: Bind, data: st.DataObject) -> None:
+    for child in read(join(bind.pack())).children:
+        try:
+            body = child.body()
+        except WireError:
+            continue
+        assert join(body.pack()) == child.content
