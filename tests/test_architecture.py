@@ -85,7 +85,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     # Libraries
     "fastcrc": ("wire",),
     "mcap": ("record.mcap_writer", "replay.mcap_reader"),
-    "numpy": ("wire", "convert", "edges", "record", "replay", "ros_interfaces.build", "simulate", "view", "cli"),
+    "numpy": ("wire", "convert", "gateway", "edges", "record", "replay", "ros_interfaces.build", "simulate", "view", "cli"),
     "rerun": ("view",),
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
     "rosbags": ("record.rostypes", "replay", "cli"),
@@ -110,6 +110,7 @@ UNMIRRORED = (
     "test_fixtures.py",  # what the recordings in fixtures/ promise
     "test_gateway_fuzz.py",
     "wire/test_bodies.py",  # every type of message against one list of checks
+    "wire/test_conformance.py",  # every type of message through the command line
     "wire/test_corpus.py",
 )
 
