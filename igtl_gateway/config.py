@@ -11,6 +11,9 @@ verification use what was in force that day.
     igtl_unit = "mm"
     stamp = "source"               # source: the sender's stamp, else the gateway's; receive, now: the gateway's
     check_crc = true
+    profile = "auto"               # what the peers are: slicer, plus …; auto: by what they show
+    publish_tf = true              # poses appear on /tf too
+    command_timeout_s = 5.0        # a COMMAND without a reply is given up
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first row that matches counts
     topic = "/camera/image_raw"    # * stands for one level, ** for any number
@@ -21,6 +24,16 @@ verification use what was in force that day.
     device = "Probe*"
     topic = "/probe/{device}/{kind}"
     frame_id = "tracker"
+    kinds = ["+slices"]            # messages on request besides the usual ones; without +: only these
+
+    [[tf_out]]                     # frames of /tf and /tf_static → OpenIGTLink, chains composed
+    frames = ["tool"]
+    base = "base_link"
+    device = "Tool"                # default: toolTobase_link
+
+    [[peers]]                      # which peer is what
+    at = "127.0.0.1:18945"         # its address, or the one that it connects to
+    profile = "plus"
 
 Rows may override ros_unit, igtl_unit, stamp and, as ``qos = { depth = 10, reliable = true, latched = false }``,
 the quality of service.  Without any row, what a device sends appears on ``/igtl/in/<device>/<kind>`` and what
@@ -39,6 +52,7 @@ from pathlib import Path
 from string import Formatter
 from typing import Any, TypeVar
 
+from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, Lengths
 from igtl_gateway.errors import ConfigError
@@ -51,6 +65,14 @@ IN_TOPIC = "/igtl/in/{device}/{kind}"
 
 #: Streams that one session may open in each direction: a peer that invents names must not fill the ROS graph.
 DEFAULT_MAX_STREAMS = 512
+
+#: What the peers are is told by what they show.
+AUTO = "auto"
+#: Peer profiles; ``gateway.profiles`` says what each means.
+PROFILES = (AUTO, "default", "slicer", "plus", "brainlab", "holoscan", "legacy-v1")
+
+#: A COMMAND that takes longer than a day has no reply.
+MAX_TIMEOUT_S = 86_400.0
 
 #: Deepest queue of a ROS stream: beyond it a slow reader costs memory without end.
 MAX_DEPTH = 100_000
@@ -68,22 +90,50 @@ class _Row:
 
 @dataclass(frozen=True, slots=True)
 class ToIgtlRow(_Row):
-    """A ROS topic (pattern) on its way to OpenIGTLink."""
+    """A ROS topic (pattern) on its way to OpenIGTLink; ``metadata`` goes along to peers of header version 2."""
 
     topic: str = OUT_PREFIX + "**"
     device: str = ""
     type: str = ""
+    metadata: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class ToRosRow(_Row):
-    """OpenIGTLink devices (pattern) on their way to ROS."""
+    """OpenIGTLink devices (pattern) on their way to ROS; ``kinds`` chooses among the messages that they become."""
 
     device: str = "**"
     type: str = "**"
     topic: str = IN_TOPIC
     frame_id: str = ""
     child_frame_id: str = ""
+    kinds: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class TfOutRow(_Row):
+    """Frames of the tf tree on their way to OpenIGTLink, as seen from ``base``."""
+
+    frames: tuple[str, ...] = ()
+    base: str = ""
+    device: str = ""
+    type: str = ""
+
+    def request(self, place: str = "tf_out") -> TfRequest:
+        """What is asked of the tf tree.  Raises ConfigError, naming ``place``."""
+        try:
+            request = TfRequest.parse(f"{','.join(self.frames)}:{self.base}")
+            return dataclasses.replace(request, device=self.device or request.device, type=self.type or request.type)
+        except ConfigError as error:
+            raise ConfigError(f"{place}: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class PeerRow:
+    """What the peers at an address (pattern) are."""
+
+    at: str = "**"
+    profile: str = AUTO
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +146,24 @@ class Config:
     stamp: str = "source"
     check_crc: bool = True
     max_streams: int = DEFAULT_MAX_STREAMS
+    profile: str = AUTO
+    publish_tf: bool = True
+    command_timeout_s: float = 5.0
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
+    tf_out: tuple[TfOutRow, ...] = ()
+    peers: tuple[PeerRow, ...] = ()
 
     def __post_init__(self) -> None:
         _check_choices("gateway", self, optional=False)
+        if not 0 < self.command_timeout_s < MAX_TIMEOUT_S:
+            found = f"{self.command_timeout_s:g}"
+            raise ConfigError(f"gateway.command_timeout_s: found {found}, expected above 0 and below {MAX_TIMEOUT_S:g}")
+        for index, peer in enumerate(self.peers):
+            _check_choices(f"peers[{index}]", peer, optional=False)
+        for index, frames in enumerate(self.tf_out):
+            _check_choices(f"tf_out[{index}]", frames, optional=True)
+            frames.request(f"tf_out[{index}]")
         for name, rows in (("to_igtl", self.to_igtl), ("to_ros", self.to_ros)):
             for index, row in enumerate(rows):
                 _check_choices(f"{name}[{index}]", row, optional=True)
@@ -154,7 +217,10 @@ class Config:
         settings = dict(values)
         to_igtl = _rows("to_igtl", settings.pop("to_igtl", ()), ToIgtlRow)
         to_ros = _rows("to_ros", settings.pop("to_ros", ()), ToRosRow)
-        return _make("gateway", cls, settings | {"to_igtl": to_igtl, "to_ros": to_ros})
+        tf_out = _rows("tf_out", settings.pop("tf_out", ()), TfOutRow)
+        peers = _rows("peers", settings.pop("peers", ()), PeerRow)
+        rows = {"to_igtl": to_igtl, "to_ros": to_ros, "tf_out": tf_out, "peers": peers}
+        return _make("gateway", cls, settings | rows)
 
     @classmethod
     def from_toml(cls, path: Path) -> Config:
@@ -166,8 +232,9 @@ class Config:
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path}: is not valid TOML: {error}") from None
         gateway = document.pop("gateway", {})
-        if unknown := set(document) - {"to_igtl", "to_ros"}:
-            raise ConfigError(f"{path}: found [{sorted(unknown)[0]}], expected [gateway], [[to_igtl]] and [[to_ros]]")
+        if unknown := set(document) - _TABLES:
+            expected = ", ".join(f"[[{name}]]" for name in sorted(_TABLES))
+            raise ConfigError(f"{path}: found [{sorted(unknown)[0]}], expected [gateway], {expected}")
         if not isinstance(gateway, dict):
             raise ConfigError(f"{path}: found gateway = {gateway!r}, expected a table [gateway]")
         try:
@@ -176,6 +243,7 @@ class Config:
             raise ConfigError(f"{path}: {error}") from None
 
 
+_TABLES = frozenset({"to_igtl", "to_ros", "tf_out", "peers"})
 _DEFAULT_TO_IGTL = ToIgtlRow()
 _DEFAULT_TO_ROS = ToRosRow()
 
@@ -208,6 +276,7 @@ _CHOICES = {
     "ros_unit": tuple(UNITS),
     "igtl_unit": tuple(UNITS),
     "stamp": STAMP_POLICIES,
+    "profile": PROFILES,
 }
 
 T = TypeVar("T")
@@ -232,7 +301,9 @@ def _is_template(topic: str) -> bool:
 
 def _check_choices(place: str, settings: object, *, optional: bool) -> None:
     for name, choices in _CHOICES.items():
-        value = getattr(settings, name)
+        value = getattr(settings, name, None)
+        if value is None:
+            continue
         if value not in choices and not (optional and value == ""):
             raise ConfigError(f"{place}.{name}: found {value!r}, expected one of {', '.join(choices)}")
 
@@ -245,6 +316,8 @@ def _rows(place: str, rows: Any, kind: type[T]) -> tuple[T, ...]:
         if not isinstance(row, Mapping):
             raise ConfigError(f"{place}[{index}]: found {row!r}, expected a table")
         settings = dict(row)
+        if isinstance(settings.get("metadata"), Mapping):
+            settings["metadata"] = tuple(settings["metadata"].items())
         if isinstance(settings.get("qos"), Mapping):
             settings["qos"] = _make(f"{place}[{index}].qos", Qos, settings["qos"])
         made.append(_make(f"{place}[{index}]", kind, settings))
@@ -254,15 +327,42 @@ def _rows(place: str, rows: Any, kind: type[T]) -> tuple[T, ...]:
 def _make(place: str, kind: type[T], settings: Mapping[str, Any]) -> T:
     """An instance of a dataclass from plain values, unknown names and wrong types refused."""
     fields = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    for name, value in settings.items():
+    made: dict[str, Any] = {}
+    for name, given in settings.items():
         if name not in fields:
             raise ConfigError(f"{place}.{name}: unknown setting, expected one of {', '.join(fields)}")
-        wanted = type(fields[name].default)
-        if wanted in (str, bool, int) and type(value) is not wanted:
-            raise ConfigError(f"{place}.{name}: found {value!r}, expected a {_TYPE_NAMES[wanted]}")
-        if name == "qos" and not (value is None or isinstance(value, Qos)):
-            raise ConfigError(f"{place}.qos: found {value!r}, expected a table such as {{ depth = 10 }}")
-    return kind(**settings)
+        made[name] = _value(f"{place}.{name}", name, type(fields[name].default), given)
+    return kind(**made)
 
 
-_TYPE_NAMES: dict[type, str] = {str: "text in quotes", bool: "true or false", int: "whole number"}
+def _value(place: str, name: str, wanted: type, given: Any) -> Any:
+    """One setting, of the type of its default."""
+    if wanted is float and type(given) is int:
+        return float(given)
+    if wanted in _TYPE_NAMES and type(given) is not wanted:
+        raise ConfigError(f"{place}: found {given!r}, expected a {_TYPE_NAMES[wanted]}")
+    if name in _TEXT_LISTS:
+        if not (isinstance(given, list | tuple) and all(isinstance(item, str) for item in given)):
+            raise ConfigError(f'{place}: found {given!r}, expected texts such as ["a", "b"]')
+        return tuple(given)
+    if name == "metadata":
+        return _pairs(place, given)
+    if name == "qos" and not (given is None or isinstance(given, Qos)):
+        raise ConfigError(f"{place}: found {given!r}, expected a table such as {{ depth = 10 }}")
+    return given
+
+
+def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:
+    pairs = tuple(tuple(pair) if isinstance(pair, list | tuple) else (pair,) for pair in value or ())
+    if not all(len(pair) == 2 and all(isinstance(text, str) for text in pair) for pair in pairs):
+        raise ConfigError(f'{place}: found {value!r}, expected a table of texts such as {{ operator = "A. B." }}')
+    return pairs
+
+
+_TEXT_LISTS = frozenset({"frames", "kinds"})
+_TYPE_NAMES: dict[type, str] = {
+    str: "text in quotes",
+    bool: "true or false",
+    int: "whole number",
+    float: "number",
+}

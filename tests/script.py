@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.config import Config
 from igtl_gateway.convert.rosmsg import RosMessage
-from igtl_gateway.gateway import LINK_DOWN, LINK_UP, Gateway, Session
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LINKS_TOPIC, TICK, Gateway, Session
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.wire import Header, Message, encode
+from igtl_gateway.wire import Header, Message, decode, encode
 
 #: An arbitrary moment: 2026-01-01T00:00:00Z.
 T0_NS = 1_767_225_600_000_000_000
@@ -18,6 +18,8 @@ T0_NS = 1_767_225_600_000_000_000
 
 class Script:
     """A session whose time is set by hand.
+
+    What most scripts are not about (new streams, /tf, the list of links) is told with ``news`` only.
 
     Each method feeds one input and returns what it caused, one line an output: ``"igtl TRANSFORM/Tool v1 to 1"``,
     ``"ros /igtl/in/Tool/transform"``, ``"note bad_crc"``.  ``last`` holds the entries themselves.
@@ -48,10 +50,10 @@ class Script:
         self.log += entries
         self.last = entries[1:]
         lines = map(_line, self.last)
-        return [line for line in lines if self._news or line != "note stream"]
+        return [line for line in lines if self._news or line not in _EVERYDAY]
 
-    def up(self, link: int) -> list[str]:
-        return self.feed(Kind.LINK, (Note(Level.INFO, LINK_UP, "up").pack(),), link=link)
+    def up(self, link: int, **facts: str) -> list[str]:
+        return self.feed(Kind.LINK, (Note(Level.INFO, LINK_UP, "up", data=dict(facts)).pack(),), link=link)
 
     def down(self, link: int) -> list[str]:
         return self.feed(Kind.LINK, (Note(Level.INFO, LINK_DOWN, "down").pack(),), link=link)
@@ -63,10 +65,30 @@ class Script:
     def ros(self, topic: str, message: RosMessage, source_ns: int = 0) -> list[str]:
         return self.feed(Kind.ROS_IN, (message.pack(),), topic, message.TYPE, source_ns=source_ns)
 
+    def tick(self, seconds: float = 0.0) -> list[str]:
+        """The time is later by so much, and the gateway is told if it wanted that."""
+        self.now_ns += round(seconds * 1e9)
+        due_ns = self.gateway.due_ns
+        if due_ns is None or due_ns > self.now_ns + 1_000_000:
+            return []
+        return self.feed(Kind.EDGE_NOTE, (Note(Level.INFO, TICK, "tick").pack(),))
+
+    def sent(self) -> list[Message]:
+        """The OpenIGTLink messages among the last outputs."""
+        return [decode(entry.data()) for entry in self.last if entry.kind is Kind.IGTL_OUT]
+
+    def published(self, topic: str) -> bytes:
+        """The only message among the last outputs on a topic."""
+        (data,) = [entry.data() for entry in self.last if entry.kind is Kind.ROS_OUT and entry.channel == topic]
+        return data
+
     @property
     def notes(self) -> list[Note]:
         """The notes among the last outputs."""
         return [Note.unpack(entry.data()) for entry in self.last if entry.kind is Kind.NOTE]
+
+
+_EVERYDAY = frozenset({"note stream", "ros /tf", f"ros {LINKS_TOPIC}"})
 
 
 def _line(entry: Entry) -> str:

@@ -112,6 +112,7 @@ UNMIRRORED = (
     "wire/test_bodies.py",  # every type of message against one list of checks
     "wire/test_conformance.py",  # every type of message through the command line
     "wire/test_corpus.py",
+    "wire/test_fuzz.py",  # tools/fuzz.py
 )
 
 

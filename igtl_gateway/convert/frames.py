@@ -141,6 +141,10 @@ class FrameTree:
             frame = edge.parent
         return True
 
+    def knows(self, frame: str) -> bool:
+        """Whether a frame has a parent or a child."""
+        return frame in self._edges or any(edge.parent == frame for edge in self._edges.values())
+
     def chain(self, target: str, base: str) -> Chain | None:
         """The edges between two frames, by child; None where nothing connects them."""
         key = (target, base)
@@ -182,7 +186,7 @@ class FrameTree:
         if any(stamp_ns < edge.stamps[0] for edge in edges if not edge.static):
             return None
         target_pose, base_pose = (self._climb(part, stamp_ns) for part in chain)
-        return stamp_ns, _compose(_inverse(base_pose), target_pose) if chain[1] else target_pose
+        return stamp_ns, compose(_inverse(base_pose), target_pose) if chain[1] else target_pose
 
     def _climb(self, children: tuple[str, ...], stamp_ns: int) -> Pose:
         """Pose of the first child in the parent of the last one."""
@@ -190,7 +194,7 @@ class FrameTree:
         for step, child in enumerate(children):
             edge = self._edges[child]
             above = edge.poses[0] if edge.static else _pose_at(edge, stamp_ns)
-            pose = _compose(above, pose) if step else above
+            pose = compose(above, pose) if step else above
         return pose
 
 
@@ -228,7 +232,7 @@ def _between(a: Pose, b: Pose, share: float) -> Pose:
     return (x, y, z, *unit((qx, qy, qz, qw)))
 
 
-def _compose(a: Pose, b: Pose) -> Pose:
+def compose(a: Pose, b: Pose) -> Pose:
     """The pose in a's parent of what has the pose b in a."""
     ax, ay, az, aw = a[3:]
     bx, by, bz, bw = b[3:]

@@ -1,4 +1,4 @@
-"""The gateway as a pure function: scripted scenarios on manual time."""
+"""The way of a message through the gateway: scripted scenarios on manual time."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pytest
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.gateway import FULL_NAME_KEY
+from igtl_gateway.gateway.metadata import FULL_NAME
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Item, Message, Raw, decode, encode
-from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway.wire.text import Status, String
@@ -133,8 +133,8 @@ def test_one_message_may_become_several() -> None:
 
 def test_new_streams_are_announced_once() -> None:
     script = Script(news=True)
-    assert script.igtl(TRANSFORM) == ["ros /igtl/in/ProbeToTracker/transform", "note stream"]
-    assert script.igtl(TRANSFORM) == ["ros /igtl/in/ProbeToTracker/transform"]
+    assert script.igtl(TRANSFORM) == ["ros /igtl/in/ProbeToTracker/transform", "ros /tf", "note stream"]
+    assert script.igtl(TRANSFORM) == ["ros /igtl/in/ProbeToTracker/transform", "ros /tf"]
 
 
 # -- header versions ----------------------------------------------------------------------------------------------
@@ -225,7 +225,7 @@ def test_long_names_are_shortened_and_travel_whole_in_the_metadata() -> None:
     (line,) = script.ros(topic, TOOL)
     message = decode(script.last[0].data())
     assert len(message.device_name) == 20 and message.device_name.startswith("a_very_long_nam_")
-    assert message.metadata == (Item.of(FULL_NAME_KEY, "a_very_long_name_of_a_tool"),)
+    assert Item.of(FULL_NAME, "a_very_long_name_of_a_tool") in message.metadata
     assert line == f"igtl TRANSFORM/{message.device_name} v2 to 1"
     assert script.igtl(message) == ["ros /igtl/in/a_very_long_name_of_a_tool/transform"], "restored on the way back"
 
@@ -268,12 +268,16 @@ def test_the_crc_check_can_be_switched_off() -> None:
     assert script.igtl(good[:50] + bytes(8) + good[58:]) == ["ros /igtl/in/ProbeToTracker/transform"]
 
 
-def test_unknown_types_are_counted_and_said_once() -> None:
+def test_unknown_types_are_published_as_they_are() -> None:
     script = Script()
     unknown = Message("MYSTERY", "Box", Raw(b"abc"))
-    assert script.igtl(unknown) == ["note no_conversion"]
-    assert script.igtl(unknown) == []
-    assert script.gateway.ledger.to_dict()["igtl_in"]["MYSTERY/Box"]["dropped"] == {"no_conversion": 2}
+    assert script.igtl(unknown) == ["ros /igtl/in/Box/raw", "note no_conversion"]
+    raw = RawMessage.unpack(script.last[0].data())
+    assert (raw.type, raw.device_name, list(raw.links)) == ("MYSTERY", "Box", [1])
+    assert decode(raw.data) == unknown
+    assert script.igtl(unknown) == ["ros /igtl/in/Box/raw"], "said once"
+    counts = script.gateway.ledger.to_dict()["igtl_in"]["MYSTERY/Box"]
+    assert counts == {"received": 2, "decoded": 2, "converted": 2}
 
 
 def test_a_type_name_ends_at_its_first_nul() -> None:
@@ -294,8 +298,6 @@ def test_an_empty_image_is_no_fault() -> None:
         replace(TRANSFORM, content=Transform((float("nan"),) * 12)),
         replace(TRANSFORM, content=Transform((1, 0, 0, 0, 1, 0, 0, 0, -1, 0, 0, 0))),
         replace(TRANSFORM, content=Transform((0.0,) * 12)),
-        Message("IMAGE", "Volume", Image((2, 2, 2), 3, bytes(8))),
-        Message("IMAGE", "Part", Image((4, 4, 1), 3, bytes(4), subvol_size=(2, 2, 1))),
     ],
 )
 def test_what_cannot_be_converted_is_refused_with_a_note(message: Message) -> None:
@@ -368,7 +370,7 @@ def test_a_defect_of_ours_costs_one_message(monkeypatch: pytest.MonkeyPatch) -> 
     def broken(*_: object) -> None:
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr(script.gateway, "_ros_stream", broken)
+    monkeypatch.setattr(script.gateway, "_deliver", broken)
     assert script.igtl(TRANSFORM) == ["note internal_error"]
     monkeypatch.undo()
     assert script.igtl(TRANSFORM) == ["ros /igtl/in/ProbeToTracker/transform"]

@@ -1,0 +1,11 @@
+"""The gateway: a pure function from each input entry to the entries that it causes.
+
+``Gateway.handle`` reads no clock, no file and no socket.  Its state (links, names, counters) is made by the
+inputs alone, so that the same inputs with the same configuration give the same outputs, live, in a replay and
+in a verification.  ``Session`` adds the numbering and is the door that all three come through.
+"""
+
+from igtl_gateway.gateway.core import LINK_DOWN, LINK_UP, LINKS_TOPIC, TICK, Gateway
+from igtl_gateway.gateway.session import Session, stream_name
+
+__all__ = ["LINKS_TOPIC", "LINK_DOWN", "LINK_UP", "TICK", "Gateway", "Session", "stream_name"]

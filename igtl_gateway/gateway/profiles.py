@@ -1,0 +1,199 @@
+"""Peer profiles: what programs on the other side can and cannot take, as rows of a table with their sources.
+
+The sources are the programs' own code and documents as read for ``openigtlink-reference`` (its sections are named
+with §) and reports of their users.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from igtl_gateway.convert.geometry import flipped
+from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.image import LPS, RAS, Image
+from igtl_gateway.wire.polydata import NORMAL, Attribute, PolyData
+from igtl_gateway.wire.query import split_query
+from igtl_gateway.wire.text import Status
+
+#: What the factory of the C++ library 3.x can name; PLUS loses the stream at anything else.
+CPP_FACTORY = frozenset(
+    "CAPABILITY COMMAND GET_IMAGE GET_IMGMETA GET_LBMETA GET_POINT GET_POLYDATA GET_STATUS GET_TRAJ GET_TRANS IMAGE "
+    "IMGMETA LBMETA POINT POLYDATA POSITION QTDATA RTS_COMMAND RTS_POLYDATA RTS_QTDATA RTS_TDATA STATUS STP_POLYDATA "
+    "STP_QTDATA STP_TDATA STRING STT_POLYDATA STT_QTDATA STT_TDATA TDATA TRAJ TRANSFORM".split()
+)
+
+_NINE = 9
+
+#: (content, warning or "") for a content that the peer would misread as it is.
+Adapted = tuple[Any, str]
+
+
+def _readable_pixels(image: Image) -> Adapted:
+    """Slicer reads 32-bit integers as C ``long`` and takes all numbers as RAS."""
+    warning = ""
+    if image.scalar_type in (6, 7):
+        values = image.array.astype("<f4")
+        if (values.astype(np.float64) != image.array).any():
+            warning = "32-bit pixels beyond 2^24 are rounded: 3D Slicer takes them as float32 only"
+        image = replace(image, scalar_type=10, endian=2, pixels=values.reshape(-1).view(np.uint8).data)
+    if image.coordinate == LPS:
+        image = replace(image, coordinate=RAS, wire_matrix=flipped(image.wire_matrix))
+    return image, warning
+
+
+def _nine_components(content: PolyData) -> Adapted:
+    """The C++ reader takes nine components for every attribute but point scalars, vectors and normals (§6.15)."""
+    if all(attribute.type <= NORMAL for attribute in content.attributes):
+        return content, ""
+    return replace(content, attributes=tuple(map(_widened, content.attributes))), ""
+
+
+def _widened(attribute: Attribute) -> Attribute:
+    if attribute.type <= NORMAL or attribute.components == _NINE:
+        return attribute
+    data = np.zeros(attribute.tuples * _NINE, ">f4")
+    data[: min(len(data), len(attribute.data))] = attribute.data[: len(data)]
+    return replace(attribute, components=_NINE, data=data)
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """What is known of a kind of peer.
+
+    Attributes:
+        name: for options and configurations.
+        facts: (what is so, where that is known from); the reasons for the settings below.
+        first_version: header version to begin with.
+        max_version: highest header version that it may be sent.
+        reads: types that it may be sent, None for all; queries and their replies not counted.
+        queries: queries (GET_, STT_, STP_ types) that it may be sent, None for all that it reads.
+        replies: RTS_ types that it may be sent, None for all that it reads.
+        takes_empty: whether it survives a version 1 message without content of a type that should have one.
+        ping_ns: silence after which it is sent a GET_STATUS; 0 = never.
+        adapt: by class of content, how to send what it would misread.
+        shows: whether a message could only come from such a peer.
+    """
+
+    name: str
+    facts: tuple[tuple[str, str], ...]
+    first_version: int = 1
+    max_version: int = 2
+    reads: frozenset[str] | None = None
+    queries: frozenset[str] | None = None
+    replies: frozenset[str] | None = None
+    takes_empty: bool = False
+    ping_ns: int = 0
+    adapt: Mapping[type, Callable[[Any], Adapted]] = field(default_factory=dict)
+    shows: Callable[[Message], bool] = lambda message: False
+
+    def may_send(self, igtl_type: str) -> bool:
+        """Whether the peer may be sent a message of this type."""
+        prefix = split_query(igtl_type)
+        if prefix is None and igtl_type != "RTS_COMMAND":
+            return self.reads is None or igtl_type in self.reads
+        allowed = self.replies if igtl_type.startswith("RTS_") else self.queries
+        if allowed is None:
+            allowed = self.reads
+        return allowed is None or igtl_type in allowed
+
+
+def _metadata(message: Message) -> dict[str, str]:
+    return {item.key: item.text for item in message.metadata}
+
+
+def _is_slicer(message: Message) -> bool:
+    items = _metadata(message)
+    hello = isinstance(message.content, Status) and not message.device_name and items.get("dummy") == "dummy"
+    return hello or "MRMLNodeName" in items
+
+
+def _is_plus(message: Message) -> bool:
+    return message.type in ("TRACKEDFRAME", "USMESSAGE") or "TransformValid" in _metadata(message)
+
+
+DEFAULT = Profile(
+    "default",
+    facts=(
+        ("old readers take the extended header for content: wrong poses without an error", "§5, reproduced"),
+        ("programs on the C++ library wait for bytes of a message that has none", "reproduced with 1.11"),
+    ),
+)
+
+PROFILES: tuple[Profile, ...] = (
+    DEFAULT,
+    Profile(
+        "slicer",
+        facts=(
+            ("greets with a version 2 STATUS without name, metadata dummy=dummy", "§10.2; SlicerOpenIGTLink#110"),
+            ("pushed nodes carry the metadata MRMLNodeName", "§10.2"),
+            ("crashes on GET_, STT_, STP_ and on RTS_ other than of TDATA and COMMAND", "§10.1; OpenIGTLinkIO#94"),
+            ("ignores an empty body: its query then expires", "§10.1, reproduced"),
+            ("ignores the LPS flag; reads 32-bit integer pixels as C long", "§6.5, §10.1"),
+            ("reads nine components for most POLYDATA attributes", "§6.15, reproduced"),
+        ),
+        queries=frozenset(),
+        replies=frozenset({"RTS_TDATA", "RTS_COMMAND"}),
+        takes_empty=True,
+        adapt={Image: _readable_pixels, PolyData: _nine_components},
+        shows=_is_slicer,
+    ),
+    Profile(
+        "plus",
+        facts=(
+            ("loses the stream at a type that its factory does not name", "§10.4"),
+            ("drops a client that is silent; GET_STATUS is answered at once", "§10.4; PLUS documents"),
+            ("answers in the highest header version received", "§10.4; PlusLib#374"),
+            ("sends TRANSFORM with the metadata TransformValid, custom types TRACKEDFRAME, USMESSAGE", "§10.4"),
+            ("reads nine components for most POLYDATA attributes", "§6.15, reproduced"),
+        ),
+        first_version=2,
+        reads=CPP_FACTORY | {"CLIENTINFO"},
+        ping_ns=NS_PER_S // 4,
+        adapt={PolyData: _nine_components},
+        shows=_is_plus,
+    ),
+    Profile(
+        "brainlab",
+        facts=(
+            ("the operator has to approve every connection", "PLUS documents"),
+            ('sends IMAGE with an empty body for "none"', "OpenIGTLink#268"),
+            ("answers the end of a stream with RTS_TDATA", "PLUS documents"),
+            ("protocol version 2", "PLUS documents"),
+        ),
+        max_version=1,
+    ),
+    Profile(
+        "holoscan",
+        facts=(
+            ("its receiver throws on header version 1", "holohub, openigtlink operator"),
+            ("IMAGE only; other types are skipped", "holohub, openigtlink operator"),
+        ),
+        first_version=2,
+        reads=frozenset({"IMAGE", "STATUS"}),
+        queries=frozenset(),
+        replies=frozenset(),
+    ),
+    Profile(
+        "legacy-v1",
+        facts=(
+            ("libopenigtlink up to 2.x loses the stream at a version 2 header", "§5, §10.6, reproduced with 1.11"),
+            ("short forms of POSITION, COMMAND, VIDEO and metadata are unknown to it", "§10.6"),
+        ),
+        max_version=1,
+    ),
+)
+
+BY_NAME = {profile.name: profile for profile in PROFILES}
+
+#: The setting that lets a peer show what it is.
+AUTO = "auto"
+
+
+def shown_by(message: Message) -> Profile | None:
+    """The profile that only such a message can come from, None if many could have sent it."""
+    return next((profile for profile in PROFILES if profile.shows(message)), None)

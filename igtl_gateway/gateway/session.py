@@ -1,0 +1,60 @@
+"""The gateway with its numbering: raw inputs in, numbered entries out.  Still pure: the time is an argument."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.gateway.core import Gateway
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.stamp import ticks_to_ns
+from igtl_gateway.wire import Header
+from igtl_gateway.wire.fields import visible
+
+
+class Session:
+    """The door through which live traffic, replay and verification come to the gateway."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self.gateway = gateway
+        self._seq = 0
+        self._stamp_ns = 0
+
+    def input(
+        self,
+        now_ns: int,
+        kind: Kind,
+        payload: Sequence[Buffer],
+        *,
+        channel: str = "",
+        type_name: str = "",
+        links: tuple[int, ...] = (),
+        source_ns: int = 0,
+    ) -> list[Entry]:
+        """The entry of an input that arrived at ``now_ns`` (UTC), followed by what it caused.
+
+        OpenIGTLink input names its own channel, type and stamp: they are read from its header.
+        """
+        if kind is Kind.IGTL_IN:
+            header = Header.unpack(payload[0])
+            channel, type_name = stream_name(header), visible(header.type)
+            source_ns = ticks_to_ns(header.ticks)
+        # log order is time order, even where the host's clock steps back
+        entry = Entry(
+            self._seq + 1,
+            max(now_ns, self._stamp_ns + 1),
+            kind,
+            channel,
+            type_name,
+            payload,
+            links,
+            source_ns,
+        )
+        entries = [entry, *self.gateway.handle(entry)]
+        self._seq, self._stamp_ns = entries[-1].seq, entries[-1].stamp_ns
+        return entries
+
+
+def stream_name(header: Header) -> str:
+    """``TYPE/device`` of an OpenIGTLink header, as people read it."""
+    return f"{visible(header.type)}/{visible(header.device_name)}"

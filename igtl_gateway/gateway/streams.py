@@ -1,0 +1,178 @@
+"""Which stream goes where: everything that the hot path needs, resolved once for each stream.
+
+Names are given first come, first served: a second device that would get the same topic, or a second topic that
+would get the same device, gets its hash added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from igtl_gateway.config import IN_TOPIC, Config, ToIgtlRow, ToRosRow, device_of_topic
+from igtl_gateway.convert.igtl_msgs import MetadataItem
+from igtl_gateway.convert.names import frames_of, hashed, short_device_name, topic_token
+from igtl_gateway.convert.table import IgtlRow, Role, RosRow, row_to_igtl, rows_to_ros
+from igtl_gateway.convert.units import Lengths
+from igtl_gateway.qos import Qos
+
+#: Kind of the topic of a type without a conversion, and of what metadata says beside a standard message.
+RAW, METADATA = "raw", "metadata"
+
+_TF = "tf"
+
+
+@dataclass(frozen=True, slots=True)
+class ToIgtlStream:
+    """A ROS topic that is bridged.
+
+    Attributes:
+        row, conversion: of the configuration and of the conversion table.
+        device, full_name: on the wire, and before it was shortened.
+        lengths: units.
+        latched: whether a peer that comes later gets the last message.
+        row_metadata: of the configuration.
+    """
+
+    row: ToIgtlRow
+    conversion: IgtlRow
+    device: str
+    full_name: str
+    lengths: Lengths
+    latched: bool
+    row_metadata: tuple[MetadataItem, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ToRosStream:
+    """An OpenIGTLink stream that is bridged.
+
+    Attributes:
+        row: of the configuration.
+        outputs: rows of the conversion table with their topics.
+        raw_topic, metadata_topic: for what no row carries.
+        frame_id, child_frame_id: where neither configuration nor metadata name them.
+        lengths: units.
+    """
+
+    row: ToRosRow
+    outputs: tuple[tuple[RosRow, str], ...]
+    raw_topic: str
+    metadata_topic: str
+    frame_id: str
+    child_frame_id: str
+    lengths: Lengths
+
+
+class Streams:
+    """All streams of a session, in both directions."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._to_igtl: dict[tuple[str, str], ToIgtlStream | None] = {}
+        self._to_ros: dict[tuple[str, str], ToRosStream] = {}
+        self._tokens: dict[str, str] = {}  # topic token → device that owns it
+        self._devices: dict[str, str] = {}  # short device name → full name that owns it
+        self._qos: dict[str, Qos] = {}
+        self.news: list[tuple[str, str]] = []  # (stream, where it goes) of those that were opened since
+
+    def qos(self, topic: str) -> Qos | None:
+        """The QoS of a topic that the gateway publishes."""
+        return self._qos.get(topic)
+
+    def advertise(self, topic: str, qos: Qos) -> None:
+        """Say how a topic is published that is of no stream."""
+        self._qos[topic] = qos
+
+    # -- OpenIGTLink → ROS --------------------------------------------------------------------------------------
+
+    def to_ros(self, igtl_type: str, device: str) -> ToRosStream | None:
+        """The stream of a device, resolved on its first message; None beyond the limit of streams."""
+        key = (igtl_type, device)
+        stream = self._to_ros.get(key)
+        if stream is None and len(self._to_ros) < self._config.max_streams:
+            stream = self._to_ros[key] = self._resolve_device(igtl_type, device)
+        return stream
+
+    def _resolve_device(self, igtl_type: str, device: str) -> ToRosStream:
+        config = self._config
+        row = config.row_to_ros(igtl_type, device)
+        token = self._token(device)
+
+        def topic_of(kind: str) -> str:
+            template = row.topic if "{kind}" in row.topic or kind not in (RAW, METADATA) else IN_TOPIC
+            return template.format(device=token, kind=kind, type=topic_token(igtl_type.lower()))
+
+        parent, child = frames_of(topic_token(device), config.base_frame)
+        outputs = []
+        for conversion in self._chosen(row, rows_to_ros(igtl_type)):
+            topic = conversion.topic or topic_of(conversion.kind)
+            outputs.append((conversion, topic))
+            self._qos.setdefault(topic, row.qos or conversion.qos)
+        poses = any(conversion.kind == "transform" for conversion in rows_to_ros(igtl_type))
+        topics = ", ".join(dict.fromkeys(topic for _, topic in outputs)) or topic_of(RAW)
+        self.news.append((f"{igtl_type}/{device}", f"to {topics}"))
+        return ToRosStream(
+            row,
+            tuple(outputs),
+            topic_of(RAW),
+            topic_of(METADATA),
+            row.frame_id or (parent if poses else config.base_frame),
+            row.child_frame_id or child,
+            config.lengths(row),
+        )
+
+    def _chosen(self, row: ToRosRow, conversions: Sequence[RosRow]) -> Sequence[RosRow]:
+        """The rows of the conversion table that a stream with that row of the configuration goes by."""
+        added = {kind.removeprefix("+") for kind in row.kinds if kind.startswith("+")}
+        if row.kinds and len(added) < len(row.kinds):
+            return [one for one in conversions if one.kind in added.union(row.kinds)]
+        wanted = [one for one in conversions if one.role is not Role.ON_REQUEST or one.kind in added]
+        if not self._config.publish_tf:
+            wanted = [one for one in wanted if one.kind != _TF]
+        if "{kind}" in row.topic:
+            return wanted
+        # all messages of a topic are of one type: the standard one where there is one
+        return [one for one in wanted if one.role is Role.STANDARD] or wanted[:1]
+
+    def _token(self, device: str) -> str:
+        """The topic token of a device; a second device that would get the same one gets its hash added."""
+        token = topic_token(device)
+        while self._tokens.setdefault(token, device) != device:
+            token = f"{token}_{hashed(device)}"
+        return token
+
+    # -- ROS → OpenIGTLink --------------------------------------------------------------------------------------
+
+    def rows(self, topic: str, ros_type: str) -> tuple[ToIgtlRow | None, IgtlRow | None]:
+        """The row of the configuration for a topic, and the one of the conversion table that it leads to."""
+        row = self._config.row_to_igtl(topic)
+        return row, row_to_igtl(ros_type, row.type) if row else None
+
+    def to_igtl(self, topic: str, ros_type: str) -> ToIgtlStream | None:
+        """The stream of a topic, resolved on its first message; None where the topic is not bridged."""
+        key = (topic, ros_type)
+        if key not in self._to_igtl:
+            self._to_igtl[key] = self._resolve_topic(topic, ros_type)
+        return self._to_igtl[key]
+
+    def _resolve_topic(self, topic: str, ros_type: str) -> ToIgtlStream | None:
+        row, conversion = self.rows(topic, ros_type)
+        if not row or not conversion:
+            return None
+        kinds = {other.kind for other in rows_to_ros(conversion.igtl_type)}
+        last = topic.rpartition("/")[2]
+        full_name = row.device or device_of_topic(topic, last if last in kinds else "")
+        device = self.device(full_name)
+        name = f"{conversion.igtl_type}/{device}"
+        self.news.append((topic, f"to {name}" + (f" (for {full_name})" if device != full_name else "")))
+        latched = (row.qos or conversion.qos).latched
+        metadata = tuple(MetadataItem(key, 0, value) for key, value in row.metadata)
+        return ToIgtlStream(row, conversion, device, full_name, self._config.lengths(row), latched, metadata)
+
+    def device(self, full_name: str) -> str:
+        """The name of at most 20 bytes that stands for a full one."""
+        device = short_device_name(full_name)
+        while self._devices.setdefault(device, full_name) != full_name:
+            device = short_device_name(f"{full_name[:8]}_{hashed(device + full_name)}_{full_name}")
+        return device

@@ -1,0 +1,95 @@
+"""ROS frames on their way to OpenIGTLink, and poses on their way to /tf."""
+
+from __future__ import annotations
+
+import pytest
+
+from igtl_gateway.config import Config, TfOutRow
+from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.stamp import ns_to_ticks
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.query import Nothing
+from igtl_gateway.wire.transform import Transform
+from tests.script import T0_NS, Script
+
+UNIT = (0.0, 0.0, 0.0, 1.0)
+
+
+def tf(*edges: tuple[str, str, float], stamp_ns: int = T0_NS) -> TFMessage:
+    return TFMessage(
+        tuple(FrameTransform(Header(stamp_ns, parent), child, (x, 0.0, 0.0, *UNIT)) for parent, child, x in edges)
+    )
+
+
+def test_a_chain_is_composed_and_sent_with_each_change() -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("tool",), base="base"),)))
+    script.up(1)
+    assert script.ros("/tf_static", tf(("base", "arm", 1.0), stamp_ns=0)) == []
+    assert script.ros("/tf", tf(("arm", "tool", 0.5))) == ["igtl TRANSFORM/toolTobase v1 to 1"]
+    (message,) = script.sent()
+    assert isinstance(message.content, Transform)
+    assert message.content.wire_matrix[9:] == (1500.0, 0.0, 0.0) and message.ticks == ns_to_ticks(T0_NS)
+    assert script.ros("/tf", tf(("map", "odom", 9.0))) == [], "nothing of the chain has changed"
+    assert script.ros("/tf", tf(("arm", "tool", 0.6), stamp_ns=T0_NS + 5)) == ["igtl TRANSFORM/toolTobase v1 to 1"]
+
+
+def test_several_frames_are_tracking_data() -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("a", "b"), base="base", device="Tracker"),)))
+    script.up(1)
+    assert script.ros("/tf", tf(("base", "a", 0.1))) == ["igtl TDATA/Tracker v1 to 1"]
+    script.ros("/tf", tf(("base", "b", 0.2)))
+    elements = script.sent()[0].content.describe()["elements"]
+    assert [(one["name"], one["matrix"][0][3]) for one in elements] == [("a", 100.0), ("b", 200.0)]
+
+
+def test_what_does_not_move_is_told_to_whoever_comes_later() -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("arm",), base="base"),)))
+    script.ros("/tf_static", tf(("base", "arm", 1.0), stamp_ns=0))
+    assert script.up(1) == ["igtl TRANSFORM/armTobase v1 to 1"]
+
+
+def test_frames_are_found_by_queries() -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("tool",), base="base", device="Tool"),)))
+    script.ros("/tf", tf(("base", "tool", 0.5)))
+    script.up(1)
+    assert "igtl TRANSFORM/Tool v1 to 1" in script.igtl(Message("GET_TRANS", "Tool", Nothing()))
+
+
+def test_what_a_tracker_sends_is_part_of_the_tree() -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("Probe",), base="robot"),)))
+    script.up(1)
+    script.ros("/tf_static", tf(("robot", "Tracker", 1.0), stamp_ns=0))
+    pose = Transform((1, 0, 0, 0, 1, 0, 0, 0, 1, 250.0, 0, 0))
+    lines = script.igtl(Message("TRANSFORM", "ProbeToTracker", pose, ns_to_ticks(T0_NS)))
+    assert lines == ["ros /igtl/in/ProbeToTracker/transform", "igtl TRANSFORM/ProbeTorobot v1 to 1"]
+    content = script.sent()[0].content
+    assert isinstance(content, Transform) and content.wire_matrix[9] == 1250.0
+
+
+def test_tf_is_subscribed_only_where_frames_go_out() -> None:
+    assert Script().gateway.subscription("/tf", TFMessage.TYPE) is None
+    gateway = Script(Config(tf_out=(TfOutRow(frames=("tool",), base="base"),))).gateway
+    static = gateway.subscription("/tf_static", TFMessage.TYPE)
+    assert static is not None and static.latched
+    assert gateway.subscription("/tf", "std_msgs/msg/String") is None
+
+
+@pytest.mark.parametrize(
+    ("publish", "topics"), [(True, ["/igtl/in/AToB/transform", "/tf"]), (False, ["/igtl/in/AToB/transform"])]
+)
+def test_poses_appear_on_tf(publish: bool, topics: list[str]) -> None:
+    script = Script(Config(publish_tf=publish), news=True)
+    pose = Transform((1, 0, 0, 0, 1, 0, 0, 0, 1, 250.0, 0, 0))
+    script.igtl(Message("TRANSFORM", "AToB", pose, ns_to_ticks(T0_NS)))
+    assert [entry.channel for entry in script.last if entry.type and entry.kind.value == "ros_out"] == topics
+    if publish:
+        (transform,) = TFMessage.unpack(script.published("/tf")).transforms
+        assert transform == FrameTransform(Header(T0_NS, "B"), "A", (0.25, 0.0, 0.0, *UNIT))
+
+
+def test_garbage_on_tf_costs_itself() -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("tool",), base="base"),)))
+    script.up(1)
+    assert script.feed(Kind.ROS_IN, (b"\x00\x01\x00\x00\xff",), "/tf", TFMessage.TYPE) == ["note conversion"]
