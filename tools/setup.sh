@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
 # Installs what is missing, and nothing when nothing is.
 #
-#   tools/setup.sh venv     .venv with the package, its extras and the pins of constraints.txt
+#   tools/setup.sh venv     .venv with the package, its extras and the pins of constraints.txt, and in it the ROS
+#                           message packages that no wheel brings, compiled
 #   tools/setup.sh peers    what the C++ reference peer of the tests is built with
 #
 # System packages are installed where we are root or may sudo without a password; otherwise the command to type
-# is printed.  Without Python we stop; without the reference peer the tests that need it skip, with that reason.
+# is printed.  Without Python we stop; without the rest the tests that need it skip, with that reason.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -73,23 +74,45 @@ make_venv() {
 }
 
 setup_venv() {
-    local extras='ros,view,dev' attempt
+    local extras='ros,view,video,dev' attempt
     if [ -n "${AMENT_PREFIX_PATH:-}" ]; then
         # The wheels and a sourced ROS 2 do not go together in one environment.
         say "A ROS 2 environment is sourced: its rclpy is used, the ROS wheels are not installed."
-        extras='view,dev'
+        extras='view,video,dev'
     fi
     "$VENV/bin/python" -c 'import pip' 2>/dev/null || make_venv
     say "Installing Python packages into $VENV (about 1 GB, a few minutes, only once)."
     for attempt in 1 2 3; do
         if "$VENV/bin/python" -m pip install -qq --disable-pip-version-check --retries 10 \
             -c constraints.txt -e ".[$extras]" </dev/null; then
+            setup_interfaces
             return
         fi
         say "That failed (attempt $attempt of 3)."
         sleep "$attempt"
     done
     exit 1
+}
+
+setup_interfaces() {
+    local packages
+    mapfile -t packages < <("$VENV/bin/python" - <<'EOF'
+import shutil, sys, sysconfig
+from importlib.util import find_spec
+from pathlib import Path
+
+if not find_spec("ros_wheels_bootstrapper"):
+    sys.exit()  # nothing is compiled without the wheels
+if not (shutil.which("gcc") and shutil.which("g++")):
+    print("g++")
+if not Path(sysconfig.get_path("include"), "Python.h").is_file():
+    print("python%d.%d-dev" % sys.version_info[:2])
+EOF
+    )
+    [ "${#packages[@]}" -eq 0 ] || apt "${packages[@]}" || true
+    if ! "$VENV/bin/python" -m igtl_gateway.ros_interfaces >/dev/null; then
+        say "Going on without: programs and tests that import these packages will not run."
+    fi
 }
 
 setup_peers() {

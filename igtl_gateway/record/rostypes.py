@@ -1,8 +1,9 @@
 """Definitions of ROS message types for the file: ``ros2msg`` text and type hash.
 
-Looked for in this order: our own types, the types of ROS 2 Jazzy that rosbags knows by heart (no installation
-needed), and the ``.msg`` files of the installation: ``share/PACKAGE/msg/`` under each folder of
-``AMENT_PREFIX_PATH`` and under ``sys.prefix`` (where the ROS wheels put them).
+Looked for in this order: the types of the recording itself, the types of ROS 2 Jazzy that rosbags knows by heart (no
+installation needed), the ``.msg`` files of the installation, which are in ``share/PACKAGE/msg/`` under each folder of
+``AMENT_PREFIX_PATH`` and under ``sys.prefix`` (where the ROS wheels put them), and those that we bring
+(``ros_interfaces``).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.base import TypesysError
 
+from igtl_gateway.ros_interfaces.definitions import SHARES
 from igtl_gateway.session.layout import OWN_TYPES
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
@@ -39,12 +41,12 @@ class RosTypes:
     """Finds definitions; keeps what it has found.
 
     Args:
-        shares: folders to look for ``PACKAGE/msg/NAME.msg`` in; default: those of the installation.
+        shares: folders to look for ``PACKAGE/msg/NAME.msg`` in; default: those of the installation, then ours.
     """
 
     def __init__(self, shares: Sequence[Path] | None = None) -> None:
         self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._shares = installed_shares() if shares is None else tuple(shares)
+        self._shares = (*installed_shares(), *SHARES) if shares is None else tuple(shares)
         for name, text in OWN_TYPES.items():
             self._store.register(get_types_from_msg(text, name))
 

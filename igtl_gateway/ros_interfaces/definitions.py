@@ -1,4 +1,4 @@
-"""Where the definitions of the packages are: ``FOLDER/msg/NAME.msg`` and ``FOLDER/srv/NAME.srv``."""
+"""Where the definitions of the packages are."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from pathlib import Path
 #: The packages with a stand-in in ``python/``.
 PACKAGES = ("igtl_msgs", "tf2_msgs", "foxglove_msgs")
 
-_INSTALLED = Path(__file__).parent / "definitions"
-# In the source tree igtl_msgs is an ordinary ROS package; the wheel has a copy of it beside the others.
-_SOURCE_TREE = Path(__file__).parents[2] / "ros2"
+#: Where they are, as ``PACKAGE/msg/NAME.msg``.  In the source tree igtl_msgs is an ordinary ROS package beside ours;
+#: the wheel has it among the others.
+SHARES = (Path(__file__).parent / "definitions", Path(__file__).parents[2] / "ros2")
 
 
 def folder_of(package: str) -> Path:
     """The folder of ``package``, one of :data:`PACKAGES`."""
-    installed = _INSTALLED / package
-    return installed if installed.is_dir() else _SOURCE_TREE / package
+    return next(share / package for share in SHARES if (share / package).is_dir())
 
 
 def interface_files(package: str) -> list[Path]:
