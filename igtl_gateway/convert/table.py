@@ -18,6 +18,7 @@ from igtl_gateway.convert import (
     common_msgs,
     igtl_msgs,
     images,
+    lists,
     numbers,
     plans,
     poses,
@@ -30,8 +31,12 @@ from igtl_gateway.convert import (
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.qos import Qos
+from igtl_gateway.wire.bind import Bind
+from igtl_gateway.wire.capability import Capability
+from igtl_gateway.wire.colort import ColorTable
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.metalists import ImageMetaList, LabelMetaList, VideoMetaList
 from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
@@ -111,6 +116,12 @@ class IgtlRow:
 
 _POINT_LOSS = "names, groups and owners"
 _TEXT_LOSS = "bytes that are no text, and what stands behind a NUL"
+_LONG_TEXTS = "texts longer than their field"
+_SCAN_LOSS = f"{_TEXT_LOSS}; fractions of a nanosecond of scan times"
+_VIDEO_LOSS = (
+    f"{_TEXT_LOSS}; last bit of the focal length; matrices that are not finite, and signs of zeros in vectors "
+    "without length"
+)
 #: Measured: a rotation goes through float32 matrices and quaternions, and no number moves further.
 _ROUNDED = "rotations within 2e-7"
 _TO_FLOAT32 = f"double precision (float32; {_ROUNDED})"
@@ -332,6 +343,29 @@ TO_ROS: tuple[RosRow, ...] = (
         applies=plans.is_labeled,
         role=Role.FULL,
     ),
+    *(
+        RosRow(types, content, message, kind, convert, _SURFACES, lossy=lossy, role=Role.FULL)
+        for types, content, message, kind, convert, lossy in (
+            (("IMGMETA",), ImageMetaList, igtl_msgs.ImageMetaList, "images", lists.images_to_ros, _SCAN_LOSS),
+            (("LBMETA",), LabelMetaList, igtl_msgs.LabelMetaList, "labels", lists.labels_to_ros, _TEXT_LOSS),
+            (("VIDEOMETA",), VideoMetaList, igtl_msgs.VideoMetaList, "videos", lists.videos_to_ros, _VIDEO_LOSS),
+            (("COLORT", "COLORTABLE"), ColorTable, igtl_msgs.ColorTable, "color_table", lists.colors_to_ros, ""),
+            (
+                *(("CAPABILITY", "CAPABIL"), Capability, igtl_msgs.Capability),
+                *("capability", lists.capability_to_ros, _TEXT_LOSS),
+            ),
+        )
+    ),
+    RosRow(
+        ("BIND",),
+        Bind,
+        igtl_msgs.Bind,
+        "bind",
+        lists.bind_to_ros,
+        _TEXTS,
+        lossy=_TEXT_LOSS + ", padding",
+        role=Role.FULL,
+    ),
 )
 
 TO_IGTL: tuple[IgtlRow, ...] = (
@@ -435,6 +469,20 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         _SURFACES,
         f"double precision (float32), texts longer than their fields, {_HEADER_1}; only finite numbers are sent",
     ),
+    *(
+        IgtlRow(message, igtl_type, convert, _SURFACES, lossy)
+        for message, igtl_type, convert, lossy in (
+            (igtl_msgs.ImageMetaList, "IMGMETA", lists.images_to_igtl, _LONG_TEXTS),
+            (igtl_msgs.LabelMetaList, "LBMETA", lists.labels_to_igtl, _LONG_TEXTS),
+            (
+                *(igtl_msgs.VideoMetaList, "VIDEOMETA", lists.videos_to_igtl),
+                f"{_LONG_TEXTS}; double precision of directions, spacing and centre",
+            ),
+            (igtl_msgs.ColorTable, "COLORT", lists.colors_to_igtl, "byte order (big-endian)"),
+            (igtl_msgs.Capability, "CAPABILITY", lists.capability_to_igtl, "names above 12 bytes are refused"),
+        )
+    ),
+    IgtlRow(igtl_msgs.Bind, "BIND", lists.bind_to_igtl, _TEXTS, "names above 20 bytes"),
 )
 
 
