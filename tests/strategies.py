@@ -5,6 +5,7 @@ Numbers are drawn small and often at the edges: what breaks a codec is the shape
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +14,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from igtl_gateway.buffers import join
-from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert import common_msgs, igtl_msgs, rosmsg
+from igtl_gateway.convert.structs import OCTETS, Struct
 from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.bind import Bind, Child
 from igtl_gateway.wire.body import Body
@@ -471,9 +473,71 @@ def ros_messages(numbers: st.SearchStrategy[float] = any64) -> dict[str, st.Sear
     return {kind.TYPE: strategy for kind, strategy in table.items()}
 
 
+#: Words that mean something to conversions, among any others.
+_words = ros_text | st.sampled_from(["TDATA", "IMAGE", "h264", "H264", "mm/s^2", "STRING", "Tool"])
+
+#: Any bytes, and as many as small tables and pictures have.
+_octets = st.binary(max_size=96) | st.sampled_from([256, 768]).map(bytes)
+
+#: Name of a CDR type → its values; of structs and sequences of them ``of_fields`` knows.
+_VALUES: dict[str, st.SearchStrategy[Any]] = {
+    "bool": st.booleans(),
+    "int16": st.integers(-(2**15), 2**15 - 1),
+    "uint8": st.sampled_from([0, 1, 2, 3, 5, 10, 11, 13, 19]) | u8,
+    "uint16": u16,
+    "uint32": u32,
+    "uint64": u64,
+    "float32": any32,
+    "float64": any64,
+    "string": _words,
+    "string[]": st.lists(_words, max_size=4).map(tuple),
+    "uint8[4]": st.tuples(u8, u8, u8, u8),
+    "uint16[3]": st.tuples(u16, u16, u16) | st.tuples(small, small, small),
+    "builtin_interfaces/Time": st.integers(0, 2**32 * 10**9 // 2 - 1),
+    "std_msgs/Header": headers,
+}
+
+
+def _numbers(name: str) -> st.SearchStrategy[Any]:
+    """Values of a type that is made of equal numbers."""
+    kinds = {"geometry_msgs/Point": (3, any64), "geometry_msgs/Pose": (7, any64)}
+    base, bracket, count = name.partition("[")
+    columns, number = kinds.get(base, (1, _VALUES.get(base, st.integers(-100, 100))))
+    if not bracket or count != "]":
+        size = int(count.rstrip("]")) if bracket else columns
+        return st.lists(number, min_size=size, max_size=size).map(tuple)
+    dtype = np.dtype(base if columns == 1 else "float64")
+    rows = st.lists(st.lists(number, min_size=columns, max_size=columns), max_size=4)
+    return rows.map(lambda values: np.array(values, dtype).reshape((-1, columns) if columns > 1 else -1))
+
+
+STRUCTS: dict[str, type[Struct]] = {
+    kind.TYPE: kind
+    for kind in (*vars(igtl_msgs).values(), *vars(common_msgs).values(), *common_msgs.MULTI_ARRAYS.values())
+    if isinstance(kind, type) and issubclass(kind, Struct) and hasattr(kind, "TYPE")
+}
+
+
+@functools.cache
+def of_fields(kind: type[Struct]) -> st.SearchStrategy[Any]:
+    """Messages that are told by field tables: any values that the fields hold."""
+
+    def value(name: str) -> st.SearchStrategy[Any]:
+        if name in _VALUES:
+            return _VALUES[name]
+        if name in STRUCTS:
+            return of_fields(STRUCTS[name])
+        if name.removesuffix("[]") in STRUCTS:
+            return st.lists(of_fields(STRUCTS[name.removesuffix("[]")]), max_size=3).map(tuple)
+        return _numbers(name)
+
+    return st.builds(kind, *(_octets if cdr is OCTETS else value(cdr.name) for cdr in kind.FIELDS))
+
+
 def packed(kind: str) -> st.SearchStrategy[bytes]:
     """CDR bytes of one type: mostly good, sometimes damaged, sometimes garbage."""
-    good: st.SearchStrategy[bytes] = ros_messages()[kind].map(_pack)
+    messages: st.SearchStrategy[Any] = of_fields(STRUCTS[kind]) if kind in STRUCTS else ros_messages()[kind]
+    good: st.SearchStrategy[bytes] = messages.map(_pack)
     return good | damaged(good, 4) | st.binary(max_size=60).map(lambda data: b"\x00\x01\x00\x00" + data)
 
 
