@@ -56,13 +56,11 @@ class Sensor:
         return cls(np.frombuffer(content[_HEAD.size :], _VALUES), unit, status)
 
     def pack(self) -> list[Buffer]:
-        if len(self.values) > MAX_VALUES:
-            raise MalformedBody("SENSOR", f"{len(self.values)} values", f"at most {MAX_VALUES}")
         try:
             head = _HEAD.pack(len(self.values), self.status, self.unit)
         except struct.error as error:
-            found = f"status {self.status}, unit {self.unit}"
-            raise MalformedBody("SENSOR", found, f"8 and 64 bits ({error})") from None
+            found = f"{len(self.values)} values, status {self.status}, unit {self.unit}"
+            raise MalformedBody("SENSOR", found, f"at most {MAX_VALUES} values, 8 and 64 bits ({error})") from None
         # at most 2 KiB: one buffer is cheaper than a second one
         return [head + np.asarray(self.values, _VALUES).tobytes()]
 
