@@ -8,9 +8,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.context import ToIgtl, ToRos
 from igtl_gateway.convert.poses import (
     matrix_of,
+    pose_to_position,
+    pose_to_transform,
     position_to_igtl,
     position_to_ros,
     transform_to_igtl,
@@ -37,7 +40,7 @@ def transform(rows: Rows) -> Transform:
 def sent(rotation: tuple[float, float, float, float]) -> Transform:
     message = TransformStamped(Header(7, "p"), "c", (0.001, 0.002, 0.003), rotation)
     out = transform_to_igtl(message, ToIgtl())
-    assert out.stamp_ns == 7
+    assert (out.stamp_ns, out.frame_id, out.child_frame_id) == (7, "p", "c")
     assert isinstance(out.content, Transform)
     return out.content
 
@@ -145,16 +148,20 @@ def test_quaternions_without_a_direction(quaternion: tuple[float, float, float, 
 def test_translations_without_a_place(x: float) -> None:
     message = TransformStamped(Header(), "", (x, 0, 0), (0, 0, 0, 1))
     for convert in (transform_to_igtl, position_to_igtl):
-        with pytest.raises(ConversionError):
+        with pytest.raises(ConversionError, match="TransformStamped: found"):
             convert(message, ToIgtl())
+    pose = PoseStamped(Header(), (x, 0, 0, 0, 0, 0, 1))
+    for convert_pose in (pose_to_transform, pose_to_position):
+        with pytest.raises(ConversionError, match="PoseStamped: found"):
+            convert_pose(pose, ToIgtl())
 
 
 def test_position_golden() -> None:
     message = position_to_ros(Position((1000, -2, 0.5), (0, 0, 0, 2)), to_ros())
     assert (message.translation, message.rotation) == ((1, -0.002, 0.0005), (0, 0, 0, 1))
-    out = position_to_igtl(TransformStamped(Header(9), "", (1, -0.002, 0.0005), (0, 0, 3, 4)), ToIgtl())
+    out = position_to_igtl(TransformStamped(Header(9, "p"), "c", (1, -0.002, 0.0005), (0, 0, 3, 4)), ToIgtl())
     assert out.content == Position((1000, -2, 0.5), (0, 0, 0.6, 0.8))
-    assert out.stamp_ns == 9
+    assert (out.stamp_ns, out.frame_id, out.child_frame_id) == (9, "p", "c")
 
 
 def test_configured_units() -> None:
@@ -162,3 +169,14 @@ def test_configured_units() -> None:
     assert position_to_ros(Position((10, 20, 30)), to).translation == (1, 2, 3)
     message = TransformStamped(Header(), "", (1, 2, 3), (0, 0, 0, 1))
     assert transform_to_igtl(message, ToIgtl(Lengths("m", "m"))).content.wire_matrix[9:] == (1, 2, 3)  # type: ignore[attr-defined]
+
+
+@given(quaternions)
+def test_a_pose_is_sent_as_the_transform_with_its_numbers(q: tuple[float, float, float, float]) -> None:
+    pose = PoseStamped(Header(7, "p"), (0.001, 0.002, 0.003, *q))
+    out = pose_to_transform(PoseStamped.unpack(pose.pack()), ToIgtl())
+    assert (out.stamp_ns, out.frame_id, out.child_frame_id) == (7, "p", "")
+    assert out.content == sent(q)
+    out = pose_to_position(pose, ToIgtl())
+    assert (out.stamp_ns, out.frame_id, out.child_frame_id) == (7, "p", "")
+    assert out.content == position_to_igtl(TransformStamped(Header(), "", pose.pose[:3], q), ToIgtl()).content

@@ -1,0 +1,57 @@
+"""Texts of element lists: what people read, what fits, what is said when it does not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from igtl_gateway.convert.columns import set_texts, texts
+from igtl_gateway.convert.context import ToIgtl
+
+WIDTH = 8
+
+
+def elements(*values: bytes) -> Any:
+    return np.array([(value,) for value in values], [("name", f"S{WIDTH}")])
+
+
+def test_texts_are_read_up_to_their_first_nul() -> None:
+    assert texts(elements(b"abc", b"", b"12345678", b"a\x00b", b"\xff\xc3\xa9"), "name") == [
+        "abc",
+        "",
+        "12345678",
+        "a",
+        "\ufffdé",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "stored"),
+    [
+        ("", b""),
+        ("1234567", b"1234567"),
+        ("a\x00b", b"a"),
+        ("éééé", "ééé".encode()),  # 8 bytes: the last one would have no room for its second half
+        ("12345678", b"1234567"),
+    ],
+)
+def test_texts_are_cut_between_characters(text: str, stored: bytes) -> None:
+    array = elements(b"old", b"old")
+    to = ToIgtl()
+    set_texts(array, "name", ["x", text], to)
+    assert array["name"].tolist() == [b"x", stored]
+    cut = stored not in (text.encode(), b"a")
+    assert [code for code, _ in to.warnings] == ["text_cut"] * cut
+
+
+def test_one_warning_tells_of_all() -> None:
+    to = ToIgtl()
+    set_texts(elements(b"", b"", b""), "name", ["first one", "ok", "second one"], to)
+    assert to.warnings == [("text_cut", "name 'first one' and 1 more cut to 7 bytes")]
+
+
+def test_no_elements() -> None:
+    set_texts(elements(), "name", [], ToIgtl())
+    assert texts(elements(), "name") == []
