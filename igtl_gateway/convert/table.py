@@ -122,7 +122,7 @@ _VIDEO_LOSS = (
     f"{_TEXT_LOSS}; last bit of the focal length; matrices that are not finite, and signs of zeros in vectors "
     "without length"
 )
-#: Measured: a rotation goes through float32 matrices and quaternions, and no number moves further.
+#: Of every number of a rotation that goes through float32, as matrix or as quaternion.  Measured: 7e-8.
 _ROUNDED = "rotations within 2e-7"
 _TO_FLOAT32 = f"double precision (float32; {_ROUNDED})"
 _HEADER_1 = "frame ids and metadata toward peers of header version 1"
