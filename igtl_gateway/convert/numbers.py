@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -33,6 +34,8 @@ from igtl_gateway.wire.sensor import MAX_VALUES, Sensor, parse_unit, unit_text
 MAX_SIZE = 65_535
 
 _RADIANS = parse_unit("rad")
+#: A stream has one unit, and its text takes longer than the rest of the conversion.
+_text_of_unit = lru_cache(maxsize=256)(unit_text)
 
 
 def sensor_to_ros(content: Sensor, to: ToRos) -> igtl_msgs.Sensor:
@@ -41,7 +44,7 @@ def sensor_to_ros(content: Sensor, to: ToRos) -> igtl_msgs.Sensor:
         Header(to.stamp_ns, to.frame_id),
         content.status,
         content.unit,
-        unit_text(content.unit),
+        _text_of_unit(content.unit),
         content.values,
         to.metadata,
     )
