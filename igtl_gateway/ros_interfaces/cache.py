@@ -28,7 +28,7 @@ _BUILD = Path(__file__).with_name("build.py")
 _SOURCES = (_BUILD, _BUILD.with_name("dispatch.h"))
 #: Only the ROS wheels have it, and only with them do we compile: a sourced ROS 2 has colcon for that.
 _MARK_OF_THE_WHEELS = "ros_wheels_bootstrapper"
-#: From where the installation prefix of the wheels is looked for.
+#: One of the wheels without which nothing can be compiled.
 _A_GENERATOR = "rosidl_generator_py"
 
 
@@ -53,8 +53,8 @@ def compiled(package: str, folders: Sequence[Path]) -> Path:
     Raises:
         ImportError: as in :func:`package_path`.
     """
-    prefix = _wheels_prefix(package)
-    wanted = Path(_key(package, prefix)) / package
+    wheels = _wheels(package)
+    wanted = Path(_key(package, wheels)) / package
     found = next((folder / wanted for folder in folders if (folder / wanted).is_dir()), None)
     if found:
         return found
@@ -68,20 +68,18 @@ def compiled(package: str, folders: Sequence[Path]) -> Path:
             # One at a time by the lock, so what lies there is left over from a process that was killed.
             work = root / f"{package}.work"
             shutil.rmtree(work, ignore_errors=True)
-            _compile(package, prefix, work)
+            _compile(package, _prefix(wheels), work)
             (root / wanted).parent.mkdir(exist_ok=True)
             (work / "result" / package).rename(root / wanted)
             shutil.rmtree(work)
     return root / wanted
 
 
-def _wheels_prefix(package: str) -> Path:
-    """The folder below which the ROS wheels have put ``share``, ``include`` and ``lib``."""
+def _wheels(package: str) -> Path:
+    """The folder of Python packages that the ROS wheels are in; ImportError without them."""
     generator = find_spec(_A_GENERATOR)
     if find_spec(_MARK_OF_THE_WHEELS) and generator and generator.origin:
-        for folder in Path(generator.origin).parents:
-            if (folder / "share" / _A_GENERATOR).is_dir():
-                return folder
+        return Path(generator.origin).parents[1]
     if find_spec("rclpy") is None:
         raise ImportError(f"{package} needs ROS 2: pip install 'igtl-gateway[ros]', or source one", name=package)
     if package == "igtl_msgs":
@@ -91,13 +89,15 @@ def _wheels_prefix(package: str) -> Path:
     raise ImportError(f"{package} is not part of this ROS 2 installation: {advice}", name=package)
 
 
-def _key(package: str, prefix: Path) -> str:
+def _prefix(wheels: Path) -> Path:
+    """The folder below which they have put ``share``, ``include`` and ``lib``."""
+    return next(folder for folder in wheels.parents if (folder / "share" / _A_GENERATOR).is_dir())
+
+
+def _key(package: str, wheels: Path) -> str:
     """A name that changes with all that the compiled package depends on."""
-    packages = sysconfig.get_path("platlib", vars={"base": str(prefix), "platbase": str(prefix)})
-    installed = sorted(
-        path.name for path in Path(packages).glob("*.dist-info") if path.name.startswith(("ros_", "numpy-"))
-    )
-    parts: list[object] = [prefix, sys.version, sysconfig.get_config_var("EXT_SUFFIX"), installed]
+    versions = sorted(path.name for kind in ("ros_*", "numpy-*") for path in wheels.glob(f"{kind}.dist-info"))
+    parts: list[object] = [wheels, sys.version, sysconfig.get_config_var("EXT_SUFFIX"), versions]
     for path in [*_SOURCES, *interface_files(package)]:
         parts += [path.name, path.read_bytes()]
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]

@@ -1,0 +1,38 @@
+"""``python -m igtl_gateway.ros_interfaces``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.ros_interfaces import __main__ as program
+from igtl_gateway.ros_interfaces.definitions import PACKAGES
+
+
+def test_every_package_is_named_with_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    installed = tmp_path / "tf2_msgs" / "__init__.py"
+    installed.parent.mkdir()
+    installed.touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(program, "package_path", lambda package: [f"/compiled/{package}"])
+    assert program.main() == 0
+    told = capsys.readouterr().out.splitlines()
+    places = {package: f"/compiled/{package}" for package in PACKAGES}
+    places["tf2_msgs"] = f"{installed.parent} (installed)"
+    assert told == [f"{package}: {places[package]}" for package in PACKAGES]
+
+
+def test_a_package_that_cannot_be_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def package_path(package: str) -> list[str]:
+        if package == "tf2_msgs":
+            return ["/compiled/tf2_msgs"]
+        raise ImportError(f"{package}: no compiler")
+
+    monkeypatch.setattr(program, "package_path", package_path)
+    assert program.main() == 1
+    told = capsys.readouterr()
+    assert told.out == "tf2_msgs: /compiled/tf2_msgs\n"
+    assert told.err == "igtl_msgs: no compiler\nfoxglove_msgs: no compiler\n"
