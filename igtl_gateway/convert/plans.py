@@ -85,7 +85,7 @@ def trajectories_to_lines(content: Trajectories, to: ToRos) -> Marker:
 def is_labeled(content: Points) -> bool:
     """Whether any point has a name, a group or an owner; or there is no point, which clears those that had.
 
-    Looks at three bytes of each point: a cloud of 10,000 nameless ones costs 0.04 ms.
+    Looks at three bytes of each point: a cloud of 10,000 nameless ones costs less than 0.1 ms.
     """
     elements = content.elements
     first = elements.view(_FIRST_BYTES)
