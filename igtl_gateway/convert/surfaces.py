@@ -119,7 +119,9 @@ def marker_to_igtl(message: Marker, to: ToIgtl) -> Outgoing:
         attributes = (Attribute.of(SCALAR, RGBA_NAME, message.colors),)
     elif len(message.colors):
         to.warnings.append(("colours_left_out", f"{len(message.colors)} colours for {count} points"))
-    cells: dict[str, Any] = {"vertices": NO_CELLS, "lines": NO_CELLS, "polygons": NO_CELLS} | {section: Cells.of(indices)}
+    cells: dict[str, Any] = {"vertices": NO_CELLS, "lines": NO_CELLS, "polygons": NO_CELLS} | {
+        section: Cells.of(indices)
+    }
     return Outgoing(PolyData(points, **cells, attributes=attributes), message.header.stamp_ns, message.header.frame_id)
 
 
