@@ -57,8 +57,9 @@ class VolumeAssembler:
         whole[part] = image.array
         self._whole = whole
         if self._seen is not None:
-            self._seen[part] = True
-            self.missing = int(self._seen.size - np.count_nonzero(self._seen))
+            seen = self._seen[part]
+            self.missing -= seen.size - int(np.count_nonzero(seen))
+            seen[...] = True
             if self.missing:
                 return None
             self._seen = None

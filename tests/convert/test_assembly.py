@@ -1,0 +1,186 @@
+"""Volumes put together of their parts, against an array that is filled in the plain way."""
+
+from __future__ import annotations
+
+import tracemalloc
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from igtl_gateway.convert.assembly import MAX_VOLUME_BYTES, VolumeAssembler
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.wire.image import SCALARS, Image
+
+Triple = tuple[int, int, int]
+_ORDER = {1: ">", 2: "<"}
+
+
+def part(
+    values: npt.NDArray[Any], offset: Triple, size: Triple, scalar: int = 5, endian: int = 2, **other: Any
+) -> Image:
+    """The part of ``values`` (k, j, i, components) as it is sent."""
+    (x, y, z), (nx, ny, nz) = offset, size
+    k, j, i, components = values.shape
+    cut = values[z : z + nz, y : y + ny, x : x + nx].astype(_ORDER[endian] + SCALARS[scalar])
+    return Image((i, j, k), scalar, cut.tobytes(), components, endian, subvol_offset=offset, subvol_size=size, **other)
+
+
+def numbered(size: Triple, components: int = 1, start: int = 0) -> npt.NDArray[Any]:
+    i, j, k = size
+    return (np.arange(i * j * k * components) + start).reshape(k, j, i, components)
+
+
+def test_a_whole_image_passes_as_it_is() -> None:
+    assembler = VolumeAssembler()
+    image = part(numbered((4, 3, 2)), (0, 0, 0), (4, 3, 2))
+    assert assembler.update(image) is image
+    assert assembler.missing == 0
+
+
+def test_slice_by_slice() -> None:
+    values = numbered((4, 3, 2))
+    assembler = VolumeAssembler()
+    assert assembler.update(part(values, (0, 0, 1), (4, 3, 1))) is None
+    assert assembler.missing == 12
+    assert assembler.update(part(values, (0, 0, 1), (4, 3, 1))) is None
+    assert assembler.missing == 12
+    whole = assembler.update(part(values, (0, 0, 0), (4, 3, 1)))
+    assert whole is not None
+    assert assembler.missing == 0
+    assert (whole.array == values).all()
+    assert whole.sub_size == whole.dimensions == (4, 3, 2)
+    whole.check()
+
+
+def test_an_update_of_a_whole_image_changes_nothing_handed_out() -> None:
+    assembler = VolumeAssembler()
+    first = part(numbered((4, 3, 2)), (0, 0, 0), (4, 3, 2))
+    assembler.update(first)
+    before = bytes(first.pixels)
+    second = assembler.update(part(numbered((4, 3, 2), start=100), (1, 1, 0), (2, 2, 1)))
+    assert second is not None
+    kept = bytes(second.pixels)
+    third = assembler.update(part(numbered((4, 3, 2), start=200), (0, 0, 0), (1, 1, 2)))
+    assert third is not None
+    assert bytes(first.pixels) == before
+    assert bytes(second.pixels) == kept
+    expected = numbered((4, 3, 2))
+    expected[0, 1:3, 1:3] += 100
+    assert (second.array == expected).all()
+    expected[0:2, 0, 0] += 200
+    assert (third.array == expected).all()
+
+
+def test_geometry_is_that_of_the_newest_message() -> None:
+    values = numbered((2, 2, 1))
+    assembler = VolumeAssembler()
+    moved = (2.0, *Image.IDENTITY[1:])
+    assembler.update(part(values, (0, 0, 0), (2, 2, 1)))
+    whole = assembler.update(part(values, (0, 0, 0), (1, 1, 1), coordinate=2, wire_matrix=moved))
+    assert whole is not None
+    assert (whole.coordinate, whole.wire_matrix) == (2, moved)
+
+
+@pytest.mark.parametrize("scalar", sorted(SCALARS))
+@pytest.mark.parametrize(("base", "update"), [(1, 2), (2, 1), (1, 1)])
+def test_byte_orders_meet(scalar: int, base: int, update: int) -> None:
+    values = numbered((3, 2, 2), 2)
+    assembler = VolumeAssembler()
+    assembler.update(part(values, (0, 0, 0), (3, 2, 2), scalar, base))
+    whole = assembler.update(part(values + 50, (1, 0, 1), (2, 2, 1), scalar, update))
+    assert whole is not None
+    values[1:2, :, 1:3] += 50
+    assert (whole.array == values).all()
+
+
+def test_bits_of_floats_are_not_looked_at() -> None:
+    """A signalling NaN stays one, in either byte order."""
+    nan = bytes.fromhex("7fa00001")
+    assembler = VolumeAssembler()
+    assembler.update(Image((2, 1, 1), 10, bytes(8), endian=2))
+    whole = assembler.update(Image((2, 1, 1), 10, nan, endian=1, subvol_offset=(1, 0, 0), subvol_size=(1, 1, 1)))
+    assert whole is not None
+    assert bytes(whole.pixels) == bytes(4) + nan[::-1]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        part(numbered((4, 3, 3)), (0, 0, 0), (4, 3, 1)),
+        part(numbered((3, 4, 2)), (0, 0, 0), (3, 4, 1)),
+        part(numbered((4, 3, 2), 2), (0, 0, 0), (4, 3, 1)),
+        part(numbered((4, 3, 2)), (0, 0, 0), (4, 3, 1), scalar=4),
+    ],
+    ids=["slices", "turned", "components", "scalar type"],
+)
+def test_another_kind_of_volume_starts_anew(other: Image) -> None:
+    assembler = VolumeAssembler()
+    assembler.update(part(numbered((4, 3, 2)), (0, 0, 0), (4, 3, 2)))
+    assert assembler.update(other) is None
+    assert assembler.missing == 12 * (other.dimensions[2] - 1)
+    # the first is forgotten
+    assert assembler.update(part(numbered((4, 3, 2)), (0, 0, 0), (4, 3, 1))) is None
+
+
+@pytest.mark.parametrize("size", [(0, 0, 0), (0, 2, 2), (2, 0, 2)])
+def test_parts_of_nothing(size: Triple) -> None:
+    assembler = VolumeAssembler()
+    assert assembler.update(part(numbered((2, 2, 2)), (0, 0, 0), size)) is None
+    assert assembler.missing == 8
+
+
+def test_an_image_without_pixels_is_complete() -> None:
+    whole = VolumeAssembler().update(part(numbered((0, 2, 2)), (0, 0, 0), (0, 1, 1)))
+    assert whole is not None
+    assert (whole.dimensions, bytes(whole.pixels)) == ((0, 2, 2), b"")
+
+
+def test_a_volume_beyond_the_limit_is_refused_before_memory_is_taken() -> None:
+    assembler = VolumeAssembler()
+    image = part(numbered((4, 3, 2)), (0, 0, 0), (4, 3, 2))
+    assembler.update(image)
+    tracemalloc.start()
+    huge = Image((65535, 65535, 65535), 11, bytes(8), subvol_size=(1, 1, 1))
+    huge.check()
+    with pytest.raises(ConversionError, match=f"expected {MAX_VOLUME_BYTES} at most"):
+        assembler.update(huge)
+    assert tracemalloc.get_traced_memory()[1] < 100_000
+    tracemalloc.stop()
+    # and the volume that was there is still there
+    whole = assembler.update(replace(image, pixels=b"\xff\xff", subvol_size=(1, 1, 1)))
+    assert whole is not None
+    assert whole.array[0, 0, 0, 0] == 0xFFFF
+    assert bytes(whole.pixels)[2:] == bytes(image.pixels)[2:]
+
+
+@st.composite
+def regions(draw: st.DrawFn) -> tuple[Triple, Triple]:
+    offset = (draw(st.integers(0, 2)), draw(st.integers(0, 1)), draw(st.integers(0, 1)))
+    size = tuple(draw(st.integers(0, n - at)) for n, at in zip((3, 2, 2), offset, strict=True))
+    return offset, (size[0], size[1], size[2])
+
+
+@given(st.lists(st.tuples(regions(), st.sampled_from([1, 2])), max_size=12))
+def test_as_an_array_that_is_filled(updates: list[tuple[tuple[Triple, Triple], int]]) -> None:
+    assembler = VolumeAssembler()
+    expected = np.full((2, 2, 3, 1), -1)
+    handed_out: list[tuple[Image, bytes]] = []
+    for start, ((offset, size), endian) in enumerate(updates):
+        values = numbered((3, 2, 2), start=100 * start)
+        (x, y, z), (nx, ny, nz) = offset, size
+        where = (slice(z, z + nz), slice(y, y + ny), slice(x, x + nx))
+        expected[where] = values[where]
+        whole = assembler.update(part(values, offset, size, 5, endian))
+        assert assembler.missing == np.count_nonzero(expected < 0)
+        if assembler.missing:
+            assert whole is None
+        else:
+            assert whole is not None
+            assert (whole.array == expected).all()
+            handed_out.append((whole, bytes(whole.pixels)))
+    assert all(bytes(image.pixels) == pixels for image, pixels in handed_out)
