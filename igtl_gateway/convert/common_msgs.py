@@ -133,20 +133,22 @@ class MultiArrayLayout(Struct):
 
 
 @dataclass(frozen=True, slots=True)
-class _MultiArray(Struct):
+class MultiArray(Struct):
+    """Base of the classes in ``MULTI_ARRAYS``."""
+
     layout: MultiArrayLayout
     data: Array
 
 
-def _multi_array(name: str, number: str) -> type[_MultiArray]:
-    kind = type(name, (_MultiArray,), {"__slots__": (), "__doc__": f"std_msgs/msg/{name}: data (n,) {number}."})
+def _multi_array(name: str, number: str) -> type[MultiArray]:
+    kind = type(name, (MultiArray,), {"__slots__": (), "__doc__": f"std_msgs/msg/{name}: data (n,) {number}."})
     kind.TYPE = f"std_msgs/msg/{name}"  # type: ignore[attr-defined]
     kind.FIELDS = (nested(MultiArrayLayout), numbers(number))  # type: ignore[attr-defined]
     return kind
 
 
 #: numpy type → class of std_msgs that holds such an array: Int8MultiArray … Float64MultiArray.
-MULTI_ARRAYS: dict[str, type[_MultiArray]] = {
+MULTI_ARRAYS: dict[str, type[MultiArray]] = {
     np.dtype(number).str[1:]: _multi_array(f"{name}MultiArray", number)
     for name, number in (
         *(("Int8", "int8"), ("UInt8", "uint8"), ("Int16", "int16"), ("UInt16", "uint16")),

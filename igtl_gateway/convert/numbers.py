@@ -18,11 +18,9 @@ from igtl_gateway.convert.common_msgs import (
     MULTI_ARRAYS,
     Array,
     JointState,
+    MultiArray,
     MultiArrayDimension,
     MultiArrayLayout,
-)
-from igtl_gateway.convert.common_msgs import (
-    _MultiArray as MultiArray,
 )
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.rosmsg import Header

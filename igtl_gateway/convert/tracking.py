@@ -1,13 +1,15 @@
 """TDATA and QTDATA ⇄ igtl_msgs/TrackingData, → geometry_msgs/PoseArray; poses of all types → tf2_msgs/TFMessage.
 
-A frame of tracking counts as a whole: one tool that no pose can express costs the message, because a list of
-poses without one of them would give the rest wrong numbers.  Tools are few, so they are read one by one, with
-the arithmetic of ``poses``; on the way out the same formulas work on columns, to the same bits.
+A tool that no pose can express (trackers send zeros for one that is out of sight) costs itself, with a warning,
+not the others: it is left out where tools have names, and not a number where they are counted.  Tools are few, so
+they are read one by one, with the arithmetic of ``poses``; on the way out the same formulas work on columns, to the
+same bits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,28 +31,35 @@ Array = npt.NDArray[Any]
 Tracking = wire.TrackingData | wire.QuaternionTrackingData
 
 _POSE_COLUMNS = 7
+_NO_POSE = (float("nan"),) * _POSE_COLUMNS
 
 
 def tracking_to_ros(content: Tracking, to: ToRos) -> TrackingData:
-    """Raises ConversionError for a tool whose matrix or quaternion is no pose."""
+    """All tools but those whose matrix or quaternion is no pose."""
     types = content.elements["type"].tolist()
-    tools = (TrackedTool(name, kind, pose) for (name, pose), kind in zip(_tools(content, to), types, strict=True))
+    tools = (
+        TrackedTool(name, kind, pose)
+        for (name, pose), kind in zip(_tools(content, to), types, strict=True)
+        if pose is not None
+    )
     return TrackingData(Header(to.stamp_ns, to.frame_id), tuple(tools), to.metadata)
 
 
 def tracking_to_poses(content: Tracking, to: ToRos) -> PoseArray:
-    """The poses in the order of the tools.  Raises ConversionError as ``tracking_to_ros``."""
-    poses = np.array([pose for _, pose in _tools(content, to)]).reshape(-1, _POSE_COLUMNS)
+    """The poses in the order of the tools; NaN for a tool that is no pose."""
+    poses = np.array([pose or _NO_POSE for _, pose in _tools(content, to)], float).reshape(-1, _POSE_COLUMNS)
     return PoseArray(Header(to.stamp_ns, to.frame_id), poses)
 
 
 def tracking_to_tf(content: Tracking, to: ToRos) -> TFMessage:
     """Each tool as a frame: a name ``AToB`` is A in B, any other one is a child of the stream's frame.
 
-    A tool without name gets that of the device with its index.  Raises ConversionError as ``tracking_to_ros``.
+    A tool without name gets that of the device with its index.  Tools that are no pose are left out.
     """
     frames = []
     for index, (name, pose) in enumerate(_tools(content, to)):
+        if pose is None:
+            continue
         if name:
             parent, child = frames_of(topic_token(name), to.frame_id)
         else:
@@ -84,17 +93,25 @@ def _tf(frames: Iterable[tuple[str, str, Pose]], to: ToRos) -> TFMessage:
     return TFMessage(tuple(transforms))
 
 
-def _tools(content: Tracking, to: ToRos) -> list[tuple[str, Pose]]:
-    """Name and pose of each tool."""
+def _tools(content: Tracking, to: ToRos) -> list[tuple[str, Pose | None]]:
+    """Name and pose of each tool; None and a warning for what is no pose."""
     elements = content.elements
     names = texts(elements, "name")
     places = [f"{content.NAME} {to.device_name!r}, tool {name!r}" for name in names]
+    readers: Iterable[Callable[[], Pose]]
     if isinstance(content, wire.QuaternionTrackingData):
         rows = zip(elements["position"].tolist(), elements["quaternion"].tolist(), places, strict=True)
-        poses = [pose_of_position(position, quaternion, to, place) for position, quaternion, place in rows]
+        readers = (partial(pose_of_position, position, turn, to, place) for position, turn, place in rows)
     else:
         matrices = zip(elements["matrix"].tolist(), places, strict=True)
-        poses = [pose_of_matrix(matrix, to, place) for matrix, place in matrices]
+        readers = (partial(pose_of_matrix, matrix, to, place) for matrix, place in matrices)
+    poses: list[Pose | None] = []
+    for read in readers:
+        try:
+            poses.append(read())
+        except ConversionError as error:
+            to.warnings.append(("not_a_pose", f"a tool is left out: {error}"))
+            poses.append(None)
     return list(zip(names, poses, strict=True))
 
 

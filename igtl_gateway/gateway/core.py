@@ -424,7 +424,7 @@ class Gateway:
 
     def _as_outbound(self, entry: Entry, stream: ToIgtlStream, conversion: IgtlRow, outgoing: Outgoing) -> Outbound:
         device, full_name = stream.device, stream.full_name
-        if outgoing.device_name:
+        if outgoing.device_name or split_query(outgoing.igtl_type):  # a query without a device asks for any
             full_name = outgoing.device_name
             device = self._streams.device(full_name)
         return Outbound(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -204,9 +205,18 @@ def test_scale_is_taken_off_with_a_warning_that_names_the_tool(convert: Callable
         qtdata((b"Good", 2, (0, 0, 0), TURN_Q), (b"Bad", 2, (0, math.inf, 0), TURN_Q)),
     ],
 )
-def test_a_tool_that_is_no_pose_costs_the_message(convert: Callable[[Any, ToRos], Any], content: Content) -> None:
-    with pytest.raises(ConversionError, match=r"TDATA 'Tracker', tool 'Bad': found .*expected"):
-        convert(content, to_ros())
+def test_a_tool_that_is_no_pose_costs_itself(convert: Callable[[Any, ToRos], Any], content: Content) -> None:
+    to = to_ros()
+    message = convert(content, to)
+    code, text = to.warnings[-1]
+    assert code == "not_a_pose" and re.search(r"TDATA 'Tracker', tool 'Bad': found .*expected", text)
+    match message:
+        case RosTracking():
+            assert [tool.name for tool in message.tools] == ["Good"]
+        case TFMessage():
+            assert [transform.child_frame_id for transform in message.transforms] == ["Good"]
+        case PoseArray():
+            assert np.isfinite(message.poses[0]).all() and np.isnan(message.poses[1]).all()
 
 
 # -- there and back -----------------------------------------------------------------------------------------------
