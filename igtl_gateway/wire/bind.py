@@ -14,12 +14,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
+from igtl_gateway.wire.layout import Field, Layout
 
 _COUNT = struct.Struct(">H")
 _CHILD = struct.Struct(">12sQ")
@@ -67,13 +68,30 @@ class Child:
 
 @dataclass(frozen=True, slots=True)
 class Bind:
-    """BIND.
+    """BIND: several contents in one message.
+
+    Children have no header, time stamp, id or metadata of their own.
+
+    Accepted: names without padding or without the last NUL, a missing last pad byte, BIND in BIND up to four levels.
+
+    Sent: names and contents padded to even sizes with zero.
 
     Attributes:
         children: in wire order.
         name_table: the names as received, where they were not laid out as we do it (no padding, for one).
         pads: the bytes behind contents of odd size as received, where one is not zero or the last is missing.
     """
+
+    PROTOCOL: ClassVar[str] = "2"
+    LAYOUT: ClassVar[Layout] = (
+        Field("count", "u16", 1, "number of children"),
+        Field("type", "char", 12, "type name", per="child"),
+        Field("size", "u64", 1, "bytes of the content, without the pad byte", per="child"),
+        Field("names_size", "u16", 1, "bytes of the table of names"),
+        Field("names", "char", "names_size", "device names, each ending in NUL; one more NUL where that is odd"),
+        Field("content", "bytes", "size", "as after a header of version 1", per="child"),
+        Field("pad", "bytes", "0 or 1", "where the size of the content is odd", per="child"),
+    )
 
     children: tuple[Child, ...]
     name_table: bytes | None = None

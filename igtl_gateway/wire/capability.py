@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Self
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
+from igtl_gateway.wire.layout import Field, Layout
 
 _WIDTH = 12
 
@@ -17,12 +18,16 @@ MAX_TYPES = 65_535
 
 @dataclass(frozen=True, slots=True)
 class Capability:
-    """CAPABILITY: n × 12 bytes, one type name each.
+    """CAPABILITY: the type names that a peer can receive.
+
+    Accepted: at most 65,535 names.
 
     Attributes:
         types: type names; see ``igtl_gateway.wire.fields`` for odd bytes.
     """
 
+    PROTOCOL: ClassVar[str] = "1"
+    LAYOUT: ClassVar[Layout] = (Field("type", "char", _WIDTH, "type name", per="type"),)
     MAY_BE_EMPTY: ClassVar[bool] = True
     types: tuple[str, ...]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.body import shown_values
+from igtl_gateway.wire.layout import Field, Layout
 
 #: Type of the index → entries of the table.
 ENTRIES = {3: 256, 5: 65_536}
@@ -24,14 +25,16 @@ _HEAD_SIZE = 2
 
 @dataclass(frozen=True, slots=True)
 class ColorTable:
-    """COLORT: u8 index type, u8 map type, the table.
+    """COLORT: the grey values or colours that stand for the values of an image.
 
     Attributes:
-        index_type: key of ``ENTRIES``.
-        map_type: key of ``MAPS``.
+        index_type: 3 u8 (256 entries), 5 u16 (65,536 entries).
+        map_type: of an entry: 3 u8, 5 u16, 19 RGB (three u8).
         table: the entries, big-endian.
     """
 
+    PROTOCOL: ClassVar[str] = "2"
+    LAYOUT: ClassVar[Layout] = (Field("index_type", "u8"), Field("map_type", "u8"), Field("table", "bytes", "the rest"))
     index_type: int
     map_type: int
     table: Buffer

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
+from igtl_gateway.wire.layout import Field, Layout
 from igtl_gateway.wire.text import mib_of, text_of
 
 #: The document calls the width of the name IGT_COMMAND_SIZE and gives no number; the library's code does.
@@ -19,15 +20,27 @@ _HEAD = struct.Struct(f">I{NAME_WIDTH}sHI")
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """COMMAND and RTS_COMMAND: u32 id, name, u16 encoding, u32 length, text.
+    """COMMAND and RTS_COMMAND: a named instruction with a text, mostly XML, and its reply.
+
+    Accepted: any encoding; what is no text in the one that is named is read as UTF-8.
+
+    Sent: names of at most 127 bytes.
 
     Attributes:
         command_id: number of the command; its reply carries the same.
         name: at most 128 bytes (127 for C++ readers).
-        data: the text as sent.
+        data: the text.
         encoding: IANA MIBenum of the text, as in STRING.
     """
 
+    PROTOCOL: ClassVar[str] = "3.0"
+    LAYOUT: ClassVar[Layout] = (
+        Field("command_id", "u32"),
+        Field("name", "char", NAME_WIDTH),
+        Field("encoding", "u16"),
+        Field("length", "u32", 1, "bytes of the text"),
+        Field("data", "char", "length"),
+    )
     command_id: int
     name: str
     data: bytes

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody
 from igtl_gateway.wire.fields import decode_text, visible
+from igtl_gateway.wire.layout import Layout
 from igtl_gateway.wire.transform import Transform
 
 #: Bytes that the protocol leaves free: carried, not shown.
@@ -26,7 +27,7 @@ _RESERVED = "reserved"
 class Elements:
     """Elements of ``DTYPE``, nothing else: their number is the size of the content over the size of one.
 
-    Two lists are equal if they are of one type and their bytes are.
+    Two lists are equal if they are of one type and their bytes are.  ``LAYOUT`` is that of one element.
 
     Attributes:
         elements: structured array of ``DTYPE``, a view on the received bytes.
@@ -35,6 +36,8 @@ class Elements:
     #: Type name, for errors.
     NAME: ClassVar[str]
     DTYPE: ClassVar[np.dtype[np.void]]
+    LAYOUT: ClassVar[Layout]
+    PROTOCOL: ClassVar[str]
     MAY_BE_EMPTY: ClassVar[bool] = True
     #: Fields that are not described as they are: field → key and conversion of one value.
     SHOWN: ClassVar[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {}

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.body import shown_crc, shown_values
+from igtl_gateway.wire.layout import Field, Layout
 from igtl_gateway.wire.transform import pack_floats, unpack_floats
 
 _HEAD = struct.Struct(">HBBBB3H")
@@ -31,12 +32,15 @@ Triple = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """IMAGE: 72 bytes of geometry, then pixels (i fastest, components interleaved).
+    """IMAGE: a slice or a volume with its place in the patient.
+
+    Accepted: either byte order, either coordinate system, parts of images.  An empty body is a peer's way to say that
+    it has no image.
 
     Attributes:
         dimensions: full size of the volume: columns i, rows j, slices k.
-        scalar_type: key of ``SCALARS``.
-        pixels: the bytes of the sub-volume, in the order of ``endian``.
+        scalar_type: 2 i8, 3 u8, 4 i16, 5 u16, 6 i32, 7 u32, 10 f32, 11 f64.
+        pixels: of the sub-volume, in the order of ``endian``; i fastest, components interleaved.
         num_components: values per pixel.
         endian: 1 big, 2 little: of the pixels only.
         coordinate: 1 RAS, 2 LPS: of the matrix.
@@ -46,6 +50,19 @@ class Image:
         image_version: 1.
     """
 
+    PROTOCOL: ClassVar[str] = "1"
+    LAYOUT: ClassVar[Layout] = (
+        Field("image_version", "u16"),
+        Field("num_components", "u8"),
+        Field("scalar_type", "u8"),
+        Field("endian", "u8"),
+        Field("coordinate", "u8"),
+        Field("dimensions", "u16", 3),
+        Field("wire_matrix", "f32", 12),
+        Field("subvol_offset", "u16", 3),
+        Field("subvol_size", "u16", 3),
+        Field("pixels", "bytes", "the rest"),
+    )
     IDENTITY: ClassVar[tuple[float, ...]] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
     dimensions: Triple

@@ -26,7 +26,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import fastcrc
 
@@ -35,6 +35,8 @@ from igtl_gateway.errors import ChecksumMismatch, MalformedBody, TruncatedMessag
 from igtl_gateway.stamp import fraction_to_ns
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
+from igtl_gateway.wire.layout import Field
+from igtl_gateway.wire.layout import Layout as Rows
 from igtl_gateway.wire.registry import read_content
 
 HEADER_SIZE = 58
@@ -68,6 +70,15 @@ class Header:
         body_size: bytes that follow.
         crc: CRC-64 of the body as announced.
     """
+
+    LAYOUT: ClassVar[Rows] = (
+        Field("version", "u16"),
+        Field("type", "char", 12),
+        Field("device_name", "char", 20),
+        Field("ticks", "u64"),
+        Field("body_size", "u64"),
+        Field("crc", "u64"),
+    )
 
     version: int
     type: str
@@ -212,7 +223,20 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
 
 @dataclass(frozen=True, slots=True)
 class Extended:
-    """The extended header of version 2: sizes in bytes and the message id."""
+    """The extended header of version 2: sizes in bytes and the message id.
+
+    Attributes:
+        ext_header_size: of this header; 12 or more, what follows is skipped.
+        metadata_header_size, metadata_size: of what stands at the end of the body.
+        message_id: sender's id of the message.
+    """
+
+    LAYOUT: ClassVar[Rows] = (
+        Field("ext_header_size", "u16"),
+        Field("metadata_header_size", "u16"),
+        Field("metadata_size", "u32"),
+        Field("message_id", "u32"),
+    )
 
     ext_header_size: int
     metadata_header_size: int
@@ -244,6 +268,17 @@ class Extended:
         data_at = body.nbytes - self.metadata_size
         head_at = data_at - self.metadata_header_size
         return body[self.ext_header_size : head_at], body[head_at:data_at], body[data_at:]
+
+
+#: Metadata header and metadata.
+METADATA_LAYOUT: Rows = (
+    Field("count", "u16", 1, "number of items"),
+    Field("key_size", "u16", 1, "bytes", per="item"),
+    Field("encoding", "u16", 1, "IANA MIBenum of the value: 3 US-ASCII, 106 UTF-8", per="item"),
+    Field("value_size", "u32", 1, "bytes", per="item"),
+    Field("key", "char", "key_size", per="item"),
+    Field("value", "char", "value_size", per="item"),
+)
 
 
 def _metadata(head: memoryview, data: memoryview) -> tuple[tuple[Item, ...], int]:

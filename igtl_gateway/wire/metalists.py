@@ -14,8 +14,9 @@ import numpy as np
 
 from igtl_gateway.stamp import fraction_to_ns
 from igtl_gateway.wire.elements import Elements
+from igtl_gateway.wire.layout import Layout, of_dtype
 
-#: One image, 260 bytes.  ``ticks`` is the time of the scan as in the header, ``scalar_type`` as in IMAGE.
+#: One image, 260 bytes.
 IMAGE_META_DTYPE = np.dtype(
     [
         ("name", "S64"),
@@ -30,7 +31,7 @@ IMAGE_META_DTYPE = np.dtype(
     ]
 )
 
-#: One label map, 116 bytes.  ``label`` 0 is unused; ``rgba`` all zero is no colour; ``owner`` is the labelled image.
+#: One label map, 116 bytes.
 LABEL_META_DTYPE = np.dtype(
     [
         ("name", "S64"),
@@ -43,7 +44,7 @@ LABEL_META_DTYPE = np.dtype(
     ]
 )
 
-#: One video source, 322 bytes.  ``focal_length`` in millimetres; ``matrix`` as in IMAGE.
+#: One video source, 322 bytes.
 VIDEO_META_DTYPE = np.dtype(
     [
         ("name", "S64"),
@@ -66,37 +67,70 @@ def _show_ticks(ticks: int) -> dict[str, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageMetaList(Elements):
-    """IMGMETA.
+    """IMGMETA: the images that can be asked for.
 
     Attributes:
         elements: structured array of ``IMAGE_META_DTYPE``.
     """
 
+    PROTOCOL: ClassVar[str] = "2"
     NAME: ClassVar[str] = "IMGMETA"
     DTYPE: ClassVar[np.dtype[np.void]] = IMAGE_META_DTYPE
+    LAYOUT: ClassVar[Layout] = of_dtype(
+        IMAGE_META_DTYPE,
+        name="for people",
+        device_name="to be named in GET_IMAGE and GET_COLORT",
+        modality="such as CT",
+        ticks="time of the scan, as in the header; 0 = unset",
+        size="columns, rows, slices",
+        scalar_type="as in IMAGE",
+        reserved="0",
+    )
     SHOWN: ClassVar[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {"ticks": ("timestamp", _show_ticks)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelMetaList(Elements):
-    """LBMETA.
+    """LBMETA: the label maps that can be asked for.
 
     Attributes:
         elements: structured array of ``LABEL_META_DTYPE``.
     """
 
+    PROTOCOL: ClassVar[str] = "2"
     NAME: ClassVar[str] = "LBMETA"
     DTYPE: ClassVar[np.dtype[np.void]] = LABEL_META_DTYPE
+    LAYOUT: ClassVar[Layout] = of_dtype(
+        LABEL_META_DTYPE,
+        name="for people",
+        device_name="to be named in GET_IMAGE",
+        label="value of its voxels; 0 is unused",
+        reserved="0",
+        rgba="all 0 = no colour",
+        size="columns, rows, slices of the box around it",
+        owner="device name of the image that it belongs to",
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoMetaList(Elements):
-    """VIDEOMETA.
+    """VIDEOMETA: the videos that can be asked for.
 
     Attributes:
         elements: structured array of ``VIDEO_META_DTYPE``.
     """
 
+    PROTOCOL: ClassVar[str] = "3.1"
     NAME: ClassVar[str] = "VIDEOMETA"
     DTYPE: ClassVar[np.dtype[np.void]] = VIDEO_META_DTYPE
+    LAYOUT: ClassVar[Layout] = of_dtype(
+        VIDEO_META_DTYPE,
+        name="for people",
+        device_name="to be named in STT_VIDEO",
+        focal_length="millimetres",
+        size="columns, rows, slices",
+        matrix="as in IMAGE",
+        scalar_type="as in IMAGE",
+        reserved="0",
+    )
     SHOWN: ClassVar[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {"matrix": ("wire_matrix", list)}

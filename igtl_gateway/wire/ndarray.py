@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import ConversionError, MalformedBody, TruncatedMessage
 from igtl_gateway.wire.body import shown_values
+from igtl_gateway.wire.layout import Field, Layout
 
 _HEAD = struct.Struct(">BB")
 
@@ -25,14 +26,21 @@ MAX_DIMENSIONS = 255
 
 @dataclass(frozen=True, slots=True)
 class NdArray:
-    """NDARRAY: u8 scalar type, u8 number of dimensions, u16 size of each, data with the last index fastest.
+    """NDARRAY: numbers in 1 … 255 dimensions.
 
     Attributes:
-        scalar_type: key of ``NDARRAY_SCALARS``.
-        size: length along each dimension, outermost first; 1 … 255 dimensions.
-        data: the numbers, big-endian.
+        scalar_type: 2 i8, 3 u8, 4 i16, 5 u16, 6 i32, 7 u32, 10 f32, 11 f64, 13 complex (two f64).
+        size: length along each dimension, outermost first.
+        data: the numbers, big-endian, the last index fastest.
     """
 
+    PROTOCOL: ClassVar[str] = "2"
+    LAYOUT: ClassVar[Layout] = (
+        Field("scalar_type", "u8"),
+        Field("dimensions", "u8", 1, "number of dimensions"),
+        Field("size", "u16", "dimensions"),
+        Field("data", "bytes", "the rest"),
+    )
     scalar_type: int
     size: tuple[int, ...]
     data: Buffer

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.wire.elements import Elements
+from igtl_gateway.wire.layout import Layout, of_dtype
 
-#: One element.  ``diameter`` in the document is called ``radius`` in the library: the same number.
+#: One element.
 POINT_DTYPE = np.dtype(
     [
         ("name", "S64"),
@@ -25,15 +26,22 @@ POINT_DTYPE = np.dtype(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points(Elements):
-    """POINT.
+    """POINT: named points, such as landmarks.
 
     Attributes:
-        elements: structured array of ``POINT_DTYPE``, a view on the received bytes; positions and diameters
-            in millimetres.
+        elements: structured array of ``POINT_DTYPE``, a view on the received bytes.
     """
 
+    PROTOCOL: ClassVar[str] = "2"
     NAME: ClassVar[str] = "POINT"
     DTYPE: ClassVar[np.dtype[np.void]] = POINT_DTYPE
+    LAYOUT: ClassVar[Layout] = of_dtype(
+        POINT_DTYPE,
+        group="such as Fiducial",
+        position="x, y, z in millimetres",
+        diameter="millimetres; the library calls the same number ``radius``",
+        owner="device name of the image that it belongs to",
+    )
 
     @classmethod
     def of(

@@ -15,7 +15,7 @@ import struct
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.fields import decode_text, visible
+from igtl_gateway.wire.layout import Field, Layout
 
 _HEAD = struct.Struct(">10I")
 _ATTRIBUTE = struct.Struct(">BBI")
@@ -155,14 +156,50 @@ class Attribute:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolyData:
-    """POLYDATA.  Two are equal if their bytes on the wire are.
+    """POLYDATA: points, cells and attributes of a surface or a cloud.
+
+    Two are equal if their bytes on the wire are.
+
+    Accepted: attributes with nine components of which only the first are real, as the reference library writes them.
+    Every count and index is checked.
+
+    Sent: attributes as the document has them, but to peers whose profile says that they read nine components.
 
     Attributes:
         points: (n, 3) float32.  The document names no unit; every peer uses millimetres.
-        vertices, lines, polygons, triangle_strips: cells.
+        vertices, lines, polygons, triangle_strips: per cell the number of its points, then their indices (from 0).
         attributes: values of points and cells.
         name_padding: the byte that makes the size of the attribute names even, where there is one.
     """
+
+    PROTOCOL: ClassVar[str] = "2"
+    LAYOUT: ClassVar[Layout] = (
+        Field("num_points", "u32", 1, "number of points"),
+        Field("vertices_count", "u32", 1, "number of vertex cells"),
+        Field("vertices_size", "u32", 1, "bytes of their cell array"),
+        Field("lines_count", "u32", 1, "number of line cells"),
+        Field("lines_size", "u32", 1, "bytes of their cell array"),
+        Field("polygons_count", "u32", 1, "number of polygons"),
+        Field("polygons_size", "u32", 1, "bytes of their cell array"),
+        Field("strips_count", "u32", 1, "number of triangle strips"),
+        Field("strips_size", "u32", 1, "bytes of their cell array"),
+        Field("num_attributes", "u32", 1, "number of attributes, at most 4096"),
+        Field("points", "f32", "3 · num_points"),
+        Field("vertices", "u32", "vertices_size / 4"),
+        Field("lines", "u32", "lines_size / 4"),
+        Field("polygons", "u32", "polygons_size / 4"),
+        Field("triangle_strips", "u32", "strips_size / 4"),
+        Field(
+            *("type", "u8", 1),
+            "0 scalar, 1 vector, 2 normal, 3 tensor, 4 RGBA, 5 texture coordinates; + 16 for values of cells",
+            "attribute",
+        ),
+        Field("components", "u8", 1, "values of one tuple", per="attribute"),
+        Field("tuples", "u32", 1, "number of points or cells", per="attribute"),
+        Field("names", "char", "with NUL", "names of all attributes, each at most 255 bytes and a NUL"),
+        Field("name_padding", "u8", "0 or 1"),
+        Field("data", "f32", "components · tuples", per="attribute"),
+    )
 
     points: npt.NDArray[Any]
     vertices: Cells = NO_CELLS

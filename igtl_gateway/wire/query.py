@@ -16,6 +16,7 @@ from igtl_gateway.errors import MalformedBody
 from igtl_gateway.wire.bind import need, pack_names, read_count, read_names
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
+from igtl_gateway.wire.layout import Field, Layout
 
 _COORDINATE_WIDTH = 32
 _TRACKING = struct.Struct(f">i{_COORDINATE_WIDTH}s")
@@ -35,11 +36,14 @@ def _lengths(place: str, content: memoryview, *lengths: int) -> None:
 class Nothing:
     """A query without content.
 
+    Accepted: any content; it is kept and not looked at.
+
     Attributes:
-        data: empty by every document; what a peer sends all the same is kept.
+        data: empty by every document.
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
+    LAYOUT: ClassVar[Layout] = ()
     data: Buffer = b""
 
     @classmethod
@@ -55,9 +59,11 @@ class Nothing:
 
 @dataclass(frozen=True, slots=True)
 class StartTracking:
-    """STT_TDATA and STT_QTDATA: i32 least interval, 32 bytes name of the coordinate system.
+    """STT_TDATA and STT_QTDATA: begin a stream of tracking data.
 
     The document puts a status byte before these in STT_QTDATA; no program does.
+
+    Accepted: no content at all, which asks for the defaults.
 
     Attributes:
         resolution: least time between two messages, milliseconds; 0 = as fast as they come.
@@ -66,6 +72,8 @@ class StartTracking:
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
+    LAYOUT: ClassVar[Layout] = (Field("resolution", "i32"), Field("coordinate_name", "char", _COORDINATE_WIDTH))
+
     resolution: int = 0
     coordinate_name: str = ""
     has_body: bool = True
@@ -90,13 +98,17 @@ class StartTracking:
 
 @dataclass(frozen=True, slots=True)
 class StartVideo:
-    """STT_VIDEO: four letters of the wanted codec, u32 least interval.
+    """STT_VIDEO: begin a video.
+
+    Accepted: a ninth byte; the library declares nine for these eight.
 
     Attributes:
-        codec: as in VIDEO.
+        codec: four letters as in VIDEO.
         resolution: least time between two frames, milliseconds.
-        trailing: the library declares nine bytes for these eight; one is accepted and kept.
+        trailing: the ninth byte.
     """
+
+    LAYOUT: ClassVar[Layout] = (Field("codec", "char", 4), Field("resolution", "u32"))
 
     codec: str
     resolution: int = 0
@@ -117,13 +129,15 @@ class StartVideo:
 
 @dataclass(frozen=True, slots=True)
 class StartPolyData:
-    """STT_POLYDATA: nothing, or u64 least interval.
+    """STT_POLYDATA: begin a stream of surfaces; the interval may be left out.
 
     Attributes:
         resolution_ns: least time between two messages, nanoseconds; None = not said.
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
+    LAYOUT: ClassVar[Layout] = (Field("resolution_ns", "u64"),)
+
     resolution_ns: int | None = None
 
     @classmethod
@@ -140,14 +154,18 @@ class StartPolyData:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """RTS_…: u8 status.
+    """RTS_…: what became of a query.
+
+    Accepted: a missing byte, as the document has it for RTS_BIND.
 
     Attributes:
         status: 0 success, 1 error; the library's RTS_POLYDATA has it the other way round.
-        has_body: False where the byte is missing, as the document has it for RTS_BIND.
+        has_body: False where the byte is missing.
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
+    LAYOUT: ClassVar[Layout] = (Field("status", "u8"),)
+
     status: int = 0
     has_body: bool = True
 
@@ -166,10 +184,17 @@ class Reply:
 #: Type and device name of what is wanted of a BIND.
 Wanted = tuple[str, str]
 
+_CHILDREN = (
+    Field("count", "u16", 1, "number of contents wanted"),
+    Field("type", "char", 12, "type name", per="content"),
+    Field("names_size", "u16", 1, "bytes of the table of names"),
+    Field("names", "char", "names_size", "device names, as in BIND"),
+)
+
 
 @dataclass(frozen=True, slots=True)
 class GetBind:
-    """GET_BIND: u16 count, that many type names of 12 bytes, a table of names as in BIND.
+    """GET_BIND: which contents are wanted; without content all of them.
 
     Attributes:
         children: type and name of each; none = everything, which is a query without content.
@@ -177,6 +202,8 @@ class GetBind:
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
+    LAYOUT: ClassVar[Layout] = _CHILDREN
+
     children: tuple[Wanted, ...] = ()
     kept: bytes | None = None
 
@@ -196,7 +223,9 @@ class GetBind:
 
 @dataclass(frozen=True, slots=True)
 class StartBind:
-    """STT_BIND: u64 least interval, then as GET_BIND.  The library's writer leaves the interval undefined.
+    """STT_BIND: begin a stream; the interval, then as GET_BIND.
+
+    The library's writer leaves the interval undefined: above an hour it is taken for 0.
 
     Attributes:
         resolution_ns: least time between two messages, nanoseconds.
@@ -204,6 +233,8 @@ class StartBind:
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
+    LAYOUT: ClassVar[Layout] = (Field("resolution_ns", "u64"), *_CHILDREN)
+
     resolution_ns: int = 0
     children: tuple[Wanted, ...] = ()
     kept: bytes | None = None
@@ -277,6 +308,9 @@ QUERIES: dict[str, type[Body]] = {
     "STT_VIDEO": StartVideo,
     "STT_POLYDATA": StartPolyData,
 }
+
+#: What only documents write → what we write.
+QUERY_ALIASES = {f"{prefix}_TRANSFOR": f"{prefix}_TRANS" for prefix in PREFIXES}
 
 
 def split_query(type_name: str) -> tuple[str, str] | None:

@@ -13,7 +13,7 @@ from igtl_gateway.wire.metalists import ImageMetaList, LabelMetaList, VideoMetaL
 from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
-from igtl_gateway.wire.query import QUERIES
+from igtl_gateway.wire.query import QUERIES, QUERY_ALIASES
 from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
@@ -24,7 +24,7 @@ from igtl_gateway.wire.video import Video
 BODIES: dict[str, type[Body]] = {
     "TRANSFORM": Transform,
     "POSITION": Position,
-    "QTRANS": Position,  # the documents' new name of POSITION; accepted, never sent
+    "QTRANS": Position,
     "STRING": String,
     "STATUS": Status,
     "POINT": Points,
@@ -39,14 +39,22 @@ BODIES: dict[str, type[Body]] = {
     "SENSOR": Sensor,
     "NDARRAY": NdArray,
     "COLORT": ColorTable,
-    "COLORTABLE": ColorTable,  # in a test of the C library; accepted, never sent
+    "COLORTABLE": ColorTable,
     "CAPABILITY": Capability,
-    "CAPABIL": Capability,  # the tail of the query's name; accepted, never sent
+    "CAPABIL": Capability,
     "VIDEO": Video,
     "BIND": Bind,
     "COMMAND": Command,
     "RTS_COMMAND": Command,
     **QUERIES,
+}
+
+#: Names that are accepted and never sent → the type that they mean.
+ALIASES = {
+    "QTRANS": "POSITION",  # the documents' new name
+    "COLORTABLE": "COLORT",  # in a test of the C library
+    "CAPABIL": "CAPABILITY",  # the tail of the query's name
+    **QUERY_ALIASES,
 }
 
 

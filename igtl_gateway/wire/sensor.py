@@ -14,13 +14,14 @@ import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.wire.layout import Field, Layout
 
 _HEAD = struct.Struct(">BBQ")
 _VALUES = np.dtype(">f8")
@@ -31,16 +32,23 @@ UnitParts = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensor:
-    """SENSOR: u8 number, u8 status, u64 unit, numbers as float64.
+    """SENSOR: up to 255 numbers with their unit.
 
     Equality is that of the bytes on the wire.
 
     Attributes:
         values: (n,) float64, n ≤ 255; a view on the received bytes.
-        unit: unit word, see ``unit_text``; 0 = none.
+        unit: unit word; 0 = none.  Upper 4 bits: prefix; then six times 6 bits unit, 4 bits exponent.
         status: reserved by the protocol, 0.
     """
 
+    PROTOCOL: ClassVar[str] = "2"
+    LAYOUT: ClassVar[Layout] = (
+        Field("length", "u8", 1, "number of values"),
+        Field("status", "u8"),
+        Field("unit", "u64"),
+        Field("values", "f64", "length", "in the unit"),
+    )
     values: npt.NDArray[np.float64]
     unit: int = 0
     status: int = 0

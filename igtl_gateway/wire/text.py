@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
+from igtl_gateway.wire.layout import Field, Layout
 
 _STRING = struct.Struct(">HH")
 _STATUS = struct.Struct(">Hq20s")
@@ -37,13 +38,23 @@ def mib_of(text: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class String:
-    """STRING: u16 encoding (IANA MIBenum), u16 length, bytes without NUL.
+    """STRING: a text.
+
+    Accepted: any encoding; what is no text in the one that is named is read as UTF-8.
+
+    Sent: UTF-8, named US-ASCII (3) where that is true and UTF-8 (106) where not.
 
     Attributes:
-        data: the bytes as sent.
-        encoding: MIBenum; 3 (US-ASCII) is what peers send whatever they mean, 106 is UTF-8.
+        data: the text, without NUL.
+        encoding: IANA MIBenum; 3 (US-ASCII) is what peers send whatever they mean, 106 is UTF-8.
     """
 
+    PROTOCOL: ClassVar[str] = "2"
+    LAYOUT: ClassVar[Layout] = (
+        Field("encoding", "u16"),
+        Field("length", "u16", 1, "bytes of the text"),
+        Field("data", "char", "length"),
+    )
     data: bytes
     encoding: int = 3
 
@@ -77,19 +88,27 @@ class String:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """STATUS: u16 code, i64 sub-code, error name (20 bytes), message ending in NUL.
+    """STATUS: how the sender is doing.
 
-    The document omits the final NUL; the reference reader drops the message without it, so it is always sent,
-    and its absence is tolerated.
+    Accepted: a message without the final NUL, which the document omits.
+
+    Sent: with it; the reference reader drops the message where it is missing.
 
     Attributes:
         code: 1 = OK; see ``CODES``.
         subcode: free.
         error_name: free text, at most 20 bytes (19 for C++ readers).
-        message: free text.
+        message: free text, ending in NUL.
         nul_terminated: whether the message ends in NUL on the wire.
     """
 
+    PROTOCOL: ClassVar[str] = "1"
+    LAYOUT: ClassVar[Layout] = (
+        Field("code", "u16"),
+        Field("subcode", "i64"),
+        Field("error_name", "char", 20),
+        Field("message", "char", "the rest"),
+    )
     code: int
     subcode: int = 0
     error_name: str = ""

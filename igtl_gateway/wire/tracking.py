@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from igtl_gateway.wire.elements import Elements, show_matrix
+from igtl_gateway.wire.layout import Layout, of_dtype
 
 #: What a tool is: the tracker itself, a tool with six degrees of freedom, with three (its tip), with five.
 TRACKER, TOOL_6D, TOOL_3D, TOOL_5D = 1, 2, 3, 4
@@ -30,24 +31,41 @@ QTRACKING_DTYPE = np.dtype(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackingData(Elements):
-    """TDATA: poses as matrices, translations in millimetres.
+    """TDATA: the poses of all tools of one frame, as matrices.
 
     Attributes:
         elements: structured array of ``TRACKING_DTYPE``; ``type`` is one of ``TRACKER`` … ``TOOL_5D``.
     """
 
+    PROTOCOL: ClassVar[str] = "2"
     NAME: ClassVar[str] = "TDATA"
     DTYPE: ClassVar[np.dtype[np.void]] = TRACKING_DTYPE
+    LAYOUT: ClassVar[Layout] = of_dtype(
+        TRACKING_DTYPE,
+        name="at most 19 bytes for C++ readers",
+        type="1 tracker, 2 tool with six degrees of freedom, 3 with three (its tip), 4 with five",
+        reserved="0",
+        matrix="as in TRANSFORM; translation in millimetres",
+    )
     SHOWN: ClassVar[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {"matrix": ("matrix", show_matrix)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuaternionTrackingData(Elements):
-    """QTDATA: poses as position (millimetres) and quaternion.
+    """QTDATA: the poses of all tools of one frame, as positions and quaternions.
 
     Attributes:
         elements: structured array of ``QTRACKING_DTYPE``; ``type`` is one of ``TRACKER`` … ``TOOL_5D``.
     """
 
+    PROTOCOL: ClassVar[str] = "2"
     NAME: ClassVar[str] = "QTDATA"
     DTYPE: ClassVar[np.dtype[np.void]] = QTRACKING_DTYPE
+    LAYOUT: ClassVar[Layout] = of_dtype(
+        QTRACKING_DTYPE,
+        name="at most 19 bytes for C++ readers",
+        type="1 tracker, 2 tool with six degrees of freedom, 3 with three (its tip), 4 with five",
+        reserved="0",
+        position="x, y, z in millimetres",
+        quaternion="x, y, z, w (scalar last)",
+    )

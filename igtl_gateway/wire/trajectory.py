@@ -8,11 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from igtl_gateway.wire.elements import Elements
+from igtl_gateway.wire.layout import Layout, of_dtype
 
 #: ``type`` of a trajectory: which of its two points are meant.
 ENTRY_ONLY, TARGET_ONLY, ENTRY_AND_TARGET = 1, 2, 3
 
-#: One element.  ``diameter`` in the document is called ``radius`` in the library: the same number.
+#: One element.
 TRAJECTORY_DTYPE = np.dtype(
     [
         ("name", "S64"),
@@ -30,11 +31,21 @@ TRAJECTORY_DTYPE = np.dtype(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectories(Elements):
-    """TRAJ.
+    """TRAJ: planned paths from an entry to a target.
 
     Attributes:
-        elements: structured array of ``TRAJECTORY_DTYPE``; points and diameters in millimetres.
+        elements: structured array of ``TRAJECTORY_DTYPE``.
     """
 
+    PROTOCOL: ClassVar[str] = "2"
     NAME: ClassVar[str] = "TRAJ"
     DTYPE: ClassVar[np.dtype[np.void]] = TRAJECTORY_DTYPE
+    LAYOUT: ClassVar[Layout] = of_dtype(
+        TRAJECTORY_DTYPE,
+        type="1 entry only, 2 target only, 3 both",
+        reserved="0",
+        entry="x, y, z in millimetres",
+        target="x, y, z in millimetres",
+        diameter="millimetres; the library calls the same number ``radius``",
+        owner="device name of the image that it belongs to",
+    )

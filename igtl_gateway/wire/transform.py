@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody
+from igtl_gateway.wire.layout import Field, Layout
 
 _MATRIX = struct.Struct(">12f")
 _FORMS = {28: "all", 24: "quaternion3", 12: "position_only"}
@@ -17,12 +18,14 @@ _POSITION = {form: struct.Struct(f">{size // 4}f") for size, form in _FORMS.item
 
 @dataclass(frozen=True, slots=True)
 class Transform:
-    """TRANSFORM: 12 float32, the upper three rows of a 4 × 4 matrix column by column.
+    """TRANSFORM: a pose as the upper three rows of a 4 × 4 matrix, column by column.
 
     Attributes:
         wire_matrix: R11 R21 R31 | R12 R22 R32 | R13 R23 R33 | TX TY TZ; translation in millimetres.
     """
 
+    PROTOCOL: ClassVar[str] = "1"
+    LAYOUT: ClassVar[Layout] = (Field("wire_matrix", "f32", 12),)
     wire_matrix: tuple[float, ...]
 
     @classmethod
@@ -51,17 +54,21 @@ class Transform:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """POSITION: three float32 millimetres and a quaternion x, y, z, w (scalar last) in three lengths.
+    """POSITION: a pose as position and quaternion.
 
-    28 bytes hold all; 24 leave out w, which is √(1 − x² − y² − z²); 12 leave out the rotation.  The short forms
-    are in the code of the reference library, not in the document.
+    Accepted: three lengths.  28 bytes hold all; 24 leave out w, which is √(1 − x² − y² − z²); 12 leave out the
+    rotation.  The short forms are in the code of the reference library, not in the document.
+
+    Sent: all 28 bytes.
 
     Attributes:
         position: x, y, z in millimetres.
-        quaternion: x, y, z, w.
+        quaternion: x, y, z, w (scalar last).
         form: ``"all"``, ``"quaternion3"`` or ``"position_only"``: what is on the wire.
     """
 
+    PROTOCOL: ClassVar[str] = "1"
+    LAYOUT: ClassVar[Layout] = (Field("position", "f32", 3), Field("quaternion", "f32", 4))
     LENGTHS: ClassVar[str] = "28, 24 or 12 bytes"
     position: tuple[float, ...]
     quaternion: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import TruncatedMessage
 from igtl_gateway.wire.body import shown_crc
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.image import LITTLE_ENDIAN, RAS, Image, Triple
+from igtl_gateway.wire.layout import Field, Layout
 from igtl_gateway.wire.transform import pack_floats, unpack_floats
 
 _HEAD = struct.Struct(">HB4sHB3H")
@@ -31,10 +32,10 @@ _COLOUR_TYPES = 0xFF
 
 @dataclass(frozen=True, slots=True)
 class Video:
-    """VIDEO.
+    """VIDEO: one encoded frame with its place in the patient.
 
-    The fields about the pixels are kept as they are found: the frame can be carried, and mostly decoded,
-    whatever they say, and the library's own writer fills some of them wrongly.
+    Accepted: whatever the fields about the pixels say.  The frame can be carried, and mostly decoded, all the same,
+    and the library's own writer fills some of them wrongly.
 
     Attributes:
         codec: four letters: ``I420`` (raw), ``H264``, ``VP90``, ``X265``, ``O265``, ``AV10``.
@@ -43,11 +44,25 @@ class Video:
         frame_type: 1 key frame, others need the frames before them; see ``is_grey``.
         endian: 1 big, 2 little: of raw pixels.
         coordinate: 1 RAS, 2 LPS: of the matrix.
-        wire_matrix: as ``Image.wire_matrix``, in millimetres.
+        wire_matrix: as in IMAGE, in millimetres.
         subvol_offset: first pixel of the part that the frame shows.
         subvol_size: its size; None stands for ``size``.
         video_version: 1.
     """
+
+    PROTOCOL: ClassVar[str] = "3.1"
+    LAYOUT: ClassVar[Layout] = (
+        Field("video_version", "u16"),
+        Field("endian", "u8"),
+        Field("codec", "char", 4),
+        Field("frame_type", "u16"),
+        Field("coordinate", "u8"),
+        Field("size", "u16", 3),
+        Field("wire_matrix", "f32", 12),
+        Field("subvol_offset", "u16", 3),
+        Field("subvol_size", "u16", 3),
+        Field("data", "bytes", "the rest"),
+    )
 
     codec: str
     size: Triple
