@@ -137,7 +137,7 @@ def _locked(path: Path) -> Iterator[None]:
 
 def _compile(package: str, prefix: Path, work: Path) -> None:
     """Compile into ``work/result/PACKAGE``, in a process of its own: the generators print and keep global state."""
-    sys.stderr.write(f"{package}: compiling it, once for this environment (half a minute) ...\n")
+    sys.stderr.write(f"{package}: compiling it, once for this environment ...\n")
     # -P: the folder of build.py is not to be searched for modules
     command: list[str | Path] = [sys.executable, "-P", _BUILD, package, folder_of(package), prefix, work]
     run = subprocess.run(

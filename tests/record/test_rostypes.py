@@ -60,6 +60,13 @@ def test_a_type_without_definition(tmp_path: Path, files: dict[str, bytes], ros_
     assert RosTypes([tmp_path]).find(ros_type) is None
 
 
+@pytest.mark.parametrize("ros_type", ["igtl_msgs/msg/TrackingData", "foxglove_msgs/msg/CompressedVideo"])
+def test_types_that_we_bring_are_found_without_ros(ros_type: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    monkeypatch.setattr("sys.prefix", "/nowhere")
+    assert RosTypes().find(ros_type) is not None
+
+
 def test_installed_types_are_found_by_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "overlay" / "share" / "p" / "msg" / "A.msg"
     path.parent.mkdir(parents=True)
