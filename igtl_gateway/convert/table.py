@@ -27,6 +27,7 @@ from igtl_gateway.convert import (
     surfaces,
     texts,
     tracking,
+    volumes,
 )
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.rosmsg import RosMessage
@@ -55,6 +56,10 @@ _TEXTS = Qos(depth=100)
 _PICTURES = Qos(depth=5)
 #: Plans and surfaces are sent once and wanted by whoever comes later.
 _SURFACES = Qos(depth=5, latched=True)
+#: As surfaces, but each may cost hundreds of megabytes.
+_VOLUMES = Qos(depth=2, latched=True)
+#: The slices of a volume come all at once.
+_SLICES = Qos(depth=1000)
 
 
 class Role(Enum):
@@ -74,7 +79,7 @@ class RosRow:
         content: class of the decoded content, or the several that it may be.
         message: class of the ROS message.
         kind: last token of the topic.
-        convert: the conversion.
+        convert: the conversion; a list is published in its order.
         qos: of the publisher.
         lossy: what does not arrive, "" if nothing.
         applies: whether this row is for a given content; a message may go by several rows.
@@ -86,7 +91,7 @@ class RosRow:
     content: type | tuple[type, ...]
     message: type[RosMessage]
     kind: str
-    convert: Callable[[Any, ToRos], RosMessage]
+    convert: Callable[[Any, ToRos], RosMessage | list[RosMessage]]
     qos: Qos
     lossy: str = ""
     applies: Callable[[Any], bool] = lambda content: True
@@ -127,6 +132,7 @@ _ROUNDED = "rotations within 2e-7"
 _TO_FLOAT32 = f"double precision (float32; {_ROUNDED})"
 _HEADER_1 = "frame ids and metadata toward peers of header version 1"
 _TOOLS = (TrackingData, QuaternionTrackingData)
+_PLACE_LOSS = "versions of the header other than 1, matrices that are not finite, signs of zeros in the matrix"
 _POSES = f"{_ROUNDED}; of matrices that are no rotation the same as with TRANSFORM"
 
 TO_ROS: tuple[RosRow, ...] = (
@@ -157,7 +163,8 @@ TO_ROS: tuple[RosRow, ...] = (
         "image",
         images.image_to_ros,
         _PICTURES,
-        lossy="spacing, orientation and position; volumes and parts of images are refused",
+        lossy="spacing, orientation and position",
+        applies=volumes.is_flat,
     ),
     RosRow(
         ("POINT",),
@@ -366,6 +373,28 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy=_TEXT_LOSS + ", padding",
         role=Role.FULL,
     ),
+    RosRow(
+        ("IMAGE",),
+        Image,
+        igtl_msgs.Volume,
+        "volume",
+        volumes.image_to_volume,
+        _VOLUMES,
+        lossy=f"{_PLACE_LOSS}; a centre 2^27 times nearer to the frame's origin than the image is large",
+        applies=volumes.exceeds_picture,
+        role=Role.FULL,
+    ),
+    RosRow(
+        ("IMAGE",),
+        Image,
+        rosmsg.Image,
+        "slices",
+        volumes.image_to_slices,
+        _SLICES,
+        lossy="spacing, orientation and position",
+        applies=volumes.has_slices,
+        role=Role.ON_REQUEST,
+    ),
 )
 
 TO_IGTL: tuple[IgtlRow, ...] = (
@@ -483,6 +512,13 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         )
     ),
     IgtlRow(igtl_msgs.Bind, "BIND", lists.bind_to_igtl, _TEXTS, "names above 20 bytes"),
+    IgtlRow(
+        igtl_msgs.Volume,
+        "IMAGE",
+        volumes.volume_to_image,
+        _VOLUMES,
+        f"double precision of direction, spacing and origin (float32), {_HEADER_1}",
+    ),
 )
 
 

@@ -1,0 +1,117 @@
+"""IMAGE ⇄ igtl_msgs/Volume: slices and volumes with their place in the patient; slices as sensor_msgs/Image.
+
+Pixels are neither copied nor swapped: the message tells their byte order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from igtl_gateway.convert import images
+from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.geometry import Placement, split
+from igtl_gateway.convert.igtl_msgs import Volume
+from igtl_gateway.convert.rosmsg import Header, RosMessage
+from igtl_gateway.errors import ConversionError, MalformedBody
+from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, RAS, Image
+
+_UINT32 = 7
+
+#: How far the length of a direction may be from 1 without a word: float32 rotations are within it.
+_UNIT_TOLERANCE = 1e-3
+
+
+def is_flat(content: Image) -> bool:
+    """Whether there is one slice."""
+    return content.dimensions[2] == 1
+
+
+def has_slices(content: Image) -> bool:
+    return not is_flat(content)
+
+
+def exceeds_picture(content: Image) -> bool:
+    """Whether sensor_msgs/Image does not hold all of it: slices, a place in the patient, a scalar type."""
+    return (
+        not is_flat(content)
+        or content.wire_matrix != Image.IDENTITY
+        or content.coordinate == LPS
+        or content.scalar_type == _UINT32
+    )
+
+
+def image_to_volume(content: Image, to: ToRos) -> Volume:
+    """A matrix that is not finite gives numbers that are none: the pixels are worth something all the same.
+
+    Raises ConversionError for a part of an image; parts are put together before (``assembly``).
+    """
+    _check_whole(content, to)
+    placement = Placement.of_wire(content.wire_matrix, content.coordinate, to.lengths)
+    return Volume(
+        Header(to.stamp_ns, to.frame_id),
+        content.dimensions,
+        content.scalar_type,
+        content.num_components,
+        content.endian == BIG_ENDIAN,
+        content.coordinate,
+        placement.direction,
+        placement.spacing,
+        placement.origin(content.dimensions),
+        content.pixels,
+        to.metadata,
+    )
+
+
+def volume_to_image(message: Volume, to: ToIgtl) -> Outgoing:
+    """The inverse; a coordinate system that is not filled in (0) is RAS.
+
+    Raises ConversionError where the fields contradict each other, and for numbers that float32 cannot hold.
+    """
+    _, lengths = split(message.direction)
+    if any(abs(length - 1) > _UNIT_TOLERANCE for length in lengths):
+        text = f"columns of the direction have the lengths {lengths}, not 1: voxels get another size than the spacing"
+        to.warnings.append(("direction_not_unit", text))
+    coordinate = message.coordinate_system or RAS
+    placement = Placement.from_origin(message.direction, message.spacing, message.origin, message.size)
+    content = Image(
+        message.size,
+        message.scalar_type,
+        message.data,
+        message.components,
+        BIG_ENDIAN if message.is_bigendian else LITTLE_ENDIAN,
+        coordinate,
+        placement.to_wire(coordinate, to.lengths, message.TYPE),
+    )
+    try:
+        content.check()
+    except MalformedBody as error:
+        raise ConversionError(f"{message.TYPE}: {error}") from None
+    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+
+
+def image_to_slices(content: Image, to: ToRos) -> list[RosMessage]:
+    """One picture for each slice, k = 0 first, all with the stamp and the frame of the volume.
+
+    Raises ConversionError for a part of an image.
+    """
+    _check_whole(content, to)
+    width, height, count = content.dimensions
+    pixels = memoryview(content.pixels)
+    size = pixels.nbytes // max(count, 1)
+    flat = (width, height, 1)
+    again = replace(to, warnings=[])  # what is bent is so in every slice: said with the first
+    return [
+        images.image_to_ros(
+            replace(content, dimensions=flat, subvol_size=flat, pixels=pixels[k * size : (k + 1) * size]),
+            again if k else to,
+        )
+        for k in range(count)
+    ]
+
+
+def _check_whole(content: Image, to: ToRos) -> None:
+    if content.sub_size != content.dimensions:
+        raise ConversionError(
+            f"IMAGE {to.device_name!r}: found the part {content.sub_size} at {content.subvol_offset} "
+            f"of {content.dimensions}, expected the whole image"
+        )
