@@ -6,6 +6,7 @@ import json
 import os
 import platform
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -13,16 +14,25 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway import __version__
+from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
 from igtl_gateway.app.hub import Hub
+from igtl_gateway.app.video import Video, VideoOptions
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config, matches
+from igtl_gateway.convert.common_msgs import TFMessage
+from igtl_gateway.convert.igtl_msgs import LinkStatusList, MetadataItem
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import Limits, TcpEdge
-from igtl_gateway.gateway import Gateway, Session
+from igtl_gateway.errors import RosError
+from igtl_gateway.gateway import LINKS_TOPIC, TICK, Gateway, Session
+from igtl_gateway.gateway.tf_out import TF_QOS
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.recorder import Recorder, RecordingSummary
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+
+#: How closely the gateway's deadlines are kept: a ping or a time-out may be late by as much.
+_TICK_S = 0.05
 
 #: QoS of topics that are recorded only: deep enough for a burst; reliability adapts to the publishers.
 _RECORDED = Qos(depth=100)
@@ -47,6 +57,7 @@ class BridgeOptions:
         limits: what a peer may cost.
         node_name: of the ROS node.
         overwrite: replace an existing recording.
+        video: how ROS images are encoded as VIDEO (and VIDEO decoded), None to leave both alone.
     """
 
     listen: tuple[Address, ...] = ()
@@ -58,6 +69,7 @@ class BridgeOptions:
     limits: Limits = field(default_factory=Limits)
     node_name: str = "igtl_gateway"
     overwrite: bool = False
+    video: VideoOptions | None = None
 
 
 class Bridge:
@@ -78,6 +90,10 @@ class Bridge:
         self.summary: RecordingSummary | None = None
         self._clock = clock
         self._seen: set[tuple[str, str]] = set()  # topics that were said to lack a conversion
+        self._stopping = threading.Event()
+        self._timer = threading.Thread(target=self._tick, name="igtl-timer", daemon=True)
+        self.commands: CommandService | None = None
+        self.video: Video | None = None
         sinks = (self._record, self._dispatch)
         self.hub = Hub(Session(self.gateway), clock, (*sinks, on_entry) if on_entry else sinks)
         self.tcp = TcpEdge(
@@ -92,10 +108,12 @@ class Bridge:
         if options.ros:
             self.ros = RosEdge(
                 node_name=options.node_name,
-                on_message=self.hub.ros,
+                on_message=self._from_ros,
                 wants=self.wanted,
                 on_note=self._on_edge_note,
             )
+            if options.video:
+                self.video = Video(options.video, config, self.hub, self.ros)
 
     def start(self) -> None:
         """Open both sides and the recording, or leave nothing: ConfigError, RecordingError or RosError."""
@@ -114,16 +132,41 @@ class Bridge:
                 )
             if self.ros:
                 self.ros.start()
+                self._offer(self.ros)
         except Exception:
             self.stop()
             # a file about nothing would only be in the way of the next attempt
             if self.summary:
                 self.summary.path.unlink(missing_ok=True)
             raise
+        self._timer.start()
         self.tcp.start()
+
+    def _offer(self, ros: RosEdge) -> None:
+        """What is there for ROS from the beginning: who is connected, the frames, the command service."""
+        ros.advertise(LINKS_TOPIC, LinkStatusList.TYPE, self.gateway.qos(LINKS_TOPIC) or _RECORDED)
+        if self.gateway.config.publish_tf:
+            ros.advertise("/tf", TFMessage.TYPE, TF_QOS["/tf"])
+        try:
+            item = ros.message_class(MetadataItem.TYPE)
+        except RosError as error:
+            self.hub.note(Note(Level.WARN, "no_interfaces", f"no command service and no messages of our own: {error}"))
+            return
+        timeout_s = self.gateway.config.command_timeout_s
+        self.commands = CommandService(
+            lambda topic, ros_type, cdr: self.hub.ros(topic, ros_type, cdr, 0), timeout_s, item
+        )
+        ros.serve(SERVICE, SERVICE_TYPE, self.commands.call)
 
     def stop(self) -> None:
         """Close both sides, then the recording with its ledger; may be called twice."""
+        self._stopping.set()
+        if self.commands:
+            self.commands.stop()
+        if self._timer.ident:
+            self._timer.join()
+        if self.video:
+            self.video.stop()
         self.tcp.stop()
         if self.ros:
             self.ros.stop()
@@ -147,7 +190,19 @@ class Bridge:
             "streams": self.gateway.ledger.to_dict(),
             "links": sent,
             "ros_topics": self.ros.counters() if self.ros else {},
-        }
+        } | ({"video": self.video.counters()} if self.video else {})
+
+    def _from_ros(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> None:
+        """A message that the ROS edge received: pictures for a video are encoded first."""
+        if not (self.video and self.video.take(topic, ros_type, cdr, source_ns)):
+            self.hub.ros(topic, ros_type, cdr, source_ns)
+
+    def _tick(self) -> None:
+        """Tell the gateway when a time has come that it waits for."""
+        while not self._stopping.wait(_TICK_S):
+            due_ns = self.gateway.due_ns
+            if due_ns is not None and due_ns <= self._clock.utc_ns():
+                self.hub.note(Note(Level.INFO, TICK, "a deadline has come"))
 
     def _record(self, entry: Entry) -> None:
         if self.recorder:
@@ -160,10 +215,15 @@ class Bridge:
         elif entry.kind is Kind.ROS_OUT and self.ros:
             qos = self.gateway.qos(entry.channel) or _RECORDED
             self.ros.publish(entry.channel, entry.type, entry.data(), qos)
+            if self.commands:
+                self.commands.watch(entry)
+            if self.video:
+                self.video.show(entry)
 
     def wanted(self, topic: str, ros_type: str) -> Qos | None:
         """How to subscribe to a topic that was found; said once if it was asked for, but cannot be bridged."""
-        if (topic, ros_type) not in self._seen and self.gateway.lacks_conversion(topic, ros_type):
+        encoded = self.video is not None and self.video.subscription(topic, ros_type) is not None
+        if (topic, ros_type) not in self._seen and self.gateway.lacks_conversion(topic, ros_type) and not encoded:
             self._seen.add((topic, ros_type))
             text = f"{topic} is not sent to OpenIGTLink: nothing converts {ros_type}"
             self.hub.note(Note(Level.WARN, "no_conversion", text, topic))
@@ -172,6 +232,8 @@ class Bridge:
     def _subscription(self, topic: str, ros_type: str) -> Qos | None:
         """How to subscribe to a topic: to bridge it, or to record it, or not at all."""
         bridged = self.gateway.subscription(topic, ros_type)
+        if self.video and not bridged:
+            bridged = self.video.subscription(topic, ros_type)
         if bridged or not self.recorder or any(matches(glob, topic) for glob in _NEVER_RECORDED):
             return bridged
         return _RECORDED if any(matches(glob, topic) for glob in self.options.record_topics) else None

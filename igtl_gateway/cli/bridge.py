@@ -12,20 +12,22 @@ from igtl_gateway import __version__
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.cli.common import (
     add_addresses,
-    add_send,
+    add_routes,
     addresses,
     count,
     load_config,
     print_json,
     size,
     stop_event,
-    with_sends,
+    with_routes,
 )
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
-from igtl_gateway.convert.table import TO_IGTL, TO_ROS
+from igtl_gateway.convert.igtl_msgs import Query
+from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role, RosRow
 from igtl_gateway.edges.ros_env import prepare_environment
 from igtl_gateway.edges.tcp import Limits
+from igtl_gateway.edges.video import CODECS, VideoOptions
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
@@ -37,6 +39,8 @@ EXAMPLES = """\
   igtl-gateway bridge --connect 127.0.0.1:18945          client of a PLUS server
   igtl-gateway bridge --listen 0.0.0.0:18944 --allow 192.168.7.0/24
   igtl-gateway bridge --send /camera/image_raw=Camera    a ROS topic goes out as device Camera
+  igtl-gateway bridge --tf-out tool0:base_link           the tool of a robot goes out as tool0Tobase_link
+  igtl-gateway bridge --video-codec h264                 images go out as encoded VIDEO
   igtl-gateway bridge --no-ros --record slicer.mcap      flight recorder without ROS
 
 What a device sends appears on /igtl/in/<device>/<kind>; what is published on /igtl/out/<device> goes out."""
@@ -60,7 +64,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--record-all", action="store_true", help="with --record: record all ROS topics")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing recording")
     parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file")
-    add_send(parser)
+    add_routes(parser)
+    parser.add_argument(
+        "--video-codec",
+        choices=CODECS,
+        help="encode the ROS images that go out as VIDEO, and decode VIDEO into ROS images (needs PyAV)",
+    )
+    parser.add_argument(
+        "--video-bit-rate", type=int, default=4_000, metavar="KBIT", help="with --video-codec (%(default)s kbit/s)"
+    )
+    parser.add_argument(
+        "--video-key-interval", type=int, default=30, metavar="N", help="frames between key frames (%(default)s)"
+    )
     parser.add_argument("--no-ros", action="store_true", help="OpenIGTLink only")
     parser.add_argument("--node-name", default="igtl_gateway", metavar="NAME", help="of the ROS node (%(default)s)")
     parser.add_argument("--queue-mib", type=int, default=64, metavar="MIB", help="send queue of a peer (%(default)s)")
@@ -75,16 +90,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--stall-s", type=float, default=10.0, metavar="S", help="longest silence inside a message (%(default)s)"
     )
     parser.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
+    parser.add_argument("--types", action="store_true", help="list every type and what it becomes, then end")
     parser.add_argument("--json", action="store_true", help="print events as JSON lines")
 
 
 def run(options: argparse.Namespace) -> int:
+    if options.types:
+        print("\n".join(types()))
+        return 0
     if (options.record_topics or options.record_all) and not options.record:
         raise ConfigError("--record-topics and --record-all say what goes into a file: --record FILE is missing")
     if options.duration is not None and not 0 < options.duration < float("inf"):
         raise ConfigError(f"--duration: found {options.duration:g}, expected a number of seconds above 0")
     listen, connect = addresses(options)
-    config = with_sends(load_config(options.config), options.send)
+    config = with_routes(load_config(options.config), options)
     watch = _Watch()
     clock = SystemClock()
     with stop_event() as stop:
@@ -107,6 +126,7 @@ def run(options: argparse.Namespace) -> int:
                 ),
                 node_name=options.node_name,
                 overwrite=options.overwrite,
+                video=_video(options),
             ),
             clock,
             watch,
@@ -127,6 +147,14 @@ def run(options: argparse.Namespace) -> int:
         out.events(watch.take())
         out.stopped(bridge, watch)
     return 1 if bridge.summary and bridge.summary.failure else 0
+
+
+def _video(options: argparse.Namespace) -> VideoOptions | None:
+    if not options.video_codec:
+        return None
+    if options.no_ros:
+        raise ConfigError("--video-codec encodes images of ROS: it cannot be used with --no-ros")
+    return VideoOptions(options.video_codec, options.video_bit_rate * 1000, options.video_key_interval)
 
 
 class _Watch:
@@ -300,21 +328,55 @@ class _JsonOutput:
 
 
 def mapping(config: Config) -> list[str]:
-    """What goes where, as lines of a table."""
-    lines = [f"OpenIGTLink -> ROS ({config.igtl_unit} -> {config.ros_unit}):"]
-    rules = [(rule.device, rule.topic) for rule in config.to_ros]
-    for device, topic in rules:
-        lines.append(f"  device {device:<24} -> {topic}")
-    for row in TO_ROS:
-        topic = f"/igtl/in/<device>/{row.kind}"
-        lines.append(f"  {'/'.join(row.igtl_types):<17} -> {topic:<29} {row.message.TYPE}")
-    lines.append(f"ROS -> OpenIGTLink ({config.ros_unit} -> {config.igtl_unit}):")
-    for rule in config.to_igtl:
-        lines.append(f"  {rule.topic} -> {rule.type or 'type by table'}, device {rule.device or 'by topic'}")
+    """What goes where, in a few lines: the rules, and the rows of the configuration."""
+    tf = ", poses on /tf too" if config.publish_tf else ""
+    lines = [
+        f"mapping      devices appear on /igtl/in/<device>/<kind>{tf} ({config.igtl_unit} -> {config.ros_unit})",
+        f"             what is published on /igtl/out/<device> goes out ({config.ros_unit} -> {config.igtl_unit})",
+        "             igtl-gateway bridge --types lists every type",
+    ]
+    for rule in config.to_ros:
+        kinds = f", {', '.join(rule.kinds)}" if rule.kinds else ""
+        lines.append(f"  device {rule.device} -> {rule.topic}{kinds}")
+    for sent in config.to_igtl:
+        lines.append(f"  {sent.topic} -> {sent.type or 'type by table'}, device {sent.device or 'by topic'}")
+    for request in (row.request() for row in config.tf_out):
+        frames = ", ".join(request.frames)
+        lines.append(f"  frame {frames} in {request.base} -> {request.type}, device {request.device}")
+    for peer in config.peers:
+        lines.append(f"  peer {peer.at}: {peer.profile}")
+    return lines
+
+
+def types() -> list[str]:
+    """Every type that is converted, as lines of two tables."""
+    lines = ["OpenIGTLink -> ROS: topic /igtl/in/<device>/<kind>", ""]
+    rows = [(_names(row.igtl_types), row.topic or row.kind, row.message.TYPE, _role(row)) for row in TO_ROS]
+    lines += _table(("type", "kind", "ROS message", ""), rows)
+    lines += ["", "ROS -> OpenIGTLink: topic /igtl/out/<device>, or --send TOPIC=DEVICE[:TYPE]", ""]
     by_type: dict[str, list[str]] = {}
     for out in TO_IGTL:
         by_type.setdefault(out.message.TYPE, []).append(out.igtl_type)
-    for ros_type, (default, *others) in by_type.items():
-        on_request = f" (or {', '.join(others)}: --send)" if others else ""
-        lines.append(f"  /igtl/out/<device>  {ros_type:<36} -> {default}{on_request}")
-    return lines
+    by_type[Query.TYPE] = ["GET_, STT_, STP_, RTS_"]
+    return lines + _table(
+        ("ROS message", "type", "on request"),
+        [(ros_type, default, ", ".join(others)) for ros_type, (default, *others) in by_type.items()],
+    )
+
+
+def _names(igtl_types: tuple[str, ...]) -> str:
+    return "/".join(igtl_types) if len(igtl_types) < _MANY else "GET_, STT_, STP_, RTS_"
+
+
+def _role(row: RosRow) -> str:
+    return "on request (--kinds)" if row.role is Role.ON_REQUEST else ""
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[column]) for row in (head, *rows)) for column in range(len(head))]
+    cells = (zip(row, widths, strict=True) for row in (head, *rows))
+    return ["  " + "  ".join(text.ljust(width) for text, width in row).rstrip() for row in cells]
+
+
+#: So many types of one row are the queries.
+_MANY = 8

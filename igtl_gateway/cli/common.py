@@ -12,7 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.config import Config
+from igtl_gateway.config import PROFILES, Config
+from igtl_gateway.convert.frames import TfRequest
+from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
@@ -75,16 +77,82 @@ def add_send(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_routes(parser: argparse.ArgumentParser) -> None:
+    """What a configuration file says too: topics, frames, messages and peers."""
+    add_send(parser)
+    parser.add_argument(
+        "--tf-out",
+        action="append",
+        default=[],
+        metavar="FRAME[,FRAME…]:BASE[=DEVICE[:TYPE]]",
+        help="send ROS frames as seen from BASE, from /tf and /tf_static: one as TRANSFORM, several as TDATA",
+    )
+    parser.add_argument("--no-tf", action="store_true", help="do not publish poses on /tf")
+    parser.add_argument(
+        "--kinds",
+        action="append",
+        default=[],
+        metavar="DEVICE=KIND[,KIND…]",
+        help="publish only these messages of a device (* one level, ** any); +KIND: besides the usual ones",
+    )
+    parser.add_argument("--profile", choices=PROFILES, help="what the peers are (default: auto, by what they show)")
+    parser.add_argument(
+        "--peer",
+        action="append",
+        default=[],
+        metavar="HOST:PORT=PROFILE",
+        help="what the peer at an address is, or whoever connects there",
+    )
+
+
+def with_routes(config: Config, options: argparse.Namespace) -> Config:
+    """``config`` with what the command line adds; its rows go before those of the file."""
+    values = config.to_dict()
+    values["to_igtl"] = [*map(_send_row, options.send), *values["to_igtl"]]
+    values["tf_out"] = [*map(_tf_row, options.tf_out), *values["tf_out"]]
+    values["to_ros"] = [*map(_kinds_row, options.kinds), *values["to_ros"]]
+    values["peers"] = [*map(_peer_row, options.peer), *values["peers"]]
+    if options.profile:
+        values["profile"] = options.profile
+    if options.no_tf:
+        values["publish_tf"] = False
+    return Config.from_dict(values)
+
+
 def with_sends(config: Config, sends: list[str]) -> Config:
     """``config`` with a row in front for each ``TOPIC[=DEVICE[:TYPE]]``."""
-    rows = []
-    for text in sends:
-        topic, _, rest = text.partition("=")
-        device, _, igtl_type = rest.partition(":")
-        if not topic.startswith("/"):
-            raise ConfigError(f"--send: found {text!r}, expected /topic, /topic=Device or /topic=Device:TYPE")
-        rows.append({"topic": topic, "device": device, "type": igtl_type})
-    return Config.from_dict(config.to_dict() | {"to_igtl": [*rows, *config.to_dict()["to_igtl"]]})
+    values = config.to_dict()
+    return Config.from_dict(values | {"to_igtl": [*map(_send_row, sends), *values["to_igtl"]]})
+
+
+def _send_row(text: str) -> dict[str, str]:
+    topic, _, rest = text.partition("=")
+    device, _, igtl_type = rest.partition(":")
+    if not topic.startswith("/"):
+        raise ConfigError(f"--send: found {text!r}, expected /topic, /topic=Device or /topic=Device:TYPE")
+    return {"topic": topic, "device": device, "type": igtl_type}
+
+
+def _tf_row(text: str) -> dict[str, Any]:
+    request = TfRequest.parse(text)
+    return {"frames": request.frames, "base": request.base, "device": request.device, "type": request.type}
+
+
+def _kinds_row(text: str) -> dict[str, Any]:
+    device, equals, kinds = text.partition("=")
+    known = {row.kind for row in TO_ROS}
+    named = [kind.strip() for kind in kinds.split(",")]
+    wrong = [kind for kind in named if kind.removeprefix("+") not in known]
+    if not device or not equals or wrong:
+        raise ConfigError(f"--kinds: found {text!r}, expected DEVICE=KIND[,KIND…] of {', '.join(sorted(known))}")
+    return {"device": device, "kinds": named}
+
+
+def _peer_row(text: str) -> dict[str, str]:
+    place, _, profile = text.rpartition("=")
+    if not place or profile not in PROFILES:
+        raise ConfigError(f"--peer: found {text!r}, expected HOST:PORT=PROFILE, one of {', '.join(PROFILES)}")
+    return {"at": place, "profile": profile}
 
 
 def load_config(path: Path | None) -> Config:

@@ -50,7 +50,9 @@ _BURST_S = 0.002  # between two bursts of held messages, so that a reader of the
 _LINGER_NS = 500_000_000  # for acknowledgements at the end; a reader that hangs must not hold us up
 _CDR_HEADER = 4
 
-_TYPE = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
+_TYPE = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv)/([A-Z][A-Za-z0-9]*)")
+
+_CALLS_AT_ONCE = 8  # of services; a call may wait for a peer
 
 _INSTALL = 'install it with: pip install "igtl-gateway[ros]" (Linux x86_64), or source a ROS 2 installation'
 _RMW_CHECK_S = 60
@@ -150,7 +152,7 @@ class RosEdge:
         except Exception as error:
             context.try_shutdown()
             raise RosError(f"node {self._node_name!r} in {self._namespace!r}: {first_line(error)}") from error
-        executor = rclpy.executors.SingleThreadedExecutor(context=context)
+        executor = rclpy.executors.MultiThreadedExecutor(_CALLS_AT_ONCE, context=context)
         executor.add_node(node)
         running = _Running(context, node, executor, self._make_receiver(context))
         self._running = running
@@ -237,6 +239,33 @@ class RosEdge:
         if overflown:
             self._note_overflow(writer.topic)
 
+    def serve(self, name: str, type_name: str, answer: Callable[[Any, Any], Any]) -> bool:
+        """Offer a service; ``answer`` fills a response and may wait, in a thread of the executor's.
+
+        Args:
+            name: of the service; ``~/`` stands for the node.
+            type_name: ``"pkg/srv/Name"``.
+            answer: called with request and response, returns the response.
+
+        Returns:
+            Whether that was possible; if not, a note says why.
+        """
+        try:
+            with self._lock:
+                if self._running is None:
+                    raise RosError("the node is not running")
+                group = self._rclpy.callback_groups.ReentrantCallbackGroup()
+                self._running.node.create_service(_interface(type_name), name, answer, callback_group=group)
+        except Exception as error:  # rclpy raises a dozen unrelated classes here
+            self._refuse("serve", name, type_name, error)
+            return False
+        return True
+
+    @staticmethod
+    def message_class(type_name: str) -> Any:
+        """The Python class of a message type.  Raises RosError if it is not installed here."""
+        return _interface(type_name)
+
     def advertise(self, topic: str, type_name: str, qos: Qos) -> None:
         """Create the publisher early, so that subscribers find it before the first message."""
         self._writer(topic, type_name, qos)
@@ -294,7 +323,7 @@ class RosEdge:
             matched=lambda _event: self._on_matched(),
             use_default_callbacks=False,
         )
-        publisher = node.create_publisher(_message_class(type_name), topic, self._profile(qos), event_callbacks=events)
+        publisher = node.create_publisher(_interface(type_name), topic, self._profile(qos), event_callbacks=events)
         writer = Writer(topic, type_name, publisher, qos, self._count(topic))
         reader = self._readers.get(topic)
         # a latched message may also reach a subscription that we make later
@@ -378,7 +407,7 @@ class RosEdge:
         running = self._running
         if running is None:
             raise RosError("the node is not running")
-        message_class = _message_class(type_name)
+        message_class = _interface(type_name)
         qos = self._offered(running.node, topic, wanted)
         writer = self._writers.get(topic)
         if writer is not None and writer.echo is None:
@@ -560,14 +589,14 @@ class _UnknownTypeError(RosError):
     """The Python package of a message type is not installed here."""
 
 
-def _message_class(type_name: str) -> Any:
-    """The Python class of ``"pkg/msg/Name"``.  Raises RosError if it is not installed here."""
+def _interface(type_name: str) -> Any:
+    """The Python class of ``"pkg/msg/Name"`` or ``"pkg/srv/Name"``.  Raises RosError if it is not installed here."""
     match = _TYPE.fullmatch(type_name)
     if not match:
         raise _UnknownTypeError(f'unknown type, found {type_name!r}, expected "package/msg/Name"')
-    package, name = match.groups()
+    package, kind, name = match.groups()
     try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
+        return getattr(importlib.import_module(f"{package}.{kind}"), name)
     except (ImportError, AttributeError) as error:
         raise _UnknownTypeError(f"unknown type, {first_line(error)} (install the package {package} for it)") from error
 
@@ -580,7 +609,17 @@ def _import_rclpy() -> Any:
     try:
         rclpy = importlib.import_module("rclpy")
         for name in (
-            *("context", "duration", "event_handler", "executors", "guard_condition", "node", "qos", "subscription"),
+            *(
+                "callback_groups",
+                "context",
+                "duration",
+                "event_handler",
+                "executors",
+                "guard_condition",
+                "node",
+                "qos",
+                "subscription",
+            ),
             "impl.implementation_singleton",
         ):
             importlib.import_module(f"rclpy.{name}")

@@ -1,0 +1,114 @@
+"""The service ``~/send_command``: one call sends a COMMAND and waits for its reply.
+
+It is a thin layer over the topics: the call becomes a message on the command topic, as any node could publish it,
+and its answer is the first reply with its id.  So recordings and replays know nothing of services.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from igtl_gateway.config import OUT_PREFIX
+from igtl_gateway.convert.igtl_msgs import Command, CommandReply, MetadataItem
+from igtl_gateway.convert.names import topic_token
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.session.entry import Entry, Kind
+
+SERVICE = "~/send_command"
+SERVICE_TYPE = "igtl_msgs/srv/SendCommand"
+
+#: Ids of calls; below are those that the gateway gives to messages without one.
+_FIRST_ID, _LAST_ID = 0x8000_0000, 0xFFFF_FFFF
+#: The gateway answers every command at its deadline at the latest; this is for a gateway that has been stopped.
+_GRACE_S = 5.0
+
+#: (topic, type, CDR bytes) to the hub.
+Publish = Callable[[str, str, bytes], None]
+
+
+class CommandService:
+    """Answers the calls; ``watch`` has to be shown every entry.
+
+    Args:
+        publish: brings a ROS message to the gateway.
+        timeout_s: for calls that name none.
+        item: class of the ROS message igtl_msgs/msg/MetadataItem.
+    """
+
+    def __init__(self, publish: Publish, timeout_s: float, item: Callable[..., Any]) -> None:
+        self._publish = publish
+        self._item = item
+        self._timeout_s = timeout_s
+        self._lock = threading.Lock()
+        self._last_id = _LAST_ID
+        self._replies: dict[int, CommandReply | None] = {}
+        self._answered = threading.Condition(self._lock)
+        self._stopped = False
+
+    def call(self, request: Any, response: Any) -> Any:
+        """One call, in a thread of its own."""
+        timeout_s = float(request.timeout) if 0 < request.timeout < float("inf") else self._timeout_s
+        reply = self.ask(
+            Command(
+                Header(),
+                request.device_name,
+                self._new_id(),
+                request.name,
+                0,
+                request.content,
+                tuple(MetadataItem(item.key, item.encoding, item.value) for item in request.metadata),
+                request.link,
+                timeout_s,
+            )
+        )
+        response.status = reply.status
+        response.error_message = reply.error_message
+        response.content = reply.content
+        response.link = reply.link
+        response.metadata = [
+            self._item(key=item.key, encoding=item.encoding, value=item.value) for item in reply.metadata
+        ]
+        return response
+
+    def ask(self, command: Command) -> CommandReply:
+        """Send a command, and wait for what becomes of it."""
+        topic = f"{OUT_PREFIX}{topic_token(command.device_name or 'command')}/command"
+        with self._lock:
+            self._replies[command.id] = None
+        try:
+            self._publish(topic, command.TYPE, command.pack())
+            with self._lock:
+                self._answered.wait_for(
+                    lambda: self._stopped or self._replies[command.id] is not None, command.timeout + _GRACE_S
+                )
+                reply = self._replies[command.id]
+        finally:
+            with self._lock:
+                del self._replies[command.id]
+        text = "the gateway stopped" if self._stopped else "the gateway gave no answer"
+        return reply or CommandReply(
+            Header(), command.device_name, command.id, command.name, CommandReply.TIMEOUT, text
+        )
+
+    def watch(self, entry: Entry) -> None:
+        """Pick the replies to our calls out of the log."""
+        if entry.kind is not Kind.ROS_OUT or entry.type != CommandReply.TYPE or not self._replies:
+            return
+        reply = CommandReply.unpack(entry.payload[0])
+        with self._lock:
+            if reply.id in self._replies and self._replies[reply.id] is None:
+                self._replies[reply.id] = reply
+                self._answered.notify_all()
+
+    def stop(self) -> None:
+        """Let nobody wait any longer."""
+        with self._lock:
+            self._stopped = True
+            self._answered.notify_all()
+
+    def _new_id(self) -> int:
+        with self._lock:
+            self._last_id = self._last_id + 1 if self._last_id < _LAST_ID else _FIRST_ID
+            return self._last_id
