@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from igtl_gateway.buffers import join
 from igtl_gateway.errors import MalformedBody, TruncatedMessage, WireError
@@ -173,8 +172,12 @@ def test_children_are_views() -> None:
     assert sum(np.shares_memory(np.frombuffer(part, np.uint8), received) for part in bind.pack()) == len(CHILDREN)
 
 
-@given(strategies.binds(strategies.bodies()), st.data())
-def test_decoded_children_are_encoded_to_the_same_bytes(bind: Bind, data: st.DataObject) -> None:
+#: Garbage under the name BIND is refused with the whole; under every other name it costs nobody anything.
+CONTENTS = {kind: contents for kind, contents in strategies.bodies().items() if kind != "BIND"}
+
+
+@given(strategies.binds(CONTENTS))
+def test_decoded_children_are_encoded_to_the_same_bytes(bind: Bind) -> None:
     for child in read(join(bind.pack())).children:
         try:
             body = child.body()
