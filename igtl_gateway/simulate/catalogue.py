@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.session.entry import Kind
-from igtl_gateway.simulate import paper_types, star
+from igtl_gateway.simulate import every_type, paper_types, star
 from igtl_gateway.simulate.scenario import Input, Scenario, fact, from_peer, link_down, link_up, merged
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message
@@ -66,5 +66,10 @@ SCENARIOS = {
         "one message of each type of the ROS-IGTL-Bridge paper, in both directions, synthetic",
         Config(),
         lambda _duration_s: paper_types.inputs(),
+    ),
+    "every-type": Scenario(
+        "every row of the conversion table, every query, commands, tf chains, metadata and kinds of peers, synthetic",
+        every_type.CONFIG,
+        lambda _duration_s: every_type.inputs(),
     ),
 }

@@ -7,15 +7,13 @@ connected, one that reads header version 1 only and one that shows version 2, as
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.rosmsg import Header, RosMessage
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.simulate.scenario import Input, from_peer, link_down, link_up
+from igtl_gateway.simulate.scenario import Input, from_peer, from_ros, link_down, link_up, stamped
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.body import Body
@@ -122,15 +120,7 @@ def inputs() -> Iterator[Input]:
         yield from_peer(time_ns, link, Message(type_name, device, content, ticks, header_version=link))
     for name, message in _ros_messages(Header(0, "base")):
         time_ns += _STEP_NS
-        stamped = _stamped(message, time_ns - 3_000_000)
-        topic = f"/igtl/out/{name}"
-        yield Input(time_ns, Kind.ROS_IN, stamped.pack(), topic, message.TYPE, source_ns=time_ns - 2_000_000)
+        told = stamped(message, time_ns - 3_000_000)
+        yield from_ros(time_ns, f"/igtl/out/{name}", told, sent_ns=time_ns - 2_000_000)
     yield link_down(time_ns + _STEP_NS, _OLD, "127.0.0.1:52001")
     yield link_down(time_ns + _STEP_NS + 1, _NEW, "127.0.0.1:52002")
-
-
-def _stamped(message: RosMessage, stamp_ns: int) -> RosMessage:
-    """The message with this stamp, where its type has one."""
-    if any(field.name == "header" for field in fields(message)):  # type: ignore[arg-type]
-        return replace(message, header=replace(message.header, stamp_ns=stamp_ns))  # type: ignore[type-var, attr-defined]
-    return message

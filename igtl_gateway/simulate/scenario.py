@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config
-from igtl_gateway.gateway import LINK_DOWN, LINK_UP, Gateway, Session
+from igtl_gateway.convert.rosmsg import RosMessage
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Gateway, Session
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import Message, encode
@@ -87,3 +89,26 @@ def fact(time_ns: int, code: str, text: str) -> Input:
 def from_peer(time_ns: int, link: int, message: Message) -> Input:
     """A message from a peer."""
     return Input(time_ns, Kind.IGTL_IN, join(encode(message)), link=link)
+
+
+def from_ros(time_ns: int, topic: str, message: RosMessage, sent_ns: int = 0) -> Input:
+    """A message of a ROS topic."""
+    return Input(time_ns, Kind.ROS_IN, message.pack(), topic, message.TYPE, source_ns=sent_ns)
+
+
+def tick(time_ns: int) -> Input:
+    """The gateway is told that a time has come, whether it waits for one or not."""
+    return Input(time_ns, Kind.EDGE_NOTE, Note(Level.INFO, TICK, "a deadline has come").pack())
+
+
+def stamped(message: RosMessage, stamp_ns: int) -> RosMessage:
+    """The message with this stamp, where its type has one; those of a TFMessage all get it."""
+    names = {field.name for field in fields(message)}  # type: ignore[arg-type]
+    changes: dict[str, Any] = {}
+    if "header" in names:
+        changes["header"] = replace(message.header, stamp_ns=stamp_ns)  # type: ignore[attr-defined]
+    if "timestamp_ns" in names:
+        changes["timestamp_ns"] = stamp_ns
+    if "transforms" in names:
+        changes["transforms"] = tuple(stamped(one, stamp_ns) for one in message.transforms)  # type: ignore[attr-defined]
+    return replace(message, **changes)  # type: ignore[type-var]
