@@ -21,6 +21,7 @@ from igtl_gateway.convert import (
     lists,
     numbers,
     plans,
+    polydata,
     poses,
     queries,
     rosmsg,
@@ -395,6 +396,17 @@ TO_ROS: tuple[RosRow, ...] = (
         applies=volumes.has_slices,
         role=Role.ON_REQUEST,
     ),
+    RosRow(
+        ("POLYDATA",),
+        PolyData,
+        igtl_msgs.PolyData,
+        "polydata",
+        polydata.polydata_to_ros,
+        _SURFACES,
+        lossy="names of attributes that are no text, coordinates that are not finite, padding",
+        applies=polydata.exceeds_standard,
+        role=Role.FULL,
+    ),
 )
 
 TO_IGTL: tuple[IgtlRow, ...] = (
@@ -518,6 +530,13 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         volumes.volume_to_image,
         _VOLUMES,
         f"double precision of direction, spacing and origin (float32), {_HEADER_1}",
+    ),
+    IgtlRow(
+        igtl_msgs.PolyData,
+        "POLYDATA",
+        polydata.polydata_to_igtl,
+        _SURFACES,
+        f"double precision of points (float32), names above 255 bytes, {_HEADER_1}; only finite points are sent",
     ),
 )
 
