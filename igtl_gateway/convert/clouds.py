@@ -55,6 +55,11 @@ def points_to_ros(content: Points, to: ToRos) -> PointCloud2:
     return _cloud(columns, len(elements), to)
 
 
+def is_single(content: Points) -> bool:
+    """Whether there is one point only."""
+    return len(content.elements) == 1
+
+
 @ieee_754
 def point_to_ros(content: Points, to: ToRos) -> PointStamped:
     """The first (in the table: the only) point."""

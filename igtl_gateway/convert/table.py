@@ -175,7 +175,7 @@ TO_ROS: tuple[RosRow, ...] = (
         clouds.point_to_ros,
         _STATES,
         lossy=f"{_POINT_LOSS}, colour, diameter",
-        applies=lambda content: len(content.elements) == 1,
+        applies=clouds.is_single,
     ),
     RosRow(("POINT",), Points, rosmsg.PointCloud2, "points", clouds.points_to_ros, _SURFACES, lossy=_POINT_LOSS),
     RosRow(

@@ -74,10 +74,10 @@ class Header:
     LAYOUT: ClassVar[Rows] = (
         Field("version", "u16"),
         Field("type", "char", 12),
-        Field("device_name", "char", 20),
-        Field("ticks", "u64"),
+        Field("device_name", "char", 20, "name of the stream; UTF-8"),
+        Field("ticks", "u64", 1, "time stamp, see below; 0 = unset"),
         Field("body_size", "u64"),
-        Field("crc", "u64"),
+        Field("crc", "u64", 1, "CRC-64/ECMA-182 of the body"),
     )
 
     version: int

@@ -1,7 +1,6 @@
 """IMGMETA, LBMETA and VIDEOMETA: what a peer has to offer.
 
-Each element names a device whose IMAGE or VIDEO can be asked for (``Protocol/imagemeta.md``, ``labelmeta.md``,
-``videometa.md``).
+Each element names a device whose IMAGE or VIDEO can be asked for.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ def _show_ticks(ticks: int) -> dict[str, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageMetaList(Elements):
-    """IMGMETA: the images that can be asked for.
+    """IMGMETA: the images that can be asked for (``Protocol/imagemeta.md``).
 
     Attributes:
         elements: structured array of ``IMAGE_META_DTYPE``.
@@ -91,7 +90,7 @@ class ImageMetaList(Elements):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelMetaList(Elements):
-    """LBMETA: the label maps that can be asked for.
+    """LBMETA: the label maps that can be asked for (``Protocol/labelmeta.md``).
 
     Attributes:
         elements: structured array of ``LABEL_META_DTYPE``.
@@ -114,7 +113,7 @@ class LabelMetaList(Elements):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoMetaList(Elements):
-    """VIDEOMETA: the videos that can be asked for.
+    """VIDEOMETA: the videos that can be asked for (``Protocol/videometa.md``).
 
     Attributes:
         elements: structured array of ``VIDEO_META_DTYPE``.

@@ -184,7 +184,12 @@ class PolyData:
         Field("strips_count", "u32", 1, "number of triangle strips"),
         Field("strips_size", "u32", 1, "bytes of their cell array"),
         Field("num_attributes", "u32", 1, "number of attributes, at most 4096"),
-        Field("points", "f32", "3 · num_points"),
+        Field(
+            "points",
+            "f32",
+            "3 · num_points",
+            "x, y, z in millimetres; the document names no unit, every peer uses them",
+        ),
         Field("vertices", "u32", "vertices_size / 4"),
         Field("lines", "u32", "lines_size / 4"),
         Field("polygons", "u32", "polygons_size / 4"),
@@ -196,9 +201,9 @@ class PolyData:
         ),
         Field("components", "u8", 1, "values of one tuple", per="attribute"),
         Field("tuples", "u32", 1, "number of points or cells", per="attribute"),
-        Field("names", "char", "with NUL", "names of all attributes, each at most 255 bytes and a NUL"),
+        Field("names", "char", "to the last NUL", "names of all attributes, each at most 255 bytes and a NUL"),
         Field("name_padding", "u8", "0 or 1"),
-        Field("data", "f32", "components · tuples", per="attribute"),
+        Field("data", "f32", "components · tuples", "tuple after tuple", per="attribute"),
     )
 
     points: npt.NDArray[Any]

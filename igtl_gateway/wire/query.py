@@ -136,7 +136,7 @@ class StartPolyData:
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
-    LAYOUT: ClassVar[Layout] = (Field("resolution_ns", "u64"),)
+    LAYOUT: ClassVar[Layout] = (Field("resolution_ns", "u64", 1, "least time between two messages, nanoseconds"),)
 
     resolution_ns: int | None = None
 

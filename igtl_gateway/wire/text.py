@@ -1,4 +1,4 @@
-"""STRING and STATUS (``Protocol/string.md``, ``status.md``)."""
+"""STRING and STATUS."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def mib_of(text: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class String:
-    """STRING: a text.
+    """STRING: a text (``Protocol/string.md``).
 
     Accepted: any encoding; what is no text in the one that is named is read as UTF-8.
 
@@ -88,7 +88,7 @@ class String:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """STATUS: how the sender is doing.
+    """STATUS: how the sender is doing (``Protocol/status.md``).
 
     Accepted: a message without the final NUL, which the document omits.
 

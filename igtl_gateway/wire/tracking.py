@@ -1,4 +1,4 @@
-"""TDATA and QTDATA: the poses of all tools of one frame (``Protocol/trackingdata.md``, ``qtrackingdata.md``)."""
+"""TDATA and QTDATA: the poses of all tools of one frame."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ QTRACKING_DTYPE = np.dtype(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackingData(Elements):
-    """TDATA: the poses of all tools of one frame, as matrices.
+    """TDATA: the poses of all tools of one frame, as matrices (``Protocol/trackingdata.md``).
 
     Attributes:
         elements: structured array of ``TRACKING_DTYPE``; ``type`` is one of ``TRACKER`` … ``TOOL_5D``.
@@ -52,7 +52,7 @@ class TrackingData(Elements):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuaternionTrackingData(Elements):
-    """QTDATA: the poses of all tools of one frame, as positions and quaternions.
+    """QTDATA: the poses of all tools of one frame, as positions and quaternions (``Protocol/qtrackingdata.md``).
 
     Attributes:
         elements: structured array of ``QTRACKING_DTYPE``; ``type`` is one of ``TRACKER`` … ``TOOL_5D``.

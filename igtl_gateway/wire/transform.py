@@ -1,4 +1,4 @@
-"""TRANSFORM and POSITION/QTRANS: a pose, as matrix or as quaternion (``Protocol/transform.md``, ``position.md``)."""
+"""TRANSFORM and POSITION/QTRANS: a pose, as matrix or as quaternion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _POSITION = {form: struct.Struct(f">{size // 4}f") for size, form in _FORMS.item
 
 @dataclass(frozen=True, slots=True)
 class Transform:
-    """TRANSFORM: a pose as the upper three rows of a 4 × 4 matrix, column by column.
+    """TRANSFORM: a pose as the upper three rows of a 4 × 4 matrix, column by column (``Protocol/transform.md``).
 
     Attributes:
         wire_matrix: R11 R21 R31 | R12 R22 R32 | R13 R23 R33 | TX TY TZ; translation in millimetres.
@@ -54,7 +54,7 @@ class Transform:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """POSITION: a pose as position and quaternion.
+    """POSITION: a pose as position and quaternion (``Protocol/position.md``).
 
     Accepted: three lengths.  28 bytes hold all; 24 leave out w, which is √(1 − x² − y² − z²); 12 leave out the
     rotation.  The short forms are in the code of the reference library, not in the document.

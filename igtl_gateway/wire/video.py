@@ -41,7 +41,7 @@ class Video:
         codec: four letters: ``I420`` (raw), ``H264``, ``VP90``, ``X265``, ``O265``, ``AV10``.
         size: columns i, rows j, slices k of the picture.
         data: one encoded frame.
-        frame_type: 1 key frame, others need the frames before them; see ``is_grey``.
+        frame_type: 1 key frame, others need the frames before them; above 255 a grey image, its type in the upper byte.
         endian: 1 big, 2 little: of raw pixels.
         coordinate: 1 RAS, 2 LPS: of the matrix.
         wire_matrix: as in IMAGE, in millimetres.
@@ -60,7 +60,7 @@ class Video:
         Field("size", "u16", 3),
         Field("wire_matrix", "f32", 12),
         Field("subvol_offset", "u16", 3),
-        Field("subvol_size", "u16", 3),
+        Field("subvol_size", "u16", 3, "its size; as ``size`` for a whole picture"),
         Field("data", "bytes", "the rest"),
     )
 
