@@ -83,6 +83,8 @@ HOMES: dict[str, tuple[str, ...]] = {
     "secrets": (),
     "uuid": (),
     # Libraries
+    "av": ("edges.video",),
+    "av": ("edges.video",),
     "fastcrc": ("wire",),
     "mcap": ("record.mcap_writer", "replay.mcap_reader"),
     "numpy": (

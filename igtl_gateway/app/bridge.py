@@ -16,13 +16,14 @@ from typing import Any
 from igtl_gateway import __version__
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
 from igtl_gateway.app.hub import Hub
-from igtl_gateway.app.video import Video, VideoOptions
+from igtl_gateway.app.video import Video
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config, matches
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import LinkStatusList, MetadataItem
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import Limits, TcpEdge
+from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError
 from igtl_gateway.gateway import LINKS_TOPIC, TICK, Gateway, Session
 from igtl_gateway.gateway.tf_out import TF_QOS

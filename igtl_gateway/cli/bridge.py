@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter, deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -372,7 +373,7 @@ def _role(row: RosRow) -> str:
     return "on request (--kinds)" if row.role is Role.ON_REQUEST else ""
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
     widths = [max(len(row[column]) for row in (head, *rows)) for column in range(len(head))]
     cells = (zip(row, widths, strict=True) for row in (head, *rows))
     return ["  " + "  ".join(text.ljust(width) for text, width in row).rstrip() for row in cells]

@@ -181,6 +181,8 @@ class RosEdge:
         running.receiver.stop()
         self._flush()
         running.executor.shutdown()
+        if pool := getattr(running.executor, "_executor", None):  # rclpy leaves its threads to the interpreter's end
+            pool.shutdown(wait=True)
         with self._lock:
             running.node.destroy_node()
         running.context.try_shutdown()

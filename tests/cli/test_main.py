@@ -161,3 +161,30 @@ def test_a_peer_that_invents_names_does_not_flood_the_terminal(capsys: pytest.Ca
         note = Note(Level.ERROR, "bad_crc", f"message refused: {index}", f"STRING/{index}")
         terminal.events([(Kind.NOTE, note, (1,))])
     assert capsys.readouterr().out.count("\n") <= 1001
+
+
+def test_every_type_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = outcome(capsys, "bridge", "--types")
+    assert code == 0
+    lines = [" ".join(line.split()) for line in out.splitlines()]
+    assert "TRANSFORM transform geometry_msgs/msg/TransformStamped" in lines
+    assert "TDATA/QTDATA /tf tf2_msgs/msg/TFMessage" in lines
+    assert "std_msgs/msg/String STRING" in lines
+    assert "igtl_msgs/msg/TrackingData TDATA QTDATA" in lines
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--tf-out", "tool"], "--tf-out: found 'tool', expected FRAME"),
+        (["--peer", "127.0.0.1=nobody"], "--peer: found '127.0.0.1=nobody', expected HOST:PORT=PROFILE"),
+        (["--kinds", "Probe=colour"], "--kinds: found 'Probe=colour', expected DEVICE=KIND"),
+        (["--video-codec", "h264", "--no-ros"], "--video-codec encodes images of ROS"),
+        (["--video-codec", "h264", "--video-bit-rate", "0"], "video bit_rate: found 0"),
+    ],
+)
+def test_routes_that_cannot_be_are_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], reason: str
+) -> None:
+    code, _, err = outcome(capsys, "bridge", *arguments)
+    assert code == 2 and reason in err and len(err.splitlines()) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import socket
 import time
@@ -110,16 +111,15 @@ def test_without_options_until_a_signal(programs: list[Program], tmp_path: Path,
     if default:
         assert "server on 127.0.0.1:18944" in shown
     assert f"recording    {path}" in shown
-    mapping = [" ".join(line.split()) for line in bridge.lines]
-    assert "TRANSFORM -> /igtl/in/<device>/transform geometry_msgs/msg/TransformStamped" in mapping
-    assert "/igtl/out/<device> std_msgs/msg/String -> STRING" in mapping
+    assert "devices appear on /igtl/in/<device>/<kind>, poses on /tf too (mm -> m)" in shown
+    assert "what is published on /igtl/out/<device> goes out (m -> mm)" in shown
     address = next(line for line in bridge.lines if "server on" in line).rpartition(":")[2]
     with RawPeer(int(address)) as peer:
         peer.send(string("to be kept"))
         bridge.wait_until(lambda: any("STRING/Raw goes to" in line for line in bridge.lines), "stream")
         result = bridge.end(number)
     assert (result.code, result.err) == (0, "")
-    assert "stopped.  OpenIGTLink: 1 in, 0 out.  ROS: 0 in, 1 out.  refused: 0" in result.out
+    assert re.search(r"stopped\.  OpenIGTLink: 1 in, 0 out\.  ROS: 0 in, \d out\.  refused: 0", result.out)
     messages = recorded(path)
     assert f"recorded {len(messages)} entries into {path}" in result.out
     assert [message.data for topic, _, message in messages if topic == "/igtl/in/Raw/string"] == ["to be kept"]

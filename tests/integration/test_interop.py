@@ -611,7 +611,10 @@ def test_every_node_reaches_every_peer(world: World) -> None:
 def test_version_two_for_who_has_shown_it(world: World) -> None:
     """As 3D Slicer begins: a version 2 STATUS with an item of metadata."""
     status = struct.pack(">Hq20s", 1, 0, b"") + b"hello\0"
-    fields = {"header": head("Base"), "transform": {"translation": xyz(0.001, 0.002, 0.003), "rotation": {"w": 1.0}}}
+    fields: dict[str, Any] = {
+        "header": head("Base"),
+        "transform": {"translation": xyz(0.001, 0.002, 0.003), "rotation": {"w": 1.0}},
+    }
     topic = f"/igtl/out/{LONG_NAME}"
     with RawPeer(world.bridge.port) as slicer:
         world.bridge.wait_events(
@@ -629,7 +632,12 @@ def test_version_two_for_who_has_shown_it(world: World) -> None:
         assert after.device == before.device
         content, metadata = unextended(after.body)
         assert content == before.body
-        assert metadata == {"DeviceName": LONG_NAME.replace("/", "_")}
+        told = fields["header"]["stamp"]
+        assert metadata == {
+            "DeviceName": LONG_NAME.replace("/", "_"),
+            "ros.frame_id": "Base",
+            "ros.stamp": str(told["sec"] * 10**9 + told["nanosec"]),
+        }
 
         for _ in range(2):  # the peer of version 1 beside it
             got = world.cpp.receive("TRANSFORM", before.device)
