@@ -84,7 +84,6 @@ HOMES: dict[str, tuple[str, ...]] = {
     "uuid": (),
     # Libraries
     "av": ("edges.video",),
-    "av": ("edges.video",),
     "fastcrc": ("wire",),
     "mcap": ("record.mcap_writer", "replay.mcap_reader"),
     "numpy": (
@@ -120,6 +119,7 @@ UNMIRRORED = (
     "peers",
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
     "test_architecture.py",
+    "test_docs.py",  # tools/docs.py
     "test_fixtures.py",  # what the recordings in fixtures/ promise
     "test_gateway_fuzz.py",
     "wire/test_bodies.py",  # every type of message against one list of checks
