@@ -8,7 +8,7 @@ READY := .venv/.ready
 help:
 	@echo "make demo    bridge, record, verify and replay on this machine, with real ROS 2"
 	@echo "make test    all tests, after the checks of 'make check': the gate for every change"
-	@echo "make check   format, lint, types, pins, architecture"
+	@echo "make check   format, lint, types, pins, generated documents, architecture"
 	@echo "make clean   remove what make has made, .venv too"
 	@echo
 	@echo "The first run installs what is missing (a few minutes); PYTHON=... chooses the interpreter."
@@ -27,6 +27,7 @@ static: $(READY)
 	@$(BIN)/ruff check --quiet --output-format concise .
 	@$(BIN)/mypy --no-error-summary
 	@$(BIN)/python tools/constraints.py --check
+	@$(BIN)/python tools/docs.py --check
 
 peers:
 	@tools/setup.sh peers

@@ -1,0 +1,141 @@
+"""``tools/docs.py``: the documents are current, complete and whole."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.convert.table import TO_IGTL, TO_ROS
+from igtl_gateway.gateway import metadata
+from igtl_gateway.gateway.profiles import PROFILES
+from igtl_gateway.wire.layout import Field
+from igtl_gateway.wire.registry import BODIES
+from tests.wire import conformance
+from tools import docs
+
+MESSAGES, CONVERSIONS = docs.messages(), docs.conversions()
+PAGES = pytest.mark.parametrize("page", [MESSAGES, CONVERSIONS], ids=["messages", "conversions"])
+
+
+def anchors(page: str) -> set[str]:
+    return {docs.anchor(title) for title in re.findall(r"^#+ (.*)$", page, re.MULTILINE)}
+
+
+def section(page: str, title: str) -> str:
+    """What stands below a heading of the third level."""
+    return page.partition(f"\n### {title}\n")[2].partition("\n### ")[0]
+
+
+def test_the_files_are_current() -> None:
+    assert docs.stale() == [], "python tools/docs.py"
+
+
+def test_what_is_written_is_current_and_what_is_changed_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert docs.main(["--check"], tmp_path) == 1
+    assert list(tmp_path.iterdir()) == []
+    assert docs.main([], tmp_path) == 0
+    assert docs.main(["--check"], tmp_path) == 0
+    (tmp_path / "messages.md").write_text(MESSAGES.replace("TDATA", "TDATUM"), "utf-8")
+    capsys.readouterr()
+    assert docs.main(["--check"], tmp_path) == 1
+    assert "docs/messages.md" in (said := capsys.readouterr().err)
+    assert "conversions" not in said
+
+
+def test_every_type_profile_and_key_is_there() -> None:
+    assert [name for name in BODIES if f"`{name}`" not in MESSAGES and not name.endswith("_TRANSFOR")] == []
+    assert [profile.name for profile in PROFILES if f"### Profile {profile.name}\n" not in MESSAGES] == []
+    assert [fact for profile in PROFILES for fact, _ in profile.facts if fact.replace("|", "\\|") not in MESSAGES] == []
+    assert docs.KEYS.keys() == metadata.OURS
+
+
+def test_every_conversion_is_there() -> None:
+    for to_ros in TO_ROS:
+        here = section(CONVERSIONS, next(title for title, rows in docs.ros_sections().items() if to_ros in rows))
+        for fact in (f"`{to_ros.topic or to_ros.kind}`", docs.ros_name(to_ros.message.TYPE), to_ros.lossy):
+            assert fact in here
+    back = CONVERSIONS.partition("## ROS to OpenIGTLink")[2]
+    for to_igtl in TO_IGTL:
+        name = docs.ros_name(to_igtl.message.TYPE)
+        lines = [line for line in back.splitlines() if name in line and to_igtl.lossy in line]
+        wanted = "`GET_…`" if to_igtl.igtl_type.startswith("GET_") else f"`{to_igtl.igtl_type}`"
+        assert any(wanted in line for line in lines), to_igtl
+
+
+def test_every_definition_is_there() -> None:
+    files = [path for folder in ("msg", "srv") for path in (docs.DEFINITIONS / folder).iterdir()]
+    assert files
+    assert [path.name for path in files if f"/{path.name})" not in CONVERSIONS] == []
+
+
+@PAGES
+def test_links_lead_somewhere(page: str) -> None:
+    pages = {"": page, "messages.md": MESSAGES, "conversions.md": CONVERSIONS}
+    links = set(re.findall(r"\]\(([^)]+)\)", page))
+    assert links
+    for link in links:
+        if link.startswith("https://"):
+            continue
+        place, _, part = link.partition("#")
+        if place not in pages:
+            assert (docs.DOCS / place).resolve().exists(), link
+        elif part:
+            assert part in anchors(pages[place]), link
+
+
+@PAGES
+def test_tables_are_whole(page: str) -> None:
+    """As many cells in each row as in its head, or the rest of the row is not shown."""
+    tables = re.findall(r"(?:^\|.*\n)+", page, re.MULTILINE)
+    assert tables
+    for table in tables:
+        widths = {len(re.split(r"(?<!\\)\|", line)) for line in table.splitlines()}
+        assert len(widths) == 1, table
+
+
+@PAGES
+def test_words_of_the_code_stay_there(page: str) -> None:
+    """No reStructuredText, no names of Python's, no place on a disk."""
+    assert re.findall(r"``|:class:|\bNone\b|ClassVar|<lambda>|/work/|/home/", page) == []
+
+
+@PAGES
+def test_lines_of_prose_are_no_longer_than_those_of_code(page: str) -> None:
+    prose = [line for line in page.splitlines() if not line.startswith(("|", "- ", "<!--"))]
+    assert [line for line in prose if len(line) > 120] == []
+
+
+def test_without_the_corpus_its_table_stays(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Where only the project was copied, there are fewer messages to count."""
+    monkeypatch.setattr(conformance, "SHARED", tmp_path / "absent")
+    monkeypatch.setattr(docs, "DOCS", tmp_path)
+    begin, end = docs.CONFORMANCE
+    written = MESSAGES.partition(begin)[0] + f"{begin}\n\n| as | it was |\n\n{end}\n"
+    (tmp_path / "messages.md").write_text(written, "utf-8")
+    assert docs.messages() == written
+
+
+def test_a_layout() -> None:
+    """Offsets as far as they are known, sizes in words where others tell them, the docstring where a row is silent."""
+    rows = (
+        Field("a", "u16", 3),
+        Field("n", "u8", 1, "number of texts"),
+        Field("size", "u32", 1, per="text"),
+        Field("text", "char", "size", per="text"),
+        Field("b", "f32", "2 · n"),
+        Field("rest", "bytes", "the rest"),
+    )
+    assert docs.layout(rows, {"a": "first | last", "n": "unused"}).splitlines() == [
+        "| offset | bytes | type | field | meaning |",
+        "| ---: | --- | --- | --- | --- |",
+        "| 0 | 6 | u16[3] | `a` | first \\| last |",
+        "| 6 | 1 | u8 | `n` | number of texts |",
+        "| … | 4 per text | u32 | `size` |  |",
+        "| … | size per text | char[] | `text` |  |",
+        "| … |  | f32[2 · n] | `b` |  |",
+        "| … | the rest | bytes | `rest` |  |",
+    ]

@@ -1,0 +1,700 @@
+"""docs/messages.md and docs/conversions.md, from the tables that the program itself works with.
+
+    .venv/bin/python tools/docs.py             write them anew
+    .venv/bin/python tools/docs.py --check     are they current?
+
+Strategy: facts come from the tables (layouts and registry of the wire, conversions, profiles, definitions) and from the
+docstrings of what stands in them; only what leads from one table to the next is written here.  A sentence about a type
+belongs into the docstring of its class, after ``Accepted:`` or ``Sent:`` where it is about that.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+import textwrap
+from collections.abc import Iterable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.config import Config
+from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
+from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
+from igtl_gateway.convert.table import TO_IGTL, TO_ROS, IgtlRow, Role, RosRow
+from igtl_gateway.gateway import metadata, queries
+from igtl_gateway.gateway.profiles import CPP_FACTORY, PROFILES, Profile
+from igtl_gateway.qos import Qos
+from igtl_gateway.stamp import NS_PER_MS
+from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.elements import Elements
+from igtl_gateway.wire.layout import Layout
+from igtl_gateway.wire.message import MAX_METADATA_ACCEPTED, MAX_METADATA_SENT, METADATA_LAYOUT, Extended, Header
+from igtl_gateway.wire.query import PREFIXES, QUERIES, query_name, split_query
+from igtl_gateway.wire.registry import ALIASES, BODIES
+from igtl_gateway.wire.sensor import PREFIXES as UNIT_PREFIXES
+from igtl_gateway.wire.sensor import UNITS
+from igtl_gateway.wire.text import CODES
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+DEFINITIONS = ROOT / "ros2" / "igtl_msgs"
+DOCUMENTS = "https://github.com/openigtlink/OpenIGTLink/blob/master/Documents/Protocol"
+
+GENERATED = "<!-- Made by tools/docs.py from the program's own tables: change those, not this. -->"
+#: What stands between these is kept where the material for it is not at hand.
+CONFORMANCE = ("<!-- conformance -->", "<!-- /conformance -->")
+
+#: Key of the metadata → its meaning; a test holds the keys against ``metadata.OURS``.
+KEYS = {
+    metadata.FULL_NAME: "device name, where it is longer than the 20 bytes of the header",
+    metadata.STAMP: "stamp of the ROS header, UTC nanoseconds as a decimal number",
+    metadata.FRAME_ID: "`frame_id` of the ROS header; of a transform the parent",
+    metadata.CHILD_FRAME_ID: "`child_frame_id` of a transform",
+}
+
+
+# -- Markdown ---------------------------------------------------------------------------------------------------------
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[object]], right: str = "") -> str:
+    """A table; columns named in ``right`` (by their letters a, b, …) are numbers."""
+    rules = ["---:" if "abcdefghij"[index] in right else "---" for index in range(len(heads))]
+    lines = [heads, rules, *([str(cell).replace("|", "\\|") for cell in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def prose(text: str) -> str:
+    """Paragraphs of a docstring or of this file as Markdown, in lines of 120 characters."""
+    paragraphs = (" ".join(part.split()) for part in text.replace("``", "`").split("\n\n"))
+    return "\n\n".join(
+        textwrap.fill(part, 120, break_long_words=False, break_on_hyphens=False) for part in paragraphs if part
+    )
+
+
+def code(names: Iterable[str], joint: str = ", ") -> str:
+    return joint.join(f"`{name}`" for name in names)
+
+
+def anchor(title: str) -> str:
+    """As GitHub makes it of a heading."""
+    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+
+
+def document(*parts: str) -> str:
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+# -- docstrings -------------------------------------------------------------------------------------------------------
+
+
+def paragraphs(thing: Any) -> list[str]:
+    """The docstring of a class without its list of attributes; the first paragraph without the type's name."""
+    text = inspect.getdoc(thing) or ""
+    return [
+        " ".join(part.split()).replace("``", "`") for part in text.partition("Attributes:")[0].split("\n\n") if part
+    ]
+
+
+def attributes(thing: Any) -> dict[str, str]:
+    """What the docstring of a class says of its attributes."""
+    told: dict[str, str] = {}
+    names: list[str] = []
+    for line in (inspect.getdoc(thing) or "").partition("Attributes:")[2].splitlines():
+        if match := re.fullmatch(r" {4}(\w+(?:, \w+)*): (.*)", line):
+            names = match[1].split(", ")
+            told |= dict.fromkeys(names, match[2])
+        elif line.strip():
+            told |= {name: f"{told[name]} {line.strip()}" for name in names}
+    return {name: " ".join(text.split()).replace("``", "`").rstrip(".") for name, text in told.items()}
+
+
+_DOCUMENT = re.compile(r"\s*\(`Protocol/(\w+\.md)`.*?\)")
+
+
+def summary(kind: type[Body]) -> tuple[str, str]:
+    """What a class of contents is, and the protocol's document about it."""
+    first = paragraphs(kind)[0]
+    module = inspect.getmodule(kind)
+    found = _DOCUMENT.search(first) or _DOCUMENT.search((inspect.getdoc(module) or "").replace("``", "`"))
+    text = _DOCUMENT.sub("", first).partition(": ")[2] or first
+    return text[0].upper() + text[1:], found[1] if found else ""
+
+
+def layout_of(kind: type[Body]) -> Layout:
+    """Every class of contents has one; a test holds that."""
+    rows: Layout = kind.LAYOUT  # type: ignore[attr-defined]
+    return rows
+
+
+def protocol_of(kind: type[Body]) -> str:
+    """The version of the protocol that brought a type; queries have none of their own."""
+    version: str = kind.PROTOCOL  # type: ignore[attr-defined]
+    return version
+
+
+# -- layouts ----------------------------------------------------------------------------------------------------------
+
+
+def layout(rows: Layout, meanings: dict[str, str]) -> str:
+    """A layout as a table; what it does not say of a field itself is in ``meanings``."""
+    lines = []
+    offset: int | None = 0
+    for row in rows:
+        place = "…" if offset is None or row.per else str(offset)
+        size: object = row.size
+        if row.size is None:
+            size = row.count if row.type in ("char", "bytes") else ""
+        kind = row.type if row.count == 1 or row.type == "bytes" else f"{row.type}[{row.count}]"
+        if row.type == "char" and row.size is None:
+            kind = "char[]"
+        if row.per:
+            size = f"{size} per {row.per}".strip()
+        about = row.about.replace("``", "`") or meanings.get(row.name, "")
+        lines.append((place, size, kind, f"`{row.name}`", about))
+        offset = offset + row.size if offset is not None and row.size is not None and not row.per else None
+    return table(("offset", "bytes", "type", "field", "meaning"), lines, "a")
+
+
+# -- docs/messages.md -------------------------------------------------------------------------------------------------
+
+
+@cache
+def sections() -> dict[str, tuple[type[Body], list[str]]]:
+    """Title → class and type names of everything but queries, by title."""
+    names: dict[type[Body], list[str]] = {}
+    for name, kind in BODIES.items():
+        if name not in QUERIES and name not in ALIASES:
+            names.setdefault(kind, []).append(name)
+    return {", ".join(types): (kind, types) for kind, types in sorted(names.items(), key=lambda item: item[1])}
+
+
+def queries_of(base: str) -> list[str]:
+    """The queries of a type of data that there are, in the order GET, STT, STP, RTS."""
+    return [name for prefix in PREFIXES if (name := query_name(prefix, base)) in QUERIES]
+
+
+def is_sent(name: str) -> bool:
+    """Whether there is a conversion from ROS to a type; everything else goes out as it is, by igtl_msgs/RawMessage."""
+    return name in QUERIES or any(row.igtl_type == name for row in TO_IGTL)
+
+
+def messages() -> str:
+    """docs/messages.md."""
+    return document(
+        "# OpenIGTLink messages",
+        GENERATED,
+        prose(
+            """Every type that the gateway reads and writes: what stands where, in which unit, what it tolerates from
+            peers and what it sends.  What becomes of each in ROS is in [conversions.md](conversions.md).  A type that
+            is not here is carried, recorded and replayed byte for byte all the same."""
+        ),
+        _overview(),
+        _frame(),
+        "## Types",
+        *(_type(title, kind, types) for title, (kind, types) in sections().items()),
+        _queries(),
+        _metadata(),
+        _profiles(),
+        _conformance(),
+    )
+
+
+def _overview() -> str:
+    rows = []
+    for title, (kind, types) in sections().items():
+        read_too = code(name for name, meant in ALIASES.items() if meant in types)
+        name = code(types) + (f" ({read_too})" if read_too else "")
+        way = "in, out" if all(map(is_sent, types)) else "in"
+        rows.append((f"[{name}](#{anchor(title)})", protocol_of(kind), way, summary(kind)[0].rstrip(".")))
+    return document(
+        "## Overview",
+        prose(
+            """*Since* is the version of the protocol that brought a type: 1 and 2 use header version 1, 3 uses header
+            version 2; every type travels with either.  Names in parentheses are accepted and never sent.  *out*: ROS
+            messages become it, or the gateway makes it; whole messages of any type can be sent as
+            `igtl_msgs/RawMessage`.  Queries are [below](#queries)."""
+        ),
+        table(("type", "since", "way", "what it is"), rows),
+    ).rstrip()
+
+
+def _frame() -> str:
+    return document(
+        "## Around the content",
+        prose(
+            f"""Numbers are big-endian, but for pixels and encoded frames, whose messages name their order.  Nothing is
+            aligned.  Lengths are millimetres.  Offsets of contents count from the end of the header (version 1) or of
+            the extended header (version 2).
+
+            **Accepted:** text that is no UTF-8, and what a sender left behind the first NUL of a field (it is kept,
+            and not shown); an extended header of more than 12 bytes; a missing metadata header; up to
+            {MAX_METADATA_ACCEPTED:,} bytes of metadata; a message without content of a type that should have one.
+            All of it is encoded again as it came.  Sizes are checked before anything is allocated.  A wrong CRC costs
+            the message (`check_crc = false` turns that off), as does everything that is said to be refused below; a
+            note in the recording says why.
+
+            **Sent:** header version 1, until a peer has shown 2 or its [profile](#peer-profiles) says otherwise.  Text
+            is UTF-8, cut at the end of a character to one byte less than its field (C++ readers drop text that fills
+            it) and padded with zeros; device names may fill their 20 bytes.  At most {MAX_METADATA_SENT:,} bytes of
+            metadata, one value for each key, sorted by key; the metadata header is there even without any.  The CRC
+            is always right, message ids are 0."""
+        ),
+        "### Header",
+        layout(Header.LAYOUT, attributes(Header)),
+        prose(
+            """The time stamp is seconds since 1970 (UTC) in 32.32 fixed point; 0 means unset, never 1970.  It is
+            converted to nanoseconds and back as the reference library does it, without loss."""
+        ),
+        "### Extended header",
+        "Header version 2 only: the body begins with it.",
+        layout(Extended.LAYOUT, attributes(Extended)),
+        "### Metadata",
+        "Header version 2 only: the body ends with it.  The numbers of all items stand first, then all texts.",
+        layout(METADATA_LAYOUT, {}),
+    ).rstrip()
+
+
+def _type(title: str, kind: type[Body], types: list[str]) -> str:
+    text, source = summary(kind)
+    facts = [f"Protocol version {protocol_of(kind)}" + (f", [{source}]({DOCUMENTS}/{source})" if source else "")]
+    if read_too := [name for name, meant in ALIASES.items() if meant in types]:
+        facts.append(f"Accepted and never sent: {code(read_too)}")
+    if asked := [name for base in types for name in queries_of(base)]:
+        facts.append(f"[Queries](#queries): {code(asked)}")
+    facts += _ros_facts(types)
+    rows = layout_of(kind)
+    size = ""
+    if issubclass(kind, Elements):
+        size = f"Elements of {kind.DTYPE.itemsize} bytes, as many as the content has room for:"
+    elif len([row for row in rows if row.per]) > 1:
+        per = next(row.per for row in rows if row.per)
+        size = f"Rows *per {per}* that follow each other stand together: those of the first {per}, of the second, …"
+    return document(
+        f"### {title}",
+        prose(text),
+        "\n".join(f"- {fact}" for fact in facts),
+        size,
+        layout(rows, attributes(kind)),
+        *(prose(_marked(part)) for part in paragraphs(kind)[1:] if "equal" not in part.lower().split()),
+        *_EXTRAS.get(title, ()),
+    ).rstrip()
+
+
+def _marked(paragraph: str) -> str:
+    return re.sub(r"^(Accepted|Sent):", r"**\1:**", paragraph)
+
+
+def _ros_facts(types: list[str]) -> list[str]:
+    facts = []
+    if to_ros := list(dict.fromkeys(ros_name(row.message.TYPE) for row in TO_ROS if set(types) & set(row.igtl_types))):
+        title = next(title for title, rows in ros_sections().items() if set(types) & set(rows[0].igtl_types))
+        facts.append(f"[To ROS](conversions.md#{anchor(title)}): {_shortened(to_ros)}")
+    if from_ros := list(dict.fromkeys(ros_name(row.message.TYPE) for row in TO_IGTL if row.igtl_type in types)):
+        facts.append(f"[From ROS](conversions.md#ros-to-openigtlink): {_shortened(from_ros)}")
+    return facts
+
+
+def _shortened(names: list[str]) -> str:
+    """The array types of std_msgs are many and alike."""
+    arrays = [name for name in names if name.endswith("MultiArray")]
+    others = [name for name in names if name not in arrays]
+    if len(arrays) > 2:
+        return ", ".join([*others, "std_msgs/…MultiArray"])
+    return ", ".join(others + arrays)
+
+
+def _units() -> str:
+    prefixes = table(
+        ("code", "prefix", "power of ten"),
+        ((f"`{key:X}`", symbol or "none", power) for key, (symbol, power) in UNIT_PREFIXES.items()),
+        "c",
+    )
+    units = ", ".join(f"`{number:02X}` {symbol}" for number, symbol in enumerate(UNITS, start=1))
+    return f"{prefixes}\n\n" + prose(f"Units (`00` = none; the unit of mass is the gram): {units}.  Exponents: -7 … 7.")
+
+
+_EXTRAS = {
+    "STATUS": (prose("Codes: " + ", ".join(f"{number} {text}" for number, text in enumerate(CODES)) + "."),),
+    "SENSOR": (_units(),),
+}
+
+
+def _queries() -> str:
+    bases: dict[str, dict[str, str]] = {}
+    for name in QUERIES:
+        if name not in ALIASES:
+            prefix, base = split_query(name) or ("", "")
+            bases.setdefault(base, {})[prefix] = name
+    rows = [
+        (f"`{base}`", *(f"`{has[prefix]}`" if prefix in has else "" for prefix in PREFIXES))
+        for base, has in sorted(bases.items())
+    ]
+    contents: dict[type[Body], list[str]] = {}
+    for name in sorted(QUERIES.keys() - ALIASES.keys()):
+        contents.setdefault(QUERIES[name], []).append(name)
+    parts = []
+    for kind, names in sorted(contents.items(), key=lambda item: (not layout_of(item[0]), item[1])):
+        rest = [prose(_marked(part)) for part in paragraphs(kind)[1:]]
+        if not layout_of(kind):
+            parts += ["### All other queries", "No content.", *rest]
+            continue
+        title = "RTS_ of every type" if len(names) > 2 else ", ".join(names)
+        parts += [f"### {title}", prose(summary(kind)[0]), layout(layout_of(kind), attributes(kind)), *rest]
+    told = prose((inspect.getdoc(queries) or "").replace("What peers ask for: ", ""))
+    return document(
+        "## Queries",
+        prose(
+            """`GET_` asks for one message, `STT_` begins a stream, `STP_` ends it, `RTS_` says what became of that.
+            The device name says of what; empty is of any.  `GET_TRANSFOR`, which part of the documents writes, is read
+            as `GET_TRANS`, and so on."""
+        ),
+        table(("of", *(f"`{prefix}_`" for prefix in PREFIXES)), rows),
+        told,
+        prose("In ROS all of them are [`igtl_msgs/Query`](../ros2/igtl_msgs/msg/Query.msg)."),
+        *parts,
+    ).rstrip()
+
+
+def _metadata() -> str:
+    rows = [(f"`{key}`", KEYS[key]) for key in sorted(KEYS)]
+    return document(
+        "## Metadata keys",
+        prose(
+            f"""Ours, sent to every peer of header version 2 and taken back on the way to ROS; one that is not as we
+            write it is taken for the user's.  All other metadata belong to the users: they come with the messages of
+            `igtl_msgs`, or beside the standard ones as `igtl_msgs/Metadata`, and go out as they are.  In replies to a
+            COMMAND `{STATUS}` (`SUCCESS` or `FAIL`) and `{ERROR_MESSAGE}` say what became of it."""
+        ),
+        table(("key", "value"), rows),
+    ).rstrip()
+
+
+# -- peer profiles ----------------------------------------------------------------------------------------------------
+
+
+def _profiles() -> str:
+    rows = [
+        (
+            f"[`{profile.name}`](#profile-{profile.name})",
+            f"{profile.first_version}, at most {profile.max_version}",
+            _types(profile.reads),
+            _types(profile.queries, "as types"),
+            _types(profile.replies, "as types"),
+            "yes" if profile.takes_empty else "no",
+            f"{profile.ping_ns // NS_PER_MS} ms" if profile.ping_ns else "",
+        )
+        for profile in PROFILES
+    ]
+    heads = ("profile", "header version", "types", "queries", "`RTS_`", "empty bodies", "ping")
+    return document(
+        "## Peer profiles",
+        prose(
+            """What the gateway knows of the programs on the other side.  The profile of a peer is chosen by option
+            (`profile`, `[[peers]]` in [the configuration](../igtl_gateway/config.py)), else by what it shows; until
+            then it is `default`.  *header version*: to begin with; it rises to what the peer has shown.  *types*,
+            *queries* and `RTS_`: what it may be sent.  *empty bodies*: whether it survives a version 1 message
+            without content, as answer to a query that cannot be answered.  *ping*: after that silence it is sent a
+            GET_STATUS.  In the sources § is a section of the project's notes on the protocol; *reproduced* was run
+            against the program or its library."""
+        ),
+        table(heads, rows),
+        *map(_profile, PROFILES),
+    ).rstrip()
+
+
+def _types(names: frozenset[str] | None, everything: str = "all") -> str:
+    if names is None:
+        return everything
+    if names >= CPP_FACTORY:
+        return "the factory's"
+    return code(sorted(names)) or "none"
+
+
+def _profile(profile: Profile) -> str:
+    default = Profile.__dataclass_fields__["shows"].default
+    parts = [
+        f"### Profile {profile.name}",
+        "Told by what it sends." if profile.shows is not default else "",
+        table(("what is so", "known from"), profile.facts),
+    ]
+    if profile.adapt:
+        parts.append("\n".join(f"- {_sections_of(kind)}: {paragraphs(how)[0]}" for kind, how in profile.adapt.items()))
+    if profile.reads is not None and profile.reads >= CPP_FACTORY:
+        parts.append(prose(f"Its factory's types: {code(sorted(profile.reads))}."))
+    return document(*parts).rstrip()
+
+
+def _sections_of(kind: type) -> str:
+    return next(title for title, (content, _) in sections().items() if content is kind)
+
+
+# -- conformance ------------------------------------------------------------------------------------------------------
+
+
+def _conformance() -> str:
+    begin, end = CONFORMANCE
+    return document(
+        "## Conformance",
+        prose(
+            """Messages written by other implementations: the corpus made with the C++ library, the test vectors of the
+            C library, and files made by hand for what neither has.  Each goes through `igtl-gateway decode
+            --reencode`; *decoded* has every value that its author wrote, *re-encoded* the same bytes.
+            `tests/wire/test_conformance.py` holds it.  `python tools/fuzz.py --seconds 600 --seed 1` bends these
+            messages for ten minutes: each must be refused, or be encoded to the bytes that were decoded."""
+        ),
+        begin,
+        _results(),
+        end,
+    ).rstrip()
+
+
+def _results() -> str:
+    """The table as counted, or as it is written where the corpus beside the project is not."""
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))
+    from tests.wire import conformance
+
+    begin, end = CONFORMANCE
+    if not (conformance.SHARED / "corpus").exists():
+        return (DOCS / "messages.md").read_text("utf-8").partition(begin)[2].partition(end)[0].strip()
+    return _counted(conformance)
+
+
+@cache
+def _counted(conformance: Any) -> str:
+    """Takes a second."""
+    return str(conformance.table(conformance.results()))
+
+
+# -- docs/conversions.md ----------------------------------------------------------------------------------------------
+
+
+def ros_name(ros_type: str) -> str:
+    """A type with a link to its definition where it is ours."""
+    package, _, name = ros_type.partition("/msg/")
+    if package == "igtl_msgs":
+        return f"[{package}/{name}](../ros2/igtl_msgs/msg/{name}.msg)"
+    return f"{package}/{name}"
+
+
+@cache
+def ros_sections() -> dict[str, tuple[RosRow, ...]]:
+    """Title → rows of OpenIGTLink types, by title; the queries last."""
+    found: dict[str, list[RosRow]] = {}
+    for row in TO_ROS:
+        names = [name for name in row.igtl_types if name not in ALIASES]
+        found.setdefault("Queries" if names[0] in QUERIES else ", ".join(names), []).append(row)
+    return {title: tuple(rows) for title, rows in sorted(found.items(), key=lambda item: (item[0] == "Queries", item))}
+
+
+def conversions() -> str:
+    """docs/conversions.md."""
+    return document(
+        "# Conversions between OpenIGTLink and ROS 2",
+        GENERATED,
+        prose(
+            """What becomes of what, and what does not arrive.  A conversion for which nothing stands under *does not
+            arrive* is exact there and back; tests hold that.  The layouts of the OpenIGTLink messages are in
+            [messages.md](messages.md)."""
+        ),
+        _names(),
+        _stamps(),
+        _to_ros(),
+        _to_igtl(),
+        _definitions(),
+    )
+
+
+def _names() -> str:
+    base = Config().base_frame
+    devices = ("ProbeToTracker", "Probe", "US probe/1", "3rd")
+    rows = [
+        (
+            f"`{name}`",
+            f"`/igtl/in/{topic_token(name)}/transform`",
+            *(f"`{frame}`" for frame in frames_of(topic_token(name), base)),
+        )
+        for name in devices
+    ]
+    long = "ReferenceFrameToStereoCamera"
+    return document(
+        "## Names, topics and frames",
+        prose(
+            f"""What a device sends is published on `/igtl/in/<device>/<kind>`; `kind` is in the tables below, and rows
+            `[[to_ros]]` of [the configuration](../igtl_gateway/config.py) choose other topics, other frames, and which
+            kinds.  In the topic, characters other than letters, digits and `_` become `_`, a `_` stands before a
+            leading digit, and names above {MAX_TOKEN} characters are cut and get a hash; so does a device whose name
+            would give the topic of another.  A pose of a device called `AToB` is that of frame `A` in frame `B`, as
+            PLUS and others have it; every other name is a frame in the base frame `{base}`.  Frames that come as
+            [metadata](messages.md#metadata-keys) go before those of the name, frames of the configuration before
+            both.  Poses appear on `/tf` as well (`publish_tf`)."""
+        ),
+        table(("device", "topic of a TRANSFORM", "parent frame", "child frame"), rows),
+        prose(
+            f"""What is published below `/igtl/out/` goes out: `/igtl/out/Probe` and, where the last token is the kind
+            of the type, `/igtl/out/Probe/transform` both as device `Probe`.  Rows `[[to_igtl]]` take other topics,
+            name the device and choose the type.  A name above 20 bytes is cut and gets a hash
+            (`{long}` is sent as `{short_device_name(long)}`); the whole one travels as metadata.  Rows `[[tf_out]]` and
+            `--tf-out frame:base` send frames of `/tf` and `/tf_static`, chains composed, as TRANSFORM, POSITION, TDATA
+            or QTDATA."""
+        ),
+    ).rstrip()
+
+
+def _stamps() -> str:
+    config = Config()
+    return document(
+        "## Stamps, units and metadata",
+        prose(
+            f"""A ROS header has the sender's time stamp: the one that came as
+            [metadata](messages.md#metadata-keys), else that of the OpenIGTLink header, else (both unset, 0) the
+            gateway's time of receipt.  On the way out it is the stamp of the ROS header, else the gateway's time; it
+            travels as metadata besides, for programs that do not pass on the header's.  `stamp = "receive"` takes the
+            gateway's time always.
+
+            Lengths are {config.ros_unit} in ROS and {config.igtl_unit} in OpenIGTLink (`ros_unit`, `igtl_unit`, for
+            each stream where needed).  Patient coordinates are RAS; what a peer marks as LPS is turned.  Values of
+            SENSOR keep their unit, names, texts and pixels are not touched.
+
+            Metadata of the users come with the messages of `igtl_msgs`.  Where a message becomes
+            standard ones only, they are published beside those, on `/igtl/in/<device>/metadata` as
+            `igtl_msgs/Metadata`.  Rows `[[to_igtl]]` can add some."""
+        ),
+    ).rstrip()
+
+
+def _to_ros() -> str:
+    return document(
+        "## OpenIGTLink to ROS",
+        prose(
+            """One message may become several.  *standard*: a message of ROS itself.  *full*: one of our own that holds
+            what those cannot.  *on request*: published where a row `[[to_ros]]` names its kind, as `kinds =
+            ["+slices"]`.  *keeps*: depth of the publisher's queue (reliable, volatile); *latched*: the last ones reach
+            later subscribers too (transient local).  A type without a conversion is published whole on
+            `/igtl/in/<device>/raw` as `igtl_msgs/RawMessage`; the children of a BIND besides as if each had come
+            alone; the parts of an IMAGE as the whole, once it is complete.  Peers that come and go are on
+            `/igtl/links` as `igtl_msgs/LinkStatusList`."""
+        ),
+        *(f"### {title}\n\n{_ros_table(rows)}" for title, rows in ros_sections().items()),
+    ).rstrip()
+
+
+def _ros_table(rows: Sequence[RosRow]) -> str:
+    """Rows that differ in nothing but kind and type of numbers share a line."""
+    groups: dict[tuple[object, ...], list[RosRow]] = {}
+    for row in rows:
+        key = (row.convert, row.qos, row.lossy, row.role, _condition(row))
+        groups.setdefault(key, []).append(row)
+    lines = []
+    for group in groups.values():
+        row = group[0]
+        condition = _condition(row) if len(group) == 1 else "if its numbers are of that type"
+        lines.append(
+            (
+                "<br>".join(f"`{one.topic or one.kind}`" for one in group),
+                "<br>".join(ros_name(one.message.TYPE) for one in group),
+                row.role.value + (f", {condition}" if condition else ""),
+                _keeps(row.qos),
+                row.lossy or "–",
+            )
+        )
+    order = {role.value: number for number, role in enumerate(Role)}
+    lines.sort(key=lambda line: order[line[2].partition(",")[0]])
+    return table(("kind", "ROS", "published", "keeps", "does not arrive"), lines)
+
+
+def _condition(row: RosRow) -> str:
+    """When a row applies, by the docstring of the function that knows."""
+    applies = row.applies
+    if applies is RosRow.__dataclass_fields__["applies"].default:
+        return ""
+    outer, _, inner = applies.__qualname__.partition(".")
+    told = inspect.getdoc(applies) or (inspect.getdoc(applies.__globals__.get(outer)) if inner else "") or ""
+    if told:
+        first = " ".join(told.partition("\n\n")[0].split()).removeprefix("Whether ").rstrip(".").replace("``", "`")
+        return f"if {first[0].lower()}{first[1:]}"
+    return "in some cases" if "<" in outer else f"if it {outer.replace('_', ' ')}"
+
+
+def _keeps(qos: Qos) -> str:
+    extra = (", latched" if qos.latched else "") + ("" if qos.reliable else ", best effort")
+    return f"{qos.depth}{extra}"
+
+
+def _to_igtl() -> str:
+    defaults = {row.message: row for row in reversed(TO_IGTL)}
+    groups: dict[tuple[object, ...], list[IgtlRow]] = {}
+    for row in TO_IGTL:
+        is_default = defaults[row.message] is row
+        groups.setdefault((row.convert, row.qos, row.lossy, is_default), []).append(row)
+    lines = []
+    for same in groups.values():
+        row = same[0]
+        # the type of a query is the message's own choice
+        sent = "`GET_…` `STT_…` `STP_…` `RTS_…`" if split_query(row.igtl_type) else f"`{row.igtl_type}`"
+        lines.append(
+            (
+                "<br>".join(ros_name(one.message.TYPE) for one in same),
+                sent + ("" if defaults[row.message] is row else " on request"),
+                _keeps(row.qos),
+                row.lossy or "–",
+            )
+        )
+    # the default of a type first, then the others
+    lines.sort(key=lambda line: (line[0].lstrip("[").lower(), "on request" in line[1], line[1]))
+    return document(
+        "## ROS to OpenIGTLink",
+        prose(
+            """*on request*: where a row `[[to_igtl]]` names that `type`, or a peer asks for it.  *keeps*: depth of the
+            subscription's queue; of *latched* topics the last message goes to every peer that comes later.  A whole
+            message of any type goes out unchanged as `igtl_msgs/RawMessage`.  A COMMAND is remembered until its reply
+            comes or its time is up."""
+        ),
+        table(("ROS", "OpenIGTLink", "keeps", "does not arrive"), lines),
+    ).rstrip()
+
+
+def _definitions() -> str:
+    rows = []
+    for path in sorted(DEFINITIONS.glob("*/*.[ms][sr][gv]"), key=lambda path: (path.suffix, path.stem)):
+        first = path.read_text("utf-8").partition("\n")[0].removeprefix("# ").rstrip(".")
+        place = path.relative_to(ROOT).as_posix()
+        rows.append((f"[{path.stem}](../{place})" + (" (service)" if path.suffix == ".srv" else ""), first))
+    return document(
+        "## Messages of our own",
+        prose(
+            """[igtl_msgs](../ros2/igtl_msgs/README.md) has what the standard packages have no place for.  The
+            definitions say what each field means."""
+        ),
+        table(("definition", "what it is"), rows),
+    ).rstrip()
+
+
+# -- files ------------------------------------------------------------------------------------------------------------
+
+PAGES = {"conversions.md": conversions, "messages.md": messages}
+
+
+def stale(folder: Path = DOCS) -> list[str]:
+    """Names of the files in ``folder`` that are not as the tables have it."""
+    paths = {name: folder / name for name in PAGES}
+    return [name for name, path in paths.items() if not path.exists() or path.read_text("utf-8") != PAGES[name]()]
+
+
+def main(arguments: Sequence[str], folder: Path = DOCS) -> int:
+    """Write the files, or with ``--check`` compare; 1 where they differ."""
+    old = stale(folder)
+    if list(arguments) == ["--check"]:
+        for name in old:
+            print(f"docs/{name} is not as the tables have it: python tools/docs.py", file=sys.stderr)
+        return 1 if old else 0
+    for name in old:
+        (folder / name).write_text(PAGES[name](), "utf-8")
+        print(f"docs/{name}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
