@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
+from igtl_gateway.convert.cdr import Writer
 from igtl_gateway.convert.igtl_msgs import HEADER, Pose
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import (
@@ -64,6 +65,12 @@ class FrameTransform(Struct):
     header: Header
     child_frame_id: str
     pose: Pose
+
+    def write(self, out: Writer) -> None:
+        """Written out: poses go by here at the rate of trackers."""
+        self.header.write(out)
+        out.string(self.child_frame_id)
+        out.f64s(*self.pose)
 
 
 @dataclass(frozen=True, slots=True)
