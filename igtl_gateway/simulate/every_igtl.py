@@ -76,11 +76,11 @@ def _images() -> Iterator[Said]:
     for scalar, code in SCALARS.items():
         for endian, order in ((LITTLE_ENDIAN, "<"), (BIG_ENDIAN, ">")):
             pixels = np.arange(12).astype(order + code).tobytes()
-            yield "IMAGE", f"Slice_{np.dtype(code).name}", Image((4, 3, 1), scalar, pixels, 1, endian)
-    yield "IMAGE", "Rgb", Image((4, 3, 1), 3, bytes(range(36)), 3)
-    yield "IMAGE", "Rgba", Image((4, 3, 1), 3, bytes(range(48)), 4)
-    yield "IMAGE", "Vectors", Image((2, 2, 2), 10, np.arange(16, dtype="<f4").tobytes(), 2)
-    yield "IMAGE", "Lps", Image((2, 2, 2), 3, bytes(range(8)), 1, LITTLE_ENDIAN, LPS, (*QUARTER, 1.0, 2.0, 3.0))
+            yield "IMAGE", "Slice", Image((4, 3, 1), scalar, pixels, 1, endian)
+    yield "IMAGE", "Slice", Image((4, 3, 1), 3, bytes(range(36)), 3)
+    yield "IMAGE", "Slice", Image((4, 3, 1), 3, bytes(range(48)), 4)
+    yield "IMAGE", "Volume", Image((2, 2, 2), 10, np.arange(16, dtype="<f4").tobytes(), 2)
+    yield "IMAGE", "Volume", Image((2, 2, 2), 3, bytes(range(8)), 1, LITTLE_ENDIAN, LPS, (*QUARTER, 1.0, 2.0, 3.0))
     yield "IMAGE", "Volume", volume()
     # in two parts, then one of them anew
     yield "IMAGE", "InParts", volume((0, 0, 0), (4, 3, 4))
@@ -118,16 +118,16 @@ def _surface() -> PolyData:
 
 def _geometry() -> Iterator[Said]:
     red, clear = (255, 0, 0, 255), (0, 0, 0, 0)
-    yield "POINT", "Tip", Points.of(np.array([[1.5, -2.5, 3.5]]), None, 4.0)
-    yield "POINT", "Nameless", Points.of(np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]))
+    yield "POINT", "Points", Points.of(np.array([[1.5, -2.5, 3.5]]), None, 4.0)
+    yield "POINT", "Points", Points.of(np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]))
     landmarks = (
         (b"Nasion", b"Fiducials", red, (0, 90, 40), 2.5, b"Head"),
         ("Gehörgang".encode(), b"Fiducials", clear, (-70.5, 0, 0), 2.5, b""),
     )
-    yield "POINT", "Landmarks", _list(Points, *landmarks)
+    yield "POINT", "Points", _list(Points, *landmarks)
     yield "POLYDATA", "Surface", _surface()
-    yield "POLYDATA", "Cloud", PolyData(_CORNERS, Cells.of([[0, 1, 2, 3, 4]]))
-    yield "POLYDATA", "Path", PolyData(_CORNERS, lines=Cells.of([[0, 1, 2], [3, 4]]))
+    yield "POLYDATA", "Surface", PolyData(_CORNERS, Cells.of([[0, 1, 2, 3, 4]]))
+    yield "POLYDATA", "Surface", PolyData(_CORNERS, lines=Cells.of([[0, 1, 2], [3, 4]]))
     plan = (
         (b"Left", b"Plan", ENTRY_AND_TARGET, 0, red, (10, 20, 30), (40, 50, 60), 1.5, b"Head"),
         (b"EntryOnly", b"Plan", ENTRY_ONLY, 0, clear, (1, 2, 3), (0, 0, 0), 0, b""),
@@ -139,12 +139,12 @@ def _geometry() -> Iterator[Said]:
 def _poses() -> Iterator[Said]:
     yield "TRANSFORM", "MarkerToCamera", Transform((*QUARTER, 100.0, -200.0, 300.5))
     yield "TRANSFORM", "NoParent", Transform((*TILTED, 1.0, 2.0, 3.0))
-    yield "TRANSFORM", "Scaled", Transform((2.0, 0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
-    yield "TRANSFORM", "Mirrored", Transform((-1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+    yield "TRANSFORM", "NoParent", Transform((2.0, 0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+    yield "TRANSFORM", "NoParent", Transform((-1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
     yield "POSITION", "Pointer", Position((1.0, 2.0, 3.0), TURNED)
-    yield "POSITION", "ShortPointer", Position((4.0, 5.0, 6.0), TURNED, "quaternion3")
-    yield "POSITION", "PlaceOnly", Position((7.0, 8.0, 9.0), form="position_only")
-    yield "QTRANS", "NewName", Position((-1.0, -2.0, -3.0), (0.6, 0.0, 0.0, -0.8))
+    yield "POSITION", "Pointer", Position((4.0, 5.0, 6.0), TURNED, "quaternion3")
+    yield "POSITION", "Pointer", Position((7.0, 8.0, 9.0), form="position_only")
+    yield "QTRANS", "Pointer", Position((-1.0, -2.0, -3.0), (0.6, 0.0, 0.0, -0.8))
     tools = (
         (b"Tracker", TRACKER, 0, (*QUARTER, 0, 0, 0)),
         (b"Probe", TOOL_6D, 0, (*TILTED, 100, 200, 300)),
@@ -152,7 +152,7 @@ def _poses() -> Iterator[Said]:
     )
     yield "TDATA", "Tracking", _list(TrackingData, *tools)
     quaternions = ((b"Stylus", TOOL_3D, 0, (10, 20, 30), (0, 0, 0, 1)), (b"Drill", TOOL_6D, 0, (1, 2, 3), TURNED))
-    yield "QTDATA", "QTracking", _list(QuaternionTrackingData, *quaternions)
+    yield "QTDATA", "Tracking", _list(QuaternionTrackingData, *quaternions)
 
 
 def _texts() -> Iterator[Said]:
@@ -170,15 +170,15 @@ def _texts() -> Iterator[Said]:
 
 def _numbers() -> Iterator[Said]:
     yield "SENSOR", "Force", Sensor(np.array([0.5, -1.25, 9.75]), parse_unit("N"))
-    yield "SENSOR", "Speed", Sensor(np.array([1e-3]), parse_unit("mm/s^2"), 1)
-    yield "SENSOR", "Bare", Sensor(np.empty(0))
+    yield "SENSOR", "Force", Sensor(np.array([1e-3]), parse_unit("mm/s^2"), 1)
+    yield "SENSOR", "Force", Sensor(np.empty(0))
     for scalar, code in NDARRAY_SCALARS.items():
         values = np.arange(6).astype(code)
-        yield "NDARRAY", f"Array_{np.dtype(code).name}", NdArray(scalar, (2, 3), values.tobytes())
+        yield "NDARRAY", "Array", NdArray(scalar, (2, 3), values.tobytes())
     ramp = np.arange(256)
-    yield "COLORT", "Grey", ColorTable(3, MAP_U8, ramp[::-1].astype("u1").tobytes())
-    yield "COLORT", "Deep", ColorTable(3, MAP_U16, (ramp * 257).astype(">u2").tobytes())
-    yield "COLORTABLE", "Rgb", ColorTable(3, MAP_RGB, np.repeat(ramp, 3).astype("u1").tobytes())
+    yield "COLORT", "Colors", ColorTable(3, MAP_U8, ramp[::-1].astype("u1").tobytes())
+    yield "COLORT", "Colors", ColorTable(3, MAP_U16, (ramp * 257).astype(">u2").tobytes())
+    yield "COLORTABLE", "Colors", ColorTable(3, MAP_RGB, np.repeat(ramp, 3).astype("u1").tobytes())
 
 
 def _lists() -> Iterator[Said]:
@@ -190,9 +190,9 @@ def _lists() -> Iterator[Said]:
     scope = (b"Scope", b"Endoscope", b"Phantom^One", b"P-1", -2, 35.5, (1920, 1080, 1), (*TILTED, 1, 2, 3), 3, 0)
     yield "VIDEOMETA", "Videos", _list(VideoMetaList, scope)
     yield "VIDEO", "Camera", Video("H264", (32, 32, 1), H264_KEY)
-    yield "VIDEO", "Camera", Video("H264", (32, 32, 1), H264_NEXT, 2)
+    yield "VIDEO", "Camera", Video("H264", (32, 32, 1), H264_NEXT, 3)
     grey = Video("I420", (4, 2, 1), bytes(12), 0x0100, BIG_ENDIAN, LPS, (*QUARTER, 4.0, 5.0, 6.0), (1, 0, 0), (2, 2, 1))
-    yield "VIDEO", "GreyCamera", grey
+    yield "VIDEO", "Camera", grey
 
 
 def _binds() -> Iterator[Said]:
@@ -213,7 +213,7 @@ def _binds() -> Iterator[Said]:
             )
         ),
     )
-    yield "BIND", "EmptyBundle", Bind(())
+    yield "BIND", "Bundle", Bind(())
 
 
 def contents() -> Iterator[Said]:

@@ -44,8 +44,9 @@ CONFIG = Config(
     command_timeout_s=1.0,
     to_igtl=(
         *every_ros.rows(),
-        ToIgtlRow(topic="/told/*", device="Told", stamp="now", metadata=(("site", "Zürich"),)),
-        ToIgtlRow(topic="/millimetres/*", ros_unit="mm"),
+        ToIgtlRow(topic="/igtl/out/Surface/early_mesh", device="Surface"),
+        ToIgtlRow(topic="/told/*", device="Pose", stamp="now", metadata=(("site", "Zürich"),)),
+        ToIgtlRow(topic="/millimetres/*", device="Pose", ros_unit="mm"),
     ),
     to_ros=(
         ToRosRow(device="Sliced*", kinds=("+slices",)),
@@ -151,7 +152,7 @@ def _steps() -> Iterator[_Step]:
 def _without_peers() -> Iterator[_Step]:
     """A command that nobody is there for, and a plan for whoever comes later."""
     yield _Published("/igtl/out/Robot/command", igtl_msgs.Command(Header(), "Robot", 5, "Start", 0, ""))
-    yield _Published("/igtl/out/EarlyMesh", rosmsg.Mesh(np.array([[0, 1, 2]], np.uint32), np.eye(3) / 64))
+    yield _Published("/igtl/out/Surface/early_mesh", rosmsg.Mesh(np.array([[0, 1, 2]], np.uint32), np.eye(3) / 64))
 
 
 def _greetings() -> Iterator[_Step]:
@@ -168,7 +169,7 @@ def _unanswered() -> Iterator[_Step]:
     """What there is nothing of yet: each peer is told so in the way that it survives."""
     for link, version in ((OLD, 1), (NEW, 2), (SLICER, 2), (BRAINLAB, 1)):
         yield _Said(link, "GET_TRAJ", "", Nothing(), version=version)
-        yield _Said(link, "GET_TRANS", "Nowhere", Nothing(), version=version)
+        yield _Said(link, "GET_TRANS", "", Nothing(), version=version)
     yield _Said(NEW, "STT_TDATA", "", StartTracking(0, "NoSuchFrame"), version=2)
     yield _Said(NEW, "GET_MYTYPE", "", Raw(b""), version=2)
 
@@ -192,13 +193,13 @@ def _tracked() -> Iterator[_Step]:
     """Tracking data put together from single poses, for who asks for them, until it does no more."""
     yield _Up(TRACKER)
     yield _Published(topic("Pose"), tool_pose(0))
-    yield _Published(topic("PoseAsPosition"), tool_pose(0))
+    yield _Published(topic("Pose/as_position"), tool_pose(0))
     yield _Said(TRACKER, "GET_QTDATA", "", Nothing())
     yield _Said(TRACKER, "STT_QTDATA", "", StartTracking(50, ""))
     for step in range(6):
-        yield _Published(topic("PoseAsPosition"), tool_pose(step))
+        yield _Published(topic("Pose/as_position"), tool_pose(step))
     yield _Said(TRACKER, "STP_QTDATA", "", Nothing())
-    yield _Published(topic("PoseAsPosition"), tool_pose(6))
+    yield _Published(topic("Pose/as_position"), tool_pose(6))
 
 
 def _contents() -> Iterator[_Step]:
@@ -206,7 +207,7 @@ def _contents() -> Iterator[_Step]:
     for index, (igtl_type, device, content) in enumerate(every_igtl.contents()):
         link = (OLD, NEW)[index % 2]
         # one of them unstamped, as everything from 3D Slicer is
-        yield _Said(link, igtl_type, device, content, version=link, stamped=device != "Pointer")
+        yield _Said(link, igtl_type, device, content, version=link, stamped=igtl_type != "QTRANS")
 
 
 def _metadata() -> Iterator[_Step]:
@@ -220,12 +221,12 @@ def _metadata() -> Iterator[_Step]:
 
 def _refused() -> Iterator[_Step]:
     """Messages that fail on their way and cost only themselves."""
-    good = join(encode(Message("STRING", "Damaged", String.of("intact"), ns_to_ticks(START_NS))))
+    good = join(encode(Message("STRING", "Greeting", String.of("intact"), ns_to_ticks(START_NS))))
     yield _Said(OLD, "", "", Raw(b""), data=good[:-1] + b"?")
     for content in (b"\x00\x03\xff\xff", b"\x00"):
-        yield _Said(OLD, "STRING", "Malformed", Raw(content))
-    yield _Published(topic("Refused"), rosmsg.Mesh(np.array([[0, 1, 2]], np.uint32), np.full((3, 3), np.nan)))
-    yield _Published(topic("Unbridged"), Query(Header(), 9, "TDATA"))
+        yield _Said(OLD, "STRING", "Greeting", Raw(content))
+    yield _Published(topic("Surface/mesh"), rosmsg.Mesh(np.array([[0, 1, 2]], np.uint32), np.full((3, 3), np.nan)))
+    yield _Published("/igtl/out/Query/query", Query(Header(), 9, "TDATA"))
 
 
 def _settings() -> Iterator[_Step]:
@@ -246,7 +247,7 @@ def _queries() -> Iterator[_Step]:
         for link, version in ((OLD, 1), (SLICER, 2), (PLUS, 2), (HOLOSCAN, 2)):
             yield _Said(link, name, "", Nothing(), version=version)
     yield _Said(OLD, "GET_TRANS", "ToolToBase", Nothing())
-    yield _Published("/igtl/out/Query/query", Query(Header(0, "Base"), Query.GET, "STATUS", "Everyone"))
+    yield _Published("/igtl/out/Query/query", Query(Header(0, "Base"), Query.GET, "STATUS"))
 
 
 def _streams() -> Iterator[_Step]:
@@ -258,6 +259,9 @@ def _streams() -> Iterator[_Step]:
     yield _Published(topic("Tools"), tracking(8))
     yield _Said(TRACKER, "STP_TDATA", "Tools", Nothing())
     yield _Published(topic("Tools"), tracking(9))
+    yield _Said(TRACKER, "STT_TDATA", "Scene", StartTracking(0, "Camera"))
+    arm, tool = ("Base", "Arm", (0.0, 0.0, 1.0, *_UPRIGHT)), ("Arm", "Tool", (0.5, 0.0, 0.0, *_UPRIGHT))
+    yield _Published("/tf", frames(arm, tool))
 
 
 def _commands() -> Iterator[_Step]:
