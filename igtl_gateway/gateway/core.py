@@ -20,7 +20,7 @@ from igtl_gateway.convert.assembly import VolumeAssembler
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
-from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage
+from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage, Size
 from igtl_gateway.convert.raw import message_of, raw_message
 from igtl_gateway.convert.rosmsg import Header as RosHeader
 from igtl_gateway.convert.rosmsg import RosMessage
@@ -46,6 +46,7 @@ from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.query import Nothing, split_query
+from igtl_gateway.wire.video import Video
 
 LINK_UP, LINK_DOWN = "link_up", "link_down"
 #: Code of the edge notes that tell the gateway that ``due_ns`` has come.
@@ -78,6 +79,7 @@ class Gateway:
         self._streams = Streams(config)
         self._latest: dict[str, Entry] = {}  # topic → its last message; as many as there are bridged topics
         self._volumes: dict[str, VolumeAssembler] = {}  # device → the volume that its updates are part of
+        self._video_sizes: dict[str, Size] = {}  # topic → size of its last key frame
         self._tf = TfOut(config, tuple(self._streams.device(row.request().device) for row in config.tf_out))
         self._from_peers, self._to_peers = CommandBook(), CommandBook()
         self._said: set[tuple[str, str, int]] = set()
@@ -423,14 +425,16 @@ class Gateway:
         return self._as_outbound(entry, stream, conversion, outgoing)
 
     def _as_outbound(self, entry: Entry, stream: ToIgtlStream, conversion: IgtlRow, outgoing: Outgoing) -> Outbound:
-        device, full_name = stream.device, stream.full_name
+        device, full_name, content = stream.device, stream.full_name, outgoing.content
+        if isinstance(content, Video):
+            content = self._sized(entry.channel, content)
         if outgoing.device_name or split_query(outgoing.igtl_type):  # a query without a device asks for any
             full_name = outgoing.device_name
             device = self._streams.device(full_name)
         return Outbound(
             outgoing.igtl_type or conversion.igtl_type,
             device,
-            outgoing.content,
+            content,
             self.config.pick_stamp(stream.row, outgoing.stamp_ns or entry.source_ns, entry.stamp_ns),
             full_name,
             outgoing.stamp_ns,
@@ -438,6 +442,13 @@ class Gateway:
             outgoing.child_frame_id,
             (*stream.row_metadata, *outgoing.metadata),
         )
+
+    def _sized(self, topic: str, frame: Video) -> Video:
+        """A frame with the size of its stream, which only key frames tell."""
+        if frame.size[0]:
+            self._video_sizes[topic] = frame.size
+            return frame
+        return replace(frame, size=self._video_sizes.get(topic, frame.size), subvol_size=None)
 
     def _to(self, entry: Entry, peers: Iterable[Peer], outs: list[Outbound], *, asked: bool = True) -> list[Reply]:
         """Messages to peers, with notes for those that must not have them."""

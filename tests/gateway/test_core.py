@@ -10,13 +10,14 @@ import pytest
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import rosmsg
-from igtl_gateway.convert.igtl_msgs import RawMessage
+from igtl_gateway.convert.igtl_msgs import RawMessage, VideoFrame, Volume
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway.metadata import FULL_NAME
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Item, Message, Raw, decode, encode
+from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway.wire.text import Status, String
@@ -122,6 +123,7 @@ def test_one_message_may_become_several() -> None:
         "ros /igtl/in/Model/mesh",
         "ros /igtl/in/Model/marker",
         "ros /igtl/in/Model/lines",
+        "ros /igtl/in/Model/polydata",
     ]
     assert script.igtl(Message("POLYDATA", "Cloud", PolyData(points))) == ["ros /igtl/in/Cloud/points"]
     assert script.igtl(Message("POINT", "One", Points.of(points[:1]))) == [
@@ -183,6 +185,45 @@ def test_a_plan_that_cannot_be_sent_is_refused_to_each_link_with_a_note() -> Non
     script = Script()
     script.ros("/igtl/out/Plan", rosmsg.Mesh(np.array([[0, 1, 9]], np.uint32), np.eye(3)))
     assert script.up(1) == ["note conversion"]
+
+
+# -- pictures -------------------------------------------------------------------------------------------------------
+
+
+def part(offset: int, value: int, size: int = 1) -> Message:
+    image = Image((2, 2, 2), 3, bytes([value]) * 4 * size, subvol_offset=(0, 0, offset), subvol_size=(2, 2, size))
+    return Message("IMAGE", "CT", image)
+
+
+def test_a_volume_is_published_when_all_its_parts_have_come_and_then_with_each_part() -> None:
+    script = Script()
+    assert script.igtl(part(0, 1)) == []
+    assert script.gateway.ledger.to_dict()["igtl_in"]["IMAGE/CT"]["dropped"] == {"part_of_volume": 1}
+    assert script.igtl(part(1, 2)) == ["ros /igtl/in/CT/volume"]
+    first = script.last[0].data()
+    assert bytes(Volume.unpack(first).data) == bytes([1] * 4 + [2] * 4)
+    assert script.igtl(part(0, 9)) == ["ros /igtl/in/CT/volume"]
+    assert bytes(Volume.unpack(script.last[0].data()).data) == bytes([9] * 4 + [2] * 4)
+    assert bytes(Volume.unpack(first).data) == bytes([1] * 4 + [2] * 4), "what was said stays said"
+
+
+def test_slices_are_published_on_request() -> None:
+    script = Script(Config(to_ros=(ToRosRow(device="CT", kinds=("+slices",)),)))
+    assert script.igtl(part(0, 7, 2)) == ["ros /igtl/in/CT/volume", *["ros /igtl/in/CT/slices"] * 2]
+
+
+def test_every_frame_of_a_video_tells_the_size_that_the_key_frame_told() -> None:
+    script = Script()
+    script.up(1)
+    key = VideoFrame(
+        *(Header(T0_NS, "us"), "H264", 1, False, (64, 48, 1), (0, 0, 0), (64, 48, 1), 1),
+        *((1.0, 0, 0, 0, 1, 0, 0, 0, 1), (0.001, 0.001, 0.001), (0.0, 0.0, 0.0), b"key"),
+    )
+    later = replace(key, frame_type=3, size=(0, 0, 1), part_size=(0, 0, 1), data=b"delta")
+    script.ros("/igtl/out/US", key)
+    assert script.ros("/igtl/out/US", later) == ["igtl VIDEO/US v1 to 1"]
+    assert script.sent()[0].content.describe()["size"] == [64, 48, 1]
+    assert script.sent()[0].content.describe()["subvol_size"] == [64, 48, 1]
 
 
 # -- time -----------------------------------------------------------------------------------------------------------
