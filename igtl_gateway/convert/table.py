@@ -28,6 +28,7 @@ from igtl_gateway.convert import (
     surfaces,
     texts,
     tracking,
+    videos,
     volumes,
 )
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
@@ -48,6 +49,7 @@ from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
 from igtl_gateway.wire.trajectory import Trajectories
 from igtl_gateway.wire.transform import Position, Transform
+from igtl_gateway.wire.video import Video
 
 #: A reader that lags half a second at 1 kHz of tracking loses nothing.
 _STATES = Qos(depth=500)
@@ -61,6 +63,8 @@ _SURFACES = Qos(depth=5, latched=True)
 _VOLUMES = Qos(depth=2, latched=True)
 #: The slices of a volume come all at once.
 _SLICES = Qos(depth=1000)
+#: Frames depend on those before them: a reader that lags by seconds loses none.
+_FRAMES = Qos(depth=300)
 
 
 class Role(Enum):
@@ -134,6 +138,8 @@ _TO_FLOAT32 = f"double precision (float32; {_ROUNDED})"
 _HEADER_1 = "frame ids and metadata toward peers of header version 1"
 _TOOLS = (TrackingData, QuaternionTrackingData)
 _PLACE_LOSS = "versions of the header other than 1, matrices that are not finite, signs of zeros in the matrix"
+_FRAME_LOSS = "size, part, key frame or not but as the bit stream tells, grey, spacing, orientation and position"
+_FORMAT_LOSS = f"words of the format besides the codec, {_HEADER_1}; size 0 until a key frame has told it"
 _POSES = f"{_ROUNDED}; of matrices that are no rotation the same as with TRANSFORM"
 
 TO_ROS: tuple[RosRow, ...] = (
@@ -407,6 +413,36 @@ TO_ROS: tuple[RosRow, ...] = (
         applies=polydata.exceeds_standard,
         role=Role.FULL,
     ),
+    RosRow(
+        ("VIDEO",),
+        Video,
+        igtl_msgs.VideoFrame,
+        "video_frame",
+        videos.video_to_ros,
+        _FRAMES,
+        lossy=f"{_PLACE_LOSS}; byte orders other than 1 (big) and 2, coordinate system 0, codecs that are no text",
+        role=Role.FULL,
+    ),
+    RosRow(
+        ("VIDEO",),
+        Video,
+        common_msgs.CompressedImage,
+        "compressed_image",
+        videos.video_to_compressed_image,
+        _FRAMES,
+        lossy=_FRAME_LOSS,
+        applies=videos.is_compressed,
+    ),
+    RosRow(
+        ("VIDEO",),
+        Video,
+        common_msgs.CompressedVideo,
+        "compressed_video",
+        videos.video_to_compressed_video,
+        _FRAMES,
+        lossy=_FRAME_LOSS,
+        applies=videos.is_compressed,
+    ),
 )
 
 TO_IGTL: tuple[IgtlRow, ...] = (
@@ -538,6 +574,15 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         _SURFACES,
         f"double precision of points (float32), names above 255 bytes, {_HEADER_1}; only finite points are sent",
     ),
+    IgtlRow(
+        igtl_msgs.VideoFrame,
+        "VIDEO",
+        videos.video_to_igtl,
+        _FRAMES,
+        f"double precision of direction, spacing and centre (float32), {_HEADER_1}",
+    ),
+    IgtlRow(common_msgs.CompressedImage, "VIDEO", videos.compressed_image_to_igtl, _FRAMES, _FORMAT_LOSS),
+    IgtlRow(common_msgs.CompressedVideo, "VIDEO", videos.compressed_video_to_igtl, _FRAMES, _FORMAT_LOSS),
 )
 
 

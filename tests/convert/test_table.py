@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,12 +11,14 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.convert.context import ToIgtl, ToRos
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, IgtlRow, RosRow, row_to_igtl, rows_to_ros
+from igtl_gateway.ros_interfaces.definitions import folder_of
 from igtl_gateway.wire.registry import BODIES
 from tests import strategies
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-for _path in sorted((Path(__file__).parents[2] / "ros2" / "igtl_msgs" / "msg").glob("*.msg")):
-    STORE.register(get_types_from_msg(_path.read_text("utf-8"), f"igtl_msgs/msg/{_path.stem}"))
+for _package in ("igtl_msgs", "foxglove_msgs"):
+    for _path in sorted(folder_of(_package).glob("msg/*.msg")):
+        STORE.register(get_types_from_msg(_path.read_text("utf-8"), f"{_package}/msg/{_path.stem}"))
 
 
 @pytest.mark.parametrize("row", TO_ROS, ids=lambda row: f"{row.igtl_types[0]}-{row.kind}")
