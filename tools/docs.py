@@ -277,7 +277,7 @@ def _type(title: str, kind: type[Body], types: list[str]) -> str:
         "\n".join(f"- {fact}" for fact in facts),
         size,
         layout(rows, attributes(kind)),
-        *(prose(_marked(part)) for part in paragraphs(kind)[1:] if "equal" not in part.lower().split()),
+        *(prose(_marked(part)) for part in paragraphs(kind)[1:] if not _ABOUT_EQUALITY.match(part)),
         *_EXTRAS.get(title, ()),
     ).rstrip()
 
@@ -314,6 +314,9 @@ def _units() -> str:
     units = ", ".join(f"`{number:02X}` {symbol}" for number, symbol in enumerate(UNITS, start=1))
     return f"{prefixes}\n\n" + prose(f"Units (`00` = none; the unit of mass is the gram): {units}.  Exponents: -7 … 7.")
 
+
+#: Two values in Python, not two messages.
+_ABOUT_EQUALITY = re.compile("Two |Equality ")
 
 _EXTRAS = {
     "STATUS": (prose("Codes: " + ", ".join(f"{number} {text}" for number, text in enumerate(CODES)) + "."),),
@@ -590,7 +593,7 @@ def _ros_table(rows: Sequence[RosRow]) -> str:
     lines = []
     for group in groups.values():
         row = group[0]
-        condition = _condition(row) if len(group) == 1 else "if its numbers are of that type"
+        condition = _condition(row) if len({one.applies for one in group}) == 1 else "if its numbers are of that type"
         lines.append(
             (
                 "<br>".join(f"`{one.topic or one.kind}`" for one in group),
@@ -614,7 +617,7 @@ def _condition(row: RosRow) -> str:
     told = inspect.getdoc(applies) or (inspect.getdoc(applies.__globals__.get(outer)) if inner else "") or ""
     if told:
         first = " ".join(told.partition("\n\n")[0].split()).removeprefix("Whether ").rstrip(".").replace("``", "`")
-        return f"if {first[0].lower()}{first[1:]}"
+        return "if " + (first if first[1].isupper() else f"{first[0].lower()}{first[1:]}")
     return "in some cases" if "<" in outer else f"if it {outer.replace('_', ' ')}"
 
 

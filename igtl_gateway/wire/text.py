@@ -104,7 +104,7 @@ class Status:
 
     PROTOCOL: ClassVar[str] = "1"
     LAYOUT: ClassVar[Layout] = (
-        Field("code", "u16"),
+        Field("code", "u16", 1, "1 = OK, others below"),
         Field("subcode", "i64"),
         Field("error_name", "char", 20),
         Field("message", "char", "the rest"),
