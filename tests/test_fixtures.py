@@ -7,23 +7,33 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
 
 from igtl_gateway.config import Config
 from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.convert.units import UNITS
+from igtl_gateway.gateway import LINKS_TOPIC
+from igtl_gateway.gateway.profiles import BY_NAME
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import verify
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
 from igtl_gateway.simulate.catalogue import SCENARIOS
-from igtl_gateway.wire import decode
+from igtl_gateway.wire import Header, decode
+from igtl_gateway.wire.query import QUERIES
+from igtl_gateway.wire.registry import BODIES
 
 FIXTURES = Path(__file__).parent.parent / "fixtures"
-NAMES = ("star", "paper-types")
+NAMES = ("star", "paper-types", "every-type")
 
 
 def entries(name: str) -> list[Entry]:
@@ -34,6 +44,21 @@ def entries(name: str) -> list[Entry]:
 @pytest.fixture(scope="module")
 def star() -> list[Entry]:
     return entries("star")
+
+
+@pytest.fixture(scope="module")
+def every_type() -> list[Entry]:
+    return entries("every-type")
+
+
+def caused(log: list[Entry]) -> Iterator[tuple[Entry, Entry]]:
+    """Each output with the input that caused it: outputs follow their cause."""
+    cause = log[0]
+    for entry in log:
+        if entry.kind.is_input:
+            cause = entry
+        else:
+            yield cause, entry
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -63,18 +88,75 @@ def test_they_are_labelled_synthetic(name: str) -> None:
         assert "no robot" in file.session["synthetic"]
 
 
-def test_paper_types_are_what_the_scenario_makes() -> None:
-    made = list(SCENARIOS["paper-types"].entries())
-    assert [(e.seq, e.kind, e.channel, e.data()) for e in entries("paper-types")] == [
-        (e.seq, e.kind, e.channel, e.data()) for e in made
+@pytest.mark.parametrize("name", ["paper-types", "every-type"])
+def test_they_are_what_the_scenario_makes(name: str) -> None:
+    made = list(SCENARIOS[name].entries())
+    assert [(e.seq, e.kind, e.channel, e.links, e.data()) for e in entries(name)] == [
+        (e.seq, e.kind, e.channel, e.links, e.data()) for e in made
     ]
 
 
-def test_paper_types_use_every_row_of_the_conversion_table() -> None:
+def test_paper_types_use_the_types_of_the_paper() -> None:
     log = entries("paper-types")
-    to_ros = {(e.channel.rpartition("/")[2], e.type) for e in log if e.kind is Kind.ROS_OUT}
-    assert to_ros == {(row.kind, row.message.TYPE) for row in TO_ROS}
-    assert {e.type for e in log if e.kind is Kind.ROS_IN} == {row.message.TYPE for row in TO_IGTL}
+    types = {"STRING", "TRANSFORM", "IMAGE", "POINT", "POLYDATA"}
+    assert types < {e.type for e in log if e.kind is Kind.IGTL_IN}
+    assert types < {e.type for e in log if e.kind is Kind.IGTL_OUT}
+
+
+def test_every_type_is_small() -> None:
+    assert (FIXTURES / "every-type.mcap").stat().st_size < 300_000
+
+
+def test_every_row_of_the_conversion_table_is_used(every_type: list[Entry]) -> None:
+    to_ros = {
+        (cause.type, out.channel if out.channel == "/tf" else out.channel.rpartition("/")[2], out.type)
+        for cause, out in caused(every_type)
+        if out.kind is Kind.ROS_OUT
+    }
+    rows = {(name, row.topic or row.kind, row.message.TYPE) for row in TO_ROS for name in row.igtl_types}
+    assert rows - to_ros == set()
+    to_igtl = {
+        (cause.type, out.type)
+        for cause, out in caused(every_type)
+        if cause.kind is Kind.ROS_IN and out.kind is Kind.IGTL_OUT
+    }
+    assert {(row.message.TYPE, row.igtl_type) for row in TO_IGTL} - to_igtl == set()
+
+
+def test_every_type_of_the_protocol_comes_in_and_queries_of_every_content_go_out(every_type: list[Entry]) -> None:
+    assert set(BODIES) - {e.type for e in every_type if e.kind is Kind.IGTL_IN} == set()
+    sent = {e.type for e in every_type if e.kind is Kind.IGTL_OUT}
+    assert {(name[:3], QUERIES[name]) for name in sent & set(QUERIES)} == {
+        (name[:3], content) for name, content in QUERIES.items()
+    }
+    assert {"GET_TRANS", "GET_CAPABIL", "GET_VMETA"} <= sent, "the shortened names"
+
+
+def test_every_kind_of_peer_is_there_and_gets_nothing_that_it_must_not_have(every_type: list[Entry]) -> None:
+    seen: dict[int, str] = {}
+    for entry in every_type:
+        if entry.channel == LINKS_TOPIC:
+            seen |= {status.link: status.profile for status in LinkStatusList.unpack(entry.data()).links}
+        if entry.kind is Kind.IGTL_OUT:
+            version = Header.unpack(entry.data()).version
+            for link in entry.links:
+                profile = BY_NAME[seen.get(link, "default")]
+                assert profile.may_send(entry.type) and version <= profile.max_version, (entry.seq, profile.name)
+    assert set(seen.values()) == set(BY_NAME)
+
+
+def test_ticks_give_up_commands_and_ping(every_type: list[Entry]) -> None:
+    ticks = [out for cause, out in caused(every_type) if cause.kind is Kind.EDGE_NOTE]
+    replies = [CommandReply.unpack(out.data()) for out in ticks if out.kind is Kind.ROS_OUT]
+    assert {reply.status for reply in replies} == {CommandReply.TIMEOUT}
+    assert {out.type for out in ticks if out.kind is Kind.IGTL_OUT} == {"GET_STATUS", "RTS_COMMAND"}
+
+
+def test_nothing_was_lost_to_a_defect(every_type: list[Entry]) -> None:
+    notes = Counter(Note.unpack(entry.data()).code for entry in every_type if entry.kind is Kind.NOTE)
+    assert not notes["internal_error"]
+    refusals = ("bad_crc", "malformed", "truncated", "conversion", "command_refused", "stream_refused", "empty")
+    assert all(notes[code] for code in refusals), "what is refused is guarded too"
 
 
 def test_star_is_small_long_and_has_enough_clouds(star: list[Entry]) -> None:
@@ -117,3 +199,18 @@ def test_an_independent_judge_finds_no_error(name: str, tmp_path: Path) -> None:
     copy = shutil.copy(FIXTURES / f"{name}.mcap", tmp_path)
     told = subprocess.run([command, "doctor", copy], capture_output=True, text=True, check=False)
     assert told.returncode == 0, told.stdout + told.stderr
+
+
+def test_rosbags_reads_every_type_and_writes_what_we_wrote(every_type: list[Entry]) -> None:
+    with AnyReader([FIXTURES / "every-type.mcap"]) as reader:
+        for entry, (connection, _, data) in zip(every_type, reader.messages(), strict=True):
+            message = reader.deserialize(data, connection.msgtype)
+            if entry.kind in (Kind.ROS_IN, Kind.ROS_OUT):
+                assert connection.topic == entry.channel
+                assert bytes(reader.typestore.serialize_cdr(message, connection.msgtype)) == bytes(data), entry.type
+
+
+def test_mcap_ros2_support_decodes_every_type(every_type: list[Entry]) -> None:
+    with (FIXTURES / "every-type.mcap").open("rb") as stream:
+        decoded = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        assert [message.sequence for _, _, message, _ in decoded] == [entry.seq for entry in every_type]
