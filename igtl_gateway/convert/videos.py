@@ -1,14 +1,13 @@
 """VIDEO ⇄ igtl_msgs/VideoFrame, sensor_msgs/CompressedImage and foxglove_msgs/CompressedVideo.
 
 Encoded frames pass through as they are; nothing is encoded or decoded here.  What a frame of ROS does not say
-(key frame or not, size) is read from its bit stream.  The size stands before key frames only, so a stream needs a
-``SizeMemory`` for the frames between them.
+(key frame or not, size) is read from its bit stream.  The size stands before key frames only; the gateway remembers
+it for the frames between them.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert.bitstream import is_key_frame
@@ -123,21 +122,3 @@ def _format(named: str, ros_type: str) -> str:
         f"{ros_type}: found format {named!r}, expected one of {', '.join(sorted(_ALIASES))}: "
         "single pictures (jpeg, png) are no VIDEO, send them as sensor_msgs/Image"
     )
-
-
-class SizeMemory:
-    """The size of one stream of frames: that of its newest frame that told it."""
-
-    def __init__(self) -> None:
-        self._codec = ""
-        self._size = (0, 0, 1)
-
-    def sized(self, content: Video) -> Video:
-        """The frame with its size; as it is before any frame has told."""
-        width, height, _ = content.size
-        if width and height:
-            self._codec, self._size = content.codec, content.size
-            return content
-        if content.codec != self._codec:
-            return content
-        return replace(content, size=self._size, subvol_size=None)

@@ -19,7 +19,6 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.videos import (
     DELTA_FRAME,
     FORMATS,
-    SizeMemory,
     compressed_image_to_igtl,
     compressed_video_to_igtl,
     is_compressed,
@@ -194,35 +193,20 @@ def test_the_bit_stream_tells_key_frames(data: bytes, kind: int) -> None:
     assert content.is_key_frame is (kind == KEY_FRAME)
 
 
-def test_the_newest_size_goes_for_the_frames_that_tell_none() -> None:
-    memory = SizeMemory()
-    between = Video("H264", (0, 0, 1), SLICE, DELTA_FRAME)
-    assert memory.sized(between) is between  # joined in the middle: nobody can show this one anyway
-    small, large = Video("H264", (64, 48, 1), IDR), Video("H264", (640, 480, 1), IDR)
-    assert memory.sized(small) is small
-    assert memory.sized(between) == replace(between, size=(64, 48, 1))
-    assert memory.sized(large) is large
-    sized = memory.sized(between)
-    assert (sized.size, sized.sub_size, sized.frame_type) == ((640, 480, 1), (640, 480, 1), DELTA_FRAME)
-    other = Video("VP90", (0, 0, 1), b"\x86", DELTA_FRAME)
-    assert memory.sized(other) is other  # the stream has changed its codec
-
-
 @pytest.mark.parametrize("codec", ["h264", "h265", "vp9", "av1"])
 def test_real_streams(codec: str) -> None:
     """A stream of ROS goes out with its key frames and sizes, and comes back as it was."""
     pytest.importorskip("av")
     from tests.convert.streams import frames
 
-    memory = SizeMemory()
     stream = frames(codec, 130, 98)
     assert {is_key for _, is_key in stream} == {True, False}
     for data, is_key in stream:
         message = CompressedImage(Header(7, "camera"), codec, data)
         out = compressed_image_to_igtl(CompressedImage.unpack(message.pack()), ToIgtl())
-        content = memory.sized(content_of(out))
+        content = content_of(out)
         assert content.is_key_frame is is_key
-        assert (content.size, content.sub_size) == ((130, 98, 1), (130, 98, 1))
+        assert content.size == content.sub_size == ((130, 98, 1) if is_key else (0, 0, 1))
         received = Video.unpack(memoryview(join(content.pack())))
         back = video_to_compressed_image(received, ToRos("Scope", 7, "camera", ""))
         assert back.pack() == message.pack()
