@@ -26,7 +26,7 @@ from igtl_gateway.wire.fields import cut_text, encode_text, visible
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.metalists import IMAGE_META_DTYPE, ImageMetaList
 from igtl_gateway.wire.query import QUERIES, Reply, StartBind, StartPolyData, StartTracking, StartVideo, query_name
-from igtl_gateway.wire.registry import BODIES
+from igtl_gateway.wire.registry import ALIASES, BODIES
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.tracking import (
     QTRACKING_DTYPE,
@@ -53,8 +53,8 @@ Latest = Callable[[str, str], list[Outbound]]
 #: Whether a coordinate frame is known.
 Known = Callable[[str], bool]
 
-#: What we read: every type that has a codec, without aliases that nobody sends.
-READABLE = tuple(sorted(name for name in BODIES if name not in ("QTRANS", "COLORTABLE", "CAPABIL", "GET_TRANSFOR")))
+#: What we read: every type that has a codec, by the names that programs send.
+READABLE = tuple(sorted(BODIES.keys() - ALIASES.keys()))
 
 
 def answer(igtl_type: str, device: str, now_ns: int, latest: Latest) -> list[Outbound]:
