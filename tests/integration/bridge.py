@@ -214,6 +214,10 @@ class RosClient(Program):
     def again(self, topic: str, sec: int) -> None:
         self._do("again", topic, sec=sec)
 
+    def call(self, service: str, kind: str, fields: dict[str, Any]) -> None:
+        """Call a service; the response is what ``receive`` gives for its name."""
+        self._do("call", service, type=kind, fields=fields)
+
     def receive(self, topic: str) -> Any:
         """The next message of that topic."""
         self.wait_until(lambda: any(name == topic for name, _ in self._pending), f"message on {topic}")
@@ -260,13 +264,14 @@ class RosClient(Program):
 
 @dataclass(frozen=True)
 class Wire:
-    """A message as its bytes say, without any library."""
+    """A message as its bytes say, without any library; ``data`` is all of it."""
 
     version: int
     type: str
     device: str
     body: bytes
     crc_ok: bool
+    data: bytes
 
 
 def header(type_name: str, size: int, crc: int, *, device: str = "Raw", version: int = 1, ticks: int = 0) -> bytes:
@@ -328,7 +333,7 @@ class RawPeer:
             head = self._exactly(HEADER_SIZE)
             version, kind, name, _, size, crc = struct.unpack(">H12s20sQQQ", head)
             body = self._exactly(size)
-            wire = Wire(version, _text(kind), _text(name), body, crc64.ecma_182(body) == crc)
+            wire = Wire(version, _text(kind), _text(name), body, crc64.ecma_182(body) == crc, head + body)
             if device in (None, wire.device) and type_name in (None, wire.type):
                 return wire
 

@@ -1,5 +1,8 @@
 """A foreign ROS 2 node: typed rclpy in a process of its own.  Nothing of igtl_gateway is imported here.
 
+Types are named ``pkg/msg/Name``, any that can be imported: their own descriptions of their fields say how values
+become JSON and back.  Sequences of bytes are ``{"hex": …}``, all other sequences and arrays are lists.
+
 usage: ros_client.py NODE_NAME
 
 One JSON object per line.  On stdin commands, each answered by ``{"done": …}`` or ``{"failed": text}`` on stdout:
@@ -7,10 +10,11 @@ One JSON object per line.  On stdin commands, each answered by ``{"done": …}``
 * ``{"do": "subscribe", "topic", "type", "depth", "latched"}``
 * ``{"do": "advertise", "topic", "type", "depth", "latched"}``
 * ``{"do": "readers", "topic", "count"}``: wait until the publisher has as many readers
-* ``{"do": "publish", "topic", "fields"}``: one message; bytes are given as ``{"hex": …}``
+* ``{"do": "publish", "topic", "fields"}``: one message; fields that are left out keep their default
 * ``{"do": "again", "topic", "sec"}``: the message before once more, with another ``header.stamp.sec``
+* ``{"do": "call", "topic", "type", "fields"}``: a request to a service, once it is there
 
-On stdout also what is received: ``{"topic", "message"}``, with sequences of bytes as ``{"hex": …}``.
+On stdout also what is received: ``{"topic", "message"}``; for a call its response.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ from typing import Any
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosidl_parser.definition import AbstractNestedType, BasicType, NamespacedType
 
 TIMEOUT_S = 20.0
 
@@ -37,30 +42,35 @@ def say(value: dict[str, Any]) -> None:
         print(json.dumps(value), flush=True)  # noqa: T201 (the protocol)
 
 
-def message_class(name: str) -> Any:
-    package, _, kind = name.split("/")
-    return getattr(import_module(f"{package}.msg"), kind)
+def interface(name: str) -> Any:
+    """The class of ``pkg/msg/Name`` or ``pkg/srv/Name``."""
+    package, kind, name = name.split("/")
+    return getattr(import_module(f"{package}.{kind}"), name)
 
 
 def filled(message: Any, fields: dict[str, Any]) -> Any:
     """``message`` with these fields; what is not named keeps its default."""
-    types = message.get_fields_and_field_types()
+    types = dict(zip(message.get_fields_and_field_types(), message.SLOT_TYPES, strict=True))
     for name, value in fields.items():
-        setattr(message, name, ros_value(getattr(message, name), types[name], value))
+        setattr(message, name, ros_value(types[name], getattr(message, name), value))
     return message
 
 
-def ros_value(present: Any, kind: str, value: Any) -> Any:
-    if hasattr(present, "get_fields_and_field_types"):
+def ros_value(kind: Any, present: Any, value: Any) -> Any:
+    """``value`` for a field of that type, which has the value ``present`` now."""
+    if isinstance(kind, NamespacedType):
         return filled(present, value)
     if isinstance(value, dict):
         data = bytes.fromhex(value["hex"])
         return array.array("B", data) if isinstance(present, array.array) else data
-    if isinstance(value, list):
-        element = kind.removeprefix("sequence<").removesuffix(">").partition("[")[0]
-        if "/" in element:
-            package, name = element.split("/")
-            return [filled(message_class(f"{package}/msg/{name}")(), item) for item in value]
+    if isinstance(kind, AbstractNestedType):
+        element = kind.value_type
+        if isinstance(element, NamespacedType):
+            make = interface("/".join(element.namespaced_name()))
+            return [filled(make(), item) for item in value]
+        return [ros_value(element, None, item) for item in value]
+    if isinstance(kind, BasicType) and kind.typename in ("float", "double"):
+        return float(value)  # rclpy takes no 1 for 1.0
     return value
 
 
@@ -94,18 +104,19 @@ class Client:
         self._node = node
         self._publishers: dict[str, Any] = {}
         self._last: dict[str, Any] = {}
+        self._callers: dict[str, Any] = {}
 
     def subscribe(self, command: dict[str, Any]) -> None:
         topic = command["topic"]
         self._node.create_subscription(
-            message_class(command["type"]),
+            interface(command["type"]),
             topic,
             lambda message: say({"topic": topic, "message": plain(message)}),
             profile(command),
         )
 
     def advertise(self, command: dict[str, Any]) -> None:
-        topic, kind = command["topic"], message_class(command["type"])
+        topic, kind = command["topic"], interface(command["type"])
         self._publishers[topic] = self._node.create_publisher(kind, topic, profile(command))
 
     def readers(self, command: dict[str, Any]) -> None:
@@ -125,6 +136,15 @@ class Client:
         message.header.stamp.sec = command["sec"]
         self._publishers[command["topic"]].publish(message)
 
+    def call(self, command: dict[str, Any]) -> None:
+        name, kind = command["topic"], interface(command["type"])
+        if name not in self._callers:
+            self._callers[name] = self._node.create_client(kind, name)
+        if not self._callers[name].wait_for_service(TIMEOUT_S):
+            raise TimeoutError(f"{name}: no such service")
+        future = self._callers[name].call_async(filled(kind.Request(), command["fields"]))
+        future.add_done_callback(lambda done: say({"topic": name, "message": plain(done.result())}))
+
     def obey(self, command: dict[str, Any]) -> None:
         {
             "subscribe": self.subscribe,
@@ -132,6 +152,7 @@ class Client:
             "readers": self.readers,
             "publish": self.publish,
             "again": self.again,
+            "call": self.call,
         }[command["do"]](command)
 
 

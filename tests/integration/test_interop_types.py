@@ -46,7 +46,7 @@ from igtl_gateway.wire.tracking import (
 )
 from igtl_gateway.wire.trajectory import TRAJECTORY_DTYPE, Trajectories
 from igtl_gateway.wire.transform import Position, Transform
-from tests.peers import pyigtl_peer, reference
+from tests.peers import only, pyigtl_peer, reference
 from tests.peers.pyigtl_peer import PyigtlPeer
 from tests.peers.reference import ENCODERS, ReferencePeer
 
@@ -84,15 +84,6 @@ class Case:
     def check(self, described: dict[str, Any]) -> None:
         expected = self.content | self.shown
         assert only(described, expected) == expected
-
-
-def only(value: Any, wanted: Any) -> Any:
-    """``value`` with those keys only that ``wanted`` has too, at every depth."""
-    if isinstance(value, dict) and isinstance(wanted, dict):
-        return {key: only(item, wanted[key]) for key, item in value.items() if key in wanted}
-    if isinstance(value, list) and isinstance(wanted, list) and len(value) == len(wanted):
-        return [only(*pair) for pair in zip(value, wanted, strict=True)]
-    return value
 
 
 #: At the edges of float32.

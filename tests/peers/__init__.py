@@ -20,6 +20,15 @@ class PeerError(Exception):
     """The peer refused a command or ended before what was waited for came."""
 
 
+def only(value: Any, wanted: Any) -> Any:
+    """``value`` with those keys only that ``wanted`` has too, at every depth."""
+    if isinstance(value, dict) and isinstance(wanted, dict):
+        return {key: only(item, wanted[key]) for key, item in value.items() if key in wanted}
+    if isinstance(value, list) and isinstance(wanted, list) and len(value) == len(wanted):
+        return [only(*pair) for pair in zip(value, wanted, strict=True)]
+    return value
+
+
 class Inbox:
     """Messages in order of arrival, for one thread that puts and others that wait."""
 
