@@ -5,7 +5,6 @@ Numbers are drawn small and often at the edges: what breaks a codec is the shape
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -518,7 +517,6 @@ STRUCTS: dict[str, type[Struct]] = {
 }
 
 
-@functools.cache
 def of_fields(kind: type[Struct]) -> st.SearchStrategy[Any]:
     """Messages that are told by field tables: any values that the fields hold."""
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage
+from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, IgtlRow
 from igtl_gateway.gateway import LINK_UP, Gateway, Session
 from igtl_gateway.session.entry import Entry, Kind
@@ -20,9 +21,9 @@ from tests import strategies
 # A number too large for float32 is a fact about the message; numpy must not print it on the user's console.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
-CLASSES = {row.message.TYPE: row.message for row in (*TO_ROS, *TO_IGTL)} | {
-    kind.TYPE: kind for kind in (LinkStatusList, Metadata, RawMessage, CommandReply)
-}
+OWN: tuple[type[RosMessage], ...] = (LinkStatusList, Metadata, RawMessage, CommandReply)
+MESSAGES = (*(row.message for row in TO_ROS), *(row.message for row in TO_IGTL), *OWN)
+CLASSES = {message.TYPE: message for message in MESSAGES}
 NOW_NS = 1_700_000_000_000_000_000
 
 

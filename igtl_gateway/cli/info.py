@@ -30,6 +30,8 @@ _DIRECTIONS = {
 #: A gap is a pause of more than so many mean intervals (and of more than a second).
 _GAP_FACTOR = 10
 _GAP_MIN_NS = NS_PER_S
+#: Messages that make a stream with a rhythm; fewer are events.
+_RHYTHM = 20
 _NS_PER_MS = 1_000_000
 
 #: So many stamps tell their quality; a longer session must not cost memory.
@@ -72,14 +74,14 @@ class Stream:
 
     @property
     def rate_hz(self) -> float:
-        """Mean rate between the first and the last message; 0 for a single one."""
+        """Mean rate between the first and the last message; 0 where all are of one moment."""
         span_ns = self.last_ns - self.first_ns
-        return (self.messages - 1) * NS_PER_S / span_ns if span_ns else 0.0
+        return (self.messages - 1) * NS_PER_S / span_ns if span_ns >= _NS_PER_MS else 0.0
 
     @property
     def has_gap(self) -> bool:
         span_ns = self.last_ns - self.first_ns
-        mean_ns = span_ns / (self.messages - 1) if self.messages > 2 else 0
+        mean_ns = span_ns / (self.messages - 1) if self.messages >= _RHYTHM else 0
         return bool(mean_ns) and self.longest_pause_ns > max(_GAP_FACTOR * mean_ns, _GAP_MIN_NS)
 
     @property

@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     for entry in scenario.entries(options.duration, gateway):
         writer.write(entry)
         entries += 1
-    writer.close({})
+    writer.close({"streams": gateway.ledger.to_dict()})
     told = {"file": str(options.out), "entries": entries, "bytes": options.out.stat().st_size}
     if options.json:
         print_json(told)

@@ -19,6 +19,7 @@ from igtl_gateway.convert import commands as command_conversions
 from igtl_gateway.convert.assembly import VolumeAssembler
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.frames import MAX_FRAMES
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage, Size
 from igtl_gateway.convert.raw import message_of, raw_message
@@ -79,6 +80,7 @@ class Gateway:
         self._streams = Streams(config)
         self._latest: dict[str, Entry] = {}  # topic → its last message; as many as there are bridged topics
         self._volumes: dict[str, VolumeAssembler] = {}  # device → the volume that its updates are part of
+        self._frames: set[str] = set()  # frame ids of what went out
         self._video_sizes: dict[str, Size] = {}  # topic → size of its last key frame
         self._tf = TfOut(config, tuple(self._streams.device(row.request().device) for row in config.tf_out))
         self._from_peers, self._to_peers = CommandBook(), CommandBook()
@@ -152,6 +154,9 @@ class Gateway:
         self.ledger.count(_IN, entry.channel, "decoded")
         peer = self._peers.get(link)
         news = self._learn(entry, peer, message) if peer else []
+        if peer and (refused := self._refused(entry, peer, message)):
+            self.ledger.drop(_IN, entry.channel, "command_refused")
+            return news + refused
         replies, fate = self._deliver(entry, message, restore(message))
         if fate:
             self.ledger.drop(_IN, entry.channel, fate)
@@ -285,7 +290,9 @@ class Gateway:
     def _respond(self, entry: Entry, peer: Peer, message: Message) -> list[Reply]:
         """What a peer is told in answer to a message."""
         if isinstance(message.content, Command):
-            return self._on_command(entry, peer, message, message.content)
+            if visible(message.type) != "COMMAND":
+                self._to_peers.take(message.content.command_id, peer.link)
+            return []
         query = split_query(message.type)
         if query is None:
             return []
@@ -315,8 +322,7 @@ class Gateway:
 
     def _knows_frame(self, frame: str) -> bool:
         """Whether poses can be told in a coordinate frame."""
-        known = (out.frame_id for entry in self._latest.values() for out in self._outbounds(entry, ""))
-        return frame in known or self._tf.tree.knows(frame)
+        return frame in self._frames or self._tf.tree.knows(frame)
 
     def _latest_of(self, cause: Entry, igtl_type: str, device: str) -> list[Outbound]:
         """The latest messages of a type: of the streams that go out as such, else of those that could."""
@@ -343,10 +349,13 @@ class Gateway:
         except ConversionError:  # said when it came
             return []
 
-    def _on_command(self, entry: Entry, peer: Peer, message: Message, command: Command) -> list[Reply]:
-        """Remember a command until its reply, or match a reply with its command."""
-        if visible(message.type) != "COMMAND":
-            self._to_peers.take(command.command_id, peer.link)
+    def _refused(self, entry: Entry, peer: Peer, message: Message) -> list[Reply]:
+        """Remember a command until its reply; what the peer is told of one that cannot be taken.
+
+        Whoever is told of a failure must be able to rely on it: a refused command does not reach ROS.
+        """
+        command = message.content
+        if not isinstance(command, Command) or visible(message.type) != "COMMAND":
             return []
         deadline_ns = entry.stamp_ns + int(self.config.command_timeout_s * NS_PER_S)
         pending = Pending(
@@ -355,8 +364,8 @@ class Gateway:
         if self._from_peers.add(pending):
             return []
         text = f"command {pending.command_id} ({pending.name!r}) refused: its id, or too many others, wait already"
-        refused = self._reply(entry, pending, CommandReply.FAIL, text)
-        return [*refused, note(Level.WARN, "command_refused", text, entry.channel, (peer.link,))]
+        replies = self._reply(entry, pending, CommandReply.FAIL, text)
+        return [*replies, note(Level.WARN, "command_refused", text, entry.channel, (peer.link,))]
 
     def _reply(self, entry: Entry, pending: Pending, status: int, text: str) -> list[Reply]:
         """An RTS_COMMAND of the gateway's own."""
@@ -426,6 +435,8 @@ class Gateway:
 
     def _as_outbound(self, entry: Entry, stream: ToIgtlStream, conversion: IgtlRow, outgoing: Outgoing) -> Outbound:
         device, full_name, content = stream.device, stream.full_name, outgoing.content
+        if len(self._frames) < MAX_FRAMES:
+            self._frames.add(outgoing.frame_id)
         if isinstance(content, Video):
             content = self._sized(entry.channel, content)
         if outgoing.device_name or split_query(outgoing.igtl_type):  # a query without a device asks for any
@@ -523,7 +534,8 @@ class Gateway:
 
     def _send_frames(self, entry: Entry, message: TFMessage, *, static: bool) -> list[Reply]:
         """What a change of the tf tree sends out."""
-        return self._to(entry, list(self._peers.all()), self._tf.update(message, static, entry.stamp_ns), asked=False)
+        outs = self._tf.update(message, static, entry.stamp_ns)
+        return [reply for out, lengths in outs for reply in self._to_trackers(entry, self._peers.all(), out, lengths)]
 
     def _on_raw(self, entry: Entry) -> list[Reply]:
         """A whole OpenIGTLink message from ROS, sent as it is."""
@@ -559,7 +571,8 @@ class Gateway:
             timeout_s = self.config.command_timeout_s
         deadline_ns = entry.stamp_ns + int(timeout_s * NS_PER_S)
         pending = Pending(0, command.command_id, out.full_name, visible(command.name), deadline_ns)
-        peers = [peer for peer in self._peers.all() if outgoing.link in (0, peer.link)]
+        readers = (peer for peer in self._peers.all() if peer.profile.may_send(out.igtl_type))
+        peers = [peer for peer in readers if outgoing.link in (0, peer.link)]
         asked = [one for one in peers if self._to_peers.add(replace(pending, link=one.link))]
         if not asked:
             text = "the id, or too many others, wait already" if peers else "no peer is there to be asked"

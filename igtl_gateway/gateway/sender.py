@@ -79,21 +79,22 @@ def send(out: Outbound, peers: Iterable[Peer], now_ns: int, *, asked: bool = Fal
         MalformedBody: what no layout holds.
     """
     sent = Sent([], [], [])
-    forms: dict[tuple[int, str], tuple[Adapt | None, list[int]]] = {}
+    forms: dict[tuple[int, str], tuple[Body, list[int]]] = {}
+    adapted: dict[Adapt, Body] = {}
     for peer in peers:
         if not peer.profile.may_send(out.igtl_type):
             sent.refused.append((peer, out.igtl_type))
         elif asked or peer.wants(out.igtl_type, out.device, now_ns):
-            adapt = peer.profile.adapt.get(type(out.content))
-            _, links = forms.setdefault((peer.version, adapt.__name__ if adapt else ""), (adapt, []))
-            links.append(peer.link)
+            content, name = out.content, ""
+            if adapt := peer.profile.adapt.get(type(content)):
+                if adapt not in adapted:
+                    adapted[adapt], warning = adapt(content)
+                    sent.warnings += [("adapted", warning)] if warning else []
+                if adapted[adapt] is not content:
+                    content, name = adapted[adapt], adapt.__name__
+            forms.setdefault((peer.version, name), (content, []))[1].append(peer.link)
             peer.said_ns = now_ns
-    for (version, _), (adapt, links) in sorted(forms.items(), key=lambda form: form[0]):
-        content = out.content
-        if adapt:
-            content, warning = adapt(content)
-            if warning:
-                sent.warnings.append(("adapted", warning))
+    for (version, _), (content, links) in sorted(forms.items(), key=lambda form: form[0]):
         message = Message(out.igtl_type, out.device, content, ns_to_ticks(out.stamp_ns))
         if version > 1:
             names = (out.device, out.full_name or out.device)

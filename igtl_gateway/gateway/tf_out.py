@@ -12,6 +12,7 @@ from igtl_gateway.convert.igtl_msgs import Pose, TrackedTool
 from igtl_gateway.convert.igtl_msgs import TrackingData as RosTrackingData
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.table import row_to_igtl
+from igtl_gateway.convert.units import Lengths
 from igtl_gateway.gateway.sender import Outbound
 from igtl_gateway.qos import Qos
 from igtl_gateway.wire.tracking import TOOL_6D
@@ -52,11 +53,11 @@ class TfOut:
     def __bool__(self) -> bool:
         return bool(self._requests)
 
-    def update(self, message: TFMessage, static: bool, now_ns: int) -> list[Outbound]:
-        """Take a message of /tf or /tf_static; what has changed of what goes out."""
+    def update(self, message: TFMessage, static: bool, now_ns: int) -> list[tuple[Outbound, Lengths]]:
+        """Take a message of /tf or /tf_static; what has changed of what goes out, with its units."""
         self.tree.update(message, static)
-        changed = (self._changed(one, now_ns) for one in self._requests)
-        return [out for out in changed if out is not None]
+        changed = ((self._changed(one, now_ns), self._config.lengths(one.row)) for one in self._requests)
+        return [(out, lengths) for out, lengths in changed if out is not None]
 
     def _changed(self, one: _Request, now_ns: int) -> Outbound | None:
         request = one.request

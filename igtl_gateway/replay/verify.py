@@ -17,6 +17,7 @@ import numpy as np
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
+from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.gateway import Gateway
@@ -27,7 +28,10 @@ from igtl_gateway.wire import describe
 #: So many differences are kept in full; all are counted.
 MAX_KEPT = 100
 
-_MESSAGES = {row.message.TYPE: row.message for row in TO_ROS}
+#: What the gateway publishes: by conversion, and of its own.
+_MESSAGES = {row.message.TYPE: row.message for row in TO_ROS} | {
+    kind.TYPE: kind for kind in (LinkStatusList, Metadata, RawMessage)
+}
 
 
 @dataclass(frozen=True, slots=True)

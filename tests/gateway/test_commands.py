@@ -56,11 +56,7 @@ def test_the_same_id_twice_is_refused_while_the_first_waits() -> None:
     script = Script()
     script.up(1)
     script.igtl(asked())
-    assert script.igtl(asked()) == [
-        "ros /igtl/in/Robot/command",
-        "igtl RTS_COMMAND/Robot v1 to 1",
-        "note command_refused",
-    ]
+    assert script.igtl(asked()) == ["igtl RTS_COMMAND/Robot v1 to 1", "note command_refused"], "and not given to ROS"
 
 
 def test_ros_commands_a_peer_and_gets_its_reply() -> None:
@@ -97,6 +93,14 @@ def test_without_a_peer_the_answer_comes_at_once() -> None:
     ]
     reply = CommandReply.unpack(script.published("/igtl/in/S/command_reply"))
     assert (reply.id, reply.status) == (5, CommandReply.NO_PEER)
+
+
+def test_a_peer_that_must_not_be_asked_is_nobody_to_ask() -> None:
+    script = Script(Config(profile="holoscan"))
+    script.up(1)
+    script.ros("/igtl/out/S/command", RosCommand(Header(), "S", 5, "Go", 0, ""))
+    reply = CommandReply.unpack(script.published("/igtl/in/S/command_reply"))
+    assert reply.status == CommandReply.NO_PEER and script.sent() == []
 
 
 def test_a_peer_that_goes_leaves_no_one_waiting() -> None:

@@ -10,7 +10,7 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Message
-from igtl_gateway.wire.query import Nothing
+from igtl_gateway.wire.query import Nothing, StartTracking
 from igtl_gateway.wire.transform import Transform
 from tests.script import T0_NS, Script
 
@@ -42,6 +42,17 @@ def test_several_frames_are_tracking_data() -> None:
     script.ros("/tf", tf(("base", "b", 0.2)))
     elements = script.sent()[0].content.describe()["elements"]
     assert [(one["name"], one["matrix"][0][3]) for one in elements] == [("a", 100.0), ("b", 200.0)]
+
+
+def test_frames_are_told_in_the_frame_that_a_peer_asked_for() -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("probe",), base="base", device="Scene", type="TDATA"),)))
+    script.up(1)
+    script.ros("/tf_static", tf(("base", "camera", 1.0), stamp_ns=0))
+    script.ros("/tf", tf(("base", "probe", 0.5)))
+    script.igtl(Message("STT_TDATA", "Scene", StartTracking(0, "camera")))
+    script.ros("/tf", tf(("base", "probe", 0.6), stamp_ns=T0_NS + 5))
+    (message,) = script.sent()
+    assert message.content.describe()["elements"][0]["matrix"][0][3] == pytest.approx(-400.0)
 
 
 def test_what_does_not_move_is_told_to_whoever_comes_later() -> None:
