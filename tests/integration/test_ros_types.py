@@ -201,6 +201,12 @@ TEXTS = [
         {"string": ("std_msgs/msg/String", {"data": TEXT})},
     ),
     Case(
+        "CLIENTINFO",
+        "Client",
+        struct.pack(">HH", 3, 13) + b"<ClientInfo/>",
+        {"client_info": ("std_msgs/msg/String", {"data": "<ClientInfo/>"})},
+    ),
+    Case(
         "STATUS",
         "Machine",
         struct.pack(">Hq20s", 13, -42, b"Warming") + b"not ready yet\0",
@@ -739,7 +745,7 @@ SUBSCRIBED = {case.topic(kind): heard[0] for case in CASES for kind, heard in ca
     QUERY_TOPIC: QUERY,
     f"{IN}Console/command": COMMAND_TYPE,
     f"{IN}Robot/command_reply": REPLY_TYPE,
-    f"{IN}Text/metadata": "igtl_msgs/msg/Metadata",
+    f"{IN}Note/metadata": "igtl_msgs/msg/Metadata",
     f"{IN}Odd/raw": "igtl_msgs/msg/RawMessage",
     f"{IN}BoundText/string": STRING_TYPE,
     f"{IN}BoundToBase/transform": TRANSFORM,
@@ -833,6 +839,7 @@ OUTGOING = [
         TOOLS,
         elements({"name": "Tip", "type": 3, "position": [400, -250, 1125], "quaternion": [0.5, 0.5, 0.5, 0.5]}),
     ),
+    Sent(STRING_TYPE, "CLIENTINFO", "Wish", {"data": "<x/>"}, {"string": "<x/>", "encoding": 3}, stamped=False),
     Sent(STRING_TYPE, "STRING", "Words", {"data": TEXT}, {"string": TEXT, "encoding": 106}, stamped=False),
     Sent(
         "diagnostic_msgs/msg/DiagnosticStatus",
@@ -1119,6 +1126,7 @@ OTHERS = {
     f"{OUT}Robot/command": COMMAND_TYPE,
     f"{OUT}Console/command_reply": REPLY_TYPE,
     f"{OUT}Question": QUERY,
+    f"{OUT}Strain": "igtl_msgs/msg/Sensor",
     f"{OUT}AsItIs": "igtl_msgs/msg/RawMessage",
     "/tf": TF,
 }
@@ -1257,11 +1265,11 @@ def test_queries_are_heard(world: World, prefix: str) -> None:
 
 def test_metadata_of_a_standard_message_is_heard_beside_it(world: World) -> None:
     content = struct.pack(">HH5s", 3, 5, b"hello")
-    world.talker.send(packed("STRING", "Text", content, {"operator": "A. B.", "ros.frame_id": "room"}))
-    assert world.ros.receive(f"{IN}Text/metadata") == {
+    world.talker.send(packed("STRING", "Note", content, {"operator": "A. B.", "ros.frame_id": "room"}))
+    assert world.ros.receive(f"{IN}Note/metadata") == {
         "header": head("room"),
         "type": "STRING",
-        "device_name": "Text",
+        "device_name": "Note",
         "message_id": 0,
         "items": [item("operator", "A. B.")],
     }
@@ -1362,11 +1370,11 @@ def test_raw_messages_of_the_node_go_out_as_they_are(world: World) -> None:
 
 def test_metadata_goes_out_to_who_has_shown_header_version_2(world: World) -> None:
     with RawPeer(world.bridge.port) as modern:
-        modern.send(packed("STRING", "Text", struct.pack(">HH", 3, 0), {"key": "value"}))
-        world.ros.receive(f"{IN}Text/metadata")
+        modern.send(packed("STRING", "Note", struct.pack(">HH", 3, 0), {"key": "value"}))
+        world.ros.receive(f"{IN}Note/metadata")
         fields = {"header": head("flange"), "values": [1.0], "metadata": [item("operator", "A. B.")]}
-        world.ros.publish(f"{OUT}Gauge", fields)
-        got = modern.receive("Gauge")
+        world.ros.publish(f"{OUT}Strain", fields)
+        got = modern.receive("Strain")
     content, metadata = unextended(got.body)
     assert (got.version, got.crc_ok) == (2, True)
     assert content == struct.pack(">BBQd", 1, 0, 0, 1.0)
