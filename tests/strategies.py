@@ -19,6 +19,7 @@ from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.bind import Bind, Child
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
+from igtl_gateway.wire.client_info import ClientInfo
 from igtl_gateway.wire.colort import ENTRIES, MAP_RGB, MAP_U8, MAP_U16, MAPS, ColorTable
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.elements import Elements
@@ -274,6 +275,7 @@ def _data_bodies(numbers: st.SearchStrategy[float]) -> dict[str, st.SearchStrate
         "POSITION": positions(numbers),
         "QTRANS": positions(numbers),
         "STRING": strings,
+        "CLIENTINFO": strings.map(lambda one: ClientInfo(one.data, one.encoding)),
         "STATUS": statuses(),
         "POINT": points(numbers),
         "POLYDATA": polydatas(numbers),

@@ -36,6 +36,7 @@ from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.qos import Qos
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.capability import Capability
+from igtl_gateway.wire.client_info import ClientInfo
 from igtl_gateway.wire.colort import ColorTable
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.image import Image
@@ -162,6 +163,15 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy="length and sign of the quaternion, which form was sent",
     ),
     RosRow(("STRING",), String, rosmsg.String, "string", texts.string_to_ros, _TEXTS, lossy="stamp, encoding (UTF-8)"),
+    RosRow(
+        ("CLIENTINFO",),
+        ClientInfo,
+        rosmsg.String,
+        "client_info",
+        texts.string_to_ros,
+        _TEXTS,
+        lossy="stamp, encoding (UTF-8)",
+    ),
     RosRow(("STATUS",), Status, rosmsg.DiagnosticStatus, "status", texts.status_to_ros, _TEXTS, lossy="stamp"),
     RosRow(
         ("IMAGE",),
@@ -455,6 +465,7 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         f"double precision (float32), length of the quaternion, {_HEADER_1}",
     ),
     IgtlRow(rosmsg.String, "STRING", texts.string_to_igtl, _TEXTS, "texts above 65,535 bytes are refused"),
+    IgtlRow(rosmsg.String, "CLIENTINFO", texts.string_to_igtl, _TEXTS, "texts above 65,535 bytes are refused"),
     IgtlRow(rosmsg.DiagnosticStatus, "STATUS", texts.status_to_igtl, _TEXTS, "name, hardware id, further values"),
     IgtlRow(rosmsg.Image, "IMAGE", images.image_to_igtl, _PICTURES, f"{_HEADER_1}; BGR is sent as RGB"),
     IgtlRow(rosmsg.PointStamped, "POINT", clouds.point_to_igtl, _STATES, f"double precision, {_HEADER_1}"),

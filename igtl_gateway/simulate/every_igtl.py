@@ -16,6 +16,7 @@ from igtl_gateway.wire import Item
 from igtl_gateway.wire.bind import Bind, Child
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.capability import Capability
+from igtl_gateway.wire.client_info import ClientInfo
 from igtl_gateway.wire.colort import MAP_RGB, MAP_U8, MAP_U16, ColorTable
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.elements import Elements
@@ -161,6 +162,7 @@ def _texts() -> Iterator[Said]:
     yield "STRING", "Greeting", String("Grüße".encode("latin-1"), 4)
     yield "STRING", "Greeting", String("Grüße".encode("utf-16-be"), 1013)
     yield "STRING", "Greeting", String(b"ends\x00here")
+    yield "CLIENTINFO", "Greeting", ClientInfo.of("<ClientInfo/>")
     yield "STATUS", "Device", Status(1, 0, "", "ready")
     yield "STATUS", "Device", Status(13, -7, "NOT_HOMED", "move to the home position first")
     yield "STATUS", "Device", Status(2, 0, "", "without a NUL", nul_terminated=False)

@@ -60,6 +60,7 @@ def _poses() -> Iterator[Published]:
 def _texts() -> Iterator[Published]:
     yield "A greeting from ROS with a long name", "", rosmsg.String("hello from ROS 2")
     yield "Greeting", "", rosmsg.String("Grüße, 你好")
+    yield "Wish", "CLIENTINFO", rosmsg.String("<ClientInfo/>")
     values = (("code", "13"), ("subcode", "-7"), ("error_name", "NOT_HOMED"))
     yield "Device", "", rosmsg.DiagnosticStatus(2, "arm", "move to the home position", "lwr", values)
     yield "Peer", "", igtl_msgs.Capability(_BASE, ("TRANSFORM", "IMAGE", "GET_CAPABIL"), _ITEMS)

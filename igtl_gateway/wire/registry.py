@@ -5,6 +5,7 @@ from __future__ import annotations
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.capability import Capability
+from igtl_gateway.wire.client_info import ClientInfo
 from igtl_gateway.wire.colort import ColorTable
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import visible
@@ -44,6 +45,7 @@ BODIES: dict[str, type[Body]] = {
     "CAPABIL": Capability,
     "VIDEO": Video,
     "BIND": Bind,
+    "CLIENTINFO": ClientInfo,
     "COMMAND": Command,
     "RTS_COMMAND": Command,
     **QUERIES,

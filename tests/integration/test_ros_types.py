@@ -1418,13 +1418,19 @@ def test_status_and_capability_are_answered(peer: RawPeer) -> None:
     assert sent_here <= names
 
 
-@pytest.mark.parametrize("one", {one.type: one for one in OUTGOING}.values(), ids=lambda one: f"GET_{one.type}")
-def test_the_latest_state_is_told_to_who_asks(world: World, peer: RawPeer, one: Sent) -> None:
+#: What stands behind GET_ → a message that such a query is answered with.
+ANSWERS = {
+    name: one for name in ASKED for one in OUTGOING if name != "TRANSFOR" and one.type == SHORT_NAMES.get(name, name)
+}
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_the_latest_state_is_told_to_who_asks(world: World, peer: RawPeer, name: str) -> None:
+    one = ANSWERS[name]
     world.ros.publish(one.topic, one.fields)
     sent = world.listener.receive(one.device, one.type)
     until_status(peer)  # it got that one as everybody did
-    short = {name: short for short, name in SHORT_NAMES.items() if short != "TRANSFOR"}
-    peer.send(packed(f"GET_{short.get(one.type, one.type)}", one.device, b""))
+    peer.send(packed(f"GET_{name}", one.device, b""))
     got = peer.receive()
     assert (got.type, got.device) == (one.type, one.device)
     if one.type not in ("STATUS", "CAPABILITY"):  # which are the gateway's own

@@ -125,7 +125,10 @@ def files() -> dict[str, tuple[bytes, Any]]:
     start = struct.pack(">4sI", b"H264", 40), {"codec": "H264", "resolution": 40}
     wanted = {"children": [{"type": "TRANSFORM", "name": "Tool"}, {"type": "IMAGE", "name": "US"}]}
     bind = struct.pack(">H", 2) + field(b"TRANSFORM", 12) + field(b"IMAGE", 12) + b"\x00\x08Tool\0US\0"
+    wish = b'<ClientInfo><MessageTypes><Message Type="TDATA" /></MessageTypes></ClientInfo>'
+    info = struct.pack(">HH", 3, len(wish)) + wish, {"encoding": 3, "string": wish.decode(), "string_hex": wish.hex()}
     return {
+        "CLIENTINFO_v1_tdata": message(b"CLIENTINFO", b"Client", *info),
         "VIDEO_v1_key": message(b"VIDEO", b"Endoscope", *key),
         "VIDEO_v1_grey": message(b"VIDEO", b"Endoscope", *grey),
         "VIDEO_v2_delta": message(b"VIDEO", b"Endoscope", *delta, metadata=((b"Exposure", b"12 ms"), (b"Gain", b"3"))),

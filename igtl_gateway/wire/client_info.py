@@ -1,0 +1,22 @@
+"""CLIENTINFO, a type of PlusServer's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from igtl_gateway.wire.text import String
+
+
+@dataclass(frozen=True, slots=True)
+class ClientInfo(String):
+    """CLIENTINFO: what a client of a PLUS server wants to be sent, as XML; laid out as STRING.
+
+    ``<ClientInfo …>`` replaces the whole subscription: types, names of transforms and images, TDATA resolution.
+
+    Accepted: as STRING.
+
+    Sent: as STRING.
+    """
+
+    PROTOCOL: ClassVar[str] = "2"
