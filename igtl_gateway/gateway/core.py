@@ -247,7 +247,7 @@ class Gateway:
         if stream.outputs and isinstance(message.content, Raw):
             text = f"{to.igtl_type} has an empty body: nothing to publish"
             return self._once(entry, Level.INFO, "empty", text, message.type, to.link), "empty"
-        if stream.row.kinds:
+        if any(not kind.startswith("+") for kind in stream.row.kinds):
             return [], "not_chosen"
         self._streams.advertise(stream.raw_topic, _RAW_QOS)
         raw = raw_message(entry.payload[0], entry.stamp_ns, to.link)

@@ -321,6 +321,12 @@ def test_unknown_types_are_published_as_they_are() -> None:
     assert counts == {"received": 2, "decoded": 2, "converted": 2}
 
 
+def test_kinds_on_request_leave_unknown_types_as_they_are() -> None:
+    unknown = Message("MYSTERY", "Odd", Raw(b"payload"))
+    assert Script(Config(to_ros=(ToRosRow(kinds=("+slices",)),))).igtl(unknown)[0] == "ros /igtl/in/Odd/raw"
+    assert Script(Config(to_ros=(ToRosRow(kinds=("image",)),))).igtl(unknown) == []
+
+
 def test_a_type_name_ends_at_its_first_nul() -> None:
     script = Script()
     data = join(encode(Message("STRING\0xy", "Sloppy", String.of("a"))))
