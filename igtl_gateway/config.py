@@ -14,6 +14,7 @@ verification use what was in force that day.
     profile = "auto"               # what the peers are: slicer, plus …; auto: by what they show
     publish_tf = true              # poses appear on /tf too
     command_timeout_s = 5.0        # a COMMAND without a reply is given up
+    relay = false                  # true: no bridge; peers and a server talk through us, bytes unchanged
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first row that matches counts
     topic = "/camera/image_raw"    # * stands for one level, ** for any number
@@ -149,6 +150,7 @@ class Config:
     profile: str = AUTO
     publish_tf: bool = True
     command_timeout_s: float = 5.0
+    relay: bool = False
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()

@@ -6,6 +6,18 @@ in a verification.  ``Session`` adds the numbering and is the door that all thre
 """
 
 from igtl_gateway.gateway.core import LINK_DOWN, LINK_UP, LINKS_TOPIC, TICK, Gateway
+from igtl_gateway.gateway.relay import PARTNER, RelayGateway, gateway_of
 from igtl_gateway.gateway.session import Session, stream_name
 
-__all__ = ["LINKS_TOPIC", "LINK_DOWN", "LINK_UP", "TICK", "Gateway", "Session", "stream_name"]
+__all__ = [
+    "LINKS_TOPIC",
+    "LINK_DOWN",
+    "LINK_UP",
+    "PARTNER",
+    "TICK",
+    "Gateway",
+    "RelayGateway",
+    "Session",
+    "gateway_of",
+    "stream_name",
+]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.gateway.core import Gateway
+from igtl_gateway.gateway.relay import RelayGateway
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.stamp import ticks_to_ns
 from igtl_gateway.wire import Header
@@ -15,7 +16,7 @@ from igtl_gateway.wire.fields import visible
 class Session:
     """The door through which live traffic, replay and verification come to the gateway."""
 
-    def __init__(self, gateway: Gateway) -> None:
+    def __init__(self, gateway: Gateway | RelayGateway) -> None:
         self.gateway = gateway
         self._seq = 0
         self._stamp_ns = 0

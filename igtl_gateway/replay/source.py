@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 from igtl_gateway.config import Config, matches
-from igtl_gateway.gateway import LINK_UP, Gateway
+from igtl_gateway.gateway import LINK_UP, gateway_of
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 
@@ -19,7 +19,7 @@ def through_gateway(entries: Iterable[Entry], config: Config, *, has_links: bool
     Args:
         has_links: whether the recording tells of links; if not, one that reads header version 1 is assumed.
     """
-    gateway = Gateway(config)
+    gateway = gateway_of(config)
     if not has_links:
         note = Note(Level.INFO, LINK_UP, "replay").pack()
         gateway.handle(Entry(0, 0, Kind.LINK, payload=(note,), links=(_ANY_LINK,)))

@@ -20,7 +20,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.errors import GatewayError
-from igtl_gateway.gateway import Gateway
+from igtl_gateway.gateway import gateway_of
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.wire import describe
@@ -92,7 +92,7 @@ def verify(entries: Iterable[Entry], config: Config, declared_lost: int = 0) -> 
         config: the configuration to run with, usually the recorded one.
         declared_lost: how many entries the recorder says that it dropped; so many missing outputs are excused.
     """
-    gateway, report = Gateway(config), Report()
+    gateway, report = gateway_of(config), Report()
     expected: deque[Entry] = deque()
     cause = 0
     for entry in entries:
