@@ -2,6 +2,10 @@
 
 Synchronous and single-threaded; the recorder runs it in its own thread, tools use it as it is.  It adds no
 times or chance of its own: the same entries give the same file.
+
+What a whole file depends on is there twice: the session's metadata, and schemas and channels, which the library
+puts into the first chunk that needs them and we, on top, between the chunks.  So no one damaged place costs more
+than itself.
 """
 
 from __future__ import annotations
@@ -13,6 +17,8 @@ from io import BufferedWriter
 from pathlib import Path
 from typing import Any, Literal
 
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, McapRecord, Schema
 from mcap.writer import CompressionType, Writer
 
 from igtl_gateway import __version__
@@ -84,6 +90,7 @@ class SessionWriter:
     def _start(self, session: dict[str, str]) -> None:
         facts = {**session, layout.FORMAT_VERSION_KEY: str(layout.FORMAT_VERSION)}
         self._mcap.start(layout.MCAP_PROFILE, f"igtl-gateway {__version__}")
+        self._mcap.add_metadata(layout.SESSION_METADATA, layout.seal(facts))
         self._mcap.add_metadata(layout.SESSION_METADATA, layout.seal(facts))
         configuration = facts.get(layout.CONFIGURATION_KEY, "{}").encode()
         self._mcap.add_attachment(0, 0, layout.CONFIGURATION_ATTACHMENT, "application/json", configuration)
@@ -173,9 +180,19 @@ class SessionWriter:
                 # without a definition the encoding has to be empty, too, as in what rosbag2 writes
                 encoding = layout.SCHEMA_ENCODING if definition else ""
                 text = definition.text.encode() if definition else b""
-                self._schemas[ros_type] = self._mcap.register_schema(ros_type, encoding, text)
-            channel = self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, self._schemas[ros_type], metadata)
+                schema = self._mcap.register_schema(ros_type, encoding, text)
+                self._schemas[ros_type] = schema
+                self._repeat(Schema(schema, text, encoding, ros_type))
+            schema = self._schemas[ros_type]
+            channel = self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, schema, metadata)
+            self._repeat(Channel(channel, topic, layout.MESSAGE_ENCODING, metadata, schema))
         return channel
+
+    def _repeat(self, record: McapRecord) -> None:
+        """Write it between the chunks, for whoever reads a file in which a chunk is damaged."""
+        builder = RecordBuilder()
+        record.write(builder)
+        self._file.write(builder.end())  # type: ignore[no-untyped-call]
 
     @contextmanager
     def _disk(self) -> Iterator[None]:
