@@ -10,6 +10,9 @@ totals) may be held while taking a link's lock, never the other way round.  No c
 and callbacks are made by the I/O thread only; so a callback may take the caller's lock and ``send``, while another
 thread sends under that same lock.
 
+A relay (``relay``) makes pairs of links, each client with a connection of its own to one server.  There the I/O thread
+sends, and reads a link only while its partner's queue is empty.
+
 Errors of our own in the I/O thread end neither it nor the other links: each is noted (``internal_error``) and the
 part that it happened in mends itself, see ``Link.failed``, ``Listener.failed``, ``Dialer.failed``.
 """

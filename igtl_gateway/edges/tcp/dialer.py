@@ -25,7 +25,8 @@ _LIVED_S = 1.0  # a link that lasted this long, or brought a byte, was a real on
 class Dialer:
     """Connects, and hands the connection to ``up`` (socket, address, itself); of the I/O thread alone.
 
-    ``link`` is the connection that lives, if any; the edge sets it.
+    ``link`` is the connection that lives, if any; the edge sets it.  With ``gave_up`` there is one attempt only,
+    and this is told (itself, the cause) where it comes to nothing.
     """
 
     def __init__(
@@ -35,6 +36,7 @@ class Dialer:
         up: Callable[[socket.socket, str, Dialer], None],
         loop: Loop,
         reporter: Reporter,
+        gave_up: Callable[[Dialer, str], None] | None = None,
     ) -> None:
         self.target = place_of((host, port))
         self.link: Link | None = None
@@ -43,6 +45,7 @@ class Dialer:
         self._up = up
         self._loop = loop
         self._reporter = reporter
+        self._gave_up = gave_up
         self._delay_s = _RETRY_FIRST_S
         self._causes: set[str] = set()  # noted already in this outage
         self._addresses: list[tuple[int, Any]] = []  # family and address, still to be tried in this attempt
@@ -79,7 +82,10 @@ class Dialer:
         """An unexpected error of ours: noted, and this attempt given up."""
         self._reporter.note_error(exc)
         self.hang_up()
-        self._retry()
+        if self._gave_up:
+            self._gave_up(self, f"{exc}")
+        else:
+            self._retry()
 
     def _look_up(self) -> None:
         try:
@@ -133,6 +139,9 @@ class Dialer:
             self._dial_next(os.strerror(errno.ETIMEDOUT))
 
     def _give_up(self, cause: str) -> None:
+        if self._gave_up:
+            self._gave_up(self, cause)
+            return
         if cause not in self._causes:
             self._causes.add(cause)
             text = f"cannot connect to {self.target}: {cause}; trying on"

@@ -6,6 +6,7 @@ import socket
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 from igtl_gateway.buffers import Buffer
@@ -16,6 +17,7 @@ from igtl_gateway.edges.tcp.link import FLUSH_S, Link, Surroundings
 from igtl_gateway.edges.tcp.listener import Listener
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.outbox import Part
+from igtl_gateway.edges.tcp.relay import Relay
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.sockets import PORT_MAX, AllowList, listening_socket, place_of, tune
 from igtl_gateway.errors import ConfigError
@@ -78,6 +80,7 @@ class TcpEdge:
         self._last_number = 0
         self._listeners: list[Listener] = []
         self._dialers: list[Dialer] = []
+        self._relays: list[Relay] = []
         self._flush_s = 0.0
         self._finished = False
 
@@ -89,9 +92,28 @@ class TcpEdge:
         Raises ConfigError if the address is invalid or taken, or open to other hosts without an allow-list, and
         after ``stop``.
         """
+        return self._listen(host, port, self._up)
+
+    def relay(self, host: str, port: int, to: tuple[str, int]) -> tuple[str, int]:
+        """Serve peers at this address, each with a connection of its own to the server ``to``.
+
+        The two links of a pair are announced together, the client's first; the note of the server's has the
+        number of the client's as ``partner``.  When one goes, so does the other.  A link is read no faster than its
+        partner takes what is sent to it; so what comes from one must be sent to the other, within ``on_frame``.
+
+        Returns and raises as ``listen``.
+        """
+        if not 1 <= to[1] <= PORT_MAX:
+            raise ConfigError(f"connect {to[0]}: found port {to[1]}, expected 1 to {PORT_MAX}")
+        relay = Relay(*to, self._up_pair, self._loop, self._reporter)
+        bound = self._listen(host, port, relay.take)
+        self._relays.append(relay)
+        return bound
+
+    def _listen(self, host: str, port: int, up: Callable[[socket.socket, str], None]) -> tuple[str, int]:
         sock = listening_socket(host, port, self._allow)
         bound: tuple[str, int] = sock.getsockname()[:2]
-        listener = Listener(sock, self._allow, self._crowded, self._up, self._loop, self._reporter)
+        listener = Listener(sock, self._allow, self._crowded, up, self._loop, self._reporter)
         with self._changed:
             if self._loop.stopping:
                 sock.close()
@@ -210,12 +232,35 @@ class TcpEdge:
     def _crowded(self) -> str:
         """Why no further peer may connect, or ``""``."""
         most = self._limits.max_clients
-        full = sum(link.role == "server" for link in self._links.values()) >= most
-        return f"{most} clients are connected already" if full else ""
+        clients = sum(link.role == "server" for link in self._links.values())
+        clients += sum(relay.waiting for relay in self._relays)
+        return f"{most} clients are connected already" if clients >= most else ""
 
     def _up(self, sock: socket.socket, peer: str, dialer: Dialer | None = None) -> None:
         """A connection was made: give it a number, and tell."""
-        role: Role = "client" if dialer else "server"
+        link = self._link(sock, peer, "client" if dialer else "server")
+        if dialer:
+            dialer.link = link
+        self._announce(link)
+
+    def _up_pair(self, client: socket.socket, peer: str, server: socket.socket, target: str) -> None:
+        """A client came, and a connection to its server was made."""
+        try:
+            one = self._link(client, peer, "server")
+        except Exception:
+            server.close()
+            raise
+        self._announce(one)
+        try:
+            other = self._link(server, target, "client")
+        except Exception:
+            one.close("internal_error")
+            raise
+        one.partner, other.partner = other, one
+        self._announce(other, partner=one.number)
+
+    def _link(self, sock: socket.socket, peer: str, role: Role) -> Link:
+        """A link of the next number, not yet announced."""
         try:
             tune(sock)
             link = Link(self._last_number + 1, sock, role, peer, self._around)
@@ -225,12 +270,13 @@ class TcpEdge:
             sock.close()
             raise
         self._last_number += 1
-        if dialer:
-            dialer.link = link
         with self._changed:
             self._links[link.number] = link
-        data = {"peer": peer, "local": link.local, "role": role}
-        text = f"{peer} connected to {link.local}" if role == "server" else f"connected to {peer}"
+        return link
+
+    def _announce(self, link: Link, **facts: int) -> None:
+        data = {"peer": link.peer, "local": link.local, "role": link.role} | facts
+        text = f"{link.peer} connected to {link.local}" if link.role == "server" else f"connected to {link.peer}"
         note = Note(Level.INFO, "link_up", text, data=data)
         self._reporter.call("on_link", self._on_link, link.number, True, note)
         link.announced = True
@@ -245,6 +291,8 @@ class TcpEdge:
         for dialer in self._dialers:
             if dialer.link is link:
                 self._loop.run(dialer.redial, dialer.failed)
+        if link.partner:
+            self._loop.run(partial(link.partner.finish, "the other side has gone"), link.partner.failed)
         self._reporter.call("on_link", self._on_link, link.number, False, note)
         self._notify()
 
@@ -260,6 +308,8 @@ class TcpEdge:
             listener.close()
         for dialer in self._dialers:
             dialer.hang_up()
+        for relay in self._relays:
+            relay.close()
         self._turns(self._queued, self._flush_s)
         for link in self._links.values():
             link.end_sending()

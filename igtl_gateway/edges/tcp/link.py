@@ -60,6 +60,7 @@ class Link:
         self.local = place_of(sock.getsockname())
         self.announced = False  # by the edge
         self.outbox = Outbox(around.limits)
+        self.partner: Link | None = None  # the other end of a relay, where all is sent by the I/O thread
         self._sock = sock
         self._around = around
         self._loop = around.loop
@@ -77,7 +78,10 @@ class Link:
         self._received_bytes = 0
         self._drops_noted = 0
         self._open = True
+        self._reading = True
+        self._writing = False
         self._ended = False  # the peer sends no more; what is queued for it is still sent
+        self._leaving = False  # we send no more than what is queued; what the peer still sends is read
         self._torn = False  # bytes are on their way in or out: an error here loses the place in the stream
         self._errors = 0
 
@@ -165,7 +169,7 @@ class Link:
 
     def open(self) -> None:
         """Begin to listen to the peer."""
-        self._loop.watch(self._sock, READ, self._ready, self.failed)
+        self._watch()
 
     def lasted(self, least_s: float) -> bool:
         """Whether the link was a real one: it brought a byte, or lived that long."""
@@ -174,7 +178,7 @@ class Link:
     def sweep(self) -> None:
         """Close if the peer fell silent inside a message."""
         silent_s = (self._loop.now() - self._heard_ns) / NS_PER_S
-        if self._framer.pending and not self._ended and silent_s > self._around.limits.stall_s:
+        if self._framer.pending and self._reading and silent_s > self._around.limits.stall_s:
             self._fault(Level.WARN, "stalled", f"{self.peer} sent half a message, then nothing")
 
     def end_sending(self) -> None:
@@ -184,6 +188,25 @@ class Link:
             self._reason = self._reason or "stopped"
             with suppress(OSError):
                 self._sock.shutdown(socket.SHUT_WR)
+
+    def finish(self, reason: str) -> None:
+        """The partner has gone: send what is queued, let the peer know, and close when it does, or soon."""
+        if not self._open or self._ended or self._leaving:
+            return
+        self._leaving = True
+        with self._lock:
+            self._mute = True
+            self._reason = self._reason or reason
+        self._half_close()
+        self.resume()
+        self._loop.later(FLUSH_S, self._give_up, self.failed)
+
+    def resume(self) -> None:
+        """Read on, after the partner's queue was in the way."""
+        if self._open and not self._reading and not self._ended:
+            self._reading = True
+            self._heard_ns = self._loop.now()
+            self._watch()
 
     def failed(self, exc: Exception) -> None:
         """An unexpected error of ours: noted, and things go on.
@@ -253,6 +276,33 @@ class Link:
         except MemoryError:
             self._fault(Level.ERROR, "out_of_memory", "no memory for the message that the peer announces")
         self._torn = False
+        if self.partner and self._open:
+            self._throttle(self.partner)
+
+    def _throttle(self, partner: Link) -> None:
+        """Read on only while the partner takes what comes: then TCP makes the peer wait, and nothing is lost."""
+        with partner._lock:
+            mute, behind = partner._mute, not partner.outbox.empty
+        if mute:
+            partner.resume()  # or its end would not be seen
+        elif behind:
+            self._reading = False
+            self._watch()
+
+    def _watch(self) -> None:
+        """Wait for what is of interest now."""
+        events = (READ if self._reading else 0) | (WRITE if self._writing else 0)
+        if events:
+            self._loop.watch(self._sock, events, self._ready, self.failed)
+        else:
+            self._loop.unwatch(self._sock)
+
+    def _half_close(self) -> None:
+        """Tell the peer that no more comes, once it has all."""
+        with self._lock:
+            if self.outbox.empty:
+                with suppress(OSError):
+                    self._sock.shutdown(socket.SHUT_WR)
 
     def _end(self) -> None:
         """The peer sends no more.  It may still read: it gets what is queued for it, within ``FLUSH_S``."""
@@ -263,7 +313,8 @@ class Link:
         if not self._ended:
             self.close()
             return
-        self._loop.watch(self._sock, WRITE, self._ready, self.failed)
+        self._reading, self._writing = False, True
+        self._watch()
         self._loop.later(FLUSH_S, self._give_up, self.failed)
 
     def _give_up(self) -> None:
@@ -281,15 +332,20 @@ class Link:
             if not box.empty:
                 return
             if not self._ended:
-                self._flagged = False
-                self._loop.watch(self._sock, READ, self._ready, self.failed)
+                self._flagged = self._writing = False
+                self._watch()
         if self._ended:
             self.close()
+        elif self._leaving:
+            self._half_close()
+        if self.partner:
+            self.partner.resume()
         self._around.drained()
 
     def _watch_room(self) -> None:
         if self._open and not self._ended:
-            self._loop.watch(self._sock, READ | WRITE, self._ready, self.failed)
+            self._writing = True
+            self._watch()
 
     def _overflowed(self) -> None:
         if self._open:

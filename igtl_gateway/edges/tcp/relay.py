@@ -1,0 +1,64 @@
+"""The relay's part: each client of a listener gets a connection of its own to one server."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+
+from igtl_gateway.edges.tcp.dialer import Dialer
+from igtl_gateway.edges.tcp.loop import Loop
+from igtl_gateway.edges.tcp.reporter import Reporter
+from igtl_gateway.session.note import Level, Note
+
+#: Socket and address of a client, and of the server.
+_UpPair = Callable[[socket.socket, str, socket.socket, str], None]
+
+
+class Relay:
+    """Takes clients, connects to the server for each, and hands both sockets to ``up``; of the I/O thread alone.
+
+    A client whose server is not there yet waits unread, so that nothing of it is lost; one whose server cannot be
+    reached is closed, which is what it would have seen of the server itself.
+    """
+
+    def __init__(self, host: str, port: int, up: _UpPair, loop: Loop, reporter: Reporter) -> None:
+        self._host = host
+        self._port = port
+        self._up = up
+        self._loop = loop
+        self._reporter = reporter
+        self._waiting: dict[Dialer, tuple[socket.socket, str]] = {}
+
+    @property
+    def waiting(self) -> int:
+        """Clients for which a connection is being made."""
+        return len(self._waiting)
+
+    def take(self, client: socket.socket, peer: str) -> None:
+        """A client has come."""
+        dialer = Dialer(self._host, self._port, self._made, self._loop, self._reporter, self._gave_up)
+        self._waiting[dialer] = (client, peer)
+        self._loop.run(dialer.dial, dialer.failed)
+
+    def close(self) -> None:
+        """Give up all connections that are being made."""
+        for dialer in list(self._waiting):
+            dialer.hang_up()
+            self._gave_up(dialer, "stopped")
+
+    def _made(self, server: socket.socket, target: str, dialer: Dialer) -> None:
+        client, peer = self._waiting.pop(dialer)
+        self._up(client, peer, server, target)
+
+    def _gave_up(self, dialer: Dialer, cause: str) -> None:
+        client, peer = self._waiting.pop(dialer, (None, ""))
+        if not client:  # both were there, and what failed came behind
+            return
+        client.close()
+
+        def make(count: int) -> Note:
+            data = {"peer": dialer.target, "reason": cause, "client": peer, "count": count}
+            text = f"{peer} closed: cannot connect to {dialer.target}: {cause}"
+            return Note(Level.WARN, "connect_failed", text, data=data)
+
+        self._reporter.note_slowly(f"connect_failed: {dialer.target}: {cause}", make)
