@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from igtl_gateway.buffers import Buffer
@@ -199,7 +200,18 @@ class Link:
             self._reason = self._reason or reason
         self._half_close()
         self.resume()
-        self._loop.later(FLUSH_S, self._give_up, self.failed)
+        self._linger(-1)
+
+    def _linger(self, sent_bytes: int) -> None:
+        """Close as soon as nothing moves any more; a peer that reads slowly gets all."""
+        if not self._open:
+            return
+        with self._lock:
+            now_sent = self.outbox.sent_bytes
+        if now_sent > sent_bytes:
+            self._loop.later(FLUSH_S, partial(self._linger, now_sent), self.failed)
+        else:
+            self.close()
 
     def resume(self) -> None:
         """Read on, after the partner's queue was in the way."""

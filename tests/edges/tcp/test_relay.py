@@ -104,6 +104,7 @@ def test_a_slow_reader_slows_its_partner_down_and_loses_nothing(world: World) ->
 
     def flood() -> None:
         behind.send(sent)
+        assert behind.receive() == message(1)  # who closes with unread bytes resets the connection
         behind.close()
 
     sender = threading.Thread(target=flood)
