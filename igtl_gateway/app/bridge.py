@@ -25,7 +25,7 @@ from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import Limits, TcpEdge
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError
-from igtl_gateway.gateway import LINKS_TOPIC, TICK, Gateway, Session
+from igtl_gateway.gateway import LINKS_TOPIC, TICK, Session, gateway_of
 from igtl_gateway.gateway.tf_out import TF_QOS
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.recorder import Recorder, RecordingSummary
@@ -50,7 +50,7 @@ class BridgeOptions:
     """What the command line says.
 
     Attributes:
-        listen, connect: addresses of the OpenIGTLink side.
+        listen, connect: addresses of the OpenIGTLink side; a relay connects to one server.
         ros: join ROS 2.
         record: file to record into.
         record_topics: globs of ROS topics recorded beside the bridged ones.
@@ -85,7 +85,7 @@ class Bridge:
 
     def __init__(self, config: Config, options: BridgeOptions, clock: Clock, on_entry: OnEntry | None = None) -> None:
         self.options = options
-        self.gateway = Gateway(config)
+        self.gateway = gateway_of(config)
         self.addresses: list[Address] = []
         self.recorder: Recorder | None = None
         self.summary: RecordingSummary | None = None
@@ -119,9 +119,13 @@ class Bridge:
     def start(self) -> None:
         """Open both sides and the recording, or leave nothing: ConfigError, RecordingError or RosError."""
         try:
-            self.addresses = [self.tcp.listen(*address) for address in self.options.listen]
-            for address in self.options.connect:
-                self.tcp.connect(*address)
+            if self.gateway.config.relay:
+                (server,) = self.options.connect
+                self.addresses = [self.tcp.relay(*address, server) for address in self.options.listen]
+            else:
+                self.addresses = [self.tcp.listen(*address) for address in self.options.listen]
+                for address in self.options.connect:
+                    self.tcp.connect(*address)
             if self.options.record:  # behind the ports: one that is taken must not cost the recording of yesterday
                 self.recorder = Recorder(
                     self.options.record,

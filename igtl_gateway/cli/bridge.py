@@ -6,12 +6,15 @@ import argparse
 import sys
 from collections import Counter, deque
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 from igtl_gateway import __version__
-from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.bridge import Address, Bridge, BridgeOptions
 from igtl_gateway.cli.common import (
+    DEFAULT_HOST,
+    DEFAULT_PORT,
     add_addresses,
     add_routes,
     addresses,
@@ -43,6 +46,8 @@ EXAMPLES = """\
   igtl-gateway bridge --tf-out tool0:base_link           the tool of a robot goes out as tool0Tobase_link
   igtl-gateway bridge --video-codec h264                 images go out as encoded VIDEO
   igtl-gateway bridge --no-ros --record slicer.mcap      flight recorder without ROS
+  igtl-gateway bridge --relay --listen :18944 --connect 127.0.0.1:18945 --record talk.mcap
+                                                         record what two OpenIGTLink programs say to each other
 
 What a device sends appears on /igtl/in/<device>/<kind>; what is published on /igtl/out/<device> goes out."""
 
@@ -78,6 +83,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--video-key-interval", type=int, default=30, metavar="N", help="frames between key frames (%(default)s)"
     )
     parser.add_argument("--no-ros", action="store_true", help="OpenIGTLink only")
+    parser.add_argument(
+        "--relay",
+        action="store_true",
+        help="man in the middle: each client of --listen talks to the server of --connect, bytes unchanged; no ROS",
+    )
     parser.add_argument("--node-name", default="igtl_gateway", metavar="NAME", help="of the ROS node (%(default)s)")
     parser.add_argument("--queue-mib", type=int, default=64, metavar="MIB", help="send queue of a peer (%(default)s)")
     parser.add_argument("--max-clients", type=int, default=32, metavar="N", help="peers at once (%(default)s)")
@@ -105,6 +115,9 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"--duration: found {options.duration:g}, expected a number of seconds above 0")
     listen, connect = addresses(options)
     config = with_routes(load_config(options.config), options)
+    if options.relay or config.relay:
+        config, listen = _relayed(config, listen, connect)
+        options.no_ros = True
     watch = _Watch()
     clock = SystemClock()
     with stop_event() as stop:
@@ -148,6 +161,15 @@ def run(options: argparse.Namespace) -> int:
         out.events(watch.take())
         out.stopped(bridge, watch)
     return 1 if bridge.summary and bridge.summary.failure else 0
+
+
+def _relayed(
+    config: Config, listen: tuple[Address, ...], connect: tuple[Address, ...]
+) -> tuple[Config, tuple[Address, ...]]:
+    """Configuration and addresses to listen at of a relay."""
+    if len(connect) != 1:
+        raise ConfigError(f"--relay: found {len(connect)} servers, expected one: --connect HOST:PORT")
+    return replace(config, relay=True), listen or ((DEFAULT_HOST, DEFAULT_PORT),)
 
 
 def _video(options: argparse.Namespace) -> VideoOptions | None:
@@ -217,9 +239,11 @@ class _TextOutput:
         print(f"igtl-gateway {__version__}")
         for host, port in bridge.addresses:
             print(f"OpenIGTLink  server on {host}:{port}")
+        how = "a connection for each client (--relay)" if config.relay else "reconnecting"
         for host, port in bridge.options.connect:
-            print(f"OpenIGTLink  client of {host}:{port}, reconnecting")
-        print(f"ROS 2        node /{bridge.options.node_name}" if bridge.ros else "ROS 2        off (--no-ros)")
+            print(f"OpenIGTLink  client of {host}:{port}, {how}")
+        off = "--relay" if config.relay else "--no-ros"
+        print(f"ROS 2        node /{bridge.options.node_name}" if bridge.ros else f"ROS 2        off ({off})")
         for note in notes:
             print(f"             {note.partition(' (')[0]}")
         print(f"recording    {bridge.options.record or 'off (--record FILE)'}")
