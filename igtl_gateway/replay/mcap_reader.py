@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -27,19 +28,19 @@ from mcap.summary import Summary
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.qos import Qos
-from igtl_gateway.session import layout
+from igtl_gateway.session import layout, migrations
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.layout import LayoutError
 
-_MAGIC = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
 # The end of every MCAP file: opcode, length, summary_start, summary_offset_start, summary_crc, magic
-_FOOTER = struct.Struct("<BQQQI8s")
+FOOTER = struct.Struct("<BQQQI8s")
 _FOOTER_OPCODE, _FOOTER_LENGTH = 2, 20
 _FOOTER_CRC_COVERS = 1 + 8 + 8 + 8
-_SEQUENCES = 1 << 32  # MCAP's sequence has 32 bits, entry numbers have no bound
+SEQUENCES = 1 << 32  # MCAP's sequence has 32 bits, entry numbers have no bound
 _ROS_TYPE = re.compile(r"\w+/msg/\w+", re.ASCII)
 
-_Decode = Callable[[Message, int], Entry]
+Decode = Callable[[Message, int], Entry]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,18 +99,21 @@ class SessionFile:
             self._reader = SeekingReader(stream, validate_crcs=True, record_size_limit=size)
             summary = self._reader.get_summary()
         if summary is None or summary.statistics is None:
-            raise UnsupportedRecording(f"{path}: has no index; {_recover(path)} makes one")
+            raise UnsupportedRecording(f"{path}: has no index{recover_hint(path)}")
         if summary.statistics.message_count and not summary.chunk_indexes:
-            raise UnsupportedRecording(f"{path}: has no chunks or no index of them; {_recover(path)} makes them")
+            raise UnsupportedRecording(f"{path}: has no chunks or no index of them{recover_hint(path)}")
         session = self._metadata(summary, layout.SESSION_METADATA)
         ledger = self._metadata(summary, layout.LEDGER_METADATA)
-        self.session = session or {}
-        self.format_version = self._version(session)
+        self.format_version = format_version(path, session)
+        try:
+            self.session = migrations.session(self.format_version, session or {})
+        except UnsupportedRecording as error:
+            raise UnsupportedRecording(f"{path}: {error}") from None
         self.ledger = self._ledger(ledger)
         channels: dict[int, Channel] = summary.channels
         marked = any(layout.KIND_KEY in channel.metadata for channel in channels.values())
         self.foreign = session is None and not marked
-        self._decoders: dict[int, _Decode] = {}
+        self._decoders: dict[int, Decode] = {}
         told: list[ChannelSummary | SkippedChannel] = []
         for channel in channels.values():
             with self._reading(f"channel {channel.topic}"):
@@ -160,6 +164,9 @@ class SessionFile:
 
         Raises DamagedRecording where the file turns out to be damaged; what came before is right.
         """
+        return migrations.entries(self.format_version, self._entries())
+
+    def _entries(self) -> Iterator[Entry]:
         decoders, foreign = self._decoders, self.foreign
         seq = count = 0
         for message in self._messages():
@@ -170,19 +177,22 @@ class SessionFile:
             if foreign:
                 seq = count
             else:
-                step = (message.sequence - seq) % _SEQUENCES
-                if step == 0 or (seq and step >= _SEQUENCES // 2):
+                step = (message.sequence - seq) % SEQUENCES
+                if step == 0 or (seq and step >= SEQUENCES // 2):
                     raise DamagedRecording(
-                        f"{self.path}: found entry number {message.sequence}, expected one above {seq % _SEQUENCES}"
+                        f"{self.path}: found entry number {message.sequence}, expected one above {seq % SEQUENCES}"
+                        f"{recover_hint(self.path)}"
                     )
                 seq += step
             try:
                 entry = decode(message, seq)
             except LayoutError as error:
-                raise DamagedRecording(f"{self.path}: entry {seq}: {error}") from None
+                raise DamagedRecording(f"{self.path}: entry {seq}: {error}{recover_hint(self.path)}") from None
             yield entry
         if count != self.entry_count:
-            raise DamagedRecording(f"{self.path}: found {count} entries, expected {self.entry_count}")
+            raise DamagedRecording(
+                f"{self.path}: found {count} entries, expected {self.entry_count}{recover_hint(self.path)}"
+            )
 
     def _messages(self) -> Iterator[Message]:
         try:
@@ -201,7 +211,7 @@ class SessionFile:
             raise self._damaged(what, error) from error
 
     def _damaged(self, what: str, error: Exception) -> DamagedRecording:
-        return DamagedRecording(f"{self.path}: {what}: {type(error).__name__}: {error}")
+        return DamagedRecording(f"{self.path}: {what}: {type(error).__name__}: {error}{recover_hint(self.path)}")
 
     def _metadata(self, summary: Summary, name: str) -> dict[str, str] | None:
         """Items of the first metadata record of that name, checked; None if there is none."""
@@ -219,19 +229,6 @@ class SessionFile:
                 return layout.unseal(record.metadata)
         return None
 
-    def _version(self, session: dict[str, str] | None) -> int:
-        if session is None:
-            return layout.FORMAT_VERSION
-        text = session.get(layout.FORMAT_VERSION_KEY, "")
-        if not (text.isascii() and text.isdigit()):
-            raise DamagedRecording(f"{self.path}: found format version {text!r}, expected a number")
-        if int(text) > layout.FORMAT_VERSION:
-            raise UnsupportedRecording(
-                f"{self.path}: found format version {text}, expected at most {layout.FORMAT_VERSION}; "
-                "read it with a newer igtl-gateway"
-            )
-        return int(text)
-
     def _ledger(self, items: dict[str, str] | None) -> dict[str, Any] | None:
         if items is None:
             return None
@@ -245,39 +242,56 @@ class SessionFile:
         """Settle how a channel is read, or why it is not."""
         count: int = statistics.channel_message_counts.get(channel.id, 0)
         ros_type = schema.name if schema else ""
-        kind, why = self._kind(channel, schema)
+        kind, why = kind_of(channel, schema, self.foreign)
         if kind is None:
             return SkippedChannel(channel.topic, ros_type, count, why)
-        self._decoders[channel.id] = _decoder(kind, channel.topic, ros_type)
+        self._decoders[channel.id] = decoder(kind, channel.topic, ros_type)
         stream = channel.metadata.get(layout.STREAM_KEY, "")
         stream = channel.topic if kind in layout.ROS_KINDS else layout.unescape(stream)
         qos = layout.parse_qos_yaml(channel.metadata.get(layout.QOS_KEY, ""))
         return ChannelSummary(channel.topic, ros_type, kind, stream, count, qos)
 
-    def _kind(self, channel: Channel, schema: Schema | None) -> tuple[Kind | None, str]:
-        """Kind of a channel's entries; or None and why it cannot be read."""
-        if channel.message_encoding != layout.MESSAGE_ENCODING:
-            return None, f"found encoding {channel.message_encoding!r}, expected {layout.MESSAGE_ENCODING!r}"
-        if schema is None or not _ROS_TYPE.fullmatch(schema.name):
-            return None, f"found type {schema.name if schema else ''!r}, expected package/msg/Name"
-        if b"\n---" in schema.data:
-            return None, "a service, not a topic"
-        if self.foreign:
-            return Kind.ROS_IN, ""
-        name = channel.metadata.get(layout.KIND_KEY, "")
-        if name not in _KINDS:
-            return None, f"found kind {name!r}: not written by the gateway"
-        kind = _KINDS[name]
-        expected = layout.type_of(kind)
-        if expected and schema.name != expected:
-            return None, f"found type {schema.name!r}, expected {expected!r}"
-        return kind, ""
-
 
 _KINDS = {kind.value: kind for kind in Kind}
 
 
-def _decoder(kind: Kind, topic: str, ros_type: str) -> _Decode:
+def format_version(path: Path, session: dict[str, str] | None) -> int:
+    """The version that a file has by its session metadata; raises if that is none, or newer than this reader."""
+    if session is None:
+        return layout.FORMAT_VERSION
+    text = session.get(layout.FORMAT_VERSION_KEY, "")
+    if not (text.isascii() and text.isdigit()):
+        raise DamagedRecording(f"{path}: found format version {text!r}, expected a number")
+    if int(text) > layout.FORMAT_VERSION:
+        raise UnsupportedRecording(
+            f"{path}: found format version {text}, expected at most {layout.FORMAT_VERSION}; "
+            "read it with a newer igtl-gateway"
+        )
+    return int(text)
+
+
+def kind_of(channel: Channel, schema: Schema | None, foreign: bool) -> tuple[Kind | None, str]:
+    """Kind of a channel's entries; or None and why it cannot be read."""
+    if channel.message_encoding != layout.MESSAGE_ENCODING:
+        return None, f"found encoding {channel.message_encoding!r}, expected {layout.MESSAGE_ENCODING!r}"
+    if schema is None or not _ROS_TYPE.fullmatch(schema.name):
+        return None, f"found type {schema.name if schema else ''!r}, expected package/msg/Name"
+    if b"\n---" in schema.data:
+        return None, "a service, not a topic"
+    if foreign:
+        return Kind.ROS_IN, ""
+    name = channel.metadata.get(layout.KIND_KEY, "")
+    if name not in _KINDS:
+        return None, f"found kind {name!r}: not written by the gateway"
+    kind = _KINDS[name]
+    expected = layout.type_of(kind)
+    if expected and schema.name != expected:
+        return None, f"found type {schema.name!r}, expected {expected!r}"
+    return kind, ""
+
+
+def decoder(kind: Kind, topic: str, ros_type: str) -> Decode:
+    """What makes entries of a channel's messages and their entry numbers; it raises LayoutError."""
     if kind in layout.WIRE_TOPICS:
         return lambda message, seq: layout.unpack_raw(message.data, seq, message.log_time, message.publish_time)
     if kind in layout.NOTE_KINDS:
@@ -296,33 +310,34 @@ def _check_ends(path: Path, stream: IO[bytes]) -> int:
     try:
         size = stream.seek(0, 2)
         stream.seek(0)
-        start = stream.read(len(_MAGIC))
+        start = stream.read(len(MAGIC))
         if not start:
             raise UnsupportedRecording(f"{path}: the file is empty")
-        if not _MAGIC.startswith(start):
-            raise UnsupportedRecording(f"{path}: not an MCAP file: found {start.hex(' ')}, expected {_MAGIC.hex(' ')}")
-        cut = DamagedRecording(f"{path}: was cut off after {size:,} bytes; {_recover(path)} mends it")
-        if size < len(_MAGIC) + _FOOTER.size:
+        if not MAGIC.startswith(start):
+            raise UnsupportedRecording(f"{path}: not an MCAP file: found {start.hex(' ')}, expected {MAGIC.hex(' ')}")
+        cut = DamagedRecording(f"{path}: was cut off after {size:,} bytes{recover_hint(path)}")
+        if size < len(MAGIC) + FOOTER.size:
             raise cut
-        stream.seek(-_FOOTER.size, 2)
-        footer = stream.read(_FOOTER.size)
-        opcode, length, summary_start, _, crc, magic = _FOOTER.unpack(footer)
-        if magic != _MAGIC:
+        stream.seek(-FOOTER.size, 2)
+        footer = stream.read(FOOTER.size)
+        opcode, length, summary_start, _, crc, magic = FOOTER.unpack(footer)
+        if magic != MAGIC:
             raise cut
-        if (opcode, length) != (_FOOTER_OPCODE, _FOOTER_LENGTH) or summary_start > size - _FOOTER.size:
-            raise DamagedRecording(f"{path}: its footer is damaged; {_recover(path)} mends it")
+        if (opcode, length) != (_FOOTER_OPCODE, _FOOTER_LENGTH) or summary_start > size - FOOTER.size:
+            raise DamagedRecording(f"{path}: its footer is damaged{recover_hint(path)}")
         if crc and summary_start:
             stream.seek(summary_start)
-            summary = stream.read(size - _FOOTER.size - summary_start)
+            summary = stream.read(size - FOOTER.size - summary_start)
             found = zlib.crc32(footer[:_FOOTER_CRC_COVERS], zlib.crc32(summary))
             if found != crc:
                 raise DamagedRecording(
-                    f"{path}: found checksum {found:08x} of its index, expected {crc:08x}; {_recover(path)} mends it"
+                    f"{path}: found checksum {found:08x} of its index, expected {crc:08x}{recover_hint(path)}"
                 )
     except OSError as error:
         raise DamagedRecording(f"{path}: cannot be read: {error.strerror}") from None
     return size
 
 
-def _recover(path: Path) -> str:
-    return f"`pymcap-cli recover {path} mended.mcap`"
+def recover_hint(path: Path) -> str:
+    """What to do about a damaged file, as the end of the sentence that says what is wrong with it."""
+    return f"; run: igtl-gateway recover {shlex.quote(str(path))}"

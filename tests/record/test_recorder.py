@@ -373,7 +373,7 @@ def test_after_kill_9_everything_flushed_is_there(path: Path, work: str) -> None
     entries = list(scanned(path))
     assert len(entries) >= 1000
     assert entries == [samples.flat(samples.igtl(seq)) for seq in range(1, len(entries) + 1)]
-    with pytest.raises(DamagedRecording, match=r"was cut off .* `pymcap-cli recover"):
+    with pytest.raises(DamagedRecording, match=r"was cut off .* run: igtl-gateway recover"):
         SessionFile.open(path)
     mended = path.with_name("mended.mcap")
     subprocess.run(

@@ -217,7 +217,7 @@ def test_a_file_cut_anywhere_is_refused_with_the_way_to_mend_it(
         refused = outcome(tmp_path / "cut", data[:length])
         assert isinstance(refused, DamagedRecording)
         assert "was cut off" in str(refused)
-        assert "pymcap-cli recover" in str(refused)
+        assert "run: igtl-gateway recover" in str(refused)
 
 
 def test_a_damaged_byte_is_refused_or_does_not_matter(tmp_path: Path, sound: tuple[bytes, list[Entry]]) -> None:
