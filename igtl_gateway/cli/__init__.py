@@ -21,6 +21,7 @@ VERBS = {
     "bridge": "run the gateway between OpenIGTLink and ROS 2, and record it",
     "replay": "drive OpenIGTLink or ROS 2 from a recording",
     "verify": "prove that a recording's outputs follow from its inputs, byte for byte",
+    "slice": "cut a part out of a recording, by time and stream, that still verifies",
     "info": "what is in a recording",
     "decode": "print the messages of a raw OpenIGTLink byte stream as JSON lines",
     "simulate": "make a synthetic session",

@@ -1,0 +1,128 @@
+"""``igtl-gateway slice``: a part of a recording, as a recording of its own."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from igtl_gateway import __version__
+from igtl_gateway.cli.common import count, print_json, recorded_config, size
+from igtl_gateway.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.qos import Qos
+from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.moment import moment
+from igtl_gateway.replay.slice import Slice, SliceReport, Window
+from igtl_gateway.session import layout
+from igtl_gateway.stamp import NS_PER_S
+
+EXAMPLES = """\
+  igtl-gateway slice out.mcap part.mcap --start 12 --end 15            seconds 12 to 15
+  igtl-gateway slice out.mcap part.mcap --start 2026-11-21T08:30:00Z   from a time of day on
+  igtl-gateway slice out.mcap probe.mcap --streams 'TRANSFORM/*'       some streams, and what they caused
+
+The part begins with the few inputs that rebuild the gateway's state at its start, and verifies as the whole does."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", type=Path, help="a recording")
+    parser.add_argument("out", metavar="OUT", type=Path, help="the file to write")
+    when = "seconds from the beginning, or a time such as 2026-11-21T08:30:00Z"
+    parser.add_argument("--start", metavar="T", help=f"{when} (default: the beginning)")
+    parser.add_argument("--end", metavar="T", help="the same; what is later is left out (default: the end)")
+    parser.add_argument(
+        "--streams",
+        action="append",
+        default=[],
+        metavar="GLOB",
+        help="only inputs of these, or that caused these: TYPE/device, device or topic; may be repeated",
+    )
+    parser.add_argument(
+        "--config", metavar="TOML", type=Path, help="use this configuration instead of the recorded one"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
+    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+
+
+def run(options: argparse.Namespace) -> int:
+    with SessionFile.open(options.file) as file:
+        if file.foreign:
+            raise UnsupportedRecording(f"{options.file}: found no session of igtl-gateway, expected one to cut")
+        if options.out.exists() and options.out.samefile(options.file):
+            raise ConfigError(f"{options.out}: found the recording itself, expected another file to write to")
+        window = Window(
+            file.start_ns if options.start is None else moment(options.start, file.start_ns, "--start"),
+            file.end_ns + 1 if options.end is None else moment(options.end, file.start_ns, "--end"),
+            tuple(options.streams),
+        )
+        if window.start_ns >= window.end_ns:
+            raise ConfigError(f"--start, --end: found an end {_apart(window)} the start, expected one after it")
+        part = Slice(file.entries, recorded_config(file.session, options.config), window)
+        _write(file, part, window, options)
+        if options.json:
+            print_json({"file": str(options.out), "bytes": options.out.stat().st_size, **_told(part.report)})
+        else:
+            _print(options.out, part.report)
+    return 0
+
+
+def _apart(window: Window) -> str:
+    apart_ns = window.start_ns - window.end_ns
+    return f"{apart_ns / NS_PER_S:g} s before" if apart_ns else "at"
+
+
+def _write(file: SessionFile, part: Slice, window: Window, options: argparse.Namespace) -> None:
+    qos = {(channel.topic, channel.type): channel.qos for channel in file.channels}
+
+    def qos_of(topic: str, ros_type: str) -> Qos | None:
+        return qos.get((topic, ros_type))
+
+    facts = {
+        "slice_of": file.path.name,
+        "slice_start_ns": str(window.start_ns),
+        "slice_end_ns": str(window.end_ns),
+        "slice_streams": json.dumps(window.globs),
+        "sliced_by": __version__,
+    }
+    if options.config:
+        facts[layout.CONFIGURATION_KEY] = json.dumps(recorded_config(file.session, options.config).to_dict())
+    facts = {**file.session, **facts}
+    writer = SessionWriter(options.out, facts, qos_of=qos_of, compression="zstd", overwrite=options.overwrite)
+    try:
+        for entry in part.entries():
+            writer.write(entry)
+        # losses of the recording are losses of its parts
+        inherited = {key: value for key, value in (file.ledger or {}).items() if key in ("recorder", "recovered")}
+        writer.close({"streams": part.report.ledger, **inherited})
+    except BaseException:
+        options.out.unlink(missing_ok=True)
+        raise
+
+
+def _told(report: SliceReport) -> dict[str, object]:
+    return {
+        "prologue": report.prologue,
+        "depth": report.depth.value,
+        "inputs": report.inputs,
+        "outputs": report.outputs,
+        "computed": report.computed,
+        "differing": report.differing,
+    }
+
+
+def _print(out: Path, report: SliceReport) -> None:
+    print(
+        f"{out}: {count(report.inputs, 'input')} and {count(report.outputs, 'output')}, "
+        f"{size(out.stat().st_size)}; before them {count(report.prologue, 'input')} that the state follows from"
+    )
+    if report.computed:
+        print(
+            f"computed: the outputs of {count(report.computed, 'input')} follow from streams that are left out; "
+            "the file has what today's gateway says without those"
+        )
+    elif report.differing:
+        print(
+            f"as recorded, but not what today's gateway says: {count(report.differing, 'output')}; "
+            "see `igtl-gateway verify` of the whole recording"
+        )

@@ -1,0 +1,276 @@
+"""A slice of a session: some of its time and streams, as a session of its own that verifies as the whole does.
+
+What the gateway says depends on what it heard before.  So a slice begins with a *prologue*: inputs from before the
+cut that rebuild the state, such as the links that are up and the last message of each stream.  How many inputs
+that takes is found by trying: with each depth of prologue the gateway is fed, and what it says inside the window is
+held against the recording; the first depth at which nothing differs is taken, the last one is everything.
+
+The unit is the *group*: an input with all that lies in the file before the next input.  Inside the window groups are
+copied as they are, their outputs from the recording; those of the prologue are computed.  Entry numbers begin at 1
+again; gaps inside a group (what the recorder lost) stay gaps.
+
+With globs, inputs are left out inside the window, too, and what depends on those cannot be told from the rest: where
+something differs all the same, the outputs of that group are computed, and the report counts it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+from igtl_gateway.config import Config
+from igtl_gateway.convert.common_msgs import TFMessage
+from igtl_gateway.convert.igtl_msgs import Command, CommandReply
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, TICK, gateway_of
+from igtl_gateway.replay.source import fits
+from igtl_gateway.replay.verify import compare
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
+
+#: Inputs up to this size are small: poses, texts, queries; no picture, no cloud.
+SMALL_BYTES = 4096
+
+_Read = Callable[[], Iterable[Entry]]
+_PREFIXES = ("STT_", "STP_")
+_COMMANDS = frozenset({"COMMAND", "RTS_COMMAND", Command.TYPE, CommandReply.TYPE})
+
+
+class Depth(Enum):
+    """Which inputs from before the window are in the slice."""
+
+    STATE = "state"  #: links, subscriptions, commands, first and last message of each stream
+    SMALL = "small"  #: those, and all that are small
+    ALL = "all"  #: everything
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """What is to be in a slice.
+
+    Attributes:
+        start_ns, end_ns: gateway time, UTC ns; the end is outside.
+        globs: streams, by topic, ``TYPE/device`` or device: of an input or of what it caused; none = all.
+    """
+
+    start_ns: int
+    end_ns: int
+    globs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """An input and all that follows it before the next one.
+
+    Attributes:
+        input: the input.
+        outputs: in their order.
+        extent: entry numbers that the group takes, those of lost entries included.
+    """
+
+    input: Entry
+    outputs: Sequence[Entry]
+    extent: int
+
+
+@dataclass(slots=True)
+class SliceReport:
+    """What became of a session.
+
+    Attributes:
+        depth: of the prologue.
+        prologue: inputs in it.
+        inputs, outputs: entries inside the window.
+        computed: groups inside the window whose outputs are those of today's gateway, not the recorded ones.
+        differing: outputs inside the window that today's gateway does not say like this.
+        ledger: what the gateway counted.
+    """
+
+    depth: Depth
+    prologue: int = 0
+    inputs: int = 0
+    outputs: int = 0
+    computed: int = 0
+    differing: int = 0
+    ledger: dict[str, object] = field(default_factory=dict)
+
+
+def groups(entries: Iterable[Entry]) -> Iterator[Group]:
+    """The groups of a session; outputs before the first input belong to none."""
+    cause: Entry | None = None
+    outputs: list[Entry] = []
+    last = 0
+    for entry in entries:
+        if entry.kind.is_input:
+            if cause:
+                yield Group(cause, outputs, entry.seq - cause.seq)
+            cause, outputs = entry, []
+        elif cause:
+            outputs.append(entry)
+        last = entry.seq
+    if cause:
+        yield Group(cause, outputs, last + 1 - cause.seq)
+
+
+class Slice:
+    """A window of a session; finds the depth that it needs when it is made.
+
+    Args:
+        read: gives the entries of the session, from the beginning, each time that it is called.
+        config: of the session.
+        window: what is wanted.
+    """
+
+    def __init__(self, read: _Read, config: Config, window: Window) -> None:
+        self._read, self._config, self._window = read, config, window
+        depths = (Depth.STATE, Depth.SMALL) if window.globs else tuple(Depth)
+        tried: list[SliceReport] = []
+        for depth in depths:
+            tried.append(self._tried(depth))
+            if not tried[-1].differing:
+                break
+        self._depth = min(tried, key=lambda report: report.differing).depth
+        #: What :meth:`entries` gave, complete when it has ended.
+        self.report = SliceReport(self._depth)
+
+    def entries(self) -> Iterator[Entry]:
+        """The entries of the slice."""
+        self.report = SliceReport(self._depth)
+        return self._cut(self.report, rewrite=bool(self._window.globs))
+
+    def _tried(self, depth: Depth) -> SliceReport:
+        report = SliceReport(depth)
+        for _ in self._cut(report, rewrite=False):
+            pass
+        return report
+
+    def _cut(self, report: SliceReport, *, rewrite: bool) -> Iterator[Entry]:
+        """The entries at the depth of ``report``, counted there; with ``rewrite`` groups that differ are computed."""
+        window, depth = self._window, report.depth
+        kept = _prologue(self._read(), window, depth)
+        gateway = gateway_of(self._config)
+        seq, stamp_ns = 1, 0
+        for group in groups(self._read()):
+            cause = group.input
+            if cause.stamp_ns >= window.end_ns:
+                break
+            inside = cause.stamp_ns >= window.start_ns
+            if not (_wanted(group, window) if inside else cause.seq in kept):
+                continue
+            # computed outputs may be more than that day's: later entries make room, as in a live session
+            moved = replace(cause, seq=seq, stamp_ns=max(cause.stamp_ns, stamp_ns + 1))
+            said = gateway.handle(moved)
+            outputs = said
+            extent = 1 + len(said)
+            if inside or depth is Depth.ALL:
+                recorded = [_moved(entry, cause, moved) for entry in group.outputs]
+                differing = _differing(recorded, said, moved.seq)
+                report.differing += differing if inside else 0
+                if differing and rewrite:
+                    report.computed += 1
+                else:
+                    outputs, extent = recorded, group.extent
+            if inside:
+                report.inputs += 1
+                report.outputs += len(outputs)
+            else:
+                report.prologue += 1
+            yield moved
+            yield from outputs
+            seq += extent
+            stamp_ns = (outputs[-1] if outputs else moved).stamp_ns
+        report.ledger = gateway.ledger.to_dict()
+
+
+def _moved(entry: Entry, cause: Entry, moved: Entry) -> Entry:
+    """An output behind its cause's new place."""
+    return replace(
+        entry, seq=moved.seq + entry.seq - cause.seq, stamp_ns=moved.stamp_ns + entry.stamp_ns - cause.stamp_ns
+    )
+
+
+def _differing(recorded: Sequence[Entry], said: Sequence[Entry], cause: int) -> int:
+    """How many outputs of a group are not what the gateway says now."""
+    now = {entry.seq: entry for entry in said}
+    differing = 0
+    for entry in recorded:
+        other = now.pop(entry.seq, None)
+        differing += other is None or compare(entry, other, cause) is not None
+    return differing + len(now)
+
+
+def _wanted(group: Group, window: Window) -> bool:
+    """Whether a group inside the window is in the slice."""
+    return not window.globs or _carries_state(group) or _selected(group, window.globs)
+
+
+def _selected(group: Group, globs: tuple[str, ...]) -> bool:
+    return any(
+        fits(entry.channel, globs)
+        or (entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT) and fits(entry.channel.partition("/")[2], globs))
+        for entry in (group.input, *group.outputs)
+        if entry.channel
+    )
+
+
+def _carries_state(group: Group) -> bool:
+    """Whether an input changes what becomes of others, whatever its stream."""
+    entry = group.input
+    if any(output.channel == LINKS_TOPIC for output in group.outputs):
+        return True  # it showed what its peer is
+    match entry.kind:
+        case Kind.LINK:
+            return True
+        case Kind.EDGE_NOTE:
+            return _code(entry) == TICK
+        case _:
+            return entry.type.startswith(_PREFIXES) or entry.type in _COMMANDS
+
+
+def _code(entry: Entry) -> str:
+    return Note.unpack(entry.data()).code
+
+
+def _prologue(entries: Iterable[Entry], window: Window, depth: Depth) -> set[int]:
+    """Entry numbers of the inputs before the window that are in the slice."""
+    kept: set[int] = set()
+    first: dict[object, int] = {}
+    last: dict[object, int] = {}
+    links: dict[int, list[int]] = {}  # link → its entries, as long as it is up
+    for group in groups(entries):
+        entry = group.input
+        if entry.stamp_ns >= window.start_ns:
+            break
+        if entry.kind is Kind.LINK:
+            _follow(links, entry)
+        if depth is Depth.ALL or (depth is Depth.SMALL and entry.size <= SMALL_BYTES):
+            kept.add(entry.seq)
+        elif entry.kind is not Kind.LINK and _carries_state(group):
+            kept.add(entry.seq)
+        elif entry.channel and (not window.globs or _selected(group, window.globs)):
+            for key in _keys(entry):
+                if entry.size <= SMALL_BYTES:
+                    first.setdefault(key, entry.seq)
+                last[key] = entry.seq
+    return kept.union(first.values(), last.values(), *links.values())
+
+
+def _follow(links: dict[int, list[int]], entry: Entry) -> None:
+    for link in entry.links:
+        if _code(entry) == LINK_UP:
+            links[link] = [entry.seq]
+        else:
+            links.pop(link, None)
+
+
+def _keys(entry: Entry) -> Iterator[object]:
+    """What an input is the latest of: its stream from its link; each of its frames."""
+    yield (entry.kind, entry.channel, entry.links)
+    if entry.type == TFMessage.TYPE:
+        try:
+            transforms = TFMessage.unpack(entry.payload[0]).transforms
+        except ConversionError:
+            return
+        for one in transforms:
+            yield (entry.channel, one.header.frame_id, one.child_frame_id)

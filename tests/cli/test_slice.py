@@ -1,0 +1,87 @@
+"""``slice`` on the command line: a file that others read and that verifies."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from igtl_gateway.cli import main
+from igtl_gateway.replay.mcap_reader import SessionFile
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("star", ["--start", "5", "--end", "6.5"]),
+        ("star", ["--start", "2", "--streams", "TRANSFORM/*"]),
+        ("paper-types", ["--end", "2.5", "--streams", "STRING/*"]),
+        ("every-type", ["--start", "3", "--end", "5"]),
+    ],
+)
+def test_a_slice_verifies_and_other_tools_read_it(
+    name: str, options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "part.mcap"
+    source = FIXTURES / f"{name}.mcap"
+    assert main(["slice", str(source), str(out), *options, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert main(["verify", str(out)]) == 0
+    assert main(["info", str(out)]) == 0
+    with SessionFile.open(out) as part, SessionFile.open(source) as whole:
+        assert part.session["slice_of"] == source.name
+        assert part.session["config"] == whole.session["config"]
+        start_ns = int(part.session["slice_start_ns"])
+        assert sum(e.stamp_ns >= start_ns for e in part.entries()) == told["inputs"] + told["outputs"] > 0
+        qos = {(one.topic, one.kind): one.qos for one in whole.channels}
+        assert all(qos[one.topic, one.kind] == one.qos for one in part.channels)
+        assert part.entry_count < whole.entry_count
+        count = part.entry_count
+    with AnyReader([out]) as reader:
+        assert sum(1 for _ in reader.messages()) == count
+    with out.open("rb") as stream:
+        assert sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages()) == count
+
+
+def test_equal_slices_are_equal_files(tmp_path: Path) -> None:
+    for name in ("one.mcap", "two.mcap"):
+        assert main(["slice", str(FIXTURES / "paper-types.mcap"), str(tmp_path / name), "--end", "2"]) == 0
+    assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--start", "2", "--end", "1"], "--end"),
+        (["--start", "soon"], "--start"),
+        (["--end", "0"], "--end"),
+    ],
+)
+def test_what_makes_no_window_is_refused(
+    options: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "part.mcap"
+    assert main(["slice", str(FIXTURES / "paper-types.mcap"), str(out), *options]) == 2
+    assert told in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_no_file_is_replaced_unasked_and_never_the_recording_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "whole.mcap"
+    data = (FIXTURES / "paper-types.mcap").read_bytes()
+    source.write_bytes(data)
+    other = tmp_path / "other.mcap"
+    other.write_bytes(b"mine")
+    assert main(["slice", str(source), str(other)]) == 1
+    assert other.read_bytes() == b"mine"
+    assert main(["slice", str(source), str(source), "--overwrite"]) == 2
+    assert source.read_bytes() == data
+    assert main(["slice", str(source), str(other), "--overwrite"]) == 0
+    assert capsys.readouterr().out.startswith(f"{other}: ")

@@ -1,0 +1,156 @@
+"""A slice is a session: it verifies, its window holds what was recorded, and its prologue is short."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.config import Config
+from igtl_gateway.convert.units import UNITS
+from igtl_gateway.gateway import LINK_UP
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.slice import SMALL_BYTES, Depth, Slice, SliceReport, Window, groups
+from igtl_gateway.replay.verify import verify
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+NAMES = ("star", "paper-types", "every-type")
+PARTS = ((0.0, 1.0), (0.0, 0.2), (0.3, 0.6), (0.5, 0.55), (0.9, 1.0))
+
+
+@cache
+def recorded(name: str) -> tuple[list[Entry], Config]:
+    with SessionFile.open(FIXTURES / f"{name}.mcap") as file:
+        return list(file.entries()), Config.from_dict(json.loads(file.session["config"]))
+
+
+def window(entries: list[Entry], part: tuple[float, float], *globs: str) -> Window:
+    start_ns, span_ns = entries[0].stamp_ns, entries[-1].stamp_ns - entries[0].stamp_ns
+    return Window(start_ns + int(part[0] * span_ns), start_ns + int(part[1] * span_ns) + 1, globs)
+
+
+def cut(entries: list[Entry], config: Config, wanted: Window) -> tuple[list[Entry], SliceReport]:
+    part = Slice(lambda: entries, config, wanted)
+    return list(part.entries()), part.report
+
+
+def content(entry: Entry) -> object:
+    return (entry.stamp_ns, entry.kind, entry.channel, entry.links, entry.data())
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("name", NAMES)
+def test_a_slice_verifies_and_holds_what_was_recorded(name: str, part: tuple[float, float]) -> None:
+    entries, config = recorded(name)
+    wanted = window(entries, part)
+    made, report = cut(entries, config, wanted)
+    found = verify(made, config)
+    assert found.good, found.differences[0]
+    assert [entry.seq for entry in made] == list(range(1, len(made) + 1))
+    assert all(one.stamp_ns < other.stamp_ns for one, other in pairwise(made))
+    inside = [
+        entry
+        for group in groups(entries)
+        if wanted.start_ns <= group.input.stamp_ns < wanted.end_ns
+        for entry in (group.input, *group.outputs)
+    ]
+    assert report.inputs + report.outputs == len(inside)
+    assert list(map(content, made[len(made) - len(inside) :])) == list(map(content, inside))
+    assert not report.computed and not report.differing
+
+
+def test_the_prologue_is_short_and_has_no_picture_that_was_followed_by_another() -> None:
+    entries, config = recorded("star")
+    made, report = cut(entries, config, window(entries, (0.5, 0.6)))
+    assert report.depth is Depth.STATE
+    assert report.prologue < 30 < report.inputs
+    before = [entry for entry in made if entry.stamp_ns < window(entries, (0.5, 0.6)).start_ns]
+    large = [entry.channel for entry in before if entry.kind is Kind.ROS_IN and entry.size > SMALL_BYTES]
+    assert large and len(large) == len(set(large))
+
+
+@pytest.mark.parametrize("glob", ["TRANSFORM/*", "Camera", "/star/status"])
+def test_streams_are_chosen_by_input_or_by_output_and_the_rest_is_left_out(glob: str) -> None:
+    entries, config = recorded("star")
+    made, report = cut(entries, config, window(entries, (0.25, 0.75), glob))
+    assert verify(made, config).good
+    streams = {entry.channel for entry in made if entry.kind is Kind.ROS_IN}
+    expected = {
+        "TRANSFORM/*": {"/star/tool", "/star/camera_pose"},
+        "Camera": {"/star/camera/image"},
+        "/star/status": {"/star/status"},
+    }
+    assert streams == expected[glob]
+    assert report.inputs > 1 and not report.computed
+
+
+@pytest.mark.parametrize("glob", ["TRANSFORM/*", "STRING/**", "/igtl/in/*/image"])
+@pytest.mark.parametrize("name", ["paper-types", "every-type"])
+def test_what_depends_on_streams_that_are_left_out_is_computed_and_told(name: str, glob: str) -> None:
+    entries, config = recorded(name)
+    made, report = cut(entries, config, window(entries, (0.1, 0.9), glob))
+    assert verify(made, config).good
+    assert report.computed <= 5
+    assert len(made) < len(entries) / 2
+
+
+def test_a_part_of_a_slice_is_one_too() -> None:
+    entries, config = recorded("star")
+    once, _ = cut(entries, config, window(entries, (0.2, 0.8)))
+    wanted = window(entries, (0.4, 0.6))
+    twice, _ = cut(once, config, wanted)
+    directly, _ = cut(entries, config, wanted)
+    assert list(map(content, twice)) == list(map(content, directly))
+
+
+def test_what_was_recorded_stays_even_where_todays_gateway_says_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    entries, config = recorded("paper-types")
+    wanted = window(entries, (0.5, 1.0))
+    before, _ = cut(entries, config, wanted)
+    monkeypatch.setitem(UNITS, "mm", 999)
+    after, report = cut(entries, config, wanted)
+    assert report.differing and not verify(after, config).good
+    assert {content(entry) for entry in before if entry.stamp_ns >= wanted.start_ns} <= set(map(content, after))
+
+
+def lost(entries: list[Entry], which: Callable[[Entry], bool]) -> list[Entry]:
+    index = next(index for index, entry in enumerate(entries) if which(entry))
+    return [*entries[:index], *entries[index + 1 :]]
+
+
+def test_what_the_recorder_lost_stays_a_gap() -> None:
+    entries, config = recorded("star")
+    wanted = window(entries, (0.5, 0.6))
+    cutting = lost(entries, lambda e: e.kind is Kind.IGTL_OUT and e.stamp_ns > wanted.start_ns)
+    made, report = cut(cutting, config, wanted)
+    missing = set(range(1, made[-1].seq + 1)) - {entry.seq for entry in made}
+    assert len(missing) == 1 and report.differing == 1
+    assert verify(made, config).lost == 1
+
+
+def test_a_link_that_is_gone_is_not_in_the_prologue() -> None:
+    entries, config = recorded("every-type")
+    end = entries[-1]
+    wanted = Window(end.stamp_ns + 1, end.stamp_ns + 2)
+    last = replace(end, seq=end.seq + 1, stamp_ns=end.stamp_ns + 1, kind=Kind.ROS_IN, channel="/x", payload=(b"",))
+    made, _ = cut([*entries, last], config, wanted)
+    up: set[int] = set()
+    for entry in entries:
+        if entry.kind is Kind.LINK:
+            up = up | set(entry.links) if Note.unpack(entry.data()).code == LINK_UP else up - set(entry.links)
+    assert {link for entry in made if entry.kind is Kind.LINK for link in entry.links} == up
+
+
+def test_groups_are_inputs_with_all_that_follows() -> None:
+    entries, _ = recorded("paper-types")
+    found = list(groups(entries))
+    assert sum(1 + len(group.outputs) for group in found) == len(entries)
+    assert sum(group.extent for group in found) == entries[-1].seq
+    assert list(groups(entries[1:2])) == []
