@@ -1,69 +1,32 @@
-"""The player: a recording drives OpenIGTLink peers or a ROS graph."""
+"""The player: sends a recording's entries, each when it is due, and obeys whoever holds the keys."""
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from enum import Enum, auto
+from typing import Literal
 
 from igtl_gateway.clock import Clock
-from igtl_gateway.config import Config
-from igtl_gateway.edges.ros import RosEdge
-from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.qos import Qos
-from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.replay.playback import PlaybackClock, paced
-from igtl_gateway.replay.source import once, select, through_gateway
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.replay.playback import PlaybackClock, checked_rate
+from igtl_gateway.replay.restamp import Restamper
+from igtl_gateway.replay.simclock import is_tick
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.stamp import NS_PER_S
 
-#: For topics of which the file tells no quality of service.
-PLAYED_QOS = Qos(depth=100)
+#: So long at most between two looks at the stop event; also between two repetitions of the clock while paused.
+_LOOK_S = 0.1
+#: More messages than any recording has.
+_ALL = 1 << 62
 
-#: What goes to each side, by preference: what the gateway sent; else what could stand for it.
-_OUTPUTS = {"igtl": Kind.IGTL_OUT, "ros": Kind.ROS_OUT}
-_SIDES_INPUTS = {"igtl": Kind.IGTL_IN, "ros": Kind.ROS_IN}
+_SIDES = {Kind.IGTL_IN: "igtl", Kind.IGTL_OUT: "igtl", Kind.ROS_IN: "ros", Kind.ROS_OUT: "ros"}
 
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What a replay to one side sends, and why.
-
-    Attributes:
-        kinds: the kinds of entries that are sent.
-        recompute: the inputs go through today's gateway first.
-        why: one sentence for people.
-    """
-
-    kinds: frozenset[Kind]
-    recompute: bool
-    why: str
-
-
-def plan(file: SessionFile, side: str, recompute: bool) -> Plan:
-    """How to drive a side from this file: as it was, through the gateway, or with what that side itself said."""
-    present = {channel.kind for channel in file.channels if channel.count}
-    output, own = _OUTPUTS[side], _SIDES_INPUTS[side]
-    feeding = Kind.ROS_IN if side == "igtl" else Kind.IGTL_IN
-    if side == "ros":
-        # what ROS nodes said themselves is part of what a ROS graph heard that day, as in `ros2 bag play`
-        kinds = frozenset({output, own})
-        if recompute or (feeding in present and output not in present):
-            return Plan(kinds, True, "recorded inputs through today's gateway, and what ROS nodes published")
-        return Plan(kinds, False, "what was published that day")
-    if recompute or (feeding in present and output not in present):
-        return Plan(frozenset({output}), True, "recorded inputs through today's gateway")
-    if output in present:
-        return Plan(frozenset({output}), False, "the bytes that were sent that day")
-    return Plan(frozenset({own}), False, "what the peers sent that day (nothing was sent to them)")
-
-
-def planned(file: SessionFile, config: Config, how: Plan, streams: Iterable[str]) -> Iterator[Entry]:
-    """The entries of a plan, in order."""
-    entries: Iterable[Entry] = file.entries()
-    if how.recompute:
-        entries = through_gateway(entries, config, has_links=any(c.kind is Kind.LINK for c in file.channels if c.count))
-    return select(once(entries), how.kinds, streams)
+#: Entries from a moment on (UTC ns; None: from the beginning), the state of that moment before them.
+Feed = Callable[[int | None], Iterable[Entry]]
 
 
 @dataclass(slots=True)
@@ -90,57 +53,234 @@ class Played:
         return self._hash.hexdigest()
 
 
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """The playback left the order of the recording.
+
+    Attributes:
+        why: ``"seek"`` or ``"loop"``.
+        from_ns: where it was, in UTC ns of the recording; None if nowhere yet.
+        to_ns: where it goes on; None: at the beginning.
+    """
+
+    why: Literal["seek", "loop"]
+    from_ns: int | None
+    to_ns: int | None
+
+
+class _Turn(Enum):
+    SEND = auto()
+    JUMP = auto()
+    END = auto()
+
+
 class Player:
-    """Sends entries to one side, each when it is due, none lost: a slow reader slows the replay down.
+    """Sends entries, each when it is due, none lost: a slow reader slows the replay down.
+
+    `run` plays; all else may be called from any thread meanwhile.
 
     Args:
-        entries: what to send, in order.
+        feed: opens what is sent.
         send: sends one entry; may wait; tells whether anybody was there.
-        rate: recorded seconds per real second; None: as fast as possible.
-        clock: paces.
+        clock: paces, and gives new stamps.
         stop: ends the playback when set.
+        rate: recorded seconds per real second; None: as fast as possible.
+        paused: begin so.
+        loop: begin again at the end, until stopped.
+        span: UTC ns of the recording between which one may seek, both included.
+        start_ns: where to begin, and to loop to; None: at the first entry.
+        restamp: gives new stamps; None: all stay as they are.
+        on_jump: told of every jump, in the thread of `run`.
     """
 
     def __init__(
         self,
-        entries: Iterable[Entry],
+        feed: Feed,
         send: Callable[[Entry], bool],
-        rate: float | None,
         clock: Clock,
         stop: threading.Event,
+        *,
+        rate: float | None = 1.0,
+        paused: bool = False,
+        loop: bool = False,
+        span: tuple[int, int] = (0, _ALL),
+        start_ns: int | None = None,
+        restamp: Restamper | None = None,
+        on_jump: Callable[[Jump], None] = lambda jump: None,
     ) -> None:
         self.played = Played()
-        self._entries = paced(entries, PlaybackClock(rate, clock.monotonic_ns), stop.wait)
+        self.sides: dict[str, Played] = {}
+        self._feed = feed
         self._send = send
+        self._clock = clock
         self._stop = stop
+        self._loop = loop
+        self._span = span
+        self._start_ns = start_ns
+        self._restamp = restamp
+        self._on_jump = on_jump
+        self._changed = threading.Condition()  # guards all below
+        self._playback = PlaybackClock(rate, paused)
+        self._jump: Jump | None = None
+        self._to_step = 0
+        self._stepped = 0
+        self._over = False
+        self._in_pass = 0  # messages since the last jump, its state not counted
+        self._tick: Entry | None = None
 
-    def run(self) -> Played:
-        """Play to the end, or until stopped."""
-        for entry in self._entries:
-            if self._stop.is_set():
-                break
-            self.played.add(entry, self._send(entry))
-        return self.played
+    # -- for any thread -------------------------------------------------------------------------------------------
 
+    @property
+    def paused(self) -> bool:
+        with self._changed:
+            return self._playback.paused
 
-def igtl_sender(edge: TcpEdge) -> Callable[[Entry], bool]:
-    """Sends to every peer that is there.  The edge should have been made with ``when_full="block"``."""
+    @property
+    def rate(self) -> float | None:
+        """Recorded seconds per real second; None: as fast as possible."""
+        with self._changed:
+            return self._playback.rate
 
-    def send(entry: Entry) -> bool:
-        links = [link.number for link in edge.links() if link.connected]
-        edge.send(links, entry.payload, entry.channel, True)
-        return bool(links)
+    @property
+    def position_ns(self) -> int | None:
+        """The moment of the recording that is now; None before the first entry."""
+        with self._changed:
+            return self._playback.position_ns(self._clock.monotonic_ns())
 
-    return send
+    def pause(self) -> None:
+        with self._changed:
+            self._playback.pause(self._clock.monotonic_ns())
+            self._changed.notify_all()
 
+    def resume(self) -> None:
+        with self._changed:
+            self._to_step = 0
+            self._playback.resume(self._clock.monotonic_ns())
+            self._changed.notify_all()
 
-def ros_sender(edge: RosEdge, file: SessionFile) -> Callable[[Entry], bool]:
-    """Publishes on the recorded topics with the recorded quality of service; a graph always counts as listening."""
-    offered = {(channel.topic, channel.type): channel.qos for channel in file.channels}
+    def toggle(self) -> None:
+        with self._changed:
+            if self._playback.paused:
+                self.resume()
+            else:
+                self.pause()
 
-    def send(entry: Entry) -> bool:
-        qos = offered.get((entry.channel, entry.type)) or PLAYED_QOS
-        edge.publish(entry.channel, entry.type, entry.data(), qos)
+    def set_rate(self, rate: float) -> bool:
+        """Go on at this rate; False if there is no such rate."""
+        try:
+            checked_rate(rate)
+        except ConfigError:
+            return False
+        with self._changed:
+            self._playback.set_rate(rate, self._clock.monotonic_ns())
+            self._changed.notify_all()
         return True
 
-    return send
+    def seek(self, recorded_ns: int) -> bool:
+        """Go on from this moment, with the state that was there; False if it is not among what is played."""
+        with self._changed:
+            if self._over or not self._span[0] <= recorded_ns <= self._span[1]:
+                return False
+            self._jump = Jump("seek", self._playback.position_ns(self._clock.monotonic_ns()), recorded_ns)
+            self._changed.notify_all()
+        return True
+
+    def step(self, count: int = 1) -> bool:
+        """While paused: play the next messages (0: all that are left), at once.  False if not paused, or at the end."""
+        with self._changed:
+            if self._over or not self._playback.paused:
+                return False
+            self._to_step += count or _ALL
+            self._changed.notify_all()
+            return True
+
+    def burst(self, count: int) -> int:
+        """`step`, and wait for it: how many were played."""
+        with self._changed:
+            begun = self._stepped
+            if self.step(count):
+                self._changed.wait_for(lambda: self._over or not self._to_step)
+            return self._stepped - begun
+
+    # -- the playback ---------------------------------------------------------------------------------------------
+
+    def run(self) -> Played:
+        """Play to the end, or until stopped.  What the feed raises comes out here."""
+        try:
+            self._run()
+        finally:
+            with self._changed:
+                self._over = True
+                self._changed.notify_all()
+        return self.played
+
+    def _run(self) -> None:
+        entries = self._begin(self._start_ns)
+        while True:
+            entry = next(entries, None)
+            turn = self._turn(entry)
+            if turn is _Turn.END:
+                return
+            if turn is _Turn.JUMP:
+                jump, self._jump = self._jump, None
+                if jump:
+                    self._on_jump(jump)
+                    entries = self._begin(jump.to_ns)
+            elif entry:
+                self._deliver(entry)
+
+    def _begin(self, start_ns: int | None) -> Iterator[Entry]:
+        with self._changed:
+            self._playback.jump(start_ns, self._clock.monotonic_ns())
+            self._in_pass = 0
+        if self._restamp:
+            self._restamp.begin(start_ns, self._clock.utc_ns())
+        return iter(self._feed(start_ns))
+
+    def _turn(self, entry: Entry | None) -> _Turn:
+        """Wait until it is clear what comes next; ``entry`` is None at the end."""
+        with self._changed:
+            while True:
+                if self._stop.is_set():
+                    return _Turn.END
+                if self._jump:
+                    return _Turn.JUMP
+                now_ns = self._clock.monotonic_ns()
+                if entry is None:
+                    # a pass without messages would be followed by the same at once, for ever
+                    if not (self._loop and self._in_pass):
+                        return _Turn.END
+                    if self._to_step > _ALL // 2:  # "all that are left": none is
+                        self._to_step = 0
+                        self._changed.notify_all()
+                    self._jump = Jump("loop", self._playback.position_ns(now_ns), self._start_ns)
+                    return _Turn.JUMP
+                left_ns = self._playback.wait_ns(entry.stamp_ns, now_ns)
+                if left_ns == 0 or (left_ns is None and self._to_step):
+                    return _Turn.SEND
+                if left_ns is None and self._tick:
+                    self._send(self._tick)  # nodes that come while it is paused want to know the time, too
+                self._changed.wait(_LOOK_S if left_ns is None else min(left_ns / NS_PER_S, _LOOK_S))
+
+    def _deliver(self, entry: Entry) -> None:
+        sent = entry
+        if self._restamp:
+            sent = dataclasses.replace(entry, payload=self._restamp.payload(entry, self._clock.utc_ns()))
+        heard = self._send(sent)
+        if is_tick(entry):
+            self._tick = sent
+        else:
+            self.played.add(sent, heard)
+            self.sides.setdefault(_SIDES[entry.kind], Played()).add(sent, heard)
+        with self._changed:
+            now_ns = self._clock.monotonic_ns()
+            if self._playback.is_state(entry.stamp_ns):
+                return
+            self._playback.reached(entry.stamp_ns, now_ns)
+            if is_tick(entry):
+                return
+            self._in_pass += 1
+            if self._to_step:
+                self._to_step -= 1
+                self._stepped += 1
+                self._changed.notify_all()

@@ -1,20 +1,20 @@
-"""``igtl-gateway replay``: a recording drives OpenIGTLink peers or a ROS graph."""
+"""``igtl-gateway replay``: a recording drives OpenIGTLink peers, a ROS graph, or both."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from threading import Event
 from typing import Any
 
-from igtl_gateway.app.player import PLAYED_QOS, Plan, Player, igtl_sender, plan, planned, ros_sender
+from igtl_gateway.app.player import Jump, Player
+from igtl_gateway.app.player_services import PlayerServices
+from igtl_gateway.app.replay_plan import plan, planned
 from igtl_gateway.cli.common import (
     add_addresses,
     add_send,
-    addresses,
     count,
     print_json,
     recorded_config,
@@ -22,31 +22,45 @@ from igtl_gateway.cli.common import (
     stop_event,
     with_sends,
 )
+from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, is_ours, keyboard, read_lines
+from igtl_gateway.cli.replay_sides import Side, open_sides
 from igtl_gateway.clock import SystemClock
-from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.replay.playback import PlaybackClock
-from igtl_gateway.replay.source import fits
-from igtl_gateway.session.entry import Entry
+from igtl_gateway.replay.moment import moment
+from igtl_gateway.replay.playback import checked_rate
+from igtl_gateway.replay.restamp import MODES, Restamper
+from igtl_gateway.replay.simclock import DEFAULT_HZ, period_ns, with_ticks
+from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
   igtl-gateway replay fixtures/star.mcap --to igtl                 serve the session to the first client
   igtl-gateway replay out.mcap --to igtl --as-fast-as-possible     the same bytes in the same order, at once
   igtl-gateway replay out.mcap --to igtl --connect 127.0.0.1:18944 be the client
   igtl-gateway replay out.mcap --to ros --rate 0.5                 publish what ROS heard, at half speed
+  igtl-gateway replay out.mcap --to ros --clock --loop             again and again, for nodes with use_sim_time
+  igtl-gateway replay out.mcap --to both --start 12.5 --duration 3 a part, to both sides, in the order of the log
+  igtl-gateway replay out.mcap --to igtl --restamp now             stamps of today, for peers that refuse old ones
+  igtl-gateway replay out.mcap --to igtl --step                    one message for each press of →
   igtl-gateway replay out.mcap --to igtl --through-gateway         recorded inputs through today's converters
   igtl-gateway replay bag.mcap --to igtl --send /camera/image=Cam  a rosbag2 MCAP file: its topics as devices
   igtl-gateway replay out.mcap --to igtl --streams 'IMAGE/*'       some streams only
 
+T is in seconds from the beginning, in UTC seconds, or a time as 2026-11-21T08:00:00Z.  A replay that begins or jumps
+into the middle sends what was latched before (static transforms, plans, surfaces, last status) first.
+
+keys, on a terminal: space pause or go on, → next message while paused, ↑ ↓ rate ±10 %, q end
+services, with --to ros, as of `ros2 bag play`: ~/pause ~/resume ~/toggle_paused ~/is_paused ~/seek ~/play_next ~/burst
+~/set_rate ~/get_rate of /igtl_gateway_replay
+
 At every rate the same messages go out in the same order; a slow reader slows the replay down, nothing is dropped."""
 
-_FLUSH_S = 30.0
+_FASTER, _SLOWER = 1.1, 0.9
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or a rosbag2 MCAP file")
-    parser.add_argument("--to", choices=("igtl", "ros"), required=True, help="the side to drive")
+    parser.add_argument("--to", choices=("igtl", "ros", "both"), required=True, help="the side to drive")
     add_addresses(parser)
     parser.add_argument("--through-gateway", action="store_true", help="send what today's gateway makes of the inputs")
     parser.add_argument(
@@ -56,6 +70,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument("--rate", type=float, default=1.0, metavar="R", help="recorded seconds per second (%(default)s)")
     pace.add_argument("--as-fast-as-possible", action="store_true", help="no pauses")
+    pace.add_argument(
+        "--speed-of-light",
+        action="store_true",
+        help="no pauses, in lock-step: the next message goes when the kernel has taken the last one for every peer, "
+        "and every reliable ROS reader has acknowledged it",
+    )
+    parser.add_argument("--start", metavar="T", help="begin here (default: at the beginning)")
+    end = parser.add_mutually_exclusive_group()
+    end.add_argument("--end", metavar="T", help="end after this moment")
+    end.add_argument("--duration", type=float, metavar="S", help="end so many recorded seconds after the start")
+    parser.add_argument("--loop", action="store_true", help="begin again at the end, until stopped")
+    parser.add_argument("--start-paused", action="store_true", help="wait for the key or the service")
+    parser.add_argument(
+        "--step",
+        action="store_true",
+        help="paused, one message for each → or Enter; without a terminal one for each line of standard input",
+    )
+    parser.add_argument("--delay", type=float, default=0.0, metavar="S", help="wait before the first message")
+    parser.add_argument(
+        "--restamp",
+        choices=MODES,
+        default="keep",
+        help="stamps in the messages: as they are (default), the time of sending, or all moved by one constant so "
+        "that the first is now (anew after each jump)",
+    )
+    parser.add_argument(
+        "--clock",
+        type=float,
+        nargs="?",
+        const=DEFAULT_HZ,
+        metavar="HZ",
+        help=f"publish the recording's time on /clock, so many times a recorded second (default {DEFAULT_HZ:.0f})",
+    )
     parser.add_argument(
         "--wait-peers",
         type=int,
@@ -65,99 +112,133 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--streams", action="append", default=[], metavar="GLOB", help="only these: TYPE/device, device or topic"
     )
-    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+    parser.add_argument("--json", action="store_true", help="print jumps and the outcome as JSON lines")
 
 
 def run(options: argparse.Namespace) -> int:
-    rate = None if options.as_fast_as_possible else options.rate
-    PlaybackClock(rate, SystemClock().monotonic_ns)  # refuses a bad rate before anything is opened
-    if options.wait_peers is not None and options.wait_peers < 0:
-        raise ConfigError(f"--wait-peers: found {options.wait_peers}, expected 0 or more")
+    _check(options)
     with SessionFile.open(options.file) as file, stop_event() as stop, ExitStack() as stack:
+        start_ns, end_ns = _part(options, file)
         config = with_sends(recorded_config(file.session, options.config), options.send)
         how = plan(file, options.to, options.through_gateway)
-        entries = planned(file, config, how, options.streams)
         _tell(options, f"{options.file}: {how.why}")
-        open_side = _open_igtl if options.to == "igtl" else _open_ros
-        send, finish = open_side(options, file, how, stop, stack)
-        if send is None:
+        side = open_sides(options, file, how, stop, stack, lambda text: _tell(options, text))
+        if side is None:
             _tell(options, "stopped before the replay began")
             return 1
-        player = Player(entries, send, rate, SystemClock(), stop)
+
+        def feed(from_ns: int | None) -> Any:
+            entries = planned(file, config, how, options.streams, from_ns, end_ns)
+            return with_ticks(entries, from_ns, period_ns(options.clock)) if options.clock else entries
+
+        player = Player(
+            feed,
+            side.send,
+            SystemClock(),
+            stop,
+            rate=None if options.as_fast_as_possible or options.speed_of_light else options.rate,
+            paused=options.step or options.start_paused,
+            loop=options.loop,
+            span=(start_ns or file.start_ns, file.end_ns if end_ns is None else end_ns),
+            start_ns=start_ns,
+            restamp=_restamper(options),
+            on_jump=lambda jump: _tell_jump(options, file, jump),
+        )
+        _controls(options, file, player, side, stop, stack)
+        stop.wait(options.delay)
         try:
             player.run()
         finally:
-            complete = finish() and not stop.is_set()
+            complete = side.finish() and not stop.is_set()
             _report(options, player, complete)
     if complete and not player.played.messages:
         raise GatewayError(f"{options.file}: nothing in it goes to {options.to}: see `igtl-gateway info`, and --send")
-    return 0 if complete else 1
+    return 0 if complete or options.loop else 1
 
 
-Opened = tuple[Callable[[Entry], bool] | None, Callable[[], bool]]
+def _check(options: argparse.Namespace) -> None:
+    """Refuse what cannot be before anything is opened."""
+    checked_rate(options.rate)
+    if options.wait_peers is not None and options.wait_peers < 0:
+        raise ConfigError(f"--wait-peers: found {options.wait_peers}, expected 0 or more")
+    if not 0 <= options.delay < float("inf"):
+        raise ConfigError(f"--delay: found {options.delay}, expected seconds, 0 or more")
+    if options.duration is not None and not 0 < options.duration < float("inf"):
+        raise ConfigError(f"--duration: found {options.duration}, expected seconds, above 0")
+    if options.clock is not None:
+        period_ns(options.clock)
+        if options.to == "igtl":
+            raise ConfigError("--clock: found --to igtl, expected --to ros or --to both: /clock is a ROS topic")
+    if options.start_paused and not options.step and options.to == "igtl" and not is_ours():
+        raise ConfigError("--start-paused: needs a terminal for the keys, or --to ros for the services")
 
 
-def _open_igtl(options: argparse.Namespace, _file: SessionFile, _how: Plan, stop: Event, stack: ExitStack) -> Opened:
-    """A sender to OpenIGTLink peers, once they are there."""
-    edge = TcpEdge(
-        on_frame=lambda _link, _message: None,  # what peers say during a replay is not part of it
-        on_link=lambda _link, _up, note: _tell(options, f"= {note.text}"),
-        on_note=lambda _link, note: _tell(options, f"! {note.text}"),
-        clock=SystemClock(),
-        allow=tuple(options.allow),
-        when_full="block",
-    )
-    stack.callback(edge.stop)
-    listen, connect = addresses(options)
-    for address in listen:
-        host, port = edge.listen(*address)
-        _tell(options, f"OpenIGTLink server on {host}:{port}")
-    for address in connect:
-        edge.connect(*address)
-    edge.start()
-    wanted = 1 if options.wait_peers is None else options.wait_peers
-    if wanted:
-        _tell(options, f"waiting for {count(wanted, 'peer')}")
-    while not edge.wait_links(wanted, 0.2):
-        if stop.is_set():
-            return None, lambda: False
-    return igtl_sender(edge), lambda: edge.flush(0.0 if stop.is_set() else _FLUSH_S)
+def _part(options: argparse.Namespace, file: SessionFile) -> tuple[int | None, int | None]:
+    """First and last moment in UTC ns; None where nothing was said."""
+    start_ns = end_ns = None
+    if options.start is not None:
+        start_ns = moment(options.start, file.start_ns, "--start")
+        if start_ns > file.end_ns:
+            raise ConfigError(f"--start: found {_at(file, start_ns)}, expected at most {_at(file, file.end_ns)}")
+    if options.end is not None:
+        end_ns = moment(options.end, file.start_ns, "--end")
+    elif options.duration is not None:
+        end_ns = (file.start_ns if start_ns is None else start_ns) + round(options.duration * NS_PER_S)
+    if end_ns is not None and end_ns < (start_ns or file.start_ns):
+        raise ConfigError(f"--end: found {_at(file, end_ns)}, expected at least {_at(file, start_ns or file.start_ns)}")
+    return start_ns, end_ns
 
 
-def _open_ros(options: argparse.Namespace, file: SessionFile, how: Plan, stop: Event, stack: ExitStack) -> Opened:
-    """A sender to the ROS graph, its topics advertised."""
-    from igtl_gateway.edges.ros import RosEdge
-    from igtl_gateway.edges.ros_env import prepare_environment
+def _restamper(options: argparse.Namespace) -> Restamper | None:
+    if options.restamp == "keep":
+        return None
+    return Restamper(options.restamp, lambda name: _tell(options, f"! stamps of {name} stay: not known here"))
 
-    prepare_environment()
-    edge = RosEdge(
-        node_name="igtl_gateway_replay",
-        on_message=lambda *_: None,
-        wants=lambda *_: None,
-        on_note=lambda note: _tell(options, f"= {note.text}"),
-    )
-    edge.start()
-    stack.callback(edge.stop)
-    channels = [
-        channel for channel in file.channels if channel.kind in how.kinds and fits(channel.topic, options.streams)
-    ]
-    for channel in channels:
-        edge.advertise(channel.topic, channel.type, channel.qos or PLAYED_QOS)
-    for topic in sorted({channel.topic for channel in channels}):
-        while options.wait_peers and not edge.wait_for_subscribers(topic, options.wait_peers, 0.2):
-            if stop.is_set():
-                return None, lambda: False
-    # whoever listens already is to hear the first message too
-    while not edge.wait_ready(0.2):
-        if stop.is_set():
-            return None, lambda: False
-    return ros_sender(edge, file), lambda: stop.is_set() or edge.wait_ready(_FLUSH_S)
+
+def _controls(
+    options: argparse.Namespace, file: SessionFile, player: Player, side: Side, stop: Event, stack: ExitStack
+) -> None:
+    """Keyboard and services."""
+
+    def obey(command: str) -> None:
+        if command == PAUSE:
+            player.toggle()
+            _tell(options, f"paused at {_at(file, player.position_ns)}" if player.paused else "goes on")
+        elif command == NEXT:
+            player.step()
+        elif command in (FASTER, SLOWER) and (rate := player.rate):
+            player.set_rate(rate * (_FASTER if command == FASTER else _SLOWER))
+            _tell(options, f"rate {player.rate:.3g}")
+        elif command == QUIT:
+            stop.set()
+
+    if side.ros:
+        PlayerServices(player).offer(side.ros)
+    if is_ours():
+        _tell(options, HELP)
+        stack.enter_context(keyboard(obey))
+    elif options.step and not side.ros:
+        # waits for each message, so that the end of the lines does not come before
+        read_lines(lambda: player.burst(1), stop.set)
 
 
 def _tell(options: argparse.Namespace, text: str) -> None:
     # also called by the edges' threads: whether there still is a reader, the report finds out in ours
     with suppress(BrokenPipeError):
         print(text, file=sys.stderr if options.json else sys.stdout, flush=True)
+
+
+def _tell_jump(options: argparse.Namespace, file: SessionFile, jump: Jump) -> None:
+    to_ns = file.start_ns if jump.to_ns is None else jump.to_ns
+    if options.json:
+        print_json({"event": "jump", "why": jump.why, "from_ns": jump.from_ns, "to_ns": to_ns})
+    else:
+        _tell(options, f"= jump ({jump.why}): from {_at(file, jump.from_ns)} to {_at(file, to_ns)}")
+
+
+def _at(file: SessionFile, recorded_ns: int | None) -> str:
+    """A moment for people, from the beginning of the file."""
+    return "the beginning" if recorded_ns is None else f"{(recorded_ns - file.start_ns) / NS_PER_S:+.3f} s"
 
 
 def _report(options: argparse.Namespace, player: Player, complete: bool) -> None:
@@ -172,6 +253,11 @@ def _report(options: argparse.Namespace, player: Player, complete: bool) -> None
             "sha256": played.digest,
             "streams": played.by_stream,
         }
+        if options.to == "both":
+            told["sides"] = {
+                side: {"messages": part.messages, "bytes": part.bytes, "sha256": part.digest}
+                for side, part in sorted(player.sides.items())
+            }
         print_json(told)
         return
     print(f"{'sent' if complete else 'stopped after'} {count(played.messages, 'message')}, {size(played.bytes)}")
@@ -179,4 +265,7 @@ def _report(options: argparse.Namespace, player: Player, complete: bool) -> None
         print(f"  {played.unheard:,} of them while no peer was connected")
     for stream, number in sorted(played.by_stream.items()):
         print(f"  {stream:<40} {number:>8,}")
+    if options.to == "both":
+        for side, part in sorted(player.sides.items()):
+            print(f"{side}: sha256 {part.digest}")
     print(f"sha256 {played.digest}", flush=True)

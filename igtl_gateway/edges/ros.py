@@ -38,6 +38,7 @@ from igtl_gateway.edges.ros_streams import HOLD_BYTES, HOLD_MESSAGES, Counts, Ec
 from igtl_gateway.errors import RosError
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S
 
 #: Subscriptions that the graph knows are matched well within this time, or never (incompatible QoS).
 HOLD_NS = 2_000_000_000
@@ -295,6 +296,22 @@ class RosEdge:
         with self._matched:
             self._matched.wait_for(lambda: self._stopping.is_set() or self._all_ready(), timeout_s)
         return self._all_ready()
+
+    def wait_acked(self, topic: str, timeout_s: float) -> bool:
+        """Wait until every reliable reader has acknowledged all that we sent there; False if that took too long.
+
+        True for topics of which nobody acknowledges anything, and at stop.
+        """
+        writer = self._writers.get(topic)
+        if writer is None or not writer.qos.reliable:
+            return True
+        with self._matched:
+            if not self._matched.wait_for(lambda: self._stopping.is_set() or writer.ready, timeout_s):
+                return False
+        if self._running is None:
+            return True
+        timeout = self._rclpy.duration.Duration(nanoseconds=int(timeout_s * NS_PER_S))
+        return bool(writer.publisher.wait_for_all_acked(timeout))
 
     def _all_ready(self) -> bool:
         return all(writer.ready for writer in self._all_writers())

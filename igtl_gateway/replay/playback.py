@@ -1,52 +1,102 @@
-"""Playback: when recorded entries are due.  Time is an argument, waiting is the caller's.
+"""Playback: recorded time against the time of now.  Now is an argument, waiting is the caller's.
 
-Pacing never influences content or order: whatever the rate, the same entries come in the same order.
+Pacing never influences content or order: whatever the rate, the same entries come in the same order.  What is late,
+because a reader was slow or the playback was, is due at once; nothing is skipped to catch up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.stamp import NS_PER_S
+
+#: Of a playback without pauses between entries.
+UNLIMITED = None
+
+
+def checked_rate(rate: float | None) -> float | None:
+    """``rate``, if one can play at it.  Raises ConfigError."""
+    if rate is not UNLIMITED and not 0 < rate < float("inf"):
+        raise ConfigError(f"--rate: found {rate}, expected a number above 0")
+    return rate
 
 
 class PlaybackClock:
-    """Maps recorded time to the time of now.
+    """The moment of the recording that is now: it runs at a rate, stands while paused, and can jump.
+
+    It starts with the first entry that it is asked about, unless a jump has set it before.
 
     Args:
         rate: recorded seconds per real second; None: as fast as possible.
-        monotonic_ns: gives the time of now, in ns of any monotonic clock.
+        paused: begin so.
     """
 
-    def __init__(self, rate: float | None, monotonic_ns: Callable[[], int]) -> None:
-        if rate is not None and not 0 < rate < float("inf"):
-            raise ConfigError(f"--rate: found {rate}, expected a number above 0")
-        self._rate = rate
-        self._now_ns = monotonic_ns
-        self._origin: tuple[int, int] | None = None  # (recorded, real): the moment at which they were the same
+    def __init__(self, rate: float | None, paused: bool = False) -> None:
+        self._rate = checked_rate(rate)
+        self._paused = paused
+        self._recorded_ns: int | None = None  # the moment of the recording ...
+        self._real_ns = 0  # ... that was at this one
+        self._state_before_ns = 0
 
-    def wait_ns(self, recorded_ns: int) -> int:
-        """How long from now until ``recorded_ns`` is due; 0 if it is.  The first call is due at once."""
-        if self._rate is None:
+    @property
+    def rate(self) -> float | None:
+        """Recorded seconds per real second; None: as fast as possible."""
+        return self._rate
+
+    @property
+    def paused(self) -> bool:
+        """Whether it stands."""
+        return self._paused
+
+    def position_ns(self, now_ns: int) -> int | None:
+        """The moment of the recording that is now; None before the first entry."""
+        if self._recorded_ns is None or self._paused or self._rate is UNLIMITED:
+            return self._recorded_ns
+        return self._recorded_ns + int((now_ns - self._real_ns) * self._rate)
+
+    def is_state(self, recorded_ns: int) -> bool:
+        """Whether an entry of this moment lies before the target of the last jump: it rebuilds the state there."""
+        return recorded_ns < self._state_before_ns
+
+    def wait_ns(self, recorded_ns: int, now_ns: int) -> int | None:
+        """How long from now until ``recorded_ns`` is due; 0 if it is, as state always is; None while paused."""
+        if self.is_state(recorded_ns):
             return 0
-        now_ns = self._now_ns()
-        if self._origin is None:
-            self._origin = (recorded_ns, now_ns)
-        recorded_origin, real_origin = self._origin
-        due_ns = real_origin + int((recorded_ns - recorded_origin) / self._rate)
+        if self._paused:
+            return None
+        if self._recorded_ns is None:
+            self._set(recorded_ns, now_ns)
+        if self._rate is UNLIMITED or self._recorded_ns is None:
+            return 0
+        due_ns = self._real_ns + int((recorded_ns - self._recorded_ns) / self._rate)
         return max(0, due_ns - now_ns)
 
+    def reached(self, recorded_ns: int, now_ns: int) -> None:
+        """This moment has been played: where no time runs, the entries are the time."""
+        if (self._paused or self._rate is UNLIMITED) and (self._recorded_ns is None or recorded_ns > self._recorded_ns):
+            self._set(recorded_ns, now_ns)
 
-def paced(entries: Iterable[Entry], clock: PlaybackClock, wait: Callable[[float], bool]) -> Iterator[Entry]:
-    """The entries, each when it is due.
+    def pause(self, now_ns: int) -> None:
+        """Stand from now on."""
+        self._hold(now_ns)
+        self._paused = True
 
-    Args:
-        wait: sleeps so many seconds; True means "stop", and ends the playback.
-    """
-    for entry in entries:
-        while (left_ns := clock.wait_ns(entry.stamp_ns)) > 0:
-            if wait(left_ns / NS_PER_S):
-                return
-        yield entry
+    def resume(self, now_ns: int) -> None:
+        """Run again, from the moment where it stands."""
+        self._hold(now_ns)
+        self._paused = False
+
+    def set_rate(self, rate: float | None, now_ns: int) -> None:
+        """Run at this rate from now on.  Raises ConfigError for one that is none."""
+        checked_rate(rate)
+        self._hold(now_ns)
+        self._rate = rate
+
+    def jump(self, recorded_ns: int | None, now_ns: int) -> None:
+        """``recorded_ns`` is now; None: the next entry is, whenever it was recorded."""
+        self._state_before_ns = recorded_ns or 0
+        self._set(recorded_ns, now_ns)
+
+    def _hold(self, now_ns: int) -> None:
+        self._set(self.position_ns(now_ns), now_ns)
+
+    def _set(self, recorded_ns: int | None, now_ns: int) -> None:
+        self._recorded_ns, self._real_ns = recorded_ns, now_ns

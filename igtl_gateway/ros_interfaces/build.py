@@ -119,7 +119,9 @@ def generate(package: Package) -> None:
     share = package.prefix / "share"
     others = [f"{path.name}:{path}" for path in share.iterdir() if path.name != package.name]
     generate_type_hash(package.arguments("type_hash", include_paths=others))
-    for kind in package.kinds:
+    # those of msg in any case: what is generated for services includes them, too
+    for kind in {*package.kinds, "msg"}:
+        (package.generated / kind).mkdir(exist_ok=True)
         for generator, header in _VISIBILITY.items():
             text = (share / generator / "resource" / f"{header}.in").read_text()
             text = text.replace("@PROJECT_NAME@", package.name).replace("@PROJECT_NAME_UPPER@", package.name.upper())

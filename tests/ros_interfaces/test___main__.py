@@ -35,4 +35,4 @@ def test_a_package_that_cannot_be_is_said(monkeypatch: pytest.MonkeyPatch, capsy
     assert program.main() == 1
     told = capsys.readouterr()
     assert told.out == "tf2_msgs: /compiled/tf2_msgs\n"
-    assert told.err == "igtl_msgs: no compiler\nfoxglove_msgs: no compiler\n"
+    assert told.err == "igtl_msgs: no compiler\nfoxglove_msgs: no compiler\nrosbag2_interfaces: no compiler\n"

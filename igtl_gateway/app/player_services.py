@@ -1,0 +1,71 @@
+"""The services of a player that drives ROS: those of ``ros2 bag play``, by the same names and types."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from igtl_gateway.app.player import Player
+from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.stamp import ros_to_ns
+
+PACKAGE = "rosbag2_interfaces"
+
+
+class PlayerServices:
+    """Answers the calls, each in a thread of the edge's."""
+
+    def __init__(self, player: Player) -> None:
+        self._player = player
+
+    def offer(self, edge: RosEdge) -> bool:
+        """Offer all; False (and a note of the edge's) where that is not possible, as without the service types."""
+        offered = {
+            "pause": ("Pause", self.pause),
+            "resume": ("Resume", self.resume),
+            "toggle_paused": ("TogglePaused", self.toggle_paused),
+            "is_paused": ("IsPaused", self.is_paused),
+            "seek": ("Seek", self.seek),
+            "play_next": ("PlayNext", self.play_next),
+            "burst": ("Burst", self.burst),
+            "set_rate": ("SetRate", self.set_rate),
+            "get_rate": ("GetRate", self.get_rate),
+        }
+        return all(edge.serve(f"~/{name}", f"{PACKAGE}/srv/{kind}", answer) for name, (kind, answer) in offered.items())
+
+    def pause(self, _request: Any, response: Any) -> Any:
+        self._player.pause()
+        return response
+
+    def resume(self, _request: Any, response: Any) -> Any:
+        self._player.resume()
+        return response
+
+    def toggle_paused(self, _request: Any, response: Any) -> Any:
+        self._player.toggle()
+        return response
+
+    def is_paused(self, _request: Any, response: Any) -> Any:
+        response.paused = self._player.paused
+        return response
+
+    def seek(self, request: Any, response: Any) -> Any:
+        """To a moment of the recording, whatever stamps its messages get now."""
+        response.success = self._player.seek(ros_to_ns(request.time.sec, request.time.nanosec))
+        return response
+
+    def play_next(self, _request: Any, response: Any) -> Any:
+        response.success = self._player.burst(1) == 1
+        return response
+
+    def burst(self, request: Any, response: Any) -> Any:
+        response.actually_burst = self._player.burst(request.num_messages)
+        return response
+
+    def set_rate(self, request: Any, response: Any) -> Any:
+        response.success = self._player.set_rate(request.rate)
+        return response
+
+    def get_rate(self, _request: Any, response: Any) -> Any:
+        rate = self._player.rate
+        response.rate = float("inf") if rate is None else rate
+        return response

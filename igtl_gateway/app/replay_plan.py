@@ -1,0 +1,128 @@
+"""What a replay sends to which side, and by what."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+from igtl_gateway.config import Config
+from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.edges.tcp import TcpEdge
+from igtl_gateway.qos import Qos
+from igtl_gateway.replay.latched import part
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.source import once, select, through_gateway
+from igtl_gateway.session.entry import Entry, Kind
+
+#: For topics of which the file tells no quality of service.
+PLAYED_QOS = Qos(depth=100)
+
+#: What goes to each side, by preference: what the gateway sent; else what could stand for it.
+_OUTPUTS = {"igtl": Kind.IGTL_OUT, "ros": Kind.ROS_OUT}
+_SIDES_INPUTS = {"igtl": Kind.IGTL_IN, "ros": Kind.ROS_IN}
+_IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
+
+#: Between two looks at the stop event.
+_LOOK_S = 0.2
+
+#: Sends one entry; tells whether anybody was there.
+Send = Callable[[Entry], bool]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a replay sends, and why.
+
+    Attributes:
+        kinds: the kinds of entries that are sent.
+        recompute: the inputs go through today's gateway first.
+        why: one sentence for people.
+    """
+
+    kinds: frozenset[Kind]
+    recompute: bool
+    why: str
+
+
+def plan(file: SessionFile, side: str, recompute: bool) -> Plan:
+    """How to drive a side (``igtl``, ``ros``, ``both``): as it was, through the gateway, or by what it said itself."""
+    if side == "both":
+        igtl, ros = plan(file, "igtl", recompute), plan(file, "ros", recompute)
+        # one log for both: what one side needs computed, the other gets computed as well
+        why = f"to OpenIGTLink {igtl.why}; to ROS {ros.why}"
+        return Plan(igtl.kinds | ros.kinds, igtl.recompute or ros.recompute, why)
+    present = {channel.kind for channel in file.channels if channel.count}
+    output, own = _OUTPUTS[side], _SIDES_INPUTS[side]
+    feeding = Kind.ROS_IN if side == "igtl" else Kind.IGTL_IN
+    if side == "ros":
+        # what ROS nodes said themselves is part of what a ROS graph heard that day, as in `ros2 bag play`
+        kinds = frozenset({output, own})
+        if recompute or (feeding in present and output not in present):
+            return Plan(kinds, True, "recorded inputs through today's gateway, and what ROS nodes published")
+        return Plan(kinds, False, "what was published that day")
+    if recompute or (feeding in present and output not in present):
+        return Plan(frozenset({output}), True, "recorded inputs through today's gateway")
+    if output in present:
+        return Plan(frozenset({output}), False, "the bytes that were sent that day")
+    return Plan(frozenset({own}), False, "what the peers sent that day (nothing was sent to them)")
+
+
+def planned(
+    file: SessionFile,
+    config: Config,
+    how: Plan,
+    streams: Iterable[str],
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+) -> Iterator[Entry]:
+    """The entries of a plan, in order; those that were latched before ``start_ns`` (UTC) first, none after ``end_ns``.
+
+    The gateway is fed from the beginning in any case: what it says depends on all that it was told.
+    """
+    latched = {(channel.topic, channel.type) for channel in file.channels if channel.qos and channel.qos.latched}
+    entries: Iterable[Entry] = file.entries()
+    if how.recompute:
+        entries = through_gateway(entries, config, has_links=any(c.kind is Kind.LINK for c in file.channels if c.count))
+    entries = part(once(entries), start_ns, end_ns, lambda topic, ros_type: (topic, ros_type) in latched)
+    return select(entries, how.kinds, streams)
+
+
+def igtl_sender(edge: TcpEdge, stop: threading.Event | None = None) -> Send:
+    """Sends to every peer that is there.  The edge should have been made with ``when_full="block"``.
+
+    Args:
+        stop: lock-step: a message is waited for until the kernel has taken it for every peer, or this is set.
+    """
+
+    def send(entry: Entry) -> bool:
+        links = [link.number for link in edge.links() if link.connected]
+        edge.send(links, entry.payload, entry.channel, True)
+        while stop and not stop.is_set() and not edge.flush(_LOOK_S):
+            pass
+        return bool(links)
+
+    return send
+
+
+def ros_sender(edge: RosEdge, file: SessionFile, stop: threading.Event | None = None) -> Send:
+    """Publishes on the recorded topics with the recorded quality of service; a graph always counts as listening.
+
+    Args:
+        stop: lock-step: a message is waited for until every reliable reader has acknowledged it, or this is set.
+    """
+    offered = {(channel.topic, channel.type): channel.qos for channel in file.channels}
+
+    def send(entry: Entry) -> bool:
+        qos = offered.get((entry.channel, entry.type)) or PLAYED_QOS
+        edge.publish(entry.channel, entry.type, entry.data(), qos)
+        while stop and not stop.is_set() and not edge.wait_acked(entry.channel, _LOOK_S):
+            pass
+        return True
+
+    return send
+
+
+def both_sender(igtl: Send, ros: Send) -> Send:
+    """Each entry to its side."""
+    return lambda entry: (igtl if entry.kind in _IGTL else ros)(entry)

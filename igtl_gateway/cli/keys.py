@@ -1,0 +1,100 @@
+"""The keyboard of ``replay``: the keys of ``ros2 bag play``, and lines on standard input where that is no terminal.
+
+A terminal is asked for single keys without echo, and is always left as it was found.  Ctrl-C stays a signal.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import termios
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import IO, Any
+
+PAUSE, NEXT, FASTER, SLOWER, QUIT = "pause", "next", "faster", "slower", "quit"
+
+_KEYS = {
+    b" ": PAUSE,
+    b"\x1b[C": NEXT,
+    b"\x1bOC": NEXT,
+    b"\n": NEXT,
+    b"\r": NEXT,
+    b"s": NEXT,  # of rosbag in ROS 1
+    b"\x1b[A": FASTER,
+    b"\x1bOA": FASTER,
+    b"\x1b[B": SLOWER,
+    b"\x1bOB": SLOWER,
+    b"q": QUIT,
+}
+_LONGEST = max(map(len, _KEYS))
+_POLL_DS = 1  # tenths of a second that a read waits for a key, so that the thread sees the end
+
+HELP = "keys: space pause or go on, → next message while paused, ↑ ↓ rate, q end"
+
+
+def commands(typed: bytes) -> tuple[list[str], bytes]:
+    """What was asked for, and the beginning of a key that is not complete."""
+    found = []
+    while typed:
+        for key, command in _KEYS.items():
+            if typed.startswith(key):
+                found.append(command)
+                typed = typed[len(key) :]
+                break
+        else:
+            if len(typed) < _LONGEST and any(key.startswith(typed) for key in _KEYS):
+                break
+            typed = typed[1:]
+    return found, typed
+
+
+def is_ours(stream: IO[Any] | None = None) -> bool:
+    """Whether keys can be read: a terminal, and we are in its foreground."""
+    stream = stream or sys.stdin
+    try:
+        return stream.isatty() and os.tcgetpgrp(stream.fileno()) == os.getpgrp()
+    except (OSError, ValueError, AttributeError):
+        return False
+
+
+@contextmanager
+def keyboard(on_command: Callable[[str], None], stream: IO[Any] | None = None) -> Iterator[None]:
+    """While inside, a thread calls ``on_command`` for every key that means something."""
+    descriptor = (stream or sys.stdin).fileno()
+    before = termios.tcgetattr(descriptor)
+    raw = termios.tcgetattr(descriptor)
+    raw[3] &= ~(termios.ICANON | termios.ECHO)
+    raw[6][termios.VMIN], raw[6][termios.VTIME] = 0, _POLL_DS
+    over = threading.Event()
+
+    def read() -> None:
+        rest = b""
+        while not over.is_set():
+            typed = os.read(descriptor, 64)
+            # nothing more came: what waited for more was a key by itself
+            found, rest = commands(rest + typed) if typed else ([], b"")
+            for command in found:
+                on_command(command)
+
+    reader = threading.Thread(target=read, name="igtl-keyboard", daemon=True)
+    termios.tcsetattr(descriptor, termios.TCSADRAIN, raw)
+    try:
+        reader.start()
+        yield
+    finally:
+        over.set()
+        reader.join()
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+def read_lines(on_line: Callable[[], object], on_end: Callable[[], None], stream: IO[bytes] | None = None) -> None:
+    """A thread that calls ``on_line`` for every line of standard input, and ``on_end`` after the last."""
+
+    def read() -> None:
+        for _ in stream or sys.stdin.buffer:
+            on_line()
+        on_end()
+
+    threading.Thread(target=read, name="igtl-lines", daemon=True).start()

@@ -1,0 +1,119 @@
+"""The sides that ``replay`` drives: opened, waited for, closed at the end."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from threading import Event
+
+from igtl_gateway.app.replay_plan import PLAYED_QOS, Plan, Send, both_sender, igtl_sender, ros_sender
+from igtl_gateway.cli.common import addresses, count
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.edges.tcp import TcpEdge
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.simclock import CLOCK_TOPIC, CLOCK_TYPE
+from igtl_gateway.replay.source import fits
+
+_FLUSH_S = 30.0
+_LOOK_S = 0.2
+
+Tell = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class Side:
+    """What is open.
+
+    Attributes:
+        send: sends one entry.
+        finish: waits until all that was sent is on its way; False if that took too long.
+        ros: the edge, where ROS is driven.
+    """
+
+    send: Send
+    finish: Callable[[], bool]
+    ros: RosEdge | None = None
+
+
+def open_sides(
+    options: argparse.Namespace, file: SessionFile, how: Plan, stop: Event, stack: ExitStack, tell: Tell
+) -> Side | None:
+    """The side or sides of ``--to``, once all that is waited for is there; None if ``stop`` came first."""
+    igtl = ros = None
+    if options.to != "ros":
+        igtl = _open_igtl(options, stop, stack, tell)
+        if igtl is None:
+            return None
+    if options.to != "igtl":
+        ros = _open_ros(options, file, how, stop, stack, tell)
+        if ros is None:
+            return None
+    if igtl and ros:
+        finishes = (igtl.finish, ros.finish)
+        return Side(both_sender(igtl.send, ros.send), lambda: all([finish() for finish in finishes]), ros.ros)
+    return igtl or ros
+
+
+def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell: Tell) -> Side | None:
+    """A sender to OpenIGTLink peers, once they are there."""
+    edge = TcpEdge(
+        on_frame=lambda _link, _message: None,  # what peers say during a replay is not part of it
+        on_link=lambda _link, _up, note: tell(f"= {note.text}"),
+        on_note=lambda _link, note: tell(f"! {note.text}"),
+        clock=SystemClock(),
+        allow=tuple(options.allow),
+        when_full="block",
+    )
+    stack.callback(edge.stop)
+    listen, connect = addresses(options)
+    for address in listen:
+        host, port = edge.listen(*address)
+        tell(f"OpenIGTLink server on {host}:{port}")
+    for address in connect:
+        edge.connect(*address)
+    edge.start()
+    wanted = 1 if options.wait_peers is None else options.wait_peers
+    if wanted:
+        tell(f"waiting for {count(wanted, 'peer')}")
+    while not edge.wait_links(wanted, _LOOK_S):
+        if stop.is_set():
+            return None
+    send = igtl_sender(edge, stop if options.speed_of_light else None)
+    return Side(send, lambda: edge.flush(0.0 if stop.is_set() else _FLUSH_S))
+
+
+def _open_ros(
+    options: argparse.Namespace, file: SessionFile, how: Plan, stop: Event, stack: ExitStack, tell: Tell
+) -> Side | None:
+    """A sender to the ROS graph, its topics advertised."""
+    from igtl_gateway.edges.ros_env import prepare_environment
+
+    prepare_environment()
+    edge = RosEdge(
+        node_name="igtl_gateway_replay",
+        on_message=lambda *_: None,
+        wants=lambda *_: None,
+        on_note=lambda note: tell(f"= {note.text}"),
+    )
+    edge.start()
+    stack.callback(edge.stop)
+    channels = [
+        channel for channel in file.channels if channel.kind in how.kinds and fits(channel.topic, options.streams)
+    ]
+    for channel in channels:
+        edge.advertise(channel.topic, channel.type, channel.qos or PLAYED_QOS)
+    if options.clock:
+        edge.advertise(CLOCK_TOPIC, CLOCK_TYPE, PLAYED_QOS)
+    for topic in sorted({channel.topic for channel in channels}):
+        while options.wait_peers and not edge.wait_for_subscribers(topic, options.wait_peers, _LOOK_S):
+            if stop.is_set():
+                return None
+    # whoever listens already is to hear the first message too
+    while not edge.wait_ready(_LOOK_S):
+        if stop.is_set():
+            return None
+    send = ros_sender(edge, file, stop if options.speed_of_light else None)
+    return Side(send, lambda: stop.is_set() or edge.wait_ready(_FLUSH_S), edge)

@@ -1,0 +1,64 @@
+"""The clock of a replay on ``/clock``, for nodes with ``use_sim_time``.
+
+Its ticks stand between the entries at fixed steps of recorded time, so they are the same at every rate, like all else.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator
+
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.stamp import NS_PER_S, ns_to_ros
+
+CLOCK_TOPIC = "/clock"
+CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
+#: Reliable, so that it suits every subscriber; those of ROS want the last one only.
+CLOCK_QOS = Qos(depth=10)
+#: As in ``ros2 bag play``.
+DEFAULT_HZ = 40.0
+
+_CLOCK = struct.Struct("<4siI")
+_CDR_LE = b"\x00\x01\x00\x00"
+
+
+def period_ns(hz: float) -> int:
+    """Recorded time between two ticks.  Raises ConfigError."""
+    if not 0 < hz <= NS_PER_S:
+        raise ConfigError(f"--clock: found {hz}, expected ticks a second, above 0")
+    return max(1, round(NS_PER_S / hz))
+
+
+def is_tick(entry: Entry) -> bool:
+    """Whether an entry is one of the ticks: they have no number in the session."""
+    return entry.seq == 0 and entry.channel == CLOCK_TOPIC
+
+
+def with_ticks(entries: Iterable[Entry], start_ns: int | None, step_ns: int) -> Iterator[Entry]:
+    """The entries with ticks between them, the first at ``start_ns``; a recorded ``/clock`` gives way.
+
+    Args:
+        start_ns: None: the first entry.
+        step_ns: recorded time from tick to tick.
+    """
+    next_ns = start_ns
+    for entry in entries:
+        if entry.channel == CLOCK_TOPIC:
+            continue
+        if next_ns is None:
+            next_ns = entry.stamp_ns
+        if next_ns == start_ns and entry.stamp_ns < next_ns:  # state of before the start: the clock comes first
+            yield tick(next_ns)
+            next_ns += step_ns
+        while next_ns <= entry.stamp_ns:
+            yield tick(next_ns)
+            next_ns += step_ns
+        yield entry
+
+
+def tick(stamp_ns: int) -> Entry:
+    """The clock says this."""
+    data = _CLOCK.pack(_CDR_LE, *ns_to_ros(stamp_ns))
+    return Entry(0, stamp_ns, Kind.ROS_OUT, CLOCK_TOPIC, CLOCK_TYPE, (data,))
