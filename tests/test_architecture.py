@@ -37,6 +37,7 @@ LEVELS = {
     "edges": 4,  # the helpers that its edges share
     "edges.ros": 4,
     "edges.tcp": 4,
+    "exchange": 4,
     "record": 4,
     "replay": 4,
     "ros_interfaces": 4,
@@ -85,12 +86,13 @@ HOMES: dict[str, tuple[str, ...]] = {
     # Libraries
     "av": ("edges.video",),
     "fastcrc": ("wire",),
-    "mcap": ("record.mcap_writer", "replay.mcap_reader"),
+    "mcap": ("exchange.rosbag2", "record.mcap_writer", "replay.mcap_reader"),
     "numpy": (
         "wire",
         "convert",
         "gateway",
         "edges",
+        "exchange",
         "record",
         "replay",
         "ros_interfaces.build",
@@ -100,7 +102,9 @@ HOMES: dict[str, tuple[str, ...]] = {
     ),
     "rerun": ("view",),
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
-    "rosbags": ("record.rostypes", "replay", "cli"),
+    "rosbags": ("exchange", "record.rostypes", "replay", "cli"),
+    "ruamel": ("exchange.rosbag2",),  # brought by rosbags, as zstandard is by mcap
+    "zstandard": ("exchange.rosbag2",),
 }
 
 #: What the levels up to the gateway may not use, on top: the environment, other threads, other processes.

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import keyword
 import os
 import sys
 from collections.abc import Sequence
@@ -16,12 +17,14 @@ from igtl_gateway.errors import ConfigError, GatewayError, RosError, Unsupported
 
 FAILURE, USAGE = 1, 2
 
-#: Verb → one line of help.  The module of the same name in this package has ``add_arguments`` and ``run``.
+#: Verb → one line of help.  The module of the same name in this package has ``add_arguments`` and ``run``; verbs that
+#: are words of Python have a module with an underscore behind the name.
 VERBS = {
     "bridge": "run the gateway between OpenIGTLink and ROS 2, and record it",
     "replay": "drive OpenIGTLink or ROS 2 from a recording",
     "verify": "prove that a recording's outputs follow from its inputs, byte for byte",
     "slice": "cut a part out of a recording, by time and stream, that still verifies",
+    "import": "make a session of another program's recording",
     "info": "what is in a recording",
     "decode": "print the messages of a raw OpenIGTLink byte stream as JSON lines",
     "simulate": "make a synthetic session",
@@ -50,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         if verb == asked:
-            module = importlib.import_module(f"igtl_gateway.cli.{verb}")
+            module = importlib.import_module(f"igtl_gateway.cli.{verb}{'_' * keyword.iskeyword(verb)}")
             module.add_arguments(made)
             made.epilog = "examples:\n" + module.EXAMPLES
             made.set_defaults(run=module.run)

@@ -24,13 +24,14 @@ from mcap.writer import CompressionType, Writer
 from igtl_gateway import __version__
 from igtl_gateway.errors import RecordingError
 from igtl_gateway.qos import Qos
-from igtl_gateway.record.rostypes import RosTypes
+from igtl_gateway.record.rostypes import Definition, RosTypes
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.layout import LayoutError
 
 Compression = Literal["lz4", "zstd", "none"]
 QosOf = Callable[[str, str], Qos | None]
+DefinitionOf = Callable[[str], tuple[str, str] | None]
 
 #: Uncompressed size of a chunk: what a reader has to hold, and unpacks to see one message.
 CHUNK_BYTES = 1 << 20
@@ -48,6 +49,7 @@ class SessionWriter:
         path: the file to create.
         session: what the recording says of itself (configuration, versions, host …).
         qos_of: QoS of a ROS topic (name, type), None where it is not known.
+        definition_of: ``ros2msg`` text and hash (or ``""``) of a ROS type that goes before what is known otherwise.
         compression: of the chunks.
         chunk_bytes: size at which a chunk is closed.
         overwrite: replace an existing file instead of refusing it.
@@ -62,6 +64,7 @@ class SessionWriter:
         session: dict[str, str],
         *,
         qos_of: QosOf = lambda _topic, _type: None,
+        definition_of: DefinitionOf = lambda _type: None,
         compression: Compression = "lz4",
         chunk_bytes: int = CHUNK_BYTES,
         overwrite: bool = False,
@@ -72,6 +75,7 @@ class SessionWriter:
         #: ROS types of which no definition was found: their messages are kept, but other tools cannot decode them.
         self.undefined: list[str] = []
         self._qos_of = qos_of
+        self._definition_of = definition_of
         self._types = RosTypes()
         self._topics = layout.WireTopics()
         self._channels: dict[tuple[Kind, str, str], int] = {}  # by kind, channel and type of the entries
@@ -170,10 +174,11 @@ class SessionWriter:
 
     def _register(self, topic: str, ros_type: str, kind: Kind, facts: dict[str, str]) -> int:
         metadata = {layout.QOS_KEY: layout.qos_yaml(Qos()), layout.KIND_KEY: kind.value, **facts}
-        definition = self._types.find(ros_type)
-        if definition:
+        told = self._definition_of(ros_type)
+        definition = Definition(*told) if told else self._types.find(ros_type)
+        if definition and definition.type_hash:
             metadata[layout.TYPE_HASH_KEY] = definition.type_hash
-        elif ros_type not in self._schemas:
+        if not definition and ros_type not in self._schemas:
             self.undefined.append(ros_type)
         with self._disk():
             if ros_type not in self._schemas:

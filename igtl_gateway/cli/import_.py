@@ -1,0 +1,135 @@
+"""``igtl-gateway import``: another program's recording as a session."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway import __version__
+from igtl_gateway.cli.common import count, print_json, size
+from igtl_gateway.config import Config
+from igtl_gateway.errors import ConfigError, DamagedRecording
+from igtl_gateway.exchange.formats import open_source
+from igtl_gateway.exchange.source import Row, Source, numbered
+from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.stamp import NS_PER_S
+
+EXAMPLES = """\
+  igtl-gateway import session.bag -o session.mcap         ROS 1 bag; messages become those of ROS 2
+  igtl-gateway import recording/ -o session.mcap          rosbag2: sqlite3 or MCAP, split or not
+  igtl-gateway import freehand.igs.mha -o session.mcap    tracked ultrasound: IMAGE and TRANSFORM with their stamps
+  igtl-gateway import freehand.igs.nrrd -o session.mcap --epoch 2026-03-14T09:00:00Z
+  igtl-gateway import probe.s2c.igtl -o session.mcap      what an OpenIGTLink server sent, byte for byte
+  igtl-gateway import traffic.pcap -o session.mcap        OpenIGTLink in captured TCP, both directions
+
+exit code 1 if what was imported is not all that the source declares; the table shows where."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("source", metavar="SOURCE", type=Path, help="the file, or the directory of a rosbag2 recording")
+    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="the session file to write")
+    parser.add_argument(
+        "--epoch",
+        metavar="ISO",
+        type=epoch,
+        help="what sequences and unstamped messages count their time from (default 2000-01-01T00:00:00Z)",
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+
+
+def epoch(text: str) -> int:
+    """UTC nanoseconds of an ISO 8601 moment; one without a zone is UTC."""
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected such as 2026-03-14T09:00:00Z") from None
+    since = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
+    if since.days < 0:
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected a moment after 1970")
+    return (since.days * 86_400 + since.seconds) * NS_PER_S + since.microseconds * 1000
+
+
+def run(options: argparse.Namespace) -> int:
+    if options.out.exists() and options.source.exists() and options.out.samefile(options.source):
+        raise ConfigError(f"--out: found {options.out}, which is the source itself")
+    with closing(open_source(options.source, options.epoch)) as source:
+        writer = SessionWriter(
+            options.out,
+            facts(options.source, source),
+            qos_of=source.qos_of,
+            definition_of=source.definition_of,
+            overwrite=options.overwrite,
+        )
+        failure = ""
+        try:
+            for entry in numbered(source.items()):
+                writer.write(entry)
+        except DamagedRecording as error:
+            failure = str(error)
+        finally:
+            writer.close({"import": {"rows": [_told(row) for row in source.rows], "failure": failure}})
+    good = not failure and all(row.good for row in source.rows)
+    notes = source.notes + [
+        f"{name}: no definition found: other tools cannot decode its messages" for name in writer.undefined
+    ]
+    told: dict[str, Any] = {
+        "source": str(options.source),
+        "format": source.facts["imported_format"],
+        "file": str(options.out),
+        "good": good,
+        "entries": writer.entries,
+        "bytes": options.out.stat().st_size,
+        "rows": [_told(row) for row in source.rows],
+        "notes": notes,
+        "failure": failure,
+    }
+    if options.json:
+        print_json(told)
+    else:
+        _print(source, told)
+    return 0 if good else 1
+
+
+def facts(path: Path, source: Source) -> dict[str, str]:
+    """What the session says of itself: nothing of this machine or moment, so that equal sources give equal files."""
+    return {
+        "config": json.dumps(Config().to_dict(), sort_keys=True),
+        "igtl_gateway_version": __version__,
+        "imported_from": path.name,
+        **source.facts,
+    }
+
+
+def _told(row: Row) -> dict[str, Any]:
+    return {
+        "stream": row.stream,
+        "type": row.type,
+        "unit": row.unit,
+        "declared": row.declared,
+        "imported": row.imported,
+        "left_out": row.left_out,
+        "why": row.why,
+        "good": row.good,
+    }
+
+
+def _print(source: Source, told: dict[str, Any]) -> None:
+    print(f"{source.title}: {len(source.rows)} rows; found, imported, left out")
+    width = max((len(row.stream) for row in source.rows), default=0)
+    kinds = max((len(row.type or row.unit) for row in source.rows), default=0)
+    for row in source.rows:
+        mark = " " if row.good else "!"
+        numbers = f"{row.declared:>12,} {row.imported:>12,} {row.left_out:>12,}"
+        print(f"{mark} {row.stream:<{width}}  {row.type or row.unit:<{kinds}} {numbers}  {row.why}".rstrip())
+    for note in told["notes"]:
+        print(f"note: {note}")
+    if told["failure"]:
+        print(f"FAILED: {told['failure']}")
+    elif not told["good"]:
+        print("DIFFERENT: the rows marked ! have not all that the source declares")
+    print(f"{told['file']}: {count(told['entries'], 'entry', 'entries')}, {size(told['bytes'])}")

@@ -1,0 +1,99 @@
+"""Raw OpenIGTLink bytes of one direction (``.igtl``): ``NAME.c2s.igtl`` from client to server, ``NAME.s2c.igtl`` back.
+
+Each message is where its header's stamp says, if that is set and not before the one before; else a millisecond
+later.  Messages are taken as they are, damaged ones too.  The account is in bytes: what is not a whole message at
+the end of the file is missing in it.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.errors import DamagedRecording, MessageTooLarge, UnsupportedRecording
+from igtl_gateway.exchange.sequence import DEFAULT_EPOCH_NS
+from igtl_gateway.exchange.source import BYTES, Item, Row, Told, from_peer, link_down, link_up, reading
+from igtl_gateway.stamp import NS_PER_MS
+from igtl_gateway.wire import HEADER_SIZE
+from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.message import HEADER_VERSIONS
+
+_LINK = 1
+_READ = 1 << 16
+_START = struct.Struct(">H12s")
+
+
+class Capture(Told):
+    """An open capture.  Raises UnsupportedRecording for bytes that are not OpenIGTLink."""
+
+    def __init__(self, path: Path, epoch_ns: int | None = None) -> None:
+        super().__init__(f"OpenIGTLink bytes {path.name}", {"imported_format": "igtl"})
+        self._path = path
+        self._epoch_ns = DEFAULT_EPOCH_NS if epoch_ns is None else epoch_ns
+        with reading(path):
+            self._stream: IO[bytes] = path.open("rb")
+            start = self._stream.read(HEADER_SIZE)
+            self._stream.seek(0)
+        if not looks_like_igtl(start):
+            self._stream.close()
+            raise UnsupportedRecording(f"{path}: found {start[:14]!r}, expected the header of an OpenIGTLink message")
+        self._row = Row("(all)", path.stat().st_size, unit=BYTES)
+        self.rows = [self._row]
+
+    def items(self) -> Iterator[Item]:
+        role = "client" if ".s2c" in self._path.name else "server"
+        peer = {"peer": f"file {self._path.name}", "local": "import", "role": role}
+        time_ns = self._epoch_ns
+        first = True
+        streams: dict[str, Row] = {}
+        for message in self._messages():
+            item = from_peer(time_ns, _LINK, message)
+            if item.source_ns and (first or item.source_ns > time_ns):
+                time_ns = item.source_ns
+            elif not first:
+                time_ns += NS_PER_MS
+            if first:
+                yield link_up(time_ns, _LINK, peer)
+                first = False
+            self._row.imported += len(message)
+            count(streams, self.rows, item)
+            yield Item(time_ns, item.kind, message, item.channel, item.type, item.links, item.source_ns)
+        if not first:
+            yield link_down(time_ns, _LINK, peer, "the end of the file")
+
+    def _messages(self) -> Iterator[Buffer]:
+        framer = Framer()
+        try:
+            while data := self._stream.read(_READ):
+                yield from framer.feed(data)
+            yield from framer.feed(b"")
+        except MessageTooLarge as error:
+            raise DamagedRecording(f"{self._path}: after {self._row.imported} bytes: {error}") from None
+        if framer.pending:
+            self._row.why = f"ends inside a message, of which {framer.pending} bytes are there"
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+
+def looks_like_igtl(start: bytes) -> bool:
+    """Whether these bytes may begin an OpenIGTLink message: a known version, and a type name."""
+    if len(start) < HEADER_SIZE:
+        return False
+    version, name = _START.unpack_from(start)
+    name = name.rstrip(b"\0")
+    return version in HEADER_VERSIONS and bool(name) and all(0x20 < byte < 0x7F for byte in name)
+
+
+def count(streams: dict[str, Row], rows: list[Row], item: Item) -> None:
+    """Count a message in the row of its stream, which is made at the first; nobody declared how many there are."""
+    row = streams.get(item.channel)
+    if row is None:
+        row = streams[item.channel] = Row(item.channel.partition("/")[2], 0, item.type)
+        rows.append(row)
+    row.declared += 1
+    row.imported += 1

@@ -1,0 +1,83 @@
+"""The table of formats that can be imported, told by content first and by name where the content says nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from igtl_gateway.errors import UnsupportedRecording
+from igtl_gateway.exchange.capture import Capture, looks_like_igtl
+from igtl_gateway.exchange.pcap import MAGICS, PCAPNG, Pcap
+from igtl_gateway.exchange.rosbag1 import Rosbag1
+from igtl_gateway.exchange.rosbag2 import METADATA, Rosbag2
+from igtl_gateway.exchange.sequence import Sequence
+from igtl_gateway.exchange.source import Source, reading
+
+_START = 512
+_META_KEYS = (b"ObjectType", b"NDims", b"DimSize")
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A kind of file.
+
+    Attributes:
+        name: for the command line and for programs.
+        suffixes: how such files are usually named.
+        recognise: by the first bytes of a file.
+        open: with the moment that times without a date count from, in UTC ns (None: the format's own choice).
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    recognise: Callable[[bytes], bool]
+    open: Callable[[Path, int | None], Source]
+
+
+FORMATS = (
+    Format("rosbag1", (".bag",), lambda start: start.startswith(b"#ROSBAG V"), lambda path, _epoch: Rosbag1(path)),
+    Format(
+        "rosbag2",
+        (".mcap", ".db3"),
+        lambda start: start.startswith((b"\x89MCAP0\r\n", b"SQLite format 3\0")),
+        lambda path, _epoch: Rosbag2(path),
+    ),
+    Format(
+        "sequence",
+        (".igs.mha", ".mha", ".mhd", ".igs.nrrd", ".nrrd", ".nhdr"),
+        lambda start: start.startswith((b"NRRD000", *_META_KEYS)),
+        Sequence,
+    ),
+    Format(
+        "pcap",
+        (".pcap", ".cap"),
+        lambda start: start[:4] in MAGICS or start[:4] == PCAPNG,
+        lambda path, _epoch: Pcap(path),
+    ),
+    Format("igtl", (".igtl",), looks_like_igtl, Capture),
+)
+
+
+def open_source(path: Path, epoch_ns: int | None = None) -> Source:
+    """Open a file, or the directory of a rosbag2 recording, of whatever format it is.
+
+    Raises UnsupportedRecording (not there, unknown, of the wrong kind) or DamagedRecording.
+    """
+    if not path.exists():
+        raise UnsupportedRecording(f"{path}: there is no such file")
+    if path.is_dir():
+        if (path / METADATA).exists() or any(path.glob("*.db3*")) or any(path.glob("*.mcap*")):
+            return Rosbag2(path)
+        raise UnsupportedRecording(f"{path}: found a directory without {METADATA}, expected a rosbag2 recording")
+    if not path.is_file():
+        raise UnsupportedRecording(f"{path}: not a regular file")
+    with reading(path), path.open("rb") as stream:
+        start = stream.read(_START)
+    if path.name.endswith(".zstd"):
+        return Rosbag2(path)
+    for kind in FORMATS:
+        if kind.recognise(start):
+            return kind.open(path, epoch_ns)
+    suffixes = " ".join(suffix for kind in FORMATS for suffix in kind.suffixes)
+    raise UnsupportedRecording(f"{path}: found {start[:16]!r} at its start, expected one of these: {suffixes}")
