@@ -16,11 +16,12 @@ from typing import Any
 from igtl_gateway import __version__
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
 from igtl_gateway.app.hub import Hub
+from igtl_gateway.app.recording import offer
 from igtl_gateway.app.video import Video
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config, matches
 from igtl_gateway.convert.common_msgs import TFMessage
-from igtl_gateway.convert.igtl_msgs import LinkStatusList, MetadataItem
+from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList, MetadataItem
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import Limits, TcpEdge
 from igtl_gateway.edges.video import VideoOptions
@@ -28,7 +29,9 @@ from igtl_gateway.errors import RosError
 from igtl_gateway.gateway import LINKS_TOPIC, TICK, Session, gateway_of
 from igtl_gateway.gateway.tf_out import TF_QOS
 from igtl_gateway.qos import Qos
+from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder, RecordingSummary
+from igtl_gateway.record.selection import StateRule
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 
@@ -57,7 +60,7 @@ class BridgeOptions:
         allow: networks whose peers may connect beside this host's own.
         limits: what a peer may cost.
         node_name: of the ROS node.
-        overwrite: replace an existing recording.
+        recording: how to record.
         video: how ROS images are encoded as VIDEO (and VIDEO decoded), None to leave both alone.
     """
 
@@ -69,7 +72,7 @@ class BridgeOptions:
     allow: tuple[str, ...] = ()
     limits: Limits = field(default_factory=Limits)
     node_name: str = "igtl_gateway"
-    overwrite: bool = False
+    recording: RecordOptions = field(default_factory=RecordOptions)
     video: VideoOptions | None = None
 
 
@@ -133,7 +136,8 @@ class Bridge:
                     qos_of=lambda topic, ros_type: self.gateway.qos(topic) or self._subscription(topic, ros_type),
                     on_note=self._on_edge_note,
                     clock=self._clock,
-                    overwrite=self.options.overwrite,
+                    options=self.options.recording,
+                    rule=_state_rule(self.gateway.config),
                 )
             if self.ros:
                 self.ros.start()
@@ -142,7 +146,7 @@ class Bridge:
             self.stop()
             # a file about nothing would only be in the way of the next attempt
             if self.summary:
-                self.summary.path.unlink(missing_ok=True)
+                self.summary.discard()
             raise
         self._timer.start()
         self.tcp.start()
@@ -152,6 +156,8 @@ class Bridge:
         ros.advertise(LINKS_TOPIC, LinkStatusList.TYPE, self.gateway.qos(LINKS_TOPIC) or _RECORDED)
         if self.gateway.config.publish_tf:
             ros.advertise("/tf", TFMessage.TYPE, TF_QOS["/tf"])
+        if self.recorder:
+            offer(ros, self.recorder)
         try:
             item = ros.message_class(MetadataItem.TYPE)
         except RosError as error:
@@ -245,6 +251,18 @@ class Bridge:
 
     def _on_edge_note(self, note: Note) -> None:
         self.hub.note(note)
+
+    @property
+    def over(self) -> bool:
+        """Whether the recording has failed, and the bridge is to end with it."""
+        failed = self.recorder is not None and bool(self.recorder.failure)
+        return failed and self.options.recording.stop_on_failure
+
+
+def _state_rule(config: Config) -> StateRule:
+    """What a recording needs of streams that it leaves out: see ``record.selection``."""
+    commands = frozenset({"COMMAND", "RTS_COMMAND", Command.TYPE, CommandReply.TYPE})
+    return StateRule(frozenset({LINKS_TOPIC}), commands, frozenset(TF_QOS) if config.tf_out else frozenset())
 
 
 def session_facts(config: Config) -> dict[str, str]:

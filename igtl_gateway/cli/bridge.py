@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 from igtl_gateway import __version__
 from igtl_gateway.app.bridge import Address, Bridge, BridgeOptions
+from igtl_gateway.cli import recording
 from igtl_gateway.cli.common import (
     DEFAULT_HOST,
     DEFAULT_PORT,
@@ -46,6 +47,8 @@ EXAMPLES = """\
   igtl-gateway bridge --tf-out tool0:base_link           the tool of a robot goes out as tool0Tobase_link
   igtl-gateway bridge --video-codec h264                 images go out as encoded VIDEO
   igtl-gateway bridge --no-ros --record slicer.mcap      flight recorder without ROS
+  igtl-gateway bridge --record long.mcap --split-size 1024   a new file after each GiB, in the folder long
+  igtl-gateway bridge --record last.mcap --snapshot 30   the last 30 s, whenever key s is pressed
   igtl-gateway bridge --relay --listen :18944 --connect 127.0.0.1:18945 --record talk.mcap
                                                          record what two OpenIGTLink programs say to each other
 
@@ -59,16 +62,6 @@ _MAX_CAUSES = 1000  # causes of notes told one by one: a peer that invents devic
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_addresses(parser)
     parser.add_argument("--record", type=Path, metavar="FILE", help="record everything into this MCAP file")
-    parser.add_argument(
-        "--record-topics",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="GLOB",
-        help="with --record: record these ROS topics too (* one level, ** any)",
-    )
-    parser.add_argument("--record-all", action="store_true", help="with --record: record all ROS topics")
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing recording")
     parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file")
     add_routes(parser)
     parser.add_argument(
@@ -100,6 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--stall-s", type=float, default=10.0, metavar="S", help="longest silence inside a message (%(default)s)"
     )
+    recording.add_arguments(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
     parser.add_argument("--types", action="store_true", help="list every type and what it becomes, then end")
     parser.add_argument("--json", action="store_true", help="print events as JSON lines")
@@ -109,8 +103,7 @@ def run(options: argparse.Namespace) -> int:
     if options.types:
         print("\n".join(types()))
         return 0
-    if (options.record_topics or options.record_all) and not options.record:
-        raise ConfigError("--record-topics and --record-all say what goes into a file: --record FILE is missing")
+    how = recording.record_options(options)
     if options.duration is not None and not 0 < options.duration < float("inf"):
         raise ConfigError(f"--duration: found {options.duration:g}, expected a number of seconds above 0")
     listen, connect = addresses(options)
@@ -139,7 +132,7 @@ def run(options: argparse.Namespace) -> int:
                     max_body=options.max_body_mib << 20,
                 ),
                 node_name=options.node_name,
-                overwrite=options.overwrite,
+                recording=how,
                 video=_video(options),
             ),
             clock,
@@ -149,13 +142,14 @@ def run(options: argparse.Namespace) -> int:
         out: _Output = _JsonOutput() if options.json else _TextOutput(sys.stdout.isatty())
         started_ns = clock.monotonic_ns()
         try:
-            out.started(bridge, config, notes)
-            while not stop.wait(_STATUS_EVERY_S):
-                out.events(watch.take())
-                seconds = (clock.monotonic_ns() - started_ns) / NS_PER_S
-                out.status(bridge, watch, seconds)
-                if options.duration and seconds >= options.duration:
-                    break
+            with recording.steering(bridge.recorder) as keys:
+                out.started(bridge, config, [*notes, keys] if keys else notes)
+                while not stop.wait(_STATUS_EVERY_S):
+                    out.events(watch.take())
+                    seconds = (clock.monotonic_ns() - started_ns) / NS_PER_S
+                    out.status(bridge, watch, seconds)
+                    if bridge.over or (options.duration and seconds >= options.duration):
+                        break
         finally:
             bridge.stop()
         out.events(watch.take())
@@ -274,7 +268,7 @@ class _TextOutput:
         recorded = ""
         if bridge.recorder:
             told = bridge.recorder.counters()
-            recorded = f" | rec {told['written_entries']:,}" + (
+            recorded = f" | rec {'paused ' if bridge.recorder.paused else ''}{told['written_entries']:,}" + (
                 f" LOST {told['dropped_entries']:,}" if told["dropped_entries"] else ""
             )
         self._status = (
@@ -297,9 +291,12 @@ class _TextOutput:
                 print(f"  {' '.join(filter(None, cause))}: {number:,} times")
         if bridge.summary:
             summary = bridge.summary
-            lost = sum(summary.dropped.values())
+            lost, left_out = sum(summary.dropped.values()), sum(summary.left_out.values())
+            files = f"{count(len(summary.files), 'snapshot')} of " if bridge.options.recording.snapshot_s else ""
             print(
-                f"recorded {count(summary.entries, 'entry', 'entries')} into {summary.path} ({size(summary.size)})"
+                f"recorded {count(summary.entries, 'entry', 'entries')} into {files}{summary.path} "
+                f"({size(summary.size)})"
+                + (f", left out {left_out:,}" if left_out else "")
                 + (f", LOST {lost:,}" if lost else "")
                 + (f": {summary.failure}" if summary.failure else "")
             )
@@ -345,7 +342,9 @@ class _JsonOutput:
             told["recording"] = {
                 "path": bridge.summary.path,
                 "entries": bridge.summary.entries,
+                "files": bridge.summary.files,
                 "dropped": sum(bridge.summary.dropped.values()),
+                "left_out": sum(bridge.summary.left_out.values()),
                 "bytes": bridge.summary.size,
                 "failure": bridge.summary.failure,
             }

@@ -10,10 +10,13 @@ than itself.
 
 from __future__ import annotations
 
+import errno
 import json
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from io import BufferedWriter
+from dataclasses import dataclass
+from io import BufferedWriter, BytesIO
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,6 +33,8 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.layout import LayoutError
 
 Compression = Literal["lz4", "zstd", "none"]
+#: When what is written is on the disk itself, so that a power loss does not cost it.
+Fsync = Literal["never", "flush", "close"]
 QosOf = Callable[[str, str], Qos | None]
 DefinitionOf = Callable[[str], tuple[str, str] | None]
 
@@ -40,6 +45,18 @@ _COMPRESSIONS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD, "none
 #: Channels of ROS topics.  MCAP has 65,535 channels, and the other kinds need some.
 _MAX_ROS_CHANNELS = 60_000
 _U64 = 1 << 64
+_DATASYNC = getattr(os, "fdatasync", os.fsync)  # not every system has the first
+
+
+@dataclass(frozen=True, slots=True)
+class TopicCount:
+    """What a file holds of a topic: as the side file of a split recording tells it."""
+
+    topic: str
+    type: str
+    qos: str
+    type_hash: str
+    count: int
 
 
 class SessionWriter:
@@ -52,7 +69,10 @@ class SessionWriter:
         definition_of: ``ros2msg`` text and hash (or ``""``) of a ROS type that goes before what is known otherwise.
         compression: of the chunks.
         chunk_bytes: size at which a chunk is closed.
+        fsync: when what is written is on the disk itself.
         overwrite: replace an existing file instead of refusing it.
+        prologue: inputs before the first entry, which the gateway's state came from.
+        memory: write into this instead of a file.
 
     Raises RecordingError when the file cannot be created.  From the constructor on it can be read by scanning,
     and after :meth:`close` by its index.
@@ -67,11 +87,16 @@ class SessionWriter:
         definition_of: DefinitionOf = lambda _type: None,
         compression: Compression = "lz4",
         chunk_bytes: int = CHUNK_BYTES,
+        fsync: Fsync = "never",
         overwrite: bool = False,
+        prologue: Iterable[Entry] = (),
+        memory: BytesIO | None = None,
     ) -> None:
         self.path = path
         #: Entries written so far.
         self.entries = 0
+        #: Stamps of the first and the last one, 0 before there is one.
+        self.start_ns = self.end_ns = 0
         #: ROS types of which no definition was found: their messages are kept, but other tools cannot decode them.
         self.undefined: list[str] = []
         self._qos_of = qos_of
@@ -80,24 +105,32 @@ class SessionWriter:
         self._topics = layout.WireTopics()
         self._channels: dict[tuple[Kind, str, str], int] = {}  # by kind, channel and type of the entries
         self._schemas: dict[str, int] = {}
+        self._facts: list[tuple[str, str, dict[str, str]]] = []  # topic, type and metadata of channel 1, 2 …
+        self._counts: list[int] = []
         self._closed = False
         self._failure = ""
-        self._file = _create(path, overwrite)
+        self._fsync = fsync
+        before = packed(prologue)
+        self._file = memory or _create(path, overwrite)
         self._mcap = Writer(self._file, chunk_size=chunk_bytes, compression=_COMPRESSIONS[compression])
         try:
-            self._start(session)
+            self._start(session, before)
+            if fsync != "never":
+                _sync_folder(path.parent)
         except OSError as error:
-            self._file.raw.close()
+            self._abandon()
             path.unlink(missing_ok=True)
             raise RecordingError(f"cannot record to {path}: {_reason(error)}") from error
 
-    def _start(self, session: dict[str, str]) -> None:
+    def _start(self, session: dict[str, str], prologue: bytes) -> None:
         facts = {**session, layout.FORMAT_VERSION_KEY: str(layout.FORMAT_VERSION)}
         self._mcap.start(layout.MCAP_PROFILE, f"igtl-gateway {__version__}")
         self._mcap.add_metadata(layout.SESSION_METADATA, layout.seal(facts))
         self._mcap.add_metadata(layout.SESSION_METADATA, layout.seal(facts))
         configuration = facts.get(layout.CONFIGURATION_KEY, "{}").encode()
         self._mcap.add_attachment(0, 0, layout.CONFIGURATION_ATTACHMENT, "application/json", configuration)
+        if prologue:
+            self._mcap.add_attachment(0, 0, layout.PROLOGUE_ATTACHMENT, "application/octet-stream", prologue)
         self._mcap.flush()  # type: ignore[no-untyped-call]
 
     def write(self, entry: Entry) -> None:
@@ -124,12 +157,19 @@ class SessionWriter:
             )
         except OSError as error:
             raise self._failed(error) from error
+        self._counts[channel - 1] += 1
+        self.start_ns = self.start_ns or entry.stamp_ns
+        self.end_ns = entry.stamp_ns
         self.entries += 1
 
     def flush(self) -> None:
-        """Hand what was written to the operating system: a kill −9 does not lose it.  Raises RecordingError."""
+        """Hand what was written to the operating system: a kill −9 does not lose it.  Raises RecordingError.
+
+        That the file was removed under us is noticed here: nothing else would ever tell.
+        """
         with self._disk():
             self._mcap.flush()  # type: ignore[no-untyped-call]
+            self._settle("flush")
 
     @property
     def size(self) -> int:
@@ -148,7 +188,26 @@ class SessionWriter:
             self._mcap.flush()  # type: ignore[no-untyped-call]
             self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal(facts))
             self._mcap.finish()  # type: ignore[no-untyped-call]
-            self._file.close()
+            self._file.flush()
+            self._settle("flush", "close")
+            if isinstance(self._file, BufferedWriter):
+                self._file.close()
+
+    @property
+    def files(self) -> list[Path]:
+        """All that was written."""
+        return [self.path]
+
+    def topics(self) -> list[TopicCount]:
+        """What is in it, by topic and type; the kinds of entries of one topic together."""
+        counts: dict[tuple[str, str], TopicCount] = {}
+        for (topic, ros_type, facts), number in zip(self._facts, self._counts, strict=True):
+            before = counts.get((topic, ros_type))
+            total = number + (before.count if before else 0)
+            counts[topic, ros_type] = TopicCount(
+                topic, ros_type, facts[layout.QOS_KEY], facts.get(layout.TYPE_HASH_KEY, ""), total
+            )
+        return list(counts.values())
 
     def _open_channel(self, entry: Entry) -> int:
         """The channel of the first entry of a stream."""
@@ -191,6 +250,8 @@ class SessionWriter:
             schema = self._schemas[ros_type]
             channel = self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, schema, metadata)
             self._repeat(Channel(channel, topic, layout.MESSAGE_ENCODING, metadata, schema))
+        self._facts.append((topic, ros_type, metadata))
+        self._counts.append(0)
         return channel
 
     def _repeat(self, record: McapRecord) -> None:
@@ -198,6 +259,20 @@ class SessionWriter:
         builder = RecordBuilder()
         record.write(builder)
         self._file.write(builder.end())  # type: ignore[no-untyped-call]
+
+    def _settle(self, *moments: Fsync) -> None:
+        """See to it that what was written is where it belongs.  Raises OSError if the file is no longer there."""
+        if not isinstance(self._file, BufferedWriter):
+            return
+        if self._fsync in moments:
+            _DATASYNC(self._file.fileno())
+        here = os.fstat(self._file.fileno())
+        try:
+            there = self.path.stat()
+        except FileNotFoundError:
+            raise OSError(errno.ENOENT, "the file was removed") from None
+        if (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
+            raise OSError(errno.ESTALE, "another file took its place")
 
     @contextmanager
     def _disk(self) -> Iterator[None]:
@@ -215,8 +290,35 @@ class SessionWriter:
     def _failed(self, error: OSError) -> RecordingError:
         """After an error nobody knows what is in the file and in the library's buffers, so no more is written."""
         self._failure = f"recording to {self.path} failed: {_reason(error)}"
-        self._file.raw.close()
+        self._abandon()
         return RecordingError(self._failure)
+
+    def _abandon(self) -> None:
+        """Close the file without another attempt to write."""
+        if isinstance(self._file, BufferedWriter):
+            self._file.raw.close()
+
+
+def packed(entries: Iterable[Entry]) -> bytes:
+    """Entries as the bytes of an MCAP file of the same layout; none: nothing."""
+    entries = list(entries)
+    if not entries:
+        return b""
+    stream = BytesIO()
+    writer = SessionWriter(Path(layout.PROLOGUE_ATTACHMENT), {}, memory=stream)
+    for entry in entries:
+        writer.write(entry)
+    writer.close({})
+    return stream.getvalue()
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the file's name survive a power loss, too."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _create(path: Path, overwrite: bool) -> BufferedWriter:

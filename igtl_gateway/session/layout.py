@@ -36,6 +36,14 @@ SCHEMA_ENCODING = "ros2msg"
 SESSION_METADATA = "igtl_gateway.session"
 LEDGER_METADATA = "igtl_gateway.ledger"
 CONFIGURATION_ATTACHMENT = "configuration.json"
+#: Inputs before the first entry: an MCAP file of this layout within the file.
+PROLOGUE_ATTACHMENT = "prologue.mcap"
+#: Keys of the session metadata of a part of a split recording: its number, from 0, and the file before it.
+PART_KEY, PREVIOUS_KEY = "part", "previous_part"
+#: Key of the session metadata of a snapshot: how many seconds it was to hold.
+SNAPSHOT_KEY = "snapshot_seconds"
+#: Keys of the session metadata where streams were chosen: globs, a JSON array.
+INCLUDE_KEY, EXCLUDE_KEY = "record_include", "record_exclude"
 #: Key of the session metadata that is repeated in the attachment.
 CONFIGURATION_KEY = "config"
 FORMAT_VERSION_KEY = "format_version"

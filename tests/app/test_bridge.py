@@ -12,6 +12,7 @@ from igtl_gateway.buffers import join
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.errors import ConfigError, RecordingError
+from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
@@ -25,7 +26,7 @@ def test_a_port_that_is_taken_does_not_cost_the_recording_of_yesterday(tmp_path:
     recording = tmp_path / "out.mcap"
     recording.write_bytes(b"yesterday")
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        options = BridgeOptions((taken.getsockname(),), ros=False, record=recording, overwrite=True)
+        options = BridgeOptions((taken.getsockname(),), ros=False, record=recording, recording=RecordOptions(overwrite=True))
         with pytest.raises(ConfigError):
             Bridge(Config(), options, SystemClock()).start()
     assert recording.read_bytes() == b"yesterday"

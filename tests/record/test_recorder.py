@@ -25,6 +25,7 @@ from igtl_gateway.errors import DamagedRecording, RecordingError
 from igtl_gateway.qos import Qos
 from igtl_gateway.record import recorder as recorder_module
 from igtl_gateway.record.mcap_writer import Compression, SessionWriter
+from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session import layout
@@ -52,7 +53,7 @@ class Bench:
             qos_of=self._qos_of,
             on_note=self._on_note,
             clock=self.clock,
-            **options,  # type: ignore[arg-type]
+            options=RecordOptions(**options),  # type: ignore[arg-type]
         )
 
     def hold(self, seq: int) -> None:
@@ -273,7 +274,7 @@ def test_drops_are_noted_at_most_once_a_second_but_all_of_them(path: Path) -> No
 
 
 def test_streams_of_drops_are_bounded(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recorder_module, "_MAX_STREAMS", 2)
+    monkeypatch.setattr(recorder_module, "MAX_STREAMS", 2)
     bench = Bench(path)
     bench.recorder.close({})
     for number in range(5):

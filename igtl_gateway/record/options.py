@@ -1,0 +1,49 @@
+"""How to record: the recorder's options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from igtl_gateway.record.mcap_writer import CHUNK_BYTES, Compression, Fsync
+from igtl_gateway.record.selection import Selection
+
+#: Bounds of the queue: a second of Full HD video at 40 Hz, and ten seconds of small messages at 20 kHz.
+QUEUE_BYTES = 256 << 20
+QUEUE_ENTRIES = 200_000
+#: Bound of what is kept in memory for a snapshot.
+SNAPSHOT_BYTES = 512 << 20
+#: Interval at which the file is flushed: what a kill −9 may cost.
+FLUSH_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class RecordOptions:
+    """See the command line.
+
+    Attributes:
+        compression: of the chunks.
+        chunk_bytes: size of a chunk before compression.
+        flush_s: everything older is in the file, come what may.
+        fsync: when what is in the file is on the disk itself.
+        split_bytes, split_s: a part ends when it has reached this size or lasted so long; 0: never.
+        snapshot_s: keep the last seconds in memory, and write them when asked to; 0: write everything at once.
+        snapshot_bytes: bound of what is kept in memory.
+        selection: which streams are recorded.
+        queue_bytes, queue_entries: bounds of the queue.
+        overwrite: replace an existing recording instead of refusing it.
+        stop_on_failure: whoever runs the recorder ends with it.
+    """
+
+    compression: Compression = "lz4"
+    chunk_bytes: int = CHUNK_BYTES
+    flush_s: float = FLUSH_S
+    fsync: Fsync = "never"
+    split_bytes: int = 0
+    split_s: float = 0.0
+    snapshot_s: float = 0.0
+    snapshot_bytes: int = SNAPSHOT_BYTES
+    selection: Selection = field(default_factory=Selection)
+    queue_bytes: int = QUEUE_BYTES
+    queue_entries: int = QUEUE_ENTRIES
+    overwrite: bool = False
+    stop_on_failure: bool = False

@@ -1,0 +1,66 @@
+"""The prologue: what the gateway has to know before a file that begins in the middle of a session.
+
+The state of the gateway follows from all inputs since the beginning.  Most of them have left nothing behind, so a
+few stand for all: links, inputs by which the gateway learned something (a first message of a stream, a version, a
+refusal: it shows in their outputs), and the last input of each stream, which a query may ask for.  They are kept
+within bounds; who shares a state that is made of more, such as frames of many nodes on ``/tf``, reads all parts.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Hashable
+
+from igtl_gateway.record.selection import StateRule
+from igtl_gateway.session.entry import Entry, Kind
+
+MAX_ENTRIES = 5_000
+MAX_BYTES = 64 << 20
+
+
+class Prologue:
+    """Sees all entries in their order; remembers the inputs that matter."""
+
+    def __init__(self, rule: StateRule, max_entries: int = MAX_ENTRIES, max_bytes: int = MAX_BYTES) -> None:
+        self._rule = rule
+        self._max_entries, self._max_bytes = max_entries, max_bytes
+        self._input: Entry | None = None
+        self._links: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
+        self._learned: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
+        self._last: OrderedDict[Hashable, Entry] = OrderedDict()  # by stream and link
+        self._bytes = 0
+
+    def see(self, entry: Entry) -> None:
+        """Take notice of the next entry."""
+        if entry.kind is Kind.LINK:
+            self._input = None
+            self._add(self._links, entry.seq, entry)
+        elif entry.kind.is_input:
+            self._input = entry
+            if self._rule.by_input(entry):
+                self._add(self._learned, entry.seq, entry)
+            elif entry.kind is not Kind.EDGE_NOTE:
+                self._add(self._last, (entry.kind, entry.channel, entry.links), entry)
+        elif self._input is not None and self._rule.by_output(entry):
+            self._add(self._learned, self._input.seq, self._input)
+            self._input = None
+
+    def entries(self) -> list[Entry]:
+        """The inputs to be fed to a gateway first, in their order."""
+        found = {entry.seq: entry for kept in (self._links, self._learned, self._last) for entry in kept.values()}
+        return [found[seq] for seq in sorted(found)]
+
+    def _add(self, kept: OrderedDict[Hashable, Entry], key: Hashable, entry: Entry) -> None:
+        if entry.size > self._max_bytes // 8:
+            return  # one picture must not push out everything else
+        before = kept.pop(key, None)
+        kept[key] = entry
+        self._bytes += entry.size - (before.size if before else 0)
+        while self._bytes > self._max_bytes or self._count() > self._max_entries:
+            # the last of a stream are the least: pictures, mostly
+            least = next(part for part in (self._last, self._learned, self._links) if part)
+            _, gone = least.popitem(last=False)
+            self._bytes -= gone.size
+
+    def _count(self) -> int:
+        return len(self._links) + len(self._learned) + len(self._last)

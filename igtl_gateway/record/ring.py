@@ -1,0 +1,100 @@
+"""Snapshots: the last seconds of a session in memory, written into a file of their own when asked to."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.errors import RecordingError
+from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.record.prologue import Prologue
+from igtl_gateway.session import layout
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.session.layout import LayoutError
+from igtl_gateway.stamp import NS_PER_S
+
+#: (path, further session facts, prologue) → the writer of a snapshot.
+Open = Callable[[Path, dict[str, str], Sequence[Entry]], SessionWriter]
+
+_ENTRY_BYTES = 500  # what an entry costs beside its payload
+
+
+class Ring:
+    """Keeps entries; as SessionWriter, but files come from :meth:`take` only.
+
+    Args:
+        path: ``name.mcap``: snapshots are ``name_<UTC time>.mcap`` beside it.
+        open_file: makes the writer of a snapshot.
+        prologue: has to be fresh.
+        seconds, max_bytes: what is older, or too much, is let go, an input with its outputs.
+
+    Raises RecordingError when there is no such folder.
+    """
+
+    def __init__(self, path: Path, open_file: Open, prologue: Prologue, *, seconds: float, max_bytes: int) -> None:
+        self.path = path
+        #: Entries that were written, and the size of the files.
+        self.entries = self.size = 0
+        self.undefined: list[str] = []
+        self.files: list[Path] = []
+        self._open_file = open_file
+        self._prologue = prologue
+        self._seconds = seconds
+        self._max_ns, self._max_bytes = int(seconds * NS_PER_S), max_bytes
+        self._entries: deque[Entry] = deque()
+        self._bytes = 0
+        if not path.parent.is_dir():
+            raise RecordingError(f"cannot record to {path}: there is no folder {path.parent}")
+
+    def write(self, entry: Entry) -> None:
+        """Keep an entry, and let go of what is too old."""
+        self._entries.append(entry)
+        self._bytes += entry.size + _ENTRY_BYTES
+        while self._bytes > self._max_bytes or entry.stamp_ns - self._entries[0].stamp_ns > self._max_ns:
+            if not self._let_go():
+                break
+
+    def _let_go(self) -> bool:
+        """Forget the oldest input with its outputs; False if there is nothing else."""
+        following = next((at for at, entry in enumerate(self._entries) if at and entry.kind.is_input), 0)
+        for _ in range(following):
+            gone = self._entries.popleft()
+            self._bytes -= gone.size + _ENTRY_BYTES
+            self._prologue.see(gone)
+        return following > 0
+
+    def take(self, counters: dict[str, Any]) -> Path:
+        """Write what there is into a file.  Raises RecordingError; the ring goes on in any case."""
+        entries = list(self._entries)
+        last_ns = entries[-1].stamp_ns if entries else 0
+        path = self._path(last_ns)
+        writer = self._open_file(path, {layout.SNAPSHOT_KEY: f"{self._seconds:g}"}, self._prologue.entries())
+        for entry in entries:
+            with suppress(LayoutError):  # what the format cannot hold costs only itself
+                writer.write(entry)
+        writer.close({"recorder": counters | {"written_entries": writer.entries}})
+        self.files.append(path)
+        self.entries += writer.entries
+        self.undefined += [name for name in writer.undefined if name not in self.undefined]
+        self.size += path.stat().st_size
+        return path
+
+    def flush(self) -> None:
+        """Nothing is on its way to a file."""
+
+    def close(self, ledger: dict[str, Any]) -> None:
+        """What was not asked for is not written."""
+        self._entries.clear()
+
+    def _path(self, stamp_ns: int) -> Path:
+        time = datetime.fromtimestamp(stamp_ns // NS_PER_S, UTC)
+        name = f"{self.path.stem if self.path.suffix == '.mcap' else self.path.name}_{time:%Y%m%dT%H%M%SZ}"
+        path, number = self.path.with_name(f"{name}.mcap"), 1
+        while path.exists():
+            number += 1
+            path = self.path.with_name(f"{name}_{number}.mcap")
+        return path

@@ -1,0 +1,133 @@
+"""Which inputs are recorded: by stream, and while the recording is not paused.
+
+An input that is left out takes its outputs with it, so what is recorded still follows from what is recorded.  Two
+kinds of inputs are recorded in any case, because later outputs depend on them: links and notes, and inputs by which
+the gateway learned something, which shows in their outputs (a note, the list of links).  So an input that is to be
+left out is held until its outputs have told.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from igtl_gateway.config import matches
+from igtl_gateway.session import layout
+from igtl_gateway.session.entry import Entry, Kind
+
+_IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
+_ALWAYS = frozenset({Kind.LINK, Kind.EDGE_NOTE})
+#: Streams counted one by one; the rest together.
+MAX_STREAMS = 1_000
+OTHERS = "(others)"
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Globs of streams: ``TYPE/device``, a device name alone, or a topic (``*`` one level, ``**`` any).
+
+    Attributes:
+        include: record only these; empty: all.
+        exclude: of those, not these.
+    """
+
+    include: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+
+    def facts(self) -> dict[str, str]:
+        """What a recording says of it; nothing where all is recorded."""
+        told = {layout.INCLUDE_KEY: self.include, layout.EXCLUDE_KEY: self.exclude}
+        return {key: json.dumps(globs) for key, globs in told.items() if globs}
+
+    def __contains__(self, entry: Entry) -> bool:
+        names = [entry.channel]
+        if entry.kind in _IGTL:
+            names.append(entry.channel.partition("/")[2])
+        if self.include and not _any_matches(self.include, names):
+            return False
+        return not _any_matches(self.exclude, names)
+
+
+@dataclass(frozen=True, slots=True)
+class StateRule:
+    """How to see that an input changes what the gateway will say to others.
+
+    Attributes:
+        topics: an output there, or an input from there, tells.
+        types: types of inputs that always do.
+        mixed: topics of which every message adds to what is known: recorded in any case, though too many to be
+            repeated in a prologue.
+    """
+
+    topics: frozenset[str] = frozenset()
+    types: frozenset[str] = frozenset()
+    mixed: frozenset[str] = frozenset()
+
+    def by_input(self, entry: Entry) -> bool:
+        """Whether the input tells by itself."""
+        return entry.kind is Kind.LINK or entry.type in self.types or entry.channel in self.topics
+
+    def by_output(self, entry: Entry) -> bool:
+        """Whether an output tells it of its cause."""
+        return entry.kind is Kind.NOTE or (entry.kind is Kind.ROS_OUT and entry.channel in self.topics)
+
+    def mixes(self, entry: Entry) -> bool:
+        """Whether it is a message of a mixed topic."""
+        return entry.channel in self.mixed
+
+
+class Gate:
+    """Lets entries pass, in their order; counts what it does not."""
+
+    def __init__(self, selection: Selection, rule: StateRule) -> None:
+        #: Entries left out so far, by stream.
+        self.left_out: Counter[str] = Counter()
+        self.paused = False
+        self._selection = selection
+        self._rule = rule
+        self._chosen: dict[tuple[Kind, str], bool] = {}
+        self._open = True  # for the outputs of the last input
+        self._held: list[Entry] = []
+
+    def take(self, entry: Entry) -> Sequence[Entry]:
+        """The entries that are to be recorded now that this one has come."""
+        if entry.kind.is_input:
+            self._leave_out()
+            self._open = self._wanted(entry)
+        elif not self._open and (self._rule.by_output(entry) or self._rule.mixes(entry)):
+            self._open = True
+            held, self._held = self._held, []
+            return (*held, entry)
+        if self._open:
+            return (entry,)
+        self._held.append(entry)
+        return ()
+
+    def end(self) -> None:
+        """No more entries."""
+        self._leave_out()
+
+    def _leave_out(self) -> None:
+        """Count what was held, and is not wanted after all."""
+        for entry in self._held:
+            known = entry.channel in self.left_out or len(self.left_out) < MAX_STREAMS
+            self.left_out[entry.channel if known else OTHERS] += 1
+        self._held.clear()
+
+    def _wanted(self, entry: Entry) -> bool:
+        if entry.kind in _ALWAYS or self._rule.by_input(entry) or self._rule.mixes(entry):
+            return True
+        if self.paused:
+            return False
+        chosen = self._chosen.get((entry.kind, entry.channel))
+        if chosen is None:
+            chosen = entry in self._selection
+            if len(self._chosen) < MAX_STREAMS:
+                self._chosen[entry.kind, entry.channel] = chosen
+        return chosen
+
+
+def _any_matches(globs: tuple[str, ...], names: Sequence[str]) -> bool:
+    return any(matches(glob, name) for glob in globs for name in names)
