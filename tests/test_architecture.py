@@ -86,7 +86,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     # Libraries
     "av": ("edges.video",),
     "fastcrc": ("wire",),
-    "mcap": ("exchange.rosbag2", "record.mcap_writer", "replay.mcap_reader"),
+    "mcap": ("exchange.rosbag2", "record.mcap_copy", "record.mcap_writer", "replay.mcap_reader", "replay.salvage"),
     "numpy": (
         "wire",
         "convert",

@@ -132,15 +132,7 @@ class SessionFile:
         Raises UnsupportedRecording (no such file, not MCAP, of a newer version …) or DamagedRecording.
         """
         path = Path(path)
-        try:
-            if path.is_dir():
-                raise UnsupportedRecording(f"{path}: found a directory, expected the .mcap file in it")
-            if path.exists() and not path.is_file():
-                raise UnsupportedRecording(f"{path}: not a regular file")
-            stream = path.open("rb")
-        except (OSError, ValueError) as error:
-            reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
-            raise UnsupportedRecording(f"{path}: cannot be opened: {reason}") from None
+        stream = open_file(path)
         try:
             return cls(path, stream)
         except BaseException:
@@ -303,6 +295,19 @@ def decoder(kind: Kind, topic: str, ros_type: str) -> Decode:
         return Entry(seq, message.log_time, kind, topic, ros_type, (message.data,), (), source_ns)
 
     return ros
+
+
+def open_file(path: Path) -> IO[bytes]:
+    """The open file.  Raises UnsupportedRecording."""
+    try:
+        if path.is_dir():
+            raise UnsupportedRecording(f"{path}: found a directory, expected the .mcap file in it")
+        if path.exists() and not path.is_file():
+            raise UnsupportedRecording(f"{path}: not a regular file")
+        return path.open("rb")
+    except (OSError, ValueError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise UnsupportedRecording(f"{path}: cannot be opened: {reason}") from None
 
 
 def _check_ends(path: Path, stream: IO[bytes]) -> int:

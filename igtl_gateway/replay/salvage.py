@@ -1,0 +1,661 @@
+"""What is left of a damaged recording: cut off anywhere, bits flipped anywhere, no index.
+
+An MCAP file is a row of records, each with its length in front, and most messages are in chunks under a checksum.
+The row is walked from record to record.  Where a record does not fit, its own fields may tell its end after all
+(almost all of them have their lengths twice); otherwise the next place is sought at which a record fits.  Nothing is
+taken from a chunk whose checksum is wrong, so what is given is right, and whatever is not given is told, with its
+place in the file and in time.  One flipped bit costs one chunk at most.
+
+Files of other programs are read the same way; of their messages without a checksum no more can be said than that
+they are where they should be.
+
+Memory is bounded by the largest chunk and the largest attachment.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, TypeVar
+
+from mcap.data_stream import ReadDataStream
+from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema, Statistics
+from mcap.stream_reader import get_chunk_data_stream
+
+from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.replay.mcap_reader import (
+    FOOTER,
+    MAGIC,
+    SEQUENCES,
+    Decode,
+    decoder,
+    format_version,
+    kind_of,
+    open_file,
+)
+from igtl_gateway.session import layout, migrations
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.session.layout import LayoutError
+
+_Record = TypeVar("_Record", Header, Schema, Channel, Metadata, Attachment, Statistics)
+
+#: Losses that are told one by one; the rest are counted.
+MAX_LOSSES = 1_000
+
+#: Kinds of losses.
+CUT_OFF, CHUNK, BYTES, CHANNEL, NUMBER, METADATA, LEDGER, ATTACHMENT = (
+    "cut_off", "chunk", "bytes", "channel", "number", "metadata", "ledger", "attachment",
+)  # fmt: skip
+
+_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX = range(1, 8)
+_ATTACHMENT, _STATISTICS, _METADATA, _DATA_END = 9, 11, 12, 15
+_HEAD = struct.Struct("<BQ")
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+_CHUNK_HEAD = struct.Struct("<QQQI")
+_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
+#: The fields of each record of a data section: bytes of fixed size, or a length (of 4 or 8 bytes) and so many bytes.
+_FIELDS: dict[int, tuple[int | struct.Struct, ...]] = {
+    _HEADER: (_U32, _U32),
+    _SCHEMA: (2, _U32, _U32, _U32),
+    _CHANNEL: (4, _U32, _U32, _U32),
+    _CHUNK: (_CHUNK_HEAD.size, _U32, _U64),
+    _MESSAGE_INDEX: (2, _U32),
+    _ATTACHMENT: (16, _U32, _U32, _U64, 4),
+    _METADATA: (_U32, _U32),
+    _DATA_END: (4,),
+}
+_PRIVATE = 0x80  # opcodes from here on are for whoever wants them
+_COMPRESSIONS = ("lz4", "zstd", "")
+#: Where a record may begin, for the search: one of those that are never inside a chunk, or, in files that have
+#: messages outside, a message.  None is larger than a terabyte.
+_CANDIDATE = re.compile(rb"[\x06\x07\x09\x0c\x0f](?=.{5}\0\0\0)", re.DOTALL)
+_CANDIDATE_MESSAGE = re.compile(rb"[\x05\x06\x07\x09\x0c\x0f](?=.{5}\0\0\0)", re.DOTALL)
+_WINDOW = 1 << 20
+#: So many records in a row have to fit for the first one to be taken as a message.
+_CHAIN = 4
+
+
+@dataclass(slots=True)
+class Loss:
+    """Something that is not there.
+
+    Attributes:
+        what: kind of the loss.
+        at: offset in the file.
+        size: bytes of the file that could not be used.
+        start_ns, end_ns: UTC nanoseconds between which it happened, as far as known; 0 = not known.
+        text: the reason, for people.
+    """
+
+    what: str
+    at: int
+    size: int
+    start_ns: int
+    end_ns: int
+    text: str
+
+
+@dataclass(slots=True)
+class Report:
+    """What was read and what was not; complete after the last message.
+
+    Attributes:
+        size: bytes of the file.
+        closed: the recording ended properly: nothing was still to come.
+        indexed: the index is right.
+        messages: messages that were read.
+        start_ns, end_ns: UTC nanoseconds of the first and the last of them; 0 where there is none.
+        missing: messages that were there and are lost, by the index; None where the index is lost, too.
+        missing_numbers: entry numbers that the places of loss leave out: so many entries, at most, are lost there.
+        lost: the losses, in order; the first MAX_LOSSES of them.
+        more_lost: how many more there are.
+    """
+
+    size: int
+    closed: bool = False
+    indexed: bool = False
+    messages: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+    missing: int | None = None
+    missing_numbers: int = 0
+    lost: list[Loss] = field(default_factory=list)
+    more_lost: int = 0
+
+    @property
+    def whole(self) -> bool:
+        """Whether everything that was recorded has been read."""
+        return self.closed and not self.lost
+
+
+@dataclass(frozen=True, slots=True)
+class Salvaged:
+    """A message, with all that is needed to write it again; ``entry`` is None where it is not one of the session."""
+
+    schema: Schema | None
+    channel: Channel
+    message: Message
+    entry: Entry | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Definition:
+    channel: Channel
+    schema: Schema | None
+    decode: Decode | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """A record, or (opcode 0) bytes that are none."""
+
+    opcode: int
+    at: int
+    end: int
+
+
+class Salvage:
+    """A file of which as much as possible is read; a context manager.  Use :meth:`open`.
+
+    Attributes:
+        path: the file.
+        profile, library: of the file's header; ``""`` where that is lost.
+        session, format_version, ledger, foreign: as of SessionFile.
+        metadata: the other metadata records.
+        report: what was read and lost so far.
+        position: offset that has been read up to, for whoever shows progress.
+    """
+
+    def __init__(self, path: Path, stream: IO[bytes]) -> None:
+        self.path = path
+        self._stream = stream
+        self._window = (0, b"")
+        size = stream.seek(0, 2)
+        if not size:
+            raise UnsupportedRecording(f"{path}: the file is empty")
+        self.report = Report(size)
+        self.position = 0
+        self.profile = self.library = ""
+        self.metadata: list[Metadata] = []
+        self._loose = False  # messages lie outside of chunks
+        self._schemas: dict[int, tuple[Schema, bool]] = {}  # and whether under a checksum
+        self._channels: dict[int, tuple[Channel, bool]] = {}
+        self._definitions: dict[int, _Definition] = {}  # settled ones
+        self._sought = False
+        self._attachments: list[_Frame] = []
+        self._statistics: Statistics | None = None
+        self._data_end = size
+        self._read_summary()
+        found = self._survey()
+        if not found and not MAGIC.startswith(self._bytes(0, len(MAGIC))):
+            start = self._bytes(0, len(MAGIC))
+            raise UnsupportedRecording(f"{path}: not an MCAP file: found {start.hex(' ')}, expected {MAGIC.hex(' ')}")
+
+    @classmethod
+    def open(cls, path: Path | str) -> Salvage:
+        """Open a file and look over it; the messages are read by :meth:`read`.
+
+        Raises UnsupportedRecording (no such file, nothing of MCAP in it, a newer version), DamagedRecording where
+        the disk refuses.
+        """
+        path = Path(path)
+        stream = open_file(path)
+        try:
+            return cls(path, stream)
+        except OSError as error:
+            stream.close()
+            raise DamagedRecording(f"{path}: cannot be read: {error.strerror}") from None
+        except BaseException:
+            stream.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file.  Payloads that were read stay valid."""
+        self._stream.close()
+
+    def __enter__(self) -> Salvage:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def entries(self) -> Iterator[Entry]:
+        """All entries that can be read, in their order.  Raises DamagedRecording where the disk refuses."""
+        found = (each.entry for each in self.read() if each.entry is not None)
+        return migrations.entries(self.format_version, found)
+
+    def attachments(self) -> Iterator[Attachment]:
+        """The attachments whose checksum is right."""
+        for frame in self._attachments:
+            attachment = self._attachment(frame)
+            if attachment:
+                yield attachment
+
+    def read(self) -> Iterator[Salvaged]:
+        """All messages that can be read, as they lie in the file; once.  Raises DamagedRecording as above."""
+        try:
+            yield from _Reading(self).run()
+        except OSError as error:
+            raise DamagedRecording(f"{self.path}: cannot be read: {error.strerror}") from None
+
+    # -- looking over it --------------------------------------------------------------------------------------
+
+    def _read_summary(self) -> None:
+        """Take from the summary what it has, if its checksum is right."""
+        size = self.report.size
+        if size < len(MAGIC) + FOOTER.size:
+            return
+        footer = self._bytes(size - FOOTER.size, FOOTER.size)
+        opcode, _, start, _, crc, magic = FOOTER.unpack(footer)
+        if magic != MAGIC or opcode != _FOOTER or not crc or not len(MAGIC) <= start <= size - FOOTER.size:
+            return
+        summary = self._bytes(start, size - FOOTER.size - start)
+        if zlib.crc32(footer[: -len(MAGIC) - _U32.size], zlib.crc32(summary)) != crc:
+            return
+        self.report.indexed = self.report.closed = True
+        self._data_end = start
+        for opcode, content in _records(summary):
+            self._define(opcode, content, checked=True)
+            if opcode == _STATISTICS:
+                self._statistics = _parsed(Statistics, content)
+
+    def _survey(self) -> bool:
+        """Everything but the messages.  Gives whether there is anything of MCAP at all."""
+        session: dict[str, str] | None = None
+        ledger: dict[str, Any] | None = None
+        found = False
+        for frame in self._walk():
+            found = found or frame.opcode in (_CHUNK, _METADATA, _HEADER)
+            if frame.opcode == _DATA_END:
+                self.report.closed = True
+            elif frame.opcode == _ATTACHMENT:
+                self._attachments.append(frame)
+            elif frame.opcode in (_HEADER, _SCHEMA, _CHANNEL, _METADATA):
+                content = self._content(frame)
+                self._define(frame.opcode, content, checked=False)
+                if frame.opcode == _HEADER and (header := _parsed(Header, content)):
+                    self.profile, self.library = header.profile, header.library
+                elif frame.opcode == _METADATA and (metadata := _parsed(Metadata, content)):
+                    if metadata.name == layout.SESSION_METADATA:
+                        session = session or _unsealed(metadata)
+                    elif metadata.name == layout.LEDGER_METADATA:
+                        ledger = ledger or _ledger(metadata)
+                    else:
+                        self.metadata.append(metadata)
+        marked = any(layout.KIND_KEY in channel.metadata for channel, _ in self._channels.values())
+        self.foreign = session is None and not marked and not self.library.startswith("igtl-gateway")
+        self.format_version = format_version(self.path, session)
+        self.session = migrations.session(self.format_version, session or {})
+        self.ledger = ledger
+        return found
+
+    def _define(self, opcode: int, content: bytes, *, checked: bool) -> None:
+        """Learn a schema or a channel; what is under a checksum overrides what is not."""
+        if opcode == _SCHEMA:
+            schema = _parsed(Schema, content)
+            if schema and schema.id and (checked or schema.id not in self._schemas):
+                self._schemas[schema.id] = schema, checked
+        elif opcode == _CHANNEL:
+            channel = _parsed(Channel, content)
+            if channel and (checked or channel.id not in self._channels):
+                self._channels[channel.id] = channel, checked
+
+    def _definition(self, channel_id: int) -> _Definition | None:
+        """What a channel is; None if no copy of it is left."""
+        known = self._definitions.get(channel_id)
+        if known:
+            return known
+        if not self._is_defined(channel_id) and not self._sought:
+            self._sought = True
+            for frame in self._walk():
+                for opcode, content in _records(self._chunk(frame) or b"") if frame.opcode == _CHUNK else ():
+                    self._define(opcode, content, checked=True)
+        if not self._is_defined(channel_id):
+            return None
+        channel, _ = self._channels[channel_id]
+        schema, _ = self._schemas.get(channel.schema_id, (None, False))
+        kind, _ = kind_of(channel, schema, self.foreign)
+        decode = decoder(kind, channel.topic, schema.name) if kind and schema else None
+        self._definitions[channel_id] = _Definition(channel, schema, decode)
+        return self._definitions[channel_id]
+
+    def _is_defined(self, channel_id: int) -> bool:
+        if channel_id not in self._channels:
+            return False
+        channel, _ = self._channels[channel_id]
+        return not channel.schema_id or channel.schema_id in self._schemas
+
+    def _attachment(self, frame: _Frame) -> Attachment | None:
+        """An attachment; None if its checksum is wrong (0: it has none)."""
+        content = self._content(frame)
+        (crc,) = _U32.unpack(content[-_U32.size :])
+        if crc and crc != zlib.crc32(content[: -_U32.size]):
+            return None
+        return _parsed(Attachment, content)
+
+    def _chunk(self, frame: _Frame) -> bytes | None:
+        """The records in a chunk, of which some field may be damaged; None if its checksum fits nothing."""
+        content = self._content(frame)
+        if len(content) < _CHUNK_HEAD.size + _U32.size + _U64.size:
+            return None
+        start, end, size, crc = _CHUNK_HEAD.unpack_from(content)
+        found = re.match(b"|".join(_packed(each) for each in _COMPRESSIONS), content[_CHUNK_HEAD.size :][:8])
+        first = found[0][_U32.size :].decode() if found else ""
+        for compression in sorted(_COMPRESSIONS, key=lambda name: name != first):
+            if not crc and compression != first:
+                continue  # nothing would tell right from wrong
+            data = content[_CHUNK_HEAD.size + _U32.size + len(compression) + _U64.size :]
+            try:
+                chunk = Chunk(compression, data, end, start, crc, size)
+                return get_chunk_data_stream(chunk, validate_crc=True)[0].read(1 << 62)
+            except Exception:  # of the library and the decompressors: whatever they make of damaged bytes
+                continue
+        return None
+
+    def _times(self, frame: _Frame) -> tuple[int, int]:
+        """First and last time of the messages in a chunk, as it says itself, without a checksum."""
+        content = self._bytes(frame.at + _HEAD.size, _CHUNK_HEAD.size)
+        if len(content) < _CHUNK_HEAD.size:
+            return 0, 0
+        start, end, _, _ = _CHUNK_HEAD.unpack(content)
+        return start, end
+
+    # -- from record to record --------------------------------------------------------------------------------
+
+    def _walk(self) -> Iterator[_Frame]:
+        """All records up to the end of the data, and what lies between them."""
+        at, limit = len(MAGIC), self._data_end
+        ended = False
+        while at < limit:
+            frame = self._frame(at, limit)
+            if frame.opcode == 0 and frame.end == at:
+                frame = _Frame(0, at, self._seek_record(at + 1, limit))
+            if frame.opcode == _MESSAGE:
+                self._loose = True
+            if not ended or frame.opcode:
+                yield frame
+            # behind the data there is only the index, of which nothing can be lost
+            ended = ended or frame.opcode == _DATA_END
+            at = frame.end
+
+    def _frame(self, at: int, limit: int) -> _Frame:
+        """The record at ``at``, as far as it fits; of no length if nothing tells where it ends."""
+        head = self._bytes(at, _HEAD.size)
+        if len(head) < _HEAD.size:
+            return _Frame(0, at, at)
+        opcode, length = _HEAD.unpack(head)
+        outer = at + _HEAD.size + length
+        inner = self._inner_end(opcode, at, limit)
+        if outer <= limit and (inner == outer or self._is_summary(opcode, outer, limit)):
+            return _Frame(opcode, at, outer)
+        if inner and self._fits(inner, limit):
+            return _Frame(opcode, at, inner)  # its length is damaged
+        if outer <= limit and self._fits(outer, limit):
+            if opcode == _MESSAGE:
+                return _Frame(opcode, at, outer)
+            # a field of it is damaged, or its opcode; of a chunk the content may be right all the same
+            is_chunk = opcode == _CHUNK or self._inner_end(_CHUNK, at, limit) == outer
+            return _Frame(_CHUNK if is_chunk else 0, at, outer)
+        return _Frame(0, at, at)
+
+    def _is_summary(self, opcode: int, outer: int, limit: int) -> bool:
+        """Whether it may be a record of the summary: those have no fields in the table."""
+        return self.report.closed and opcode not in (_MESSAGE, *_FIELDS) and self._fits(outer, limit)
+
+    def _fits(self, at: int, limit: int, chain: int = 1) -> bool:
+        """Whether at ``at`` the file ends, or ``chain`` records may follow."""
+        for _ in range(chain):
+            head = self._bytes(at, _HEAD.size)
+            if at == limit or self._bytes(at, len(MAGIC)) == MAGIC:
+                return True
+            if len(head) < _HEAD.size:
+                return False
+            opcode, length = _HEAD.unpack(head)
+            at += _HEAD.size + length
+            if not (0 < opcode <= _DATA_END or opcode >= _PRIVATE) or at > limit:
+                return False
+        return True
+
+    def _inner_end(self, opcode: int, at: int, limit: int) -> int:
+        """Where a record ends by its own fields; 0 if they do not fit into the file."""
+        fields = _FIELDS.get(opcode)
+        if not fields:
+            return 0
+        end = at + _HEAD.size
+        for each in fields:
+            if isinstance(each, int):
+                end += each
+            else:
+                size = self._bytes(end, each.size)
+                if len(size) < each.size:
+                    return 0
+                end += each.size + each.unpack(size)[0]
+            if end > limit:
+                return 0
+        return end
+
+    def _seek_record(self, at: int, limit: int) -> int:
+        """Offset of the next record that fits, or of the end."""
+        pattern = _CANDIDATE_MESSAGE if self._loose else _CANDIDATE
+        while at < limit:
+            window = self._bytes(at, min(_WINDOW, limit - at))
+            self._window = (at, window)
+            for found in pattern.finditer(window):
+                if self._is_record(at + found.start(), limit):
+                    self._window = (0, b"")
+                    return at + found.start()
+            # a head may lie across the end of the window
+            at += max(1, len(window) - _HEAD.size + 1) if at + len(window) < limit else len(window)
+        self._window = (0, b"")
+        return limit
+
+    def _is_record(self, at: int, limit: int) -> bool:
+        """Whether there is a record beyond doubt."""
+        opcode, length = _HEAD.unpack(self._bytes(at, _HEAD.size))
+        end = at + _HEAD.size + length
+        if opcode == _MESSAGE:
+            return bool(length >= _MESSAGE_HEAD.size and self._fits(at, limit, _CHAIN))
+        if self._inner_end(opcode, at, limit) != end:
+            return False
+        if opcode == _DATA_END:
+            return self._fits(end, limit)
+        # what zeros and small numbers look like: the first text or array must not be empty
+        first = _FIELDS[opcode][0]
+        skipped = first if isinstance(first, int) else 0
+        return opcode == _CHUNK or self._bytes(at + _HEAD.size + skipped, _U32.size) != bytes(_U32.size)
+
+    def _content(self, frame: _Frame) -> bytes:
+        return self._bytes(frame.at + _HEAD.size, frame.end - frame.at - _HEAD.size)
+
+    def _bytes(self, at: int, size: int) -> bytes:
+        start, window = self._window
+        if start <= at and at + size <= start + len(window):
+            return window[at - start : at - start + size]
+        self._stream.seek(at)
+        return self._stream.read(size)
+
+
+class _Reading:
+    """One pass over the messages."""
+
+    def __init__(self, file: Salvage) -> None:
+        self._file = file
+        self._report = file.report
+        self._open: list[Loss] = []  # since the last message: how far they reach shows with the next one
+        self._unknown: dict[int, Loss] = {}
+        self._unknown_counts: dict[int, int] = {}
+        self._seq = self._entries = 0
+
+    def run(self) -> Iterator[Salvaged]:
+        file, report = self._file, self._report
+        torn: _Frame | None = None
+        for frame in file._walk():
+            file.position = frame.end
+            if frame.opcode == _CHUNK:
+                yield from self._read_chunk(frame)
+            elif frame.opcode == _MESSAGE:
+                yield from self._message(file._content(frame), frame)
+            elif frame.opcode == 0 and frame.end == report.size and not report.closed:
+                torn = frame
+            elif frame.opcode == 0 or frame.opcode >= _PRIVATE:
+                self._lose(BYTES, frame, "not readable")
+            elif frame.opcode == _ATTACHMENT and file._attachment(frame) is None:
+                self._lose(ATTACHMENT, frame, "its checksum is wrong")
+            elif frame.opcode == _METADATA and self._is_damaged_metadata(frame):
+                self._lose(METADATA, frame, "its checksum is wrong")
+        self._end(torn)
+
+    def _read_chunk(self, frame: _Frame) -> Iterator[Salvaged]:
+        data = self._file._chunk(frame)
+        if data is None:
+            self._lose(CHUNK, frame, "its checksum is wrong")
+            return
+        at = 0
+        for opcode, content in _records(data):
+            at += _HEAD.size + len(content)
+            self._file._define(opcode, content, checked=True)
+            if opcode == _MESSAGE:
+                yield from self._message(content, frame)
+        if at != len(data):
+            self._lose(CHUNK, frame, f"found bytes that are no record after {at} of {len(data)} bytes")
+
+    def _message(self, content: bytes, frame: _Frame) -> Iterator[Salvaged]:
+        if len(content) < _MESSAGE_HEAD.size:
+            self._lose(BYTES, frame, "a message shorter than its head")
+            return
+        number, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
+        definition = self._file._definition(number)
+        if definition is None:
+            if number not in self._unknown:
+                self._unknown[number] = self._lose(CHANNEL, frame, "")
+            self._unknown_counts[number] = self._unknown_counts.get(number, 0) + 1
+            return
+        message = Message(number, log_time, content[_MESSAGE_HEAD.size :], publish_time, sequence)
+        entry = None
+        if definition.decode:
+            step = (sequence - self._seq) % SEQUENCES
+            if not self._file.foreign and (step == 0 or (self._seq and step >= SEQUENCES // 2)):
+                self._lose(NUMBER, frame, f"found entry number {sequence}, expected one above {self._seq}")
+                return
+            seq = self._entries + 1 if self._file.foreign else self._seq + step
+            try:
+                entry = definition.decode(message, seq)
+            except LayoutError as error:
+                self._lose(NUMBER, frame, f"entry {seq}: {error}")
+                return
+            self._settle(log_time, seq - self._seq - 1)
+            self._seq = seq
+            self._entries += 1
+        report = self._report
+        report.messages += 1
+        report.start_ns = min(report.start_ns, log_time) if report.messages > 1 else log_time
+        report.end_ns = max(report.end_ns, log_time)
+        yield Salvaged(definition.schema, definition.channel, message, entry)
+
+    def _lose(self, what: str, frame: _Frame, text: str) -> Loss:
+        start, end = self._report.end_ns, 0
+        if what == CHUNK:
+            told = self._file._times(frame)
+            if start <= told[0] <= told[1]:
+                start, end = told
+        loss = Loss(what, frame.at, frame.end - frame.at, start, end, text)
+        if len(self._report.lost) < MAX_LOSSES:
+            self._report.lost.append(loss)
+        else:
+            self._report.more_lost += 1
+        self._open.append(loss)
+        return loss
+
+    def _settle(self, log_time: int, missing: int) -> None:
+        """An entry follows the losses that are open: they end here, or turn out to be none."""
+        if not self._open:
+            return
+        for loss in self._open:
+            # bytes between entries with successive numbers were the index of a chunk
+            if loss.what == BYTES and not missing and not self._file.foreign:
+                self._dismiss(loss)
+            elif loss.end_ns == 0:
+                loss.end_ns = max(loss.start_ns, log_time)
+        self._report.missing_numbers += 0 if self._file.foreign else missing
+        self._open.clear()
+
+    def _dismiss(self, loss: Loss) -> None:
+        if loss in self._report.lost:
+            self._report.lost.remove(loss)
+
+    def _is_damaged_metadata(self, frame: _Frame) -> bool:
+        metadata = _parsed(Metadata, self._file._content(frame))
+        if metadata is None:
+            return True
+        if metadata.name == layout.SESSION_METADATA:
+            return not self._file.session and _unsealed(metadata) is None
+        return metadata.name == layout.LEDGER_METADATA and _ledger(metadata) is None
+
+    def _end(self, torn: _Frame | None) -> None:
+        file, report = self._file, self._report
+        for number, loss in self._unknown.items():
+            loss.text = f"{self._unknown_counts[number]:,} messages of a channel of which no description is left"
+        if file._statistics is not None:
+            report.missing = max(0, file._statistics.message_count - report.messages)
+            if not report.missing:
+                # not a message is missing, so the bytes were nothing but indexes
+                report.lost = [loss for loss in report.lost if loss.what not in (BYTES, CHUNK)]
+        end = _Frame(0, report.size, report.size)
+        if not report.closed:
+            rest = f" and {torn.end - torn.at:,} bytes of a record" if torn else ""
+            self._lose(CUT_OFF, torn or end, f"the file ends here{rest}: what came after it was not yet on the disk")
+        ours = not file.foreign
+        if ours and not file.session:
+            self._lose(METADATA, _Frame(0, 0, 0), "what the recording says of itself, such as the configuration")
+        if ours and file.ledger is None and report.closed:
+            self._lose(LEDGER, end, "what became of every message")
+
+
+def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Opcode and content of records in a row, up to the first that does not fit."""
+    at = 0
+    while at + _HEAD.size <= len(data):
+        opcode, length = _HEAD.unpack_from(data, at)
+        at += _HEAD.size
+        if length > len(data) - at:
+            return
+        yield opcode, data[at : at + length]
+        at += length
+
+
+def _parsed(kind: type[_Record], content: bytes) -> _Record | None:
+    """A record of the library; None if it makes nothing of the bytes."""
+    try:
+        record: _Record = kind.read(ReadDataStream(BytesIO(content)))
+        return record
+    except Exception:  # of the library: whatever it makes of damaged bytes
+        return None
+
+
+def _packed(text: str) -> bytes:
+    return re.escape(_U32.pack(len(text)) + text.encode())
+
+
+def _unsealed(metadata: Metadata) -> dict[str, str] | None:
+    try:
+        return layout.unseal(metadata.metadata)
+    except LayoutError:
+        return None
+
+
+def _ledger(metadata: Metadata) -> dict[str, Any] | None:
+    items = _unsealed(metadata)
+    try:
+        ledger = json.loads(items[layout.LEDGER_KEY]) if items else None
+    except (KeyError, ValueError, RecursionError):
+        return None
+    return ledger if isinstance(ledger, dict) else None
