@@ -19,6 +19,7 @@ class Ledger:
     def __init__(self) -> None:
         self._counts: dict[str, dict[str, dict[str, int]]] = {}
         self._dropped: dict[str, dict[str, dict[str, int]]] = {}
+        self._streams: dict[str, set[str]] = {}  # of each direction: a stream is the same in both books
 
     def count(self, direction: str, stream: str, fate: str, number: int = 1) -> None:
         """Add to ``received``, ``converted``, ``recorded_only`` or ``sent``."""
@@ -28,12 +29,16 @@ class Ledger:
         """Add to ``dropped`` with its reason."""
         self._add(self._dropped, direction, stream, reason, number)
 
-    @staticmethod
-    def _add(book: dict[str, dict[str, dict[str, int]]], direction: str, stream: str, word: str, number: int) -> None:
-        streams = book.setdefault(direction, {})
-        if stream not in streams and len(streams) >= MAX_STREAMS:
-            stream = OTHERS
-        words = streams.setdefault(stream, {})
+    def _add(
+        self, book: dict[str, dict[str, dict[str, int]]], direction: str, stream: str, word: str, number: int
+    ) -> None:
+        known = self._streams.setdefault(direction, set())
+        if stream not in known:
+            if len(known) >= MAX_STREAMS:
+                stream = OTHERS
+            else:
+                known.add(stream)
+        words = book.setdefault(direction, {}).setdefault(stream, {})
         words[word] = words.get(word, 0) + number
 
     def to_dict(self) -> dict[str, Any]:
