@@ -25,6 +25,8 @@ _ROUNDING = 1e-5
 #: … and beyond this we say that scale or shear was lost.
 _NOTICEABLE = 1e-3
 _MAX_ITERATIONS = 100
+#: What rounds to infinity as float32.
+_BEYOND_FLOAT32 = 2.0**128 - 2.0**103
 
 
 def transform_to_ros(content: Transform, to: ToRos) -> TransformStamped:
@@ -109,6 +111,8 @@ def _finite(pose: Pose, to: ToIgtl, place: str) -> tuple[tuple[float, ...], Quat
     translation = to_igtl(x), to_igtl(y), to_igtl(z)
     if not all(map(math.isfinite, (*translation, *pose[3:]))):
         raise ConversionError(f"{place}: found {pose}, expected finite numbers")
+    if max(map(abs, translation)) >= _BEYOND_FLOAT32:
+        raise ConversionError(f"{place}: found {pose}, expected lengths that float32 holds")
     return translation, unit(pose[3:], place)
 
 

@@ -62,6 +62,9 @@ _METADATA_QOS = Qos(depth=100)
 #: Devices whose images may come in parts: each keeps its last image.
 MAX_VOLUMES = 64
 
+#: Things that are said once: a peer that invents names must fill neither the memory nor the log.
+MAX_SAID = 10_000
+
 _IN, _OUT = "igtl_in", "igtl_out"
 _ROS_IN, _ROS_OUT = "ros_in", "ros_out"
 
@@ -195,6 +198,8 @@ class Gateway:
             outputs = [pair for pair in stream.outputs if isinstance(content, pair[0].content)]
             if not outputs:
                 return self._unconverted(entry, message, stream, to)
+            if not any(row.applies(content) for row, _ in outputs):
+                return [], "not_chosen"
             return self._publish(entry, content, to, stream, outputs), ""
         except (ConversionError, WireError) as error:
             return [
@@ -301,11 +306,12 @@ class Gateway:
         match prefix:
             case "GET":
                 outs = queries.answer(igtl_type, device, now_ns, lambda *key: self._latest_of(entry, *key))
-                if outs:
-                    return self._to(entry, [peer], outs)
+                replies = self._each(entry, outs, lambda out: self._to(entry, [peer], [out]))
+                if outs and (_has_igtl(replies) or not peer.profile.may_send(igtl_type)):
+                    return replies
                 text = f"{message.type} of {device or 'any device'} cannot be answered: there is none yet"
                 said = self._once(entry, Level.INFO, "query_unanswered", text, entry.channel, peer.link)
-                return self._to(entry, [peer], [queries.refusal(igtl_type, device, now_ns, peer)]) + said
+                return replies + self._to(entry, [peer], [queries.refusal(igtl_type, device, now_ns, peer)]) + said
             case "STT":
                 status = queries.start(message, igtl_type, peer, self._knows_frame)
                 replies = self._to(entry, [peer], queries.acknowledgement(igtl_type, device, now_ns, status))
@@ -414,7 +420,7 @@ class Gateway:
         except (ConversionError, WireError) as error:
             self.ledger.drop(_ROS_IN, topic, "conversion")
             return [note(Level.ERROR, "conversion", f"not sent: {error}", topic)]
-        if any(reply.kind is Kind.IGTL_OUT for reply in replies):
+        if _has_igtl(replies):
             self.ledger.count(_ROS_IN, topic, "converted")
         else:
             self.ledger.drop(_ROS_IN, topic, "not_wanted")
@@ -439,7 +445,8 @@ class Gateway:
             self._frames.add(outgoing.frame_id)
         if isinstance(content, Video):
             content = self._sized(entry.channel, content)
-        if outgoing.device_name or split_query(outgoing.igtl_type):  # a query without a device asks for any
+        # a query without a device asks for any
+        if outgoing.device_name or (outgoing.igtl_type and split_query(outgoing.igtl_type)):
             full_name = outgoing.device_name
             device = self._streams.device(full_name)
         return Outbound(
@@ -512,7 +519,8 @@ class Gateway:
         if out.igtl_type not in queries.TRACKING.values():
             return replies
         for (igtl_type, device), peers in queries.trackers(self._peers.all()).items():
-            if not self._goes_out(igtl_type):
+            due = any(peer.is_due(igtl_type, device or queries.TRACKING_DEVICE, entry.stamp_ns) for peer in peers)
+            if due and not self._goes_out(igtl_type):
                 made = queries.tracking(igtl_type, device, entry.stamp_ns, lambda *key: self._latest_of(entry, *key))
                 replies += self._to_trackers(entry, peers, made, lengths) if made else []
         return replies
@@ -529,13 +537,34 @@ class Gateway:
         except ConversionError as error:
             self.ledger.drop(_ROS_IN, entry.channel, "conversion")
             return [note(Level.ERROR, "conversion", f"not sent: {error}", entry.channel)]
+        replies = self._send_frames(entry, message, static=TF_TOPICS[entry.channel])
         self.ledger.count(_ROS_IN, entry.channel, "converted")
-        return self._send_frames(entry, message, static=TF_TOPICS[entry.channel])
+        return replies
 
     def _send_frames(self, entry: Entry, message: TFMessage, *, static: bool) -> list[Reply]:
         """What a change of the tf tree sends out."""
-        outs = self._tf.update(message, static, entry.stamp_ns)
-        return [reply for out, lengths in outs for reply in self._to_trackers(entry, self._peers.all(), out, lengths)]
+        changed, refused = self._tf.update(message, static, entry.stamp_ns)
+        replies = [note(Level.ERROR, "conversion", f"not sent: {text}", entry.channel) for text in refused]
+        lengths = {out.channel: lengths for out, lengths in changed}
+        outs = [out for out, _ in changed]
+        replies += self._each(
+            entry, outs, lambda out: self._to_trackers(entry, self._peers.all(), out, lengths[out.channel])
+        )
+        # tracking data is put together of all poses: once for each type, however many of them have changed
+        last = {out.igtl_type: out for out in outs}
+        return replies + self._each(entry, last.values(), lambda out: self._tracked(entry, out, lengths[out.channel]))
+
+    def _each(self, entry: Entry, outs: Iterable[Outbound], send: Callable[[Outbound], list[Reply]]) -> list[Reply]:
+        """Messages sent one by one: one that cannot be sent costs only itself."""
+        replies: list[Reply] = []
+        for out in outs:
+            try:
+                replies += send(out)
+            except (ConversionError, WireError) as error:
+                self.ledger.drop(_OUT, out.channel, "conversion")
+                text = f"{out.channel} is not sent: {error}"
+                replies.append(note(Level.ERROR, "conversion", text, entry.channel, entry.links))
+        return replies
 
     def _on_raw(self, entry: Entry) -> list[Reply]:
         """A whole OpenIGTLink message from ROS, sent as it is."""
@@ -578,7 +607,14 @@ class Gateway:
             text = "the id, or too many others, wait already" if peers else "no peer is there to be asked"
             status = CommandReply.FAIL if peers else CommandReply.NO_PEER
             return self._tell(entry, replace(pending, link=outgoing.link), status, text)
-        return self._to(entry, asked, [out])
+        try:
+            return self._to(entry, asked, [out])
+        except WireError as error:
+            for one in asked:
+                self._to_peers.take(pending.command_id, one.link)
+            text = f"not sent: {error}"
+            said = note(Level.ERROR, "conversion", text, entry.channel)
+            return [said, *self._tell(entry, replace(pending, link=outgoing.link), CommandReply.FAIL, text)]
 
     def _send_reply(self, entry: Entry, stream: ToIgtlStream, outgoing: Outgoing) -> list[Reply]:
         """An RTS_COMMAND: to the peer that waits for it."""
@@ -586,7 +622,12 @@ class Gateway:
         pending = self._from_peers.take(message.id, message.link)
         if pending is None:
             raise ConversionError(f"CommandReply: found id {message.id}, expected one of a command that waits")
-        return self._to(entry, [self._peers[pending.link]], [self._replying(entry, pending, message)])
+        try:
+            return self._to(entry, [self._peers[pending.link]], [self._replying(entry, pending, message)])
+        except (ConversionError, WireError) as error:
+            text = f"the reply cannot be sent: {error}"
+            said = note(Level.ERROR, "conversion", text, entry.channel)
+            return [said, *self._reply(entry, pending, CommandReply.FAIL, text)]
 
     def _tell(self, entry: Entry, pending: Pending, status: int, text: str) -> list[Reply]:
         """A reply to ROS that no peer sent."""
@@ -631,7 +672,7 @@ class Gateway:
                     replies += self._to(entry, [peer], [out])
                 except (ConversionError, WireError) as error:
                     replies.append(note(Level.ERROR, "conversion", f"not sent: {error}", topic))
-        return replies + self._to(entry, [peer], self._tf.static())
+        return replies + self._each(entry, self._tf.static(), lambda out: self._to(entry, [peer], [out]))
 
     def _links(self, now_ns: int) -> Reply:
         """Who is connected, as ROS is told."""
@@ -673,7 +714,7 @@ class Gateway:
 
     def _once(self, entry: Entry, level: Level, code: str, text: str, about: str, link: int = 0) -> list[Reply]:
         """A note, but only the first of its kind about this (from this link): the log is for what is new."""
-        if (code, about, link) in self._said:
+        if (code, about, link) in self._said or len(self._said) >= MAX_SAID:
             return []
         self._said.add((code, about, link))
         return [note(level, code, text, entry.channel, entry.links)]
@@ -681,6 +722,10 @@ class Gateway:
     def _warnings(self, warnings: list[tuple[str, str]], entry: Entry) -> list[Reply]:
         """Notes for what a conversion had to bend, once for each stream and cause."""
         return [reply for code, text in warnings for reply in self._once(entry, Level.WARN, code, text, entry.channel)]
+
+
+def _has_igtl(replies: Iterable[Reply]) -> bool:
+    return any(reply.kind is Kind.IGTL_OUT for reply in replies)
 
 
 #: Types that are more than a content: who asked, and who has to answer.

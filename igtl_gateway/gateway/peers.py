@@ -77,13 +77,18 @@ class Peer:
 
     def wants(self, igtl_type: str, device: str, now_ns: int) -> bool:
         """Whether a message of a stream is due; what was never asked for is always."""
+        if not self.is_due(igtl_type, device, now_ns):
+            return False
+        if wish := self.wish(igtl_type, device):
+            wish.sent_ns[device] = now_ns
+        return True
+
+    def is_due(self, igtl_type: str, device: str, now_ns: int) -> bool:
+        """The same question, with nothing to follow."""
         wish = self.wish(igtl_type, device)
         if wish is None:
             return True
-        if not wish.wanted or now_ns - wish.sent_ns.get(device, -wish.interval_ns) < wish.interval_ns:
-            return False
-        wish.sent_ns[device] = now_ns
-        return True
+        return wish.wanted and now_ns - wish.sent_ns.get(device, -wish.interval_ns) >= wish.interval_ns
 
     def start(self, igtl_type: str, device: str, interval_ns: int, frame: str) -> bool:
         """STT_; False where the peer has too many already."""

@@ -93,6 +93,8 @@ class Profile:
 
     def may_send(self, igtl_type: str) -> bool:
         """Whether the peer may be sent a message of this type."""
+        if self.reads is None and self.queries is None and self.replies is None:
+            return True
         prefix = split_query(igtl_type)
         if prefix is None and igtl_type != "RTS_COMMAND":
             return self.reads is None or igtl_type in self.reads

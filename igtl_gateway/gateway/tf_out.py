@@ -13,6 +13,7 @@ from igtl_gateway.convert.igtl_msgs import TrackingData as RosTrackingData
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.table import row_to_igtl
 from igtl_gateway.convert.units import Lengths
+from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.sender import Outbound
 from igtl_gateway.qos import Qos
 from igtl_gateway.wire.tracking import TOOL_6D
@@ -53,11 +54,21 @@ class TfOut:
     def __bool__(self) -> bool:
         return bool(self._requests)
 
-    def update(self, message: TFMessage, static: bool, now_ns: int) -> list[tuple[Outbound, Lengths]]:
-        """Take a message of /tf or /tf_static; what has changed of what goes out, with its units."""
+    def update(self, message: TFMessage, static: bool, now_ns: int) -> tuple[list[tuple[Outbound, Lengths]], list[str]]:
+        """Take a message of /tf or /tf_static: what has changed of what goes out, with its units, and what of it
+        cannot be told."""
         self.tree.update(message, static)
-        changed = ((self._changed(one, now_ns), self._config.lengths(one.row)) for one in self._requests)
-        return [(out, lengths) for out, lengths in changed if out is not None]
+        changed: list[tuple[Outbound, Lengths]] = []
+        refused: list[str] = []
+        for one in self._requests:
+            try:
+                out = self._changed(one, now_ns)
+            except ConversionError as error:
+                refused.append(str(error))
+                continue
+            if out is not None:
+                changed.append((out, self._config.lengths(one.row)))
+        return changed, refused
 
     def _changed(self, one: _Request, now_ns: int) -> Outbound | None:
         request = one.request

@@ -122,3 +122,28 @@ def test_ids_are_reused_only_when_free_and_their_number_is_bounded() -> None:
     taken = book.take(4)
     assert taken is not None and taken.command_id == 4 and book.take(4) is None
     assert len(book.gone(1)) == MAX_PENDING - 4 and not len(book)
+
+
+TOO_MUCH = (MetadataItem("key", 0, "x" * 100_000),)
+
+
+def test_a_command_that_cannot_be_sent_fails_at_once() -> None:
+    script = Script()
+    script.up(1)
+    script.igtl(HELLO)
+    command = RosCommand(Header(), "Robot", 9, "Start", 0, "", TOO_MUCH)
+    assert script.ros("/igtl/out/Robot/command", command) == ["note conversion", "ros /igtl/in/Robot/command_reply"]
+    reply = CommandReply.unpack(script.published("/igtl/in/Robot/command_reply"))
+    assert (reply.id, reply.status) == (9, CommandReply.FAIL) and "metadata" in reply.error_message
+    assert script.gateway.due_ns is None, "nothing is waited for"
+
+
+def test_a_reply_that_cannot_be_sent_is_a_failure() -> None:
+    script = Script()
+    script.up(1)
+    script.igtl(HELLO)
+    script.igtl(asked())
+    reply = CommandReply(Header(), "", 7, "", CommandReply.SUCCESS, metadata=TOO_MUCH)
+    lines = script.ros("/igtl/out/Robot/command_reply", reply)
+    assert lines == ["note conversion", "igtl RTS_COMMAND/Robot v2 to 1"]
+    assert metadata(script.sent()[0])["Status"] == "FAIL"

@@ -395,6 +395,13 @@ def test_the_ledger_closes() -> None:
             assert counts["received"] == counts.get("converted", 0) + counts.get("recorded_only", 0) + dropped
 
 
+def test_a_message_that_no_chosen_kind_holds_is_counted_as_such() -> None:
+    script = Script(Config(to_ros=(ToRosRow(device="Cloud", kinds=("mesh",)),)))
+    assert script.igtl(Message("POLYDATA", "Cloud", PolyData(np.zeros((3, 3), ">f4")))) == []
+    counts = script.gateway.ledger.to_dict()["igtl_in"]["POLYDATA/Cloud"]
+    assert counts == {"received": 1, "decoded": 1, "dropped": {"not_chosen": 1}}
+
+
 # -- purity ---------------------------------------------------------------------------------------------------------
 
 

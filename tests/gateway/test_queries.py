@@ -8,8 +8,9 @@ import pytest
 from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, FrameTransform, MultiArrayLayout, TFMessage
-from igtl_gateway.convert.igtl_msgs import Query, TrackedTool, TrackingData
+from igtl_gateway.convert.igtl_msgs import MetadataItem, PointList, Query, TrackedTool, TrackingData
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.gateway import core
 from igtl_gateway.gateway.peers import MAX_WISHES
 from igtl_gateway.gateway.profiles import PROFILES
 from igtl_gateway.wire import Message, Raw
@@ -279,3 +280,26 @@ def test_profiles_have_a_source_for_each_fact() -> None:
     assert {one.name for one in PROFILES} == {"default", "slicer", "plus", "brainlab", "holoscan", "legacy-v1"}
     for profile in PROFILES:
         assert profile.facts and all(fact and source for fact, source in profile.facts)
+
+
+def test_what_cannot_be_sent_is_no_answer_and_costs_the_others_nothing() -> None:
+    script = Script()
+    script.up(1)
+    script.igtl(Message("STATUS", "", Status(1), 0, 2))  # a peer of header version 2, which has metadata
+    huge = PointList(Header(T0_NS, "base"), (), (MetadataItem("key", 0, "x" * 100_000),))
+    assert script.ros("/igtl/out/Huge", huge) == ["note conversion"]
+    lines = script.igtl(query("GET_POINT"))
+    assert lines == ["ros /igtl/in/unnamed/query", "note conversion", "igtl POINT/ v2 to 1", "note query_unanswered"]
+    script.ros("/igtl/out/Good", PointList(Header(T0_NS, "base"), ()))
+    assert script.igtl(query("GET_POINT"))[1:] == ["note conversion", "igtl POINT/Good v2 to 1"]
+    counts = script.gateway.ledger.to_dict()["igtl_in"]["GET_POINT/"]
+    assert (counts["received"], counts["converted"], "dropped" in counts) == (2, 2, False)
+
+
+def test_a_peer_that_invents_names_fills_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(core, "MAX_SAID", 3)
+    script = Script()
+    script.up(1)
+    lines = [line for name in "abcde" for line in script.igtl(query("GET_TRANS", name))]
+    assert lines.count("note query_unanswered") == 3
+    assert sum(line.startswith("igtl STATUS") for line in lines) == 5, "each is answered all the same"

@@ -104,3 +104,28 @@ def test_garbage_on_tf_costs_itself() -> None:
     script = Script(Config(tf_out=(TfOutRow(frames=("tool",), base="base"),)))
     script.up(1)
     assert script.feed(Kind.ROS_IN, (b"\x00\x01\x00\x00\xff",), "/tf", TFMessage.TYPE) == ["note conversion"]
+
+
+def test_a_frame_beyond_all_numbers_costs_itself() -> None:
+    rows = (TfOutRow(frames=("far",), base="base"), TfOutRow(frames=("near",), base="base"))
+    script = Script(Config(tf_out=rows))
+    script.up(1)
+    lines = script.ros("/tf", tf(("base", "far", 1e300), ("base", "near", 1.0)))
+    assert lines == ["note conversion", "igtl TRANSFORM/nearTobase v1 to 1"]
+    assert script.gateway.ledger.to_dict()["ros_in"]["/tf"] == {"received": 1, "converted": 1}
+    assert script.ros("/tf", tf(("base", "far", 1.0), stamp_ns=T0_NS + 5)) == ["igtl TRANSFORM/farTobase v1 to 1"]
+
+
+def test_single_frames_are_put_together_for_who_asks_for_tracking_data() -> None:
+    rows = (TfOutRow(frames=("a",), base="base"), TfOutRow(frames=("b",), base="base"))
+    script = Script(Config(tf_out=rows))
+    script.up(1)
+    script.igtl(Message("STT_TDATA", "", StartTracking(0, "")))
+    lines = script.ros("/tf", tf(("base", "a", 0.1), ("base", "b", 0.2)))
+    assert lines == [
+        "igtl TRANSFORM/aTobase v1 to 1",
+        "igtl TRANSFORM/bTobase v1 to 1",
+        "igtl TDATA/Tracking v1 to 1",
+    ]
+    elements = script.sent()[-1].content.describe()["elements"]
+    assert [(one["name"], one["matrix"][0][3]) for one in elements] == [("aTobase", 100.0), ("bTobase", 200.0)]
