@@ -26,7 +26,7 @@ from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import Limits, TcpEdge
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError
-from igtl_gateway.gateway import LINKS_TOPIC, TICK, Session, gateway_of
+from igtl_gateway.gateway import LINKS_TOPIC, Session, gateway_of
 from igtl_gateway.gateway.tf_out import TF_QOS
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.options import RecordOptions
@@ -209,11 +209,9 @@ class Bridge:
             self.hub.ros(topic, ros_type, cdr, source_ns)
 
     def _tick(self) -> None:
-        """Tell the gateway when a time has come that it waits for."""
+        """Keep the gateway's deadlines."""
         while not self._stopping.wait(_TICK_S):
-            due_ns = self.gateway.due_ns
-            if due_ns is not None and due_ns <= self._clock.utc_ns():
-                self.hub.note(Note(Level.INFO, TICK, "a deadline has come"))
+            self.hub.tick()
 
     def _record(self, entry: Entry) -> None:
         if self.recorder:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.clock import Clock
-from igtl_gateway.gateway import Session
+from igtl_gateway.gateway import TICK, Session
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 
@@ -65,6 +65,13 @@ class Hub:
     def note(self, note: Note, link: int = 0) -> None:
         """A fact that an edge or the recorder reports."""
         self._bring(_Input(Kind.EDGE_NOTE, (note.pack(),), links=(link,) if link else ()))
+
+    def tick(self) -> None:
+        """Tell the gateway when a time has come that it waits for."""
+        with self._lock:  # its peers and commands come and go under this lock
+            due_ns = self._session.gateway.due_ns
+        if due_ns is not None and due_ns <= self._clock.utc_ns():
+            self.note(Note(Level.INFO, TICK, "a deadline has come"))
 
     def _bring(self, given: _Input) -> None:
         if self._owner == threading.get_ident():

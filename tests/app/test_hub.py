@@ -84,3 +84,28 @@ def test_what_a_sink_says_follows_the_entries_being_handed_on() -> None:
     hub.ros("/igtl/out/Text", String.TYPE, TEXT, 0)
     assert kinds_of(seen) == [Kind.LINK, Kind.ROS_IN, Kind.IGTL_OUT, Kind.NOTE, Kind.EDGE_NOTE]
     assert [entry.seq for entry in seen] == [1, 2, 3, 4, 5, 6]
+
+
+def test_deadlines_are_asked_for_while_nothing_changes_them() -> None:
+    came = threading.Event()
+
+    class Asked(Gateway):
+        @property
+        def due_ns(self) -> int | None:
+            thread = threading.Thread(target=bring)
+            thread.start()
+            assert not came.wait(0.05), "a peer came up while the peers were looked at"
+            threads.append(thread)
+            return 1_000
+
+    seen: list[Entry] = []
+    threads: list[threading.Thread] = []
+    hub = Hub(Session(Asked(Config())), ManualClock(1_000), (seen.append,))
+
+    def bring() -> None:
+        hub.link(1, UP)
+        came.set()
+
+    hub.tick()
+    threads[0].join()
+    assert set(kinds_of(seen)) == {Kind.LINK, Kind.EDGE_NOTE}
