@@ -45,6 +45,7 @@ LEVELS = {
     "view": 4,
     "app": 5,
     "cli": 6,
+    "testing": 6,
     "__main__": 7,
     "demo": 7,
 }
@@ -99,7 +100,9 @@ HOMES: dict[str, tuple[str, ...]] = {
         "simulate",
         "view",
         "cli",
+        "testing.compare",
     ),
+    "pytest": ("testing.plugin",),
     "rerun": ("view",),
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
     "rosbags": ("exchange", "record.rostypes", "replay", "cli"),

@@ -1,0 +1,86 @@
+"""What counts as equal, and what a failure says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.convert.rosmsg import Header, TransformStamped
+from igtl_gateway.testing.compare import MAX_TOLD, assert_session_equal
+from igtl_gateway.testing.gateway import START_NS, ManualGateway
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.text import String
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+
+
+def session(x: float = 0.1, text: str = "hello", count: int = 1, stamp_ns: int = START_NS) -> ManualGateway:
+    gateway = ManualGateway(start_ns=stamp_ns)
+    gateway.connect()
+    for _ in range(count):
+        gateway.from_ros("/igtl/out/Tool", TransformStamped(Header(7, "base"), "tool", (x, 0, 0), (0, 0, 0, 1)))
+    gateway.from_peer(Message("STRING", "Greeting", String.of(text), 7 << 32))
+    return gateway
+
+
+def differences(*sides: ManualGateway, **settings: object) -> str:
+    with pytest.raises(AssertionError) as caught:
+        assert_session_equal(*sides, **settings)  # type: ignore[arg-type]
+    return str(caught.value)
+
+
+def test_a_session_equals_itself_whenever_it_was() -> None:
+    assert_session_equal(session(), session())
+    assert_session_equal(session(), session(stamp_ns=START_NS + 10**12), ignore=("/igtl/links",))
+    assert_session_equal(FIXTURES / "star.mcap", str(FIXTURES / "star.mcap"))
+
+
+def test_a_recording_equals_what_todays_gateway_says_to_its_inputs(tmp_path: Path) -> None:
+    gateway = session()
+    gateway.save(tmp_path / "golden.mcap")
+    again = ManualGateway()
+    again.play(tmp_path / "golden.mcap")
+    assert_session_equal(tmp_path / "golden.mcap", again)
+
+
+def test_the_first_field_that_differs_is_named_with_both_values() -> None:
+    told = differences(session(), session(text="help!"))
+    assert "OpenIGTLink in STRING/Greeting, message 1 of 1: content.string: 'hello' expected, 'help!' found" in told
+    assert "ROS out /igtl/in/Greeting/string, message 1 of 1: data: 'hello' expected, 'help!' found" in told
+    assert "Tool" not in told
+
+
+def test_numbers_within_the_tolerance_are_the_same() -> None:
+    told = differences(session(), session(x=0.1001), tolerance=1e-3)
+    assert "OpenIGTLink out TRANSFORM/Tool, message 1 of 1: content.matrix[0][3]: 100.0 expected, 100.0999" in told
+    assert "ROS in" not in told, "0.1 mm is within a millimetre, of metres"
+    assert_session_equal(session(), session(x=0.1001), tolerance=0.11)
+    assert "ROS in /igtl/out/Tool" in differences(session(), session(x=0.1001))
+
+
+def test_fields_and_streams_can_be_left_out() -> None:
+    other = session(text="help!")
+    assert_session_equal(session(), other, ignore=("STRING/*", "/igtl/in/**"))
+    assert_session_equal(session(), other, ignore_fields=("content.string*", "data"))
+
+
+def test_missing_messages_and_streams_are_counted() -> None:
+    told = differences(session(count=3), session(count=2))
+    assert "OpenIGTLink out TRANSFORM/Tool: 3 messages expected, 2 found" in told
+    assert "OpenIGTLink out TRANSFORM/Tool: 3 messages expected, 0 found" in differences(
+        session(count=3), session(count=0)
+    )
+
+
+def test_bytes_that_decode_to_the_same_are_not_the_same() -> None:
+    one, other = ManualGateway(), ManualGateway()
+    one.from_peer(b"\0\1MYSTERY\0\0\0\0\0" + b"Box" + bytes(17 + 24))
+    other.from_peer(b"\0\1MYSTERY\0\0\0\0X" + b"Box" + bytes(17 + 24))
+    assert "byte 13: 00 " in differences(one, other)
+
+
+def test_many_differences_are_counted_and_some_told() -> None:
+    told = differences(session(count=30), session(count=30, x=0.2))
+    assert told.count("\n") == MAX_TOLD + 1
+    assert "more" in told.splitlines()[-1]

@@ -1,0 +1,103 @@
+"""The gateway on manual time, as a user's test drives it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.config import Config
+from igtl_gateway.convert.rosmsg import Header, String, TransformStamped
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.verify import verify
+from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.testing.gateway import START_NS, ManualGateway
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.command import Command
+from igtl_gateway.wire.text import String as IgtlString
+from igtl_gateway.wire.transform import Transform
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+POSE = TransformStamped(Header(START_NS, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
+HELLO = Message("STRING", "Greeting", IgtlString.of("hello"))
+
+
+def test_a_ros_message_goes_out_to_every_peer_in_millimetres() -> None:
+    gateway = ManualGateway()
+    links = (gateway.connect(), gateway.connect())
+    (sent,) = gateway.from_ros("/igtl/out/ToolToBase", POSE).igtl()
+    assert (sent.stream, sent.links) == ("TRANSFORM/ToolToBase", links)
+    assert isinstance(sent.message.content, Transform)
+    assert sent.message.content.wire_matrix[9:] == pytest.approx((100.0, 200.0, 300.0))
+
+
+def test_a_peers_message_is_published_whole_or_as_its_bytes() -> None:
+    gateway = ManualGateway()
+    for message in (HELLO, b"".join(encode(HELLO))):
+        (heard,) = gateway.from_peer(message).ros("/igtl/in/**")
+        assert (heard.topic, heard.message) == ("/igtl/in/Greeting/string", String("hello"))
+    assert len(gateway.outputs.ros("/igtl/in/*/string")) == 2
+    (again,) = gateway.from_ros("/igtl/out/Echo", heard.cdr, heard.type).igtl("STRING/*")
+    assert again.message.content == HELLO.content
+
+
+def test_a_broken_message_is_told() -> None:
+    data = b"".join(encode(HELLO))
+    outputs = ManualGateway().from_peer(data[:50] + bytes(8) + data[58:])
+    assert not outputs.ros("/igtl/in/**")
+    assert [note.stream for note in outputs.notes("bad_crc")] == ["STRING/Greeting"]
+
+
+def test_time_passes_when_told_and_what_waits_happens_at_its_moment() -> None:
+    gateway = ManualGateway(command_timeout_s=2.0)
+    gateway.from_peer(Message("COMMAND", "Robot", Command.of(7, "Start", "<Command/>")))
+    assert gateway.advance(1.9).entries == []
+    (reply,) = gateway.advance(10.0).igtl("RTS_COMMAND/*")
+    assert isinstance(reply.message.content, Command)
+    assert reply.message.content.command_id == 7
+    assert gateway.now_ns == START_NS + round(11.9 * NS_PER_S)
+    (sent,) = [entry for entry in gateway.log if entry.type == "RTS_COMMAND"]
+    assert sent.stamp_ns - START_NS == pytest.approx(2.0 * NS_PER_S, abs=1000)
+
+
+def test_settings_by_name_by_file_and_by_value(tmp_path: Path) -> None:
+    path = tmp_path / "lab.toml"
+    path.write_text('[gateway]\nros_unit = "mm"\n')
+    for gateway in (ManualGateway(ros_unit="mm"), ManualGateway(path), ManualGateway(Config(ros_unit="mm"))):
+        assert gateway.config == Config(ros_unit="mm")
+    assert ManualGateway(path, base_frame="map").config == Config(ros_unit="mm", base_frame="map")
+    with pytest.raises(ConfigError, match=r"gateway\.ros_unit"):
+        ManualGateway(ros_unit="inch")
+
+
+def test_a_peer_that_left_gets_nothing() -> None:
+    gateway = ManualGateway()
+    gateway.disconnect(gateway.connect())
+    assert gateway.from_ros("/igtl/out/Tool", POSE).igtl() == []
+
+
+def test_the_inputs_of_a_recording_cause_what_they_caused_that_day() -> None:
+    path = FIXTURES / "paper-types.mcap"
+    with SessionFile.open(path) as file:
+        recorded = list(file.entries())
+    gateway = ManualGateway()
+    gateway.play(path)
+    assert [(entry.stamp_ns, entry.data()) for entry in gateway.log] == [(e.stamp_ns, e.data()) for e in recorded]
+    star = FIXTURES / "star.mcap"
+    chosen = ManualGateway(star).play(star, streams=("/star/status",))
+    assert {sent.stream for sent in chosen.igtl()} == {"STRING/StarStatus"}
+
+
+def test_a_saved_session_is_a_recording_that_verifies(tmp_path: Path) -> None:
+    gateway = ManualGateway(publish_tf=False)
+    gateway.connect()
+    gateway.from_peer(HELLO)
+    gateway.from_ros("/igtl/out/ToolToBase", POSE)
+    path = tmp_path / "golden.mcap"
+    gateway.save(path)
+    with SessionFile.open(path) as file:
+        report = verify(file.entries(), gateway.config)
+        assert file.session["config"]
+    assert report.good
+    assert report.equal == len(gateway.outputs.entries) > 0

@@ -1,0 +1,187 @@
+"""A recording as a peer: what a program under test hears, and what the test hears of the program."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from igtl_gateway.buffers import join
+from igtl_gateway.config import Config
+from igtl_gateway.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.gateway import PARTNER
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.testing.gateway import ManualGateway
+from igtl_gateway.testing.peer import ReplayPeer
+from igtl_gateway.wire import Header, Message, decode, encode
+from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.text import String
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+STAR = FIXTURES / "star.mcap"
+HELLO = Message("STRING", "Greeting", String.of("hello"), 7 << 32)
+DEADLINE_S = 20.0
+
+
+def sent_that_day(path: Path, *streams: str) -> list[bytes]:
+    with SessionFile.open(path) as file:
+        return [
+            entry.data()
+            for entry in file.entries()
+            if entry.kind is Kind.IGTL_OUT and (not streams or entry.channel in streams)
+        ]
+
+
+class Program:
+    """The program under test: a blocking socket."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self.socket = sock
+        sock.settimeout(DEADLINE_S)
+
+    @classmethod
+    def of(cls, peer: ReplayPeer) -> Program:
+        return cls(socket.create_connection((peer.host, peer.port)))
+
+    def messages(self, count: int) -> list[bytes]:
+        framer, found = Framer(), list[bytes]()
+        while len(found) < count:
+            got = self.socket.recv_into(framer.buffer())
+            assert got, f"closed after {len(found)} of {count} messages"
+            found += [bytes(data) for data in framer.received(got)]
+        return found
+
+
+@pytest.fixture
+def program() -> Iterator[Any]:
+    programs: list[Program] = []
+
+    def connect(peer: ReplayPeer) -> Program:
+        programs.append(Program.of(peer))
+        peer.wait_connected()
+        return programs[-1]
+
+    yield connect
+    for one in programs:
+        one.socket.close()
+
+
+def test_the_bytes_of_that_day_are_served(program: Any) -> None:
+    expected = sent_that_day(STAR)
+    with ReplayPeer(STAR) as peer:
+        client = program(peer)
+        for _ in range(2):
+            peer.play()
+            assert client.messages(len(expected)) == expected
+            peer.wait_done()
+            assert peer.done
+            assert peer.sent == len(expected)
+
+
+def test_streams_are_chosen_whatever_the_rate(program: Any) -> None:
+    with ReplayPeer(STAR, streams=("TRANSFORM/CameraToBase", "StarStatus"), rate=100.0) as peer:
+        client = program(peer)
+        peer.play()
+        found = client.messages(25)
+        peer.wait_done()
+    assert found == sent_that_day(STAR, "TRANSFORM/CameraToBase", "STRING/StarStatus")
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_one_header_version_for_all(program: Any, version: int, tmp_path: Path) -> None:
+    gateway = ManualGateway(profile="default")
+    gateway.connect()
+    gateway.from_ros("/igtl/out/Greeting", join(_cdr("hello")), "std_msgs/msg/String")
+    gateway.save(tmp_path / "s.mcap")
+    with ReplayPeer(tmp_path / "s.mcap", header=version) as peer:  # type: ignore[arg-type]
+        client = program(peer)
+        peer.play()
+        (data,) = client.messages(1)
+    assert Header.unpack(data).version == version
+    assert decode(data).content == String.of("hello")
+
+
+def _cdr(text: str) -> tuple[bytes, ...]:
+    size = len(text) + 1
+    return b"\0\1\0\0", size.to_bytes(4, "little"), text.encode() + b"\0"
+
+
+def test_what_the_program_says_is_decoded_and_what_is_wrong_is_told(program: Any) -> None:
+    with ReplayPeer(STAR) as peer:
+        client = program(peer)
+        data = join(encode(HELLO))
+        client.socket.sendall(data[:50] + bytes(8) + data[58:] + data)
+        assert peer.wait_received(1, "STRING") == [HELLO] == peer.received
+        assert "bad_crc" in [note.code for note in peer.notes]
+        with pytest.raises(TimeoutError, match="not 2 messages within"):
+            peer.wait_received(2, timeout_s=0.01)
+
+
+def test_it_connects_to_a_program_that_serves() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(DEADLINE_S)
+        with ReplayPeer(STAR, side="peers", connect=listener.getsockname()) as peer:
+            server = Program(listener.accept()[0])
+            with server.socket:
+                peer.wait_connected()
+                peer.play()
+                found = [Header.unpack(data) for data in server.messages(2)]
+                peer.wait_done()
+    assert sorted((header.type, header.device_name) for header in found) == [
+        ("STATUS", "Navigation"),
+        ("STRING", "Navigation"),
+    ]
+
+
+def test_of_a_relay_each_side_says_its_own_words(program: Any, tmp_path: Path) -> None:
+    gateway = ManualGateway(Config(relay=True))
+    client, server = gateway.connect(), gateway.connect(role="client", **{PARTNER: 1})
+    gateway.from_peer(Message("STRING", "FromClient", String.of("hello")), client)
+    gateway.from_peer(Message("STRING", "FromServer", String.of("hello")), server)
+    gateway.save(tmp_path / "relay.mcap")
+    with ReplayPeer(tmp_path / "relay.mcap") as peer:
+        reader = program(peer)
+        peer.play()
+        assert [Header.unpack(data).device_name for data in reader.messages(1)] == ["FromServer"]
+        peer.wait_done()
+        assert peer.sent == 1
+
+
+def test_ros_messages_alone_go_through_the_gateway(program: Any, tmp_path: Path) -> None:
+    gateway = ManualGateway()  # nobody is connected: nothing goes out
+    gateway.from_ros("/igtl/out/Greeting", join(_cdr("hello")), "std_msgs/msg/String")
+    gateway.save(tmp_path / "ros.mcap")
+    with ReplayPeer(tmp_path / "ros.mcap") as peer:
+        client = program(peer)
+        peer.play()
+        assert decode(client.messages(1)[0]).content == String.of("hello")
+
+
+def test_a_test_that_ends_early_is_cleaned_up(program: Any) -> None:
+    with ReplayPeer(STAR, rate=0.001) as peer:
+        program(peer)
+        peer.play()
+        with pytest.raises(RuntimeError, match="plays already"):
+            peer.play()
+        with pytest.raises(TimeoutError, match="not all played"):
+            peer.wait_done(0.01)
+    assert not peer.done
+    peer.close()
+    with pytest.raises(ConnectionRefusedError):
+        Program.of(peer)
+
+
+def test_nobody_connects() -> None:
+    with ReplayPeer(STAR) as peer, pytest.raises(TimeoutError, match=f"not 1 connected with 127.0.0.1:{peer.port}"):
+        peer.wait_connected(timeout_s=0.01)
+
+
+def test_what_is_wrong_is_said_before_anything_is_served(tmp_path: Path) -> None:
+    with pytest.raises(UnsupportedRecording):
+        ReplayPeer(tmp_path / "none.mcap")
+    with pytest.raises(ConfigError, match="found 0, expected a number above 0"):
+        ReplayPeer(STAR, rate=0)

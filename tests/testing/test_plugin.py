@@ -1,0 +1,71 @@
+"""The plugin as a user's project has it: pytest in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from tests.integration.bridge import ROOT
+
+FIXTURES = ROOT / "fixtures"
+
+TESTS = """
+import socket
+
+from igtl_gateway.wire import Header
+
+def test_replay(igtl_replay):
+    with igtl_replay("star.mcap", streams=["StarStatus"]) as peer:
+        with socket.create_connection((peer.host, peer.port), 20) as client:
+            peer.wait_connected()
+            peer.play()
+            data = client.recv(58, socket.MSG_WAITALL)
+            assert Header.unpack(data).device_name == "StarStatus"
+
+def test_not_closed_by_the_test(igtl_replay):
+    igtl_replay("star.mcap").play()
+
+def test_gateway(igtl_gateway, assert_session_equal):
+    gateway = igtl_gateway("lab.toml", base_frame="map")
+    assert (gateway.config.ros_unit, gateway.config.base_frame) == ("mm", "map")
+    again = igtl_gateway("star.mcap")
+    again.play("star.mcap")
+    assert_session_equal("star.mcap", again)
+
+def test_difference(igtl_gateway, assert_session_equal):
+    assert_session_equal("star.mcap", igtl_gateway())
+"""
+
+
+def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """pytest on a folder outside the project; the plugin is loaded by hand where it is not installed."""
+    installed = any(entry.value == "igtl_gateway.testing.plugin" for entry in entry_points(group="pytest11"))
+    plugin = [] if installed else ["-p", "igtl_gateway.testing.plugin"]
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "pytest", "-q", "--rootdir", str(folder), *plugin, *arguments, str(folder)]
+    return subprocess.run(command, capture_output=True, text=True, env=env, cwd=folder, check=False)
+
+
+def test_a_project_uses_the_fixtures(tmp_path: Path) -> None:
+    (tmp_path / "test_it.py").write_text(TESTS)
+    (tmp_path / "lab.toml").write_text('[gateway]\nros_unit = "mm"\n')
+    shutil.copy(FIXTURES / "star.mcap", tmp_path)
+    # from elsewhere: paths are found beside the test
+    result = run_pytest(tmp_path, "-W", "error")
+    assert "1 failed, 3 passed" in result.stdout, result.stdout + result.stderr
+    assert "AssertionError: sessions differ" in result.stdout
+    assert "OpenIGTLink out IMAGE/Camera: 12 messages expected, 0 found" in result.stdout
+
+
+def test_nothing_is_imported_before_it_is_used() -> None:
+    code = (
+        "import pytest, sys; before = set(sys.modules); import igtl_gateway.testing.plugin; "
+        "print(sorted(name for name in set(sys.modules) - before))"
+    )
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, check=True)
+    assert result.stdout.strip() == str(["igtl_gateway", "igtl_gateway.testing", "igtl_gateway.testing.plugin"])

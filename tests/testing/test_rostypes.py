@@ -1,0 +1,15 @@
+"""All types that the gateway speaks are known."""
+
+from __future__ import annotations
+
+import pytest
+
+from igtl_gateway.convert.rosmsg import String
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.testing.rostypes import unpack
+
+
+def test_a_type_is_read_by_its_class_and_another_refused() -> None:
+    assert unpack("std_msgs/msg/String", String("hello").pack()) == String("hello")
+    with pytest.raises(ConfigError, match="found a message of type my_msgs/msg/Own"):
+        unpack("my_msgs/msg/Own", b"")
