@@ -4,30 +4,43 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from igtl_gateway.replay.latched import STATE_TYPES
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import once, select
-from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.stamp import ticks_to_ns
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 STAR, TYPES = FIXTURES / "star.mcap", FIXTURES / "paper-types.mcap"
 PATIENCE_S = 60.0
+#: The command line with standard input for its controlling terminal.
+IN_FRONT = """
+import fcntl, sys, termios
+from igtl_gateway.cli import main
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+sys.exit(main())
+"""
 
 
 @contextmanager
 def replay(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """``igtl-gateway replay`` as a process."""
     command = [sys.executable, "-m", "igtl_gateway", "replay", *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         try:
             yield process
         finally:
@@ -166,3 +179,147 @@ def test_impossible_options_are_usage(arguments: tuple[str, str]) -> None:
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 2
     assert err.count("\n") == 1 and arguments[0] in err
+
+
+def messages(data: bytes) -> list[bytes]:
+    """A byte stream, cut into its messages."""
+    found = []
+    while data:
+        size = 58 + int.from_bytes(data[42:50], "big")
+        found.append(data[:size])
+        data = data[size:]
+    return found
+
+
+def sent(path: Path) -> tuple[int, list[tuple[float, Entry]]]:
+    """The beginning of a recording in UTC ns, and with its second each message that a replay sends to OpenIGTLink."""
+    with SessionFile.open(path) as file:
+        entries = select(once(file.entries()), frozenset({Kind.IGTL_OUT}))
+        return file.start_ns, [((entry.stamp_ns - file.start_ns) / 1e9, entry) for entry in entries]
+
+
+def test_a_part_has_what_lies_in_it_and_before_it_the_state() -> None:
+    _, all_sent = sent(STAR)
+    data, _ = received(str(STAR), "--as-fast-as-possible", "--start", "6", "--duration", "0.5")
+    inside = [entry for second, entry in all_sent if 6 <= second <= 6.5]
+    found = messages(data)
+    state = found[: -len(inside)]
+    assert found[-len(inside) :] == [entry.data() for entry in inside]
+    before = [entry for second, entry in all_sent if second < 6]
+    last = {entry.channel: entry for entry in before if entry.type in STATE_TYPES}
+    assert last and {entry.data() for entry in last.values()} <= set(state)
+    assert len(state) < len(before) / 10
+    again, _ = received(str(STAR), "--speed-of-light", "--start", "6", "--end", "6.5")
+    assert again == data
+
+
+def test_every_rate_delivers_the_same_bytes() -> None:
+    part = (str(STAR), "--start", "3", "--duration", "0.4")
+    digests = {
+        hashlib.sha256(received(*part, *pace)[0]).hexdigest()
+        for pace in (["--rate", "0.5"], ["--rate", "50"], ["--as-fast-as-possible"], ["--speed-of-light"])
+    }
+    assert len(digests) == 1
+
+
+def test_a_loop_jumps_to_the_start_and_says_so() -> None:
+    part = (str(TYPES), "--streams", "STRING/*", "--streams", "TRANSFORM/*", "--as-fast-as-possible", "--loop")
+    once_through = recorded(TYPES, "STRING/*", "TRANSFORM/*")
+    with server() as listener, replay(*part, "--to", "igtl", "--connect", target(listener), "--json") as process:
+        peer, _ = listener.accept()
+        with peer:
+            peer.settimeout(PATIENCE_S)
+            data = bytearray()
+            while len(data) < 3 * len(once_through):
+                data += peer.recv(1 << 16)
+            process.send_signal(signal.SIGINT)
+            everything(peer)
+        out, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, err
+    assert data[: 3 * len(once_through)] == 3 * once_through
+    *jumps, outcome = map(json.loads, out.splitlines())
+    assert {(jump["event"], jump["why"], jump["to_ns"]) for jump in jumps} == {("jump", "loop", sent(TYPES)[0])}
+    assert not outcome["complete"]
+
+
+def test_new_stamps_are_of_today_and_nothing_else_changes() -> None:
+    before = time.time()
+    now, _ = received(str(TYPES), "--as-fast-as-possible", "--restamp", "now")
+    shifted, _ = received(str(TYPES), "--as-fast-as-possible", "--restamp", "shift")
+    after = time.time()
+    old = messages(recorded(TYPES))
+    for new in (messages(now), messages(shifted)):
+        assert [m[:34] + m[42:] for m in new] == [m[:34] + m[42:] for m in old]
+    seconds = [int.from_bytes(m[34:38], "big") for m in messages(now)]
+    assert all(before - 1 <= second <= after for second in seconds)
+
+    def ns(message: bytes) -> int:
+        return ticks_to_ns(int.from_bytes(message[34:42], "big"))
+
+    assert len({ns(new) - ns(m) for new, m in zip(messages(shifted), old, strict=True) if ns(m)}) == 1
+
+
+def test_steps_by_lines_and_their_end() -> None:
+    with server() as listener:
+        command = [sys.executable, "-m", "igtl_gateway", "replay", str(TYPES), "--to", "igtl", "--step"]
+        with subprocess.Popen(
+            [*command, "--connect", target(listener)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        ) as process:
+            peer, _ = listener.accept()
+            with peer:
+                out, _ = process.communicate("\n\n\n", timeout=PATIENCE_S)
+                data = everything(peer)
+    assert messages(data) == messages(recorded(TYPES))[:3]
+    assert "stopped after 3 messages" in out
+
+
+def test_keys_of_a_terminal() -> None:
+    user, ours = os.openpty()
+    try:
+        with server() as listener:
+            arguments = ["replay", str(TYPES), "--to", "igtl", "--start-paused", "--rate", "1000"]
+            process = subprocess.Popen(
+                [sys.executable, "-c", IN_FRONT, *arguments, "--connect", target(listener)],
+                stdin=ours,
+                stdout=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
+            )
+            peer, _ = listener.accept()
+            with process, peer:
+                peer.settimeout(PATIENCE_S)
+                assert process.stdout
+                next(line for line in process.stdout if line.startswith("keys:"))
+                first, *_ = messages(recorded(TYPES))
+                os.write(user, b"\x1b[C")
+                data = bytearray()
+                while len(data) < len(first):
+                    data += peer.recv(len(first) - len(data))
+                assert data == first
+                os.write(user, b"\x1b[A")
+                assert next(process.stdout) == "rate 1.1e+03\n"
+                os.write(user, b" ")
+                assert first + everything(peer) == recorded(TYPES)
+                assert process.wait(PATIENCE_S) == 0
+    finally:
+        os.close(user)
+        os.close(ours)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--start", "soon"), "--start: found 'soon'"),
+        (("--start", "9999"), "--start: found +9999.000 s"),
+        (("--start", "1", "--end", "0.5"), "--end"),
+        (("--duration", "0"), "--duration"),
+        (("--delay", "-1"), "--delay"),
+        (("--clock",), "--clock: found --to igtl"),
+        (("--start-paused",), "needs a terminal"),
+    ],
+)
+def test_what_cannot_be_is_said_before_anything_is_sent(arguments: tuple[str, ...], named: str) -> None:
+    with replay(str(TYPES), "--to", "igtl", "--listen", ":0", *arguments) as process:
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 2
+    assert err.count("\n") == 1 and named in err

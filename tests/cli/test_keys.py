@@ -1,0 +1,85 @@
+"""The keyboard of ``replay``, on a pseudo terminal."""
+
+from __future__ import annotations
+
+import os
+import termios
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from typing import IO
+
+import pytest
+
+from igtl_gateway.cli.keys import FASTER, NEXT, PAUSE, QUIT, SLOWER, commands, is_ours, keyboard, read_lines
+
+PATIENCE_S = 30.0
+ARROWS = [NEXT, FASTER, SLOWER]
+
+
+@contextmanager
+def terminal() -> Iterator[tuple[int, IO[bytes]]]:
+    """Where the user types, and the standard input that it arrives on."""
+    user, ours = os.openpty()
+    try:
+        with open(ours, "rb", buffering=0) as stream:
+            yield user, stream
+    finally:
+        os.close(user)
+
+
+@pytest.mark.parametrize(
+    ("typed", "found"),
+    [
+        (b" ", [PAUSE]),
+        (b"\x1b[C\x1b[A\x1b[B", ARROWS),
+        (b"\x1bOC\x1bOA\x1bOB", ARROWS),
+        (b"s\nq", [NEXT, NEXT, QUIT]),
+        (b"xyz \x1b[Dx\x1b[5~ ", [PAUSE, PAUSE]),
+    ],
+)
+def test_keys_mean_commands_and_others_nothing(typed: bytes, found: list[str]) -> None:
+    assert commands(typed) == (found, b"")
+
+
+def test_a_key_may_arrive_in_pieces() -> None:
+    found, rest = commands(b" \x1b[")
+    assert (found, rest) == ([PAUSE], b"\x1b[")
+    assert commands(rest + b"A") == ([FASTER], b"")
+
+
+def test_keys_come_one_by_one_without_echo_and_the_terminal_is_left_as_it_was() -> None:
+    found: list[str] = []
+    enough = threading.Event()
+
+    def on_command(command: str) -> None:
+        found.append(command)
+        if len(found) == 4:
+            enough.set()
+
+    with terminal() as (user, stream):
+        before = termios.tcgetattr(stream.fileno())
+        with pytest.raises(KeyError), keyboard(on_command, stream):
+            os.write(user, b" \x1b[C\x1b[Aq")  # without a line's end
+            assert enough.wait(PATIENCE_S)
+            raise KeyError
+        assert found == [PAUSE, NEXT, FASTER, QUIT]
+        assert termios.tcgetattr(stream.fileno()) == before
+        os.set_blocking(user, False)
+        with pytest.raises(BlockingIOError):
+            os.read(user, 100)
+
+
+def test_only_a_terminal_of_ours_is_asked_for_keys() -> None:
+    with terminal() as (_, stream):
+        assert not is_ours(stream), "a terminal, but not the one that controls us"
+    with open(os.devnull, "rb") as nothing:
+        assert not is_ours(nothing)
+
+
+def test_lines_are_counted_up_to_their_end() -> None:
+    found, ended = list[str](), threading.Event()
+    read_lines(lambda: found.append("line"), ended.set, BytesIO(b"\n\nlast"))
+    assert ended.wait(PATIENCE_S)
+    assert found == ["line"] * 3
