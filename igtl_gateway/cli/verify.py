@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
             raise UnsupportedRecording(f"{options.file}: is no session of igtl-gateway: it has no outputs to verify")
         config = recorded_config(file.session, options.config)
         recorder = (file.ledger or {}).get("recorder", {})
-        report = verify(file.entries(), config, int(recorder.get("dropped_entries", 0)))
+        report = verify(file.entries(), config, int(recorder.get("dropped_entries", 0)), file.prologue())
     if options.json:
         print_json({"file": str(options.file), "good": report.good, **asdict(report)})
     else:

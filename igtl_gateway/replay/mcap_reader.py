@@ -16,13 +16,14 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Message, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
@@ -124,14 +125,21 @@ class SessionFile:
         self.entry_count = sum(channel.count for channel in self.channels)
         self.start_ns = summary.statistics.message_start_time
         self.end_ns = summary.statistics.message_end_time
+        self._prologue = next(
+            (index for index in summary.attachment_indexes if index.name == layout.PROLOGUE_ATTACHMENT), None
+        )
 
     @classmethod
     def open(cls, path: Path | str) -> SessionFile:
-        """Open a file and read what it says of itself; the entries are read by :meth:`entries`.
+        """Open a file, or the folder of a split recording, and read what it says of itself.
+
+        The entries are read by :meth:`entries`.
 
         Raises UnsupportedRecording (no such file, not MCAP, of a newer version …) or DamagedRecording.
         """
         path = Path(path)
+        if path.is_dir():
+            return SessionParts(path)
         stream = open_file(path)
         try:
             return cls(path, stream)
@@ -157,6 +165,21 @@ class SessionFile:
         Raises DamagedRecording where the file turns out to be damaged; what came before is right.
         """
         return migrations.entries(self.format_version, self._entries())
+
+    def prologue(self) -> list[Entry]:
+        """Inputs before the first entry, which the gateway's state follows from; for files that begin midway.
+
+        Raises DamagedRecording.
+        """
+        if self._prologue is None:
+            return []
+        with self._reading("prologue"):
+            self._stream.seek(self._prologue.offset)
+            limit = self._prologue.length
+            record = next(StreamReader(self._stream, skip_magic=True, record_size_limit=limit).records)
+            if not isinstance(record, Attachment):
+                raise LayoutError(f"found {type(record).__name__}")
+            return list(SessionFile(self.path, BytesIO(record.data)).entries())
 
     def _entries(self) -> Iterator[Entry]:
         decoders, foreign = self._decoders, self.foreign
@@ -242,6 +265,64 @@ class SessionFile:
         stream = channel.topic if kind in layout.ROS_KINDS else layout.unescape(stream)
         qos = layout.parse_qos_yaml(channel.metadata.get(layout.QOS_KEY, ""))
         return ChannelSummary(channel.topic, ros_type, kind, stream, count, qos)
+
+
+class SessionParts(SessionFile):
+    """The parts of a split recording as one session; see :meth:`SessionFile.open`.  One part is open at a time."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder
+        found: dict[int, Path] = {}
+        channels: dict[tuple[str, str, Kind, str], ChannelSummary] = {}
+        skipped: list[SkippedChannel] = []
+        self.entry_count = self.start_ns = self.end_ns = 0
+        for path in sorted(folder.glob("*.mcap")):
+            with SessionFile.open(path) as part:
+                number = part.session.get(layout.PART_KEY, "")
+                if not (number.isascii() and number.isdigit()):
+                    raise UnsupportedRecording(
+                        f"{folder}: found a directory with {path.name}, expected parts of a split recording; "
+                        "name the .mcap file in it"
+                    )
+                found[int(number)] = path
+                for channel in part.channels:
+                    key = (channel.topic, channel.type, channel.kind, channel.stream)
+                    count = channels[key].count if key in channels else 0
+                    channels[key] = replace(channel, count=channel.count + count)
+                skipped += part.skipped
+                self.entry_count += part.entry_count
+        if not found:
+            raise UnsupportedRecording(f"{folder}: found a directory, expected the .mcap file in it")
+        missing = next((number for number in range(max(found) + 1) if number not in found), None)
+        if missing is not None:
+            raise DamagedRecording(f"{folder}: part {missing} of the recording is missing")
+        self._parts = [found[number] for number in sorted(found)]
+        with SessionFile.open(self._parts[0]) as first, SessionFile.open(self._parts[-1]) as last:
+            own = (layout.PART_KEY, layout.PREVIOUS_KEY)
+            self.session = {key: value for key, value in first.session.items() if key not in own}
+            self.format_version = first.format_version
+            self.start_ns, self.end_ns = first.start_ns, last.end_ns
+            self.ledger = last.ledger
+        self.foreign = False
+        self.channels, self.skipped = tuple(channels.values()), tuple(skipped)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def entries(self) -> Iterator[Entry]:
+        """All entries of all parts; as SessionFile.entries."""
+        seq = 0
+        for path in self._parts:
+            with SessionFile.open(path) as part:
+                for entry in part.entries():
+                    if entry.seq <= seq:
+                        raise DamagedRecording(f"{path}: found entry number {entry.seq}, expected one above {seq}")
+                    seq = entry.seq
+                    yield entry
+
+    def prologue(self) -> list[Entry]:
+        """Nothing: it begins at the beginning."""
+        return []
 
 
 _KINDS = {kind.value: kind for kind in Kind}

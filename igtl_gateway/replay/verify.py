@@ -84,15 +84,18 @@ class Report:
             self.differences.append(difference)
 
 
-def verify(entries: Iterable[Entry], config: Config, declared_lost: int = 0) -> Report:
+def verify(entries: Iterable[Entry], config: Config, declared_lost: int = 0, prologue: Iterable[Entry] = ()) -> Report:
     """Compare the recorded outputs with those that ``config`` gives today for the recorded inputs.
 
     Args:
         entries: the recording, in order.
         config: the configuration to run with, usually the recorded one.
         declared_lost: how many entries the recorder says that it dropped; so many missing outputs are excused.
+        prologue: inputs before the recording, whose outputs are not compared.
     """
     gateway, report = gateway_of(config), Report()
+    for entry in prologue:
+        gateway.handle(entry)
     expected: deque[Entry] = deque()
     cause = 0
     for entry in entries:
