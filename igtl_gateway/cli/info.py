@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway.cli.common import count, print_json, size
-from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.cli.recover import print_losses
+from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.replay.mcap_reader import SessionFile, recover_hint
+from igtl_gateway.replay.salvage import Salvage
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
@@ -111,47 +116,86 @@ class Stream:
         }
 
 
-def run(options: argparse.Namespace) -> int:
-    streams: dict[tuple[Kind, str, str], Stream] = {}
-    notes: list[tuple[int, Kind, Note]] = []
-    counted: Counter[str] = Counter()
-    with SessionFile.open(options.file) as file:
-        for entry in file.entries():
+@dataclass(slots=True)
+class Content:
+    """What is told of the entries."""
+
+    streams: dict[tuple[Kind, str, str], Stream] = field(default_factory=dict)
+    notes: list[tuple[int, Kind, Note]] = field(default_factory=list)
+    problems: Counter[str] = field(default_factory=Counter)
+    entries: int = 0
+
+    @classmethod
+    def of(cls, entries: Iterable[Entry]) -> Content:
+        """Read all entries."""
+        content = cls()
+        for entry in entries:
+            content.entries += 1
             if entry.kind in _DIRECTIONS:
                 key = (entry.kind, entry.channel, entry.type)
-                stream = streams.get(key)
+                stream = content.streams.get(key)
                 if stream is None:
-                    stream = streams[key] = Stream(*key)
+                    stream = content.streams[key] = Stream(*key)
                 stream.add(entry)
             else:
                 note = Note.unpack(entry.data())
                 if note.level >= Level.WARN:
-                    counted[note.code] += 1
-                notes.append((entry.stamp_ns, entry.kind, note))
-        told = {
-            "file": str(options.file),
-            "bytes": options.file.stat().st_size,
-            "format_version": file.format_version,
-            "foreign": file.foreign,
-            "start": _utc(file.start_ns),
-            "duration_s": (file.end_ns - file.start_ns) / NS_PER_S,
-            "entries": file.entry_count,
-            "streams": [stream.to_dict() for _, stream in sorted(streams.items(), key=_order)],
-            "problems": dict(sorted(counted.items())),
-            "peers": [
-                {"event": note.code, "at": _utc(stamp_ns), **note.data}
-                for stamp_ns, kind, note in notes
-                if kind is Kind.LINK
-            ],
-            "session": file.session,
-            "ledger": file.ledger,
-            "skipped": [asdict(skipped) for skipped in file.skipped],
-        }
-        if options.json:
-            print_json(told)
-        else:
-            _print(told, notes, file.start_ns)
+                    content.problems[note.code] += 1
+                content.notes.append((entry.stamp_ns, entry.kind, note))
+        return content
+
+
+def run(options: argparse.Namespace) -> int:
+    try:
+        with SessionFile.open(options.file) as file:
+            content = Content.of(file.entries())
+            told = _told(options.file, file, content, file.start_ns, file.end_ns)
+            told["skipped"] = [asdict(skipped) for skipped in file.skipped]
+    except DamagedRecording as error:
+        return _run_damaged(options, str(error))
+    if options.json:
+        print_json(told)
+    else:
+        _print(told, content.notes, file.start_ns)
     return 0
+
+
+def _run_damaged(options: argparse.Namespace, why: str) -> int:
+    """The same of whatever can be read; a finding."""
+    with Salvage.open(options.file) as file:
+        content = Content.of(file.entries())
+        report = file.report
+        told = _told(options.file, file, content, report.start_ns, report.end_ns)
+    if options.json:
+        print_json(told | {"skipped": [], "damaged": {"why": why, **asdict(report)}})
+        return 1
+    _print(told | {"skipped": []}, content.notes, report.start_ns)
+    print("  DAMAGED")
+    print_losses(report)
+    hint = recover_hint(options.file)
+    print(f"igtl-gateway info: {why.removesuffix(hint)}{hint}", file=sys.stderr)
+    return 1
+
+
+def _told(path: Path, file: SessionFile | Salvage, content: Content, start_ns: int, end_ns: int) -> dict[str, Any]:
+    return {
+        "file": str(path),
+        "bytes": path.stat().st_size,
+        "format_version": file.format_version,
+        "foreign": file.foreign,
+        "start": _utc(start_ns),
+        "duration_s": (end_ns - start_ns) / NS_PER_S,
+        "entries": content.entries,
+        "streams": [stream.to_dict() for _, stream in sorted(content.streams.items(), key=_order)],
+        "problems": dict(sorted(content.problems.items())),
+        "peers": [
+            {"event": note.code, "at": _utc(stamp_ns), **note.data}
+            for stamp_ns, kind, note in content.notes
+            if kind is Kind.LINK
+        ],
+        "session": file.session,
+        "ledger": file.ledger,
+    }
 
 
 def _order(item: tuple[tuple[Kind, str, str], Stream]) -> tuple[int, str, str]:
@@ -245,6 +289,15 @@ def _losses(ledger: dict[str, Any] | None) -> list[str]:
     if ledger is None:
         return ["   unknown: the recording has no ledger"]
     lines = []
+    recovered = ledger.get("recovered")
+    if recovered:
+        places = len(recovered["lost"]) + recovered["more_lost"]
+        lines.append(
+            f"recovered from {recovered['from']} by {recovered['by']}: "
+            + ("nothing was lost" if recovered["whole"] else f"lost in {count(places, 'place')}, see --json")
+        )
+        if "streams" not in ledger:
+            lines.append("   unknown: the recording was not closed, so it has no counts")
     for direction, streams in ledger.get("streams", {}).items():
         for stream, fates in streams.items():
             for reason, number in fates.get("dropped", {}).items():

@@ -41,7 +41,7 @@ DefinitionOf = Callable[[str], tuple[str, str] | None]
 #: Uncompressed size of a chunk: what a reader has to hold, and unpacks to see one message.
 CHUNK_BYTES = 1 << 20
 
-_COMPRESSIONS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
+COMPRESSIONS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
 #: Channels of ROS topics.  MCAP has 65,535 channels, and the other kinds need some.
 _MAX_ROS_CHANNELS = 60_000
 _U64 = 1 << 64
@@ -111,8 +111,8 @@ class SessionWriter:
         self._failure = ""
         self._fsync = fsync
         before = packed(prologue)
-        self._file = memory or _create(path, overwrite)
-        self._mcap = Writer(self._file, chunk_size=chunk_bytes, compression=_COMPRESSIONS[compression])
+        self._file = memory or create_file(path, overwrite)
+        self._mcap = Writer(self._file, chunk_size=chunk_bytes, compression=COMPRESSIONS[compression])
         try:
             self._start(session, before)
             if fsync != "never":
@@ -120,13 +120,13 @@ class SessionWriter:
         except OSError as error:
             self._abandon()
             path.unlink(missing_ok=True)
-            raise RecordingError(f"cannot record to {path}: {_reason(error)}") from error
+            raise RecordingError(f"cannot record to {path}: {reason(error)}") from error
 
     def _start(self, session: dict[str, str], prologue: bytes) -> None:
         facts = {**session, layout.FORMAT_VERSION_KEY: str(layout.FORMAT_VERSION)}
         self._mcap.start(layout.MCAP_PROFILE, f"igtl-gateway {__version__}")
         self._mcap.add_metadata(layout.SESSION_METADATA, layout.seal(facts))
-        self._mcap.add_metadata(layout.SESSION_METADATA, layout.seal(facts))
+        self._mcap.add_metadata(layout.SESSION_COPY_METADATA, layout.seal(facts))
         configuration = facts.get(layout.CONFIGURATION_KEY, "{}").encode()
         self._mcap.add_attachment(0, 0, layout.CONFIGURATION_ATTACHMENT, "application/json", configuration)
         if prologue:
@@ -289,7 +289,7 @@ class SessionWriter:
 
     def _failed(self, error: OSError) -> RecordingError:
         """After an error nobody knows what is in the file and in the library's buffers, so no more is written."""
-        self._failure = f"recording to {self.path} failed: {_reason(error)}"
+        self._failure = f"recording to {self.path} failed: {reason(error)}"
         self._abandon()
         return RecordingError(self._failure)
 
@@ -321,7 +321,7 @@ def _sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def _create(path: Path, overwrite: bool) -> BufferedWriter:
+def create_file(path: Path, overwrite: bool) -> BufferedWriter:
     """The open file.  Raises RecordingError with what is in the way."""
     try:
         if path.is_dir():
@@ -336,8 +336,9 @@ def _create(path: Path, overwrite: bool) -> BufferedWriter:
     except FileNotFoundError:
         raise RecordingError(f"cannot record to {path}: there is no folder {path.parent}") from None
     except (OSError, ValueError) as error:
-        raise RecordingError(f"cannot record to {path}: {_reason(error)}") from error
+        raise RecordingError(f"cannot record to {path}: {reason(error)}") from error
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception) -> str:
+    """What the system says of a refused file."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)

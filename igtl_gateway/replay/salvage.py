@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, TypeVar
+from typing import IO, Any, Literal, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema, Statistics
@@ -44,6 +44,7 @@ from igtl_gateway.session import layout, migrations
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.layout import LayoutError
 
+Compression = Literal["lz4", "zstd", "none"]
 _Record = TypeVar("_Record", Header, Schema, Channel, Metadata, Attachment, Statistics)
 
 #: Losses that are told one by one; the rest are counted.
@@ -53,6 +54,8 @@ MAX_LOSSES = 1_000
 CUT_OFF, CHUNK, BYTES, CHANNEL, NUMBER, METADATA, LEDGER, ATTACHMENT = (
     "cut_off", "chunk", "bytes", "channel", "number", "metadata", "ledger", "attachment",
 )  # fmt: skip
+
+_SESSION = (layout.SESSION_METADATA, layout.SESSION_COPY_METADATA)
 
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX = range(1, 8)
 _ATTACHMENT, _STATISTICS, _METADATA, _DATA_END = 9, 11, 12, 15
@@ -168,6 +171,8 @@ class Salvage:
         path: the file.
         profile, library: of the file's header; ``""`` where that is lost.
         session, format_version, ledger, foreign: as of SessionFile.
+        recorded_session: the session metadata as the file has it, of whatever version.
+        compression: of its chunks; ``"none"`` where they have none or there are none.
         metadata: the other metadata records.
         report: what was read and lost so far.
         position: offset that has been read up to, for whoever shows progress.
@@ -183,6 +188,7 @@ class Salvage:
         self.report = Report(size)
         self.position = 0
         self.profile = self.library = ""
+        self.compression: Compression = "none"
         self.metadata: list[Metadata] = []
         self._loose = False  # messages lie outside of chunks
         self._schemas: dict[int, tuple[Schema, bool]] = {}  # and whether under a checksum
@@ -277,6 +283,9 @@ class Salvage:
             found = found or frame.opcode in (_CHUNK, _METADATA, _HEADER)
             if frame.opcode == _DATA_END:
                 self.report.closed = True
+            elif frame.opcode == _CHUNK and self.compression == "none":
+                told = self._bytes(frame.at + _HEAD.size + _CHUNK_HEAD.size + _U32.size, 4)
+                self.compression = "lz4" if told[:3] == b"lz4" else "zstd" if told == b"zstd" else "none"
             elif frame.opcode == _ATTACHMENT:
                 self._attachments.append(frame)
             elif frame.opcode in (_HEADER, _SCHEMA, _CHANNEL, _METADATA):
@@ -285,7 +294,7 @@ class Salvage:
                 if frame.opcode == _HEADER and (header := _parsed(Header, content)):
                     self.profile, self.library = header.profile, header.library
                 elif frame.opcode == _METADATA and (metadata := _parsed(Metadata, content)):
-                    if metadata.name == layout.SESSION_METADATA:
+                    if metadata.name in _SESSION:
                         session = session or _unsealed(metadata)
                     elif metadata.name == layout.LEDGER_METADATA:
                         ledger = ledger or _ledger(metadata)
@@ -294,7 +303,8 @@ class Salvage:
         marked = any(layout.KIND_KEY in channel.metadata for channel, _ in self._channels.values())
         self.foreign = session is None and not marked and not self.library.startswith("igtl-gateway")
         self.format_version = format_version(self.path, session)
-        self.session = migrations.session(self.format_version, session or {})
+        self.recorded_session = session or {}
+        self.session = migrations.session(self.format_version, self.recorded_session)
         self.ledger = ledger
         return found
 
@@ -596,7 +606,7 @@ class _Reading:
         metadata = _parsed(Metadata, self._file._content(frame))
         if metadata is None:
             return True
-        if metadata.name == layout.SESSION_METADATA:
+        if metadata.name in _SESSION:
             return not self._file.session and _unsealed(metadata) is None
         return metadata.name == layout.LEDGER_METADATA and _ledger(metadata) is None
 

@@ -34,6 +34,8 @@ MESSAGE_ENCODING = "cdr"
 SCHEMA_ENCODING = "ros2msg"
 
 SESSION_METADATA = "igtl_gateway.session"
+#: The same once more: without it a recording cannot be verified.
+SESSION_COPY_METADATA = "igtl_gateway.session_copy"
 LEDGER_METADATA = "igtl_gateway.ledger"
 CONFIGURATION_ATTACHMENT = "configuration.json"
 #: Inputs before the first entry: an MCAP file of this layout within the file.

@@ -25,7 +25,7 @@ BIN = Path(sys.executable).parent
 DEADLINE_S = 120
 
 
-@pytest.fixture(scope="module", params=sorted(mcap_writer._COMPRESSIONS))
+@pytest.fixture(scope="module", params=sorted(mcap_writer.COMPRESSIONS))
 def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session with every kind of entry, in each compression."""
     path = tmp_path_factory.mktemp("conformance") / "session.mcap"
