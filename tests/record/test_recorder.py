@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import random
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,10 +24,12 @@ from mcap.stream_reader import StreamReader
 from igtl_gateway.clock import ManualClock, SystemClock
 from igtl_gateway.errors import DamagedRecording, RecordingError
 from igtl_gateway.qos import Qos
+from igtl_gateway.record import mcap_writer
 from igtl_gateway.record import recorder as recorder_module
 from igtl_gateway.record.mcap_writer import Compression, SessionWriter
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.selection import Selection
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
@@ -40,7 +43,7 @@ ROOT = Path(__file__).parents[2]
 class Bench:
     """A recorder, what it said, and a way to hold its thread: inside the question for the QoS of a topic."""
 
-    def __init__(self, path: Path, **options: int | float | str | bool) -> None:
+    def __init__(self, path: Path, **options: object) -> None:
         self.clock = ManualClock()
         self.notes: list[Note] = []
         self.asked = threading.Event()
@@ -324,6 +327,7 @@ import sys, threading
 from pathlib import Path
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.selection import Selection
 from tests.record import samples
 path, clock = Path(sys.argv[1]), SystemClock()
 recorder = Recorder(path, samples.SESSION, qos_of=lambda topic, type: None, on_note=print, clock=clock)
@@ -392,6 +396,7 @@ import json, sys, threading
 from pathlib import Path
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.selection import Selection
 from tests.record import samples
 from tests.record.test_recorder import noise
 notes, failed = [], threading.Event()
@@ -439,6 +444,7 @@ def test_when_the_disk_is_full_the_recording_ends_and_the_process_goes_on(path: 
 def test_a_full_disk_at_the_start_is_told_and_leaves_nothing(path: Path) -> None:
     code = f"""
 import resource
+import shutil
 resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
 from pathlib import Path
 from igtl_gateway.errors import RecordingError
@@ -483,3 +489,126 @@ def test_a_defect_in_the_thread_ends_the_recording_not_the_process(path: Path) -
     assert [note.code for note in notes] == [recorder_module.FAILED]
     assert summary.entries + sum(summary.dropped.values()) == 5
     assert len(read(path)) == summary.entries  # closed all the same
+
+
+# --- what is taken away ----------------------------------------------------------------------------------------
+
+
+def _remove(path: Path) -> None:
+    path.unlink()
+
+
+def _remove_folder(path: Path) -> None:
+    shutil.rmtree(path.parent)
+
+
+def _replace(path: Path) -> None:
+    path.unlink()
+    path.write_bytes(b"somebody else's")
+
+
+@pytest.mark.parametrize(
+    ("take_away", "words"),
+    [(_remove, "was removed"), (_remove_folder, "was removed"), (_replace, "took its place")],
+)
+@pytest.mark.parametrize(("stop", "then"), [(True, "the bridge stops"), (False, "the bridge goes on")])
+def test_a_file_that_is_taken_away_is_told_at_the_next_flush(
+    tmp_path: Path, take_away: Callable[[Path], None], words: str, stop: bool, then: str
+) -> None:
+    path = tmp_path / "folder" / "session.mcap"
+    path.parent.mkdir()
+    bench = Bench(path, stop_on_failure=stop)
+    bench.recorder(samples.ros(1))
+    bench.wait_drained()
+    take_away(path)
+    bench.clock.advance(1_000_000_000)
+    bench.recorder(samples.ros(2))
+    bench.wait_notes(1)
+    (note,) = bench.notes
+    assert (note.level, note.code) == (Level.ERROR, recorder_module.FAILED)
+    assert words in note.text and then in note.text
+    assert words in bench.recorder.failure
+    assert words in bench.recorder.close({}).failure
+
+
+def test_a_folder_of_parts_that_is_taken_away(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "session.mcap", split_s=1e-6)
+    bench.recorder(samples.ros(1))
+    bench.wait_drained()
+    shutil.rmtree(tmp_path / "session")
+    bench.recorder(samples.ros(10_000))
+    bench.wait_notes(1)
+    assert "was removed" in bench.notes[0].text
+    assert bench.recorder.close({}).dropped == {"/chatter": 1}
+
+
+# --- flush and fsync -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("fsync", "while_open", "in_all"), [("never", 0, 0), ("close", 0, 1), ("flush", 1, 2)])
+def test_the_disk_is_asked_to_have_it(
+    path: Path, monkeypatch: pytest.MonkeyPatch, fsync: str, while_open: int, in_all: int
+) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(mcap_writer, "_DATASYNC", asked.append)
+    bench = Bench(path, fsync=fsync, flush_s=0.5)
+    bench.clock.advance(600_000_000)
+    bench.recorder(samples.ros(1))
+    bench.wait_drained()
+    bench.hold(2)  # behind the flush that was due with the first entry
+    assert len(asked) == while_open
+    bench.go_on.set()
+    bench.recorder.close({})
+    assert len(asked) == in_all
+
+
+# --- pause -----------------------------------------------------------------------------------------------------
+
+
+def test_a_pause_leaves_out_and_says_how_much(path: Path) -> None:
+    bench = Bench(path)
+    bench.recorder(samples.ros(1))
+    bench.recorder.pause()
+    bench.recorder.pause()
+    for seq in range(2, 7):
+        bench.recorder(samples.ros(seq))
+    bench.recorder(samples.note(7, Kind.LINK))
+    bench.recorder.resume()
+    bench.recorder(samples.ros(8))
+    bench.wait_notes(2)
+    states = [bench.recorder.paused]
+    bench.recorder.pause()
+    bench.wait_notes(3)
+    states.append(bench.recorder.paused)
+    assert states == [False, True]
+    summary = bench.recorder.close({})
+    assert [(note.code, note.data) for note in bench.notes] == [
+        (recorder_module.PAUSED, {}),
+        (recorder_module.RESUMED, {"left_out": 5}),
+        (recorder_module.PAUSED, {}),
+    ]
+    assert [entry.seq for entry in read(path)] == [1, 7, 8]
+    assert (summary.dropped, summary.left_out) == ({}, {"/chatter": 5})
+    with SessionFile.open(path) as file:
+        assert file.ledger is not None
+        assert file.ledger["recorder"]["left_out"] == {"/chatter": 5}
+
+
+def test_streams_that_are_left_out_are_named_in_the_file(path: Path) -> None:
+    bench = Bench(path, selection=Selection(exclude=("/camera/**",)))
+    bench.recorder(samples.ros(1, topic="/camera/image"))
+    bench.recorder(samples.ros(2))
+    bench.recorder.close({})
+    assert [entry.seq for entry in read(path)] == [2]
+    with SessionFile.open(path) as file:
+        assert file.session["record_exclude"] == '["/camera/**"]'
+
+
+def test_what_is_all_recorded_has_no_snapshots(path: Path) -> None:
+    bench = Bench(path)
+    with pytest.raises(RecordingError, match="everything is recorded"):
+        bench.recorder.snapshot().result(DEADLINE_S)
+    assert bench.recorder.failure == ""
+    bench.recorder.close({})
+    with pytest.raises(RecordingError, match="has ended"):
+        bench.recorder.snapshot().result(DEADLINE_S)

@@ -1,0 +1,195 @@
+"""Split recordings, held against rosbags, pymcap-cli and our own reader."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.rosbag2 import Reader
+
+from igtl_gateway.clock import ManualClock
+from igtl_gateway.config import Config
+from igtl_gateway.errors import DamagedRecording, RecordingError, UnsupportedRecording
+from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Gateway, Session
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import Recorder, RecordingSummary
+from igtl_gateway.record.selection import StateRule
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.verify import verify
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from tests.record import samples
+
+SECOND_NS = 1_000_000_000
+RULE = StateRule(frozenset({LINKS_TOPIC}))
+
+
+def session(seconds: int = 5, hz: int = 20) -> list[Entry]:
+    """What a gateway makes of a peer that sends, and of a topic that goes to it."""
+    gateway = Session(Gateway(Config()))
+    up = Note(Level.INFO, LINK_UP, "a peer", data={"address": "127.0.0.1:1"}).pack()
+    entries = gateway.input(samples.START_NS, Kind.LINK, (up,), links=(1,))
+    for number in range(seconds * hz):
+        now_ns = samples.START_NS + (number + 1) * SECOND_NS // hz
+        message = samples.igtl_bytes("TRANSFORM", f"Tool{number % 2}", now_ns, bytes(48))
+        entries += gateway.input(now_ns, Kind.IGTL_IN, (message,), links=(1,))
+        entries += gateway.input(
+            now_ns,
+            Kind.ROS_IN,
+            (samples.string_cdr(f"message {number}"),),
+            channel="/igtl/out/Chat",
+            type_name="std_msgs/msg/String",
+        )
+    return entries
+
+
+def record(path: Path, entries: list[Entry], **options: Any) -> RecordingSummary:
+    recorder = Recorder(
+        path,
+        samples.SESSION,
+        qos_of=lambda _topic, _type: None,
+        on_note=lambda note: pytest.fail(note.text),
+        clock=ManualClock(),
+        options=RecordOptions(**options),
+        rule=RULE,
+    )
+    for entry in entries:
+        recorder(entry)
+    return recorder.close({"streams": {}})
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "long.mcap"
+
+
+def test_parts_by_duration(path: Path) -> None:
+    entries = session()
+    summary = record(path, entries, split_s=1.0)
+    folder = path.with_suffix("")
+    names = [f"long_{number}.mcap" for number in range(len(summary.files) - 1)]
+    assert 5 <= len(names) <= 6
+    assert sorted(file.name for file in folder.iterdir()) == sorted([*names, "metadata.yaml"])
+    assert (summary.path, summary.entries, summary.failure) == (folder, len(entries), "")
+    assert summary.size == sum(file.stat().st_size for file in folder.iterdir())
+    with SessionFile.open(folder) as whole:
+        assert list(whole.entries()) == [samples.flat(entry) for entry in entries]
+        assert (whole.entry_count, whole.start_ns, whole.end_ns) == (
+            len(entries),
+            entries[0].stamp_ns,
+            entries[-1].stamp_ns,
+        )
+        assert whole.ledger is not None and whole.ledger["recorder"]["written_entries"] == len(entries)
+        assert whole.session == {**samples.SESSION, "format_version": "1"}
+    for number, name in enumerate(names):
+        with SessionFile.open(folder / name) as part:
+            assert part.session["part"] == str(number)
+            assert part.session.get("previous_part") == (names[number - 1] if number else None)
+            first = next(iter(part.entries()))
+            assert first.kind.is_input, "outputs lie in the part of their cause"
+
+
+def test_every_part_verifies_alone_and_the_folder_as_a_whole(path: Path) -> None:
+    entries = session()
+    assert any(entry.kind is Kind.IGTL_OUT for entry in entries)
+    summary = record(path, entries, split_s=1.0)
+    parts = [file for file in summary.files if file.suffix == ".mcap"]
+    outputs = 0
+    for part in parts:
+        with SessionFile.open(part) as file:
+            report = verify(file.entries(), Config(), 0, file.prologue())
+        assert report.good and report.equal == report.outputs > 0, (part, report.differences[:1])
+        outputs += report.outputs
+    with SessionFile.open(summary.path) as file:
+        report = verify(file.entries(), Config(), 0, file.prologue())
+    assert report.good and report.outputs == outputs
+    with SessionFile.open(parts[-1]) as file:
+        assert not verify(file.entries(), Config()).good, "the prologue is what makes it verify"
+
+
+def test_parts_by_size(path: Path) -> None:
+    entries = [samples.igtl(seq, body=bytes(100_000)) for seq in range(1, 41)]
+    summary = record(path, entries, split_bytes=1 << 20, compression="none", chunk_bytes=200_000)
+    sizes = [file.stat().st_size for file in summary.files if file.suffix == ".mcap"]
+    assert len(sizes) == 4
+    assert all(1 << 20 <= size < (1 << 20) + 500_000 for size in sizes[:-1])
+
+
+def test_rosbags_reads_the_folder_by_its_side_file(path: Path) -> None:
+    entries = session()
+    summary = record(path, entries, split_s=1.0)
+    with Reader(summary.path) as bag:
+        assert bag.message_count == len(entries)
+        assert (bag.start_time, bag.end_time) == (entries[0].stamp_ns, entries[-1].stamp_ns + 1)
+        counts = Counter(connection.topic for connection, _, _ in bag.messages())
+        assert counts.total() == len(entries)
+        assert {topic: info.msgcount for topic, info in bag.topics.items()} == counts
+        stamps = [stamp for _, stamp, _ in bag.messages()]
+        assert stamps == sorted(stamps)
+        assert {"/igtl/links", "/igtl/out/Chat", "/igtl_gateway/notes"} <= counts.keys()
+
+
+def healthy(file: Path) -> bool:
+    """What pymcap-cli thinks of it."""
+    doctor = [str(Path(sys.executable).with_name("pymcap-cli")), "doctor", str(file)]
+    done = subprocess.run(doctor, check=False, capture_output=True, text=True)
+    return done.returncode == 0 and re.search(r"^OK|\b0 errors", done.stdout) is not None
+
+
+def test_the_doctor_finds_nothing(path: Path) -> None:
+    files = record(path, session(2), split_s=1.0).files
+    assert all(healthy(file) for file in files if file.suffix == ".mcap")
+
+
+def test_a_recording_in_the_way(path: Path) -> None:
+    first = record(path, session(3), split_s=1.0)
+    before = {file: file.read_bytes() for file in first.files}
+    with pytest.raises(RecordingError, match="holds a recording already"):
+        record(path, session(1), split_s=1.0)
+    assert {file: file.read_bytes() for file in first.files} == before
+    stranger = first.path / "notes.txt"
+    stranger.write_text("mine")
+    second = record(path, session(1), split_s=1.0, overwrite=True)
+    assert sorted(second.path.iterdir()) == sorted([*second.files, stranger])
+    second.discard()
+    assert list(second.path.iterdir()) == [stranger]
+
+
+@pytest.mark.parametrize(("made", "words"), [("file", "not a folder"), ("nothing above", "there is no folder")])
+def test_a_folder_that_cannot_be_made(tmp_path: Path, made: str, words: str) -> None:
+    path = tmp_path / "long.mcap"
+    if made == "file":
+        path.with_suffix("").write_text("in the way")
+    else:
+        path = tmp_path / "none" / "long.mcap"
+    with pytest.raises(RecordingError, match=words):
+        record(path, [], split_s=1.0)
+
+
+def test_nothing_recorded_is_one_empty_part(path: Path) -> None:
+    summary = record(path, [], split_s=1.0)
+    with SessionFile.open(summary.path) as file:
+        assert list(file.entries()) == []
+    summary.discard()
+    assert not summary.path.exists()
+
+
+def test_a_part_that_is_missing_is_named(path: Path) -> None:
+    summary = record(path, session(3), split_s=1.0)
+    summary.files[1].unlink()
+    with pytest.raises(DamagedRecording, match="part 1 of the recording is missing"):
+        SessionFile.open(summary.path)
+
+
+def test_other_folders_are_not_taken_for_a_recording(tmp_path: Path) -> None:
+    with pytest.raises(UnsupportedRecording, match="found a directory"):
+        SessionFile.open(tmp_path)
+    recorder = record(tmp_path / "one.mcap", session(1))
+    assert recorder.files == (tmp_path / "one.mcap",)
+    with pytest.raises(UnsupportedRecording, match=r"found a directory with one\.mcap"):
+        SessionFile.open(tmp_path)

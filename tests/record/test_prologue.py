@@ -1,0 +1,62 @@
+"""Which inputs stand for all that came before."""
+
+from __future__ import annotations
+
+from igtl_gateway.record.prologue import Prologue
+from igtl_gateway.record.selection import StateRule
+from igtl_gateway.session.entry import Entry, Kind
+from tests.record import samples
+
+RULE = StateRule(frozenset({"/igtl/links"}), frozenset({"COMMAND"}))
+
+
+def kept(prologue: Prologue, entries: list[Entry]) -> list[int]:
+    for entry in entries:
+        prologue.see(entry)
+    return [entry.seq for entry in prologue.entries()]
+
+
+def test_links_what_was_learned_and_the_last_of_each_stream() -> None:
+    entries = [
+        samples.note(1, Kind.LINK),
+        samples.igtl(2),
+        samples.note(3),  # the first of its stream
+        samples.ros(4, Kind.ROS_OUT),
+        samples.igtl(5),
+        samples.igtl(6, message_type="COMMAND"),
+        samples.igtl(7, message_type="COMMAND"),
+        samples.note(8, Kind.EDGE_NOTE),
+        samples.igtl(9),
+        samples.igtl(10, links=(2,)),
+        samples.ros(11),
+        samples.ros(12),
+    ]
+    assert kept(Prologue(RULE), entries) == [1, 2, 6, 7, 9, 10, 12]
+
+
+def test_an_output_says_of_its_own_cause_only() -> None:
+    entries = [samples.ros(1), samples.note(2, Kind.LINK), samples.note(3), samples.ros(4)]
+    assert kept(Prologue(RULE), entries) == [2, 4]
+
+
+def test_the_last_messages_give_way_first() -> None:
+    entries = [
+        samples.note(1, Kind.LINK),
+        samples.igtl(2, device="first"),
+        samples.note(3),
+        samples.igtl(4, device="a"),
+        samples.igtl(5, device="b"),
+        samples.igtl(6, device="c"),
+    ]
+    # the first of its stream stands in two tables: four places
+    assert kept(Prologue(RULE, max_entries=4), entries) == [1, 2, 5, 6]
+
+
+def test_the_bound_in_bytes() -> None:
+    entries = [samples.igtl(seq, device=f"n{seq}", body=bytes(900)) for seq in range(1, 30)]
+    assert kept(Prologue(RULE, max_bytes=10_000), entries) == list(range(20, 30))
+
+
+def test_one_picture_does_not_push_out_the_rest() -> None:
+    entries = [samples.note(1, Kind.LINK), samples.igtl(2, device="a"), samples.igtl(3, body=bytes(9_000))]
+    assert kept(Prologue(RULE, max_bytes=10_000), entries) == [1, 2]

@@ -1,0 +1,136 @@
+"""Snapshots: what is kept in memory, and the files that it becomes."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from igtl_gateway.clock import ManualClock
+from igtl_gateway.config import Config
+from igtl_gateway.errors import RecordingError
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import FAILED, SNAPSHOT, Recorder
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.verify import verify
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.session.note import Note
+from tests.record import samples
+from tests.record.test_parts import RULE, healthy, session
+
+DEADLINE_S = 30.0
+
+
+class Bench:
+    """A recorder that keeps the last seconds."""
+
+    def __init__(self, path: Path, **options: Any) -> None:
+        self.notes: list[Note] = []
+        self.recorder = Recorder(
+            path,
+            samples.SESSION,
+            qos_of=lambda _topic, _type: None,
+            on_note=self.notes.append,
+            clock=ManualClock(),
+            options=RecordOptions(**{"snapshot_s": 2.0, **options}),
+            rule=RULE,
+        )
+
+    def feed(self, entries: list[Entry]) -> None:
+        for entry in entries:
+            self.recorder(entry)
+
+    def snapshot(self) -> Path:
+        return self.recorder.snapshot().result(DEADLINE_S)
+
+
+def read(path: Path) -> list[Entry]:
+    with SessionFile.open(path) as file:
+        return list(file.entries())
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "last.mcap"
+
+
+def test_a_snapshot_has_the_last_seconds_whole_and_verifies(path: Path) -> None:
+    entries = session(5)
+    bench = Bench(path)
+    bench.feed(entries)
+    file = bench.snapshot()
+    assert re.fullmatch(r"last_\d{8}T\d{6}Z\.mcap", file.name) and file.parent == path.parent
+    kept = read(file)
+    assert kept == [samples.flat(entry) for entry in entries[-len(kept) :]]
+    assert kept[0].kind.is_input
+    assert 1.8e9 < kept[-1].stamp_ns - kept[0].stamp_ns <= 2e9
+    with SessionFile.open(file) as snapshot:
+        assert snapshot.session["snapshot_seconds"] == "2"
+        assert snapshot.ledger is not None and snapshot.ledger["recorder"]["written_entries"] == len(kept)
+        report = verify(snapshot.entries(), Config(), 0, snapshot.prologue())
+    assert report.good and report.equal > 0
+    summary = bench.recorder.close({})
+    assert [note.code for note in bench.notes] == [SNAPSHOT]
+    assert bench.notes[0].data == {"path": str(file)}
+    assert (summary.files, summary.entries, summary.size) == ((file,), len(kept), file.stat().st_size)
+    assert sorted(path.parent.iterdir()) == [file], "nothing else is written"
+    assert healthy(file)
+
+
+def test_snapshots_of_one_second_get_names_of_their_own(path: Path) -> None:
+    bench = Bench(path)
+    bench.feed(session(1))
+    first, second = bench.snapshot(), bench.snapshot()
+    assert second.name == f"{first.stem}_2.mcap"
+    assert read(first) == read(second)
+
+
+def test_the_bound_in_bytes(path: Path) -> None:
+    bench = Bench(path, snapshot_bytes=100_000)
+    bench.feed([samples.igtl(seq, body=bytes(20_000)) for seq in range(1, 20)])
+    assert [entry.seq for entry in read(bench.snapshot())] == [16, 17, 18, 19]
+
+
+def test_one_entry_larger_than_the_bound_is_kept(path: Path) -> None:
+    bench = Bench(path, snapshot_bytes=1_000)
+    bench.feed([samples.igtl(1, body=bytes(20_000))])
+    assert [entry.seq for entry in read(bench.snapshot())] == [1]
+
+
+def test_a_snapshot_of_nothing_is_a_whole_file(path: Path) -> None:
+    assert read(Bench(path).snapshot()) == []
+
+
+def test_an_entry_that_the_format_cannot_hold_costs_only_itself(path: Path) -> None:
+    bench = Bench(path)
+    bench.feed([samples.ros(1), Entry(2, samples.START_NS + 2, samples.igtl(1).kind, "no slash", "IMAGE")])
+    assert [entry.seq for entry in read(bench.snapshot())] == [1]
+
+
+def test_a_snapshot_that_fails_is_told_and_the_next_one_works(tmp_path: Path) -> None:
+    folder = tmp_path / "there"
+    folder.mkdir()
+    bench = Bench(folder / "last.mcap")
+    bench.feed(session(1))
+    shutil.rmtree(folder)
+    with pytest.raises(RecordingError, match="there is no folder"):
+        bench.snapshot()
+    assert [note.code for note in bench.notes] == [FAILED]
+    folder.mkdir()
+    assert len(read(bench.snapshot())) == len(session(1))
+
+
+def test_without_a_folder_it_does_not_begin(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="there is no folder"):
+        Bench(tmp_path / "none" / "last.mcap")
+
+
+def test_after_the_end_there_are_no_snapshots(path: Path) -> None:
+    bench = Bench(path)
+    bench.recorder.close({})
+    with pytest.raises(RecordingError, match="has ended"):
+        bench.snapshot()
+    assert list(path.parent.iterdir()) == []
