@@ -69,7 +69,7 @@ class Capture(Told):
         try:
             while data := self._stream.read(_READ):
                 yield from framer.feed(data)
-            yield from framer.feed(b"")
+            yield from framer.received(0)  # raises what the last bytes announced
         except MessageTooLarge as error:
             raise DamagedRecording(f"{self._path}: after {self._row.imported} bytes: {error}") from None
         if framer.pending:

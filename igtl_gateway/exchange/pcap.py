@@ -236,7 +236,7 @@ class Pcap(Told):
             return
         try:
             yield from direction.framer.feed(data)
-            yield from direction.framer.feed(b"")
+            yield from direction.framer.received(0)  # raises what the last bytes announced
         except MessageTooLarge as error:
             direction.give_up(str(error))
 

@@ -1,0 +1,115 @@
+"""ROS 1 bags: written by rosbags, read by us, decoded by rosbags again."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.exchange.rosbag1 import Rosbag1
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.entry import Kind
+
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+ROS2 = get_typestore(Stores.ROS2_JAZZY)
+PROBE = get_types_from_msg("Header header\ntime taken\nduration[] waits\nfloat32 depth\nstring name\n", "lab/msg/Probe")
+ROS1.register(PROBE)
+
+HEADER = "std_msgs/msg/Header"
+TIME = "builtin_interfaces/msg/Time"
+
+
+def header(seq: int, stamp: int, frame: str) -> Any:
+    return ROS1.types[HEADER](seq=seq, stamp=ROS1.types[TIME](sec=stamp, nanosec=5), frame_id=frame)
+
+
+def bag(path: Path, compression: str = "") -> Path:
+    """Two topics with types of ROS 2, one renamed type, one of its own; times that are equal and out of order."""
+    writer = Writer(path)
+    if compression:
+        writer.set_compression(Writer.CompressionFormat[compression])
+    with writer:
+        point = writer.add_connection("/point", "geometry_msgs/msg/PointStamped", typestore=ROS1, latching=1)
+        probe = writer.add_connection("probe", "lab/msg/Probe", typestore=ROS1)
+        camera = writer.add_connection("/camera", "sensor_msgs/msg/CameraInfo", typestore=ROS1)
+        for index in range(3):
+            place = ROS1.types["geometry_msgs/msg/Point"](x=float(index), y=2.0, z=3.0)
+            made = ROS1.types["geometry_msgs/msg/PointStamped"](header=header(7, 100 + index, "map"), point=place)
+            writer.write(point, 1000 + index // 2, ROS1.serialize_ros1(made, point.msgtype))
+        waits = [ROS1.types["builtin_interfaces/msg/Duration"](sec=1, nanosec=2)]
+        taken = ROS1.types[TIME](sec=9, nanosec=8)
+        made = ROS1.types["lab/msg/Probe"](header=header(8, 7, "f"), taken=taken, waits=waits, depth=1.5, name="näme")
+        writer.write(probe, 900, ROS1.serialize_ros1(made, probe.msgtype))
+        zone = ROS1.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        made = ROS1.types["sensor_msgs/msg/CameraInfo"](
+            header(9, 7, "c"), 2, 3, "plumb_bob", np.array([1.0, 2.0]), np.ones(9), np.ones(9), np.ones(12), 0, 0, zone
+        )
+        writer.write(camera, 2000, ROS1.serialize_ros1(made, camera.msgtype))
+    return path
+
+
+@pytest.mark.parametrize("compression", ["", "BZ2", "LZ4"])
+def test_messages_become_those_of_ros_2(tmp_path: Path, compression: str) -> None:
+    with closing(Rosbag1(bag(tmp_path / "some.bag", compression))) as source:
+        items = list(source.items())
+        told = source.definition_of("lab/msg/Probe")
+        assert source.qos_of("/point", "geometry_msgs/msg/PointStamped") == Qos(latched=True)
+        assert source.qos_of("/probe", "lab/msg/Probe") is None
+    assert [(item.channel, item.time_ns) for item in items] == [
+        ("/probe", 900),
+        ("/point", 1000),
+        ("/point", 1000),
+        ("/point", 1001),
+        ("/camera", 2000),
+    ]
+    assert {item.kind for item in items} == {Kind.ROS_IN}
+    assert all(row.good and row.imported == row.declared for row in source.rows)
+    points = [ROS2.deserialize_cdr(bytes(item.payload), item.type) for item in items[1:4]]
+    assert [(point.point.x, point.header.stamp.sec) for point in points] == [(0.0, 100), (1.0, 101), (2.0, 102)]  # type: ignore[attr-defined]
+    camera = ROS2.deserialize_cdr(bytes(items[4].payload), items[4].type)
+    assert list(camera.d) == [1.0, 2.0]  # type: ignore[attr-defined]  # D in ROS 1
+    assert told
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(told[0], "lab/msg/Probe"))
+    assert store.hash_rihs01("lab/msg/Probe") == told[1]
+    probe = store.deserialize_cdr(bytes(items[0].payload), "lab/msg/Probe")
+    assert (probe.name, probe.depth, probe.taken.sec, probe.waits[0].nanosec) == ("näme", 1.5, 9, 2)  # type: ignore[attr-defined]
+    assert probe.header.frame_id == "f"  # type: ignore[attr-defined]
+
+
+def test_a_damaged_chunk_ends_it_with_one_error(tmp_path: Path) -> None:
+    path = bag(tmp_path / "some.bag", "BZ2")
+    data = bytearray(path.read_bytes())
+    start = data.index(b"BZh")
+    data[start + 20 : start + 60] = bytes(40)
+    path.write_bytes(data)
+    with closing(Rosbag1(path)) as source, pytest.raises(DamagedRecording, match=r"some\.bag"):
+        list(source.items())
+
+
+def test_a_bag_that_was_cut_off_is_refused(tmp_path: Path) -> None:
+    path = bag(tmp_path / "some.bag")
+    path.write_bytes(path.read_bytes()[:5000])
+    with pytest.raises(DamagedRecording, match=r"some\.bag"):
+        Rosbag1(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "counts"),
+    [
+        ("jsk_watercan.bag", {"/tf": 3532, "/euclidean_cluster_indices_decomposer/output00": 1}),
+        ("grid_map.bag", {"/grid_map": 1}),
+        ("turtlesim_bz2.bag", {"/tf": 2688, "/tf_static": 1, "/rosout": 10, "/turtle1/pose": 1344}),
+    ],
+)
+def test_real_bags_come_whole(shared_dir: Path, name: str, counts: dict[str, int]) -> None:
+    with closing(Rosbag1(shared_dir / "data/bags/ros1" / name)) as source:
+        assert sum(1 for _ in source.items()) == sum(row.imported for row in source.rows)
+    assert all(row.good and not row.left_out for row in source.rows)
+    assert counts.items() <= {row.stream: row.imported for row in source.rows}.items()
