@@ -127,6 +127,7 @@ UNMIRRORED = (
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
     "test_architecture.py",
     "test_docs.py",  # tools/docs.py
+    "test_examples.py",  # examples/
     "test_fixtures.py",  # what the recordings in fixtures/ promise
     "test_gateway_fuzz.py",
     "wire/test_bodies.py",  # every type of message against one list of checks

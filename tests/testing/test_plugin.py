@@ -6,10 +6,10 @@ import os
 import shutil
 import subprocess
 import sys
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from tests.integration.bridge import ROOT
+from tests.testing.outside import run_pytest
 
 FIXTURES = ROOT / "fixtures"
 
@@ -39,15 +39,6 @@ def test_gateway(igtl_gateway, assert_session_equal):
 def test_difference(igtl_gateway, assert_session_equal):
     assert_session_equal("star.mcap", igtl_gateway())
 """
-
-
-def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """pytest on a folder outside the project; the plugin is loaded by hand where it is not installed."""
-    installed = any(entry.value == "igtl_gateway.testing.plugin" for entry in entry_points(group="pytest11"))
-    plugin = [] if installed else ["-p", "igtl_gateway.testing.plugin"]
-    env = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "pytest", "-q", "--rootdir", str(folder), *plugin, *arguments, str(folder)]
-    return subprocess.run(command, capture_output=True, text=True, env=env, cwd=folder, check=False)
 
 
 def test_a_project_uses_the_fixtures(tmp_path: Path) -> None:
