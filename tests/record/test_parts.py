@@ -20,7 +20,7 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder, RecordingSummary
 from igtl_gateway.record.selection import StateRule
 from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.replay.verify import verify
+from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from tests.record import samples
@@ -102,11 +102,11 @@ def test_every_part_verifies_alone_and_the_folder_as_a_whole(path: Path) -> None
     outputs = 0
     for part in parts:
         with SessionFile.open(part) as file:
-            report = verify(file.entries(), Config(), 0, file.prologue())
+            report = verify(file.entries(), Config(), Losses.of(file.session, file.ledger), before=file.prologue())
         assert report.good and report.equal == report.outputs > 0, (part, report.differences[:1])
         outputs += report.outputs
     with SessionFile.open(summary.path) as file:
-        report = verify(file.entries(), Config(), 0, file.prologue())
+        report = verify(file.entries(), Config(), Losses.of(file.session, file.ledger), before=file.prologue())
     assert report.good and report.outputs == outputs
     with SessionFile.open(parts[-1]) as file:
         assert not verify(file.entries(), Config()).good, "the prologue is what makes it verify"

@@ -15,7 +15,7 @@ from igtl_gateway.errors import RecordingError
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import FAILED, SNAPSHOT, Recorder
 from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.replay.verify import verify
+from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Note
 from tests.record import samples
@@ -70,7 +70,9 @@ def test_a_snapshot_has_the_last_seconds_whole_and_verifies(path: Path) -> None:
     with SessionFile.open(file) as snapshot:
         assert snapshot.session["snapshot_seconds"] == "2"
         assert snapshot.ledger is not None and snapshot.ledger["recorder"]["written_entries"] == len(kept)
-        report = verify(snapshot.entries(), Config(), 0, snapshot.prologue())
+        report = verify(
+            snapshot.entries(), Config(), Losses.of(snapshot.session, snapshot.ledger), before=snapshot.prologue()
+        )
     assert report.good and report.equal > 0
     summary = bench.recorder.close({})
     assert [note.code for note in bench.notes] == [SNAPSHOT]
