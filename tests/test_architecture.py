@@ -122,6 +122,7 @@ CLOCK_CALLS = frozenset({"now", "today", "utcnow"})
 
 #: Tests of no single module, relative to the folder of tests; a folder stands for all that is in it.
 UNMIRRORED = (
+    "record/test_node_reader.py",  # our files in a reader of another language
     "integration",
     "peers",
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
