@@ -113,7 +113,7 @@ class ManualGateway:
     """
 
     def __init__(self, config: Config | Path | str | None = None, *, start_ns: int = START_NS, **settings: Any) -> None:
-        base = _config(Path(config)) if isinstance(config, str | Path) else config or Config()
+        base = Config() if config is None else config_of(config)
         self.config = Config.from_dict(base.to_dict() | settings) if settings else base
         self.now_ns = start_ns
         self.log: list[Entry] = []
@@ -213,8 +213,11 @@ class ManualGateway:
         return Outputs(entries)
 
 
-def _config(path: Path) -> Config:
-    """The configuration in a file."""
+def config_of(config: Config | Path | str) -> Config:
+    """A configuration as it is, of a configuration file, or of a recording."""
+    if isinstance(config, Config):
+        return config
+    path = Path(config)
     if path.suffix != ".mcap":
         return Config.from_toml(path)
     with SessionFile.open(path) as file:

@@ -11,6 +11,7 @@ from typing import Literal
 
 from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.clock import SystemClock
+from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.errors import ConfigError, WireError
 from igtl_gateway.gateway import LINK_UP
@@ -19,7 +20,7 @@ from igtl_gateway.replay.source import once, select, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway.testing.gateway import recorded_config
+from igtl_gateway.testing.gateway import config_of, recorded_config
 from igtl_gateway.wire import Header, Message, decode, encode
 
 #: Far longer than anything takes: reaching it is a failure of the program under test.
@@ -38,12 +39,13 @@ class ReplayPeer:
         sent: messages played so far.
 
     Args:
-        recording: a recording of ours, or of ROS messages alone (they go through the gateway as configured).
+        recording: a recording of ours, or an MCAP file of ROS messages alone, which go through the gateway.
         streams: globs of what is played: ``TYPE/device`` or the device name; all if none.
         rate: recorded seconds per second; None: as fast as the program reads.
         header: 1 or 2: header version of all messages; None: as recorded.
         side: ``"gateway"``: play what was sent to the peers of that day, ``"peers"``: what they sent.  Of a recording
             of ``bridge --relay`` the words of the server are played, and to ``connect`` those of the client.
+        config: of a recording without OpenIGTLink messages, instead of the recorded one: a ``Config`` or a file.
         connect: (host, port) to connect to, again and again until it is there; None: serve at a free port.
 
     Raises UnsupportedRecording, DamagedRecording or ConfigError.
@@ -57,6 +59,7 @@ class ReplayPeer:
         rate: float | None = None,
         header: Literal[1, 2] | None = None,
         side: Side = "gateway",
+        config: Config | Path | str | None = None,
         connect: tuple[str, int] | None = None,
     ) -> None:
         if rate is not None and not 0 < rate < float("inf"):
@@ -74,7 +77,7 @@ class ReplayPeer:
         self._clock = SystemClock()
         self._file = SessionFile.open(recording)
         try:
-            self._config = recorded_config(self._file)
+            self._config = recorded_config(self._file) if config is None else config_of(config)
             self._edge = TcpEdge(
                 on_frame=self._on_frame,
                 on_link=lambda _link, _up, note: self._on_note(0, note),

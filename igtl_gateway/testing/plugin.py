@@ -26,7 +26,8 @@ def _igtl_replay(request: pytest.FixtureRequest) -> Iterator[Callable[..., Repla
 
     with ExitStack() as peers:
 
-        def start(recording: Path | str, **settings: Any) -> ReplayPeer:
+        def start(recording: Path | str, *, config: Any = None, **settings: Any) -> ReplayPeer:
+            settings["config"] = _found(request, config)
             return peers.enter_context(ReplayPeer(_found(request, recording), **settings))
 
         yield start
@@ -41,9 +42,7 @@ def _igtl_gateway(request: pytest.FixtureRequest) -> Callable[..., ManualGateway
     from igtl_gateway.testing.gateway import ManualGateway
 
     def make(config: Any = None, **settings: Any) -> ManualGateway:
-        if isinstance(config, str | Path):
-            config = _found(request, config)
-        return ManualGateway(config, **settings)
+        return ManualGateway(_found(request, config), **settings)
 
     return make
 
@@ -57,13 +56,13 @@ def _assert_session_equal(request: pytest.FixtureRequest) -> Callable[..., None]
     from igtl_gateway.testing.compare import assert_session_equal
 
     def check(expected: Session, found: Session, **settings: Any) -> None:
-        sides = [_found(request, side) if isinstance(side, str | Path) else side for side in (expected, found)]
-        assert_session_equal(*sides, **settings)
+        assert_session_equal(_found(request, expected), _found(request, found), **settings)
 
     return check
 
 
-def _found(request: pytest.FixtureRequest, path: Path | str) -> Path:
-    """The file beside the test, or as it is."""
-    beside = request.path.parent / path
-    return beside if beside.exists() else Path(path)
+def _found(request: pytest.FixtureRequest, given: Any) -> Any:
+    """A path that names a file beside the test as that file; all else as it is."""
+    if isinstance(given, str | Path) and (beside := request.path.parent / given).exists():
+        return beside
+    return given

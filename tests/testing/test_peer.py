@@ -154,11 +154,16 @@ def test_of_a_relay_each_side_says_its_own_words(program: Any, tmp_path: Path) -
 def test_ros_messages_alone_go_through_the_gateway(program: Any, tmp_path: Path) -> None:
     gateway = ManualGateway()  # nobody is connected: nothing goes out
     gateway.from_ros("/igtl/out/Greeting", join(_cdr("hello")), "std_msgs/msg/String")
+    gateway.from_ros("/status", join(_cdr("good")), "std_msgs/msg/String")
     gateway.save(tmp_path / "ros.mcap")
-    with ReplayPeer(tmp_path / "ros.mcap") as peer:
-        client = program(peer)
-        peer.play()
-        assert decode(client.messages(1)[0]).content == String.of("hello")
+    (tmp_path / "lab.toml").write_text('[[to_igtl]]\ntopic = "/status"\ndevice = "Lab"\n')
+    for config, devices in ((None, ["Greeting"]), (tmp_path / "lab.toml", ["Greeting", "Lab"])):
+        with ReplayPeer(tmp_path / "ros.mcap", config=config) as peer:
+            client = program(peer)
+            peer.play()
+            assert [decode(data).device_name for data in client.messages(len(devices))] == devices
+            peer.wait_done()
+            assert peer.sent == len(devices)
 
 
 def test_a_test_that_ends_early_is_cleaned_up(program: Any) -> None:
