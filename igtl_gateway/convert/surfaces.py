@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -159,36 +160,54 @@ def _posed(points: Array, message: Marker) -> Array:
 
 def _triangles(content: PolyData) -> Array:
     """(n, 3) indices of all polygons as fans, then all strips with alternating winding."""
-    polygons = _pieces(content.polygons, _MIN_FACE, lambda k: [(0, i, i + 1) for i in range(1, k - 1)])
-    strips = _pieces(
-        content.triangle_strips,
-        _MIN_FACE,
-        lambda k: [(i, i + 1, i + 2) if i % 2 == 0 else (i + 1, i, i + 2) for i in range(k - 2)],
+    return np.concatenate(
+        [_pieces(content.polygons, _MIN_FACE, _fan), _pieces(content.triangle_strips, _MIN_FACE, _strip)]
     )
-    return np.concatenate([polygons, strips])
 
 
 def _segments(lines: Cells) -> Array:
     """(n, 2) indices of all polylines."""
-    return _pieces(lines, _MIN_LINE, lambda k: [(i, i + 1) for i in range(k - 1)])
+    return _pieces(lines, _MIN_LINE, _steps)
 
 
-def _pieces(cells: Cells, size: int, cut: Any) -> Array:
+def _fan(points: int) -> Array:
+    """(n, 3) places in a polygon: (0, 1, 2), (0, 2, 3), …"""
+    second = np.arange(1, points - 1)
+    return np.stack([np.zeros_like(second), second, second + 1], axis=1)
+
+
+def _strip(points: int) -> Array:
+    """(n, 3) places in a strip: (0, 1, 2), (2, 1, 3), (2, 3, 4), …"""
+    first = np.arange(points - 2)
+    odd = first % 2
+    return np.stack([first + odd, first + 1 - odd, first + 2], axis=1)
+
+
+def _steps(points: int) -> Array:
+    """(n, 2) places in a polyline: (0, 1), (1, 2), …"""
+    first = np.arange(points - 1)
+    return np.stack([first, first + 1], axis=1)
+
+
+def _pieces(cells: Cells, size: int, cut: Callable[[int], Array]) -> Array:
     """(n, size) indices: every cell cut up by ``cut(points of the cell)``, in the order of the cells.
 
     Cells of equal length are cut together; those too short for one piece vanish.
     """
     starts = cells.starts()
     lengths = cells.data[starts].astype(np.int64) if len(starts) else np.empty(0, np.int64)
+    by_length = np.argsort(lengths, kind="stable")
     order, pieces = [], []
-    for length in np.unique(lengths).tolist():
+    for which in np.split(by_length, np.flatnonzero(np.diff(lengths[by_length])) + 1):
+        length = int(lengths[which[0]]) if len(which) else 0
         if length < size:
             continue
-        which = np.flatnonzero(lengths == length)
-        pattern = np.array(cut(length))
+        pattern = cut(length)
         indices = cells.data[starts[which][:, None, None] + 1 + pattern[None]]
         pieces.append(indices.reshape(-1, size))
         order.append(np.repeat(which, len(pattern)))
     if not pieces:
         return np.empty((0, size), np.int64)
+    if len(pieces) == 1:
+        return pieces[0].astype(np.int64)
     return np.concatenate(pieces)[np.argsort(np.concatenate(order), kind="stable")].astype(np.int64)

@@ -28,6 +28,9 @@ _CHILD = struct.Struct(">12sQ")
 #: How deep BIND may lie in BIND, the outermost counted.  Real messages have one level.
 MAX_DEPTH = 4
 
+#: Children on all levels together.  Real messages have tens; each costs a look, and in the gateway conversions.
+MAX_CHILDREN = 4_096
+
 #: The size field of the table of names has 16 bits.
 MAX_NAME_TABLE = 65_535
 
@@ -72,7 +75,8 @@ class Bind:
 
     Children have no header, time stamp, id or metadata of their own.
 
-    Accepted: names without padding or without the last NUL, a missing last pad byte, BIND in BIND up to four levels.
+    Accepted: names without padding or without the last NUL, a missing last pad byte, BIND in BIND up to four levels,
+    4,096 children on all of them together.
 
     Sent: names and contents padded to even sizes with zero.
 
@@ -99,17 +103,20 @@ class Bind:
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        return cls(*_read(content, 1))
+        children, name_table, pads, _ = _read(content, 1, 0)
+        return cls(children, name_table, pads)
 
     def pack(self) -> list[Buffer]:
-        head = [_COUNT.pack(len(self.children))]
+        total = len(self.children)
+        _check_number(total)
+        head = [_COUNT.pack(total)]
         bodies: list[Buffer] = []
         pads, pad = bytes(len(self.children)) if self.pads is None else self.pads, 0
         for child in self.children:
             content = memoryview(child.content)
             head.append(_CHILD.pack(encode_text(child.type, 12, "BIND child, type name"), content.nbytes))
             if visible(child.type) == "BIND" and content.nbytes:
-                _read(content, 2)
+                *_, total = _read(content, 2, total)
             bodies.append(child.content)
             if content.nbytes % 2:
                 bodies.append(pads[pad : pad + 1])
@@ -124,11 +131,22 @@ class Bind:
         return {"children": [child.describe() for child in self.children]}
 
 
-def _read(content: memoryview, depth: int) -> tuple[tuple[Child, ...], bytes | None, bytes | None]:
-    """Children, and names and pads where they are unusual.  BIND inside is read too, to know that it ends."""
+def _check_number(total: int) -> None:
+    if total > MAX_CHILDREN:
+        raise MalformedBody("BIND content", f"{total} children", f"at most {MAX_CHILDREN} on all levels together")
+
+
+def _read(content: memoryview, depth: int, before: int) -> tuple[tuple[Child, ...], bytes | None, bytes | None, int]:
+    """Children, names and pads where they are unusual, and how many children there are with those ``before``.
+
+    BIND inside is read too, to know that it ends.
+    """
     if depth > MAX_DEPTH:
         raise MalformedBody("BIND content", "BIND in BIND", f"at most {MAX_DEPTH} levels")
-    heads_end = _COUNT.size + _CHILD.size * read_count(content, 0, "BIND content")
+    count = read_count(content, 0, "BIND content")
+    total = before + count
+    _check_number(total)
+    heads_end = _COUNT.size + _CHILD.size * count
     need(content, heads_end, "BIND children")
     heads = list(_CHILD.iter_unpack(content[_COUNT.size : heads_end]))
     names, table, offset = read_names(content, heads_end, len(heads), "BIND")
@@ -142,12 +160,12 @@ def _read(content: memoryview, depth: int) -> tuple[tuple[Child, ...], bytes | N
             pads += content[offset : offset + 1]  # the last one may be missing
             offset = min(offset + 1, content.nbytes)
         if visible(child.type) == "BIND" and size:
-            _read(memoryview(child.content), depth + 1)
+            *_, total = _read(memoryview(child.content), depth + 1, total)
         children.append(child)
     if offset != content.nbytes:
         raise MalformedBody("BIND content", f"{content.nbytes} bytes", f"{offset} bytes by its own sizes")
     usual_pads = bytes(sum(size % 2 for _, size in heads))
-    return tuple(children), table, None if pads == usual_pads else bytes(pads)
+    return tuple(children), table, None if pads == usual_pads else bytes(pads), total
 
 
 # -- shared with the queries GET_BIND and STT_BIND ------------------------------------------------------------------

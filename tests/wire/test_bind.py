@@ -11,7 +11,7 @@ from hypothesis import given
 
 from igtl_gateway.buffers import join
 from igtl_gateway.errors import MalformedBody, TruncatedMessage, WireError
-from igtl_gateway.wire.bind import MAX_DEPTH, Bind, Child
+from igtl_gateway.wire.bind import MAX_CHILDREN, MAX_DEPTH, Bind, Child
 from igtl_gateway.wire.body import Raw
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.text import String
@@ -120,9 +120,30 @@ def test_what_does_not_fit(child: Child) -> None:
         Bind((child,)).pack()
 
 
+def empty(count: int) -> bytes:
+    """A BIND of nameless empty children, as nobody would write it."""
+    return struct.pack(">H", count) + (name("CUSTOM") + sized(0)) * count + struct.pack(">H", count) + bytes(count)
+
+
 def test_too_many_children() -> None:
-    with pytest.raises(struct.error):  # which encode tells as MalformedBody
-        Bind((Child("CUSTOM", "", b""),) * 65_536).pack()
+    assert len(read(empty(MAX_CHILDREN)).children) == MAX_CHILDREN
+    with pytest.raises(MalformedBody, match="children"):
+        read(empty(MAX_CHILDREN + 1))
+    with pytest.raises(MalformedBody, match="children"):
+        Bind((Child("CUSTOM", "", b""),) * (MAX_CHILDREN + 1)).pack()
+
+
+def test_children_are_counted_on_all_levels() -> None:
+    """Else 16 MB of small ones inside others would be half a minute of work."""
+    half = Child("BIND", "", empty(MAX_CHILDREN // 2 - 1))
+    whole = Bind((half, half))
+    assert read(join(whole.pack())) == whole
+    more = replace(half, content=empty(MAX_CHILDREN // 2))
+    with pytest.raises(MalformedBody, match="on all levels"):
+        Bind((half, more)).pack()
+    data = struct.pack(">H", 2) + b"".join(name("BIND") + sized(len(child.content)) for child in (half, more))
+    with pytest.raises(MalformedBody, match="on all levels"):
+        read(data + b"\0\2\0\0" + bytes(half.content) + b"\0" * (len(half.content) % 2) + bytes(more.content))
 
 
 def nested(depth: int) -> Bind:
