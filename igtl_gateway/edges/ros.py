@@ -54,6 +54,7 @@ _CDR_HEADER = 4
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv)/([A-Z][A-Za-z0-9]*)")
 
 _CALLS_AT_ONCE = 8  # of services; a call may wait for a peer
+_CALLS_WAITING = 100  # of each service; one that is pushed out of DDS's queue is never answered
 
 _INSTALL = 'install it with: pip install "igtl-gateway[ros]" (Linux x86_64), or source a ROS 2 installation'
 _RMW_CHECK_S = 60
@@ -258,7 +259,10 @@ class RosEdge:
                 if self._running is None:
                     raise RosError("the node is not running")
                 group = self._rclpy.callback_groups.ReentrantCallbackGroup()
-                self._running.node.create_service(_interface(type_name), name, answer, callback_group=group)
+                qos = self._rclpy.qos.QoSProfile(depth=_CALLS_WAITING)
+                self._running.node.create_service(
+                    _interface(type_name), name, answer, qos_profile=qos, callback_group=group
+                )
         except Exception as error:  # rclpy raises a dozen unrelated classes here
             self._refuse("serve", name, type_name, error)
             return False

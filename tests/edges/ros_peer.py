@@ -14,6 +14,7 @@ from importlib import import_module
 from typing import Any
 
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
@@ -55,6 +56,25 @@ class Peer:
         self.node = Node("peer", context=self.context)
         self.publishers: dict[str, Any] = {}
         self.subscriptions: dict[str, Any] = {}
+
+    def call(self, service: str, kind: str, number: int) -> int:
+        """So many calls at once; the number of those that were answered."""
+        package, _, name = kind.split("/")
+        service_class = getattr(import_module(f"{package}.srv"), name)
+        client = self.node.create_client(service_class, service, qos_profile=profile(depth=number))
+        executor = SingleThreadedExecutor(context=self.context)
+        executor.add_node(self.node)
+        try:
+            if not client.wait_for_service(TIMEOUT_S):
+                return 0
+            futures = [client.call_async(service_class.Request()) for _ in range(number)]
+            deadline = time.monotonic() + TIMEOUT_S
+            while not all(future.done() for future in futures) and time.monotonic() < deadline:
+                executor.spin_once(0.1)
+            return sum(future.done() for future in futures)
+        finally:
+            executor.remove_node(self.node)
+            self.node.destroy_client(client)
 
     def publisher(self, topic: str, kind: str, qos: dict[str, Any]) -> None:
         self.publishers[topic] = self.node.create_publisher(message_class(kind), topic, profile(**qos))

@@ -381,6 +381,17 @@ def test_the_executor_receives_as_well(peer: Peer) -> None:
     edge.stop()
 
 
+def test_calls_that_come_at_once_are_all_answered(peer: Peer, edge: RosEdge) -> None:
+    never = threading.Event()
+
+    def slow(_request: Any, response: Any) -> Any:
+        never.wait(0.05)  # as one that waits for a peer: more calls come than there are threads
+        return response
+
+    assert edge.serve("~/slow", "rcl_interfaces/srv/GetParameters", slow)
+    assert peer.call("/igtl_gateway/slow", "rcl_interfaces/srv/GetParameters", 40) == 40
+
+
 def test_publishing_from_several_threads_keeps_the_order_of_each(peer: Peer, edge: RosEdge) -> None:
     peer.subscribe("/threads", STRING, {"depth": DEEP.depth})
     wait_known(edge, "/threads")
