@@ -154,7 +154,7 @@ class Player:
 
     def resume(self) -> None:
         with self._changed:
-            self._to_step = 0
+            self._no_more_steps()
             self._playback.resume(self._clock.monotonic_ns())
             self._changed.notify_all()
 
@@ -247,20 +247,32 @@ class Player:
                     return _Turn.JUMP
                 now_ns = self._clock.monotonic_ns()
                 if entry is None:
+                    position_ns = self._playback.position_ns(now_ns)
+                    if self._playback.paused and not self._in_pass and position_ns is not None:
+                        self._no_more_steps()  # a jump behind the last message: one may want to jump back
+                        self._changed.wait(_LOOK_S)
+                        continue
                     # a pass without messages would be followed by the same at once, for ever
                     if not (self._loop and self._in_pass):
                         return _Turn.END
                     if self._to_step > _ALL // 2:  # "all that are left": none is
-                        self._to_step = 0
-                        self._changed.notify_all()
-                    self._jump = Jump("loop", self._playback.position_ns(now_ns), self._start_ns)
+                        self._no_more_steps()
+                    self._jump = Jump("loop", position_ns, self._start_ns)
                     return _Turn.JUMP
-                left_ns = self._playback.wait_ns(entry.stamp_ns, now_ns)
+                left_ns = 0 if self._is_state(entry) else self._playback.wait_ns(entry.stamp_ns, now_ns)
                 if left_ns == 0 or (left_ns is None and self._to_step):
                     return _Turn.SEND
                 if left_ns is None and self._tick:
                     self._send(self._tick)  # nodes that come while it is paused want to know the time, too
                 self._changed.wait(_LOOK_S if left_ns is None else min(left_ns / NS_PER_S, _LOOK_S))
+
+    def _no_more_steps(self) -> None:
+        self._to_step = 0
+        self._changed.notify_all()
+
+    def _is_state(self, entry: Entry) -> bool:
+        """Whether it is sent at once after a jump; the tick that tells the jump's target is."""
+        return self._playback.is_state(entry.stamp_ns - is_tick(entry))
 
     def _deliver(self, entry: Entry) -> None:
         sent = entry
@@ -274,7 +286,7 @@ class Player:
             self.sides.setdefault(_SIDES[entry.kind], Played()).add(sent, heard)
         with self._changed:
             now_ns = self._clock.monotonic_ns()
-            if self._playback.is_state(entry.stamp_ns):
+            if self._is_state(entry):
                 return
             self._playback.reached(entry.stamp_ns, now_ns)
             if is_tick(entry):

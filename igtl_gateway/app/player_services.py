@@ -6,6 +6,7 @@ from typing import Any
 
 from igtl_gateway.app.player import Player
 from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.errors import RosError
 from igtl_gateway.stamp import ros_to_ns
 
 PACKAGE = "rosbag2_interfaces"
@@ -17,8 +18,15 @@ class PlayerServices:
     def __init__(self, player: Player) -> None:
         self._player = player
 
-    def offer(self, edge: RosEdge) -> bool:
-        """Offer all; False (and a note of the edge's) where that is not possible, as without the service types."""
+    def offer(self, edge: RosEdge) -> str:
+        """Offer all; gives the reason why that is not possible, or ``""``.
+
+        May take a while, where the service types have to be compiled first.
+        """
+        try:
+            edge.message_class(f"{PACKAGE}/srv/Pause")
+        except RosError as error:
+            return str(error)
         offered = {
             "pause": ("Pause", self.pause),
             "resume": ("Resume", self.resume),
@@ -30,7 +38,10 @@ class PlayerServices:
             "set_rate": ("SetRate", self.set_rate),
             "get_rate": ("GetRate", self.get_rate),
         }
-        return all(edge.serve(f"~/{name}", f"{PACKAGE}/srv/{kind}", answer) for name, (kind, answer) in offered.items())
+        for name, (kind, answer) in offered.items():
+            if not edge.serve(f"~/{name}", f"{PACKAGE}/srv/{kind}", answer):
+                return f"~/{name} is refused"
+        return ""
 
     def pause(self, _request: Any, response: Any) -> Any:
         self._player.pause()

@@ -6,7 +6,7 @@ import argparse
 import sys
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from threading import Event
+from threading import Event, Thread
 from typing import Any
 
 from igtl_gateway.app.player import Jump, Player
@@ -25,6 +25,7 @@ from igtl_gateway.cli.common import (
 from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, is_ours, keyboard, read_lines
 from igtl_gateway.cli.replay_sides import Side, open_sides
 from igtl_gateway.clock import SystemClock
+from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.moment import moment
@@ -212,8 +213,13 @@ def _controls(
         elif command == QUIT:
             stop.set()
 
+    def offer(edge: RosEdge) -> None:
+        if reason := PlayerServices(player).offer(edge):
+            _tell(options, f"! no services to pause, step or seek: {reason}")
+
     if side.ros:
-        PlayerServices(player).offer(side.ros)
+        # beside the replay: the first time their types are compiled
+        Thread(target=offer, args=(side.ros,), name="igtl-services", daemon=True).start()
     if is_ours():
         _tell(options, HELP)
         stack.enter_context(keyboard(obey))

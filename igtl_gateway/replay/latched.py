@@ -7,8 +7,8 @@ message before the moment, in the order of the log.
 Latched are
 
 * ROS topics that were offered so (transient local);
-* what goes to OpenIGTLink because of such a message;
-* OpenIGTLink types that say a state rather than a sample: see :data:`STATE_TYPES`.
+* OpenIGTLink types that say a state rather than a sample: see :data:`STATE_TYPES`;
+* what the gateway sent to the other side because of such a message.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from igtl_gateway.session.entry import Entry, Kind
 STATE_TYPES = frozenset("BIND CAPABILITY COLORT COLORTABLE IMGMETA LBMETA POINT POLYDATA STATUS TRAJ VIDEOMETA".split())
 
 _STATIC_TF = "/tf_static"
-_IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 _ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
+_MESSAGES = _ROS | {Kind.IGTL_IN, Kind.IGTL_OUT}
 
 #: Whether a ROS topic of a type is latched.
 IsLatched = Callable[[str, str], bool]
@@ -48,10 +48,10 @@ def part(entries: Iterable[Entry], start_ns: int | None, end_ns: int | None, is_
                 state = None
             yield entry
             continue
+        latched = entry.type in STATE_TYPES or (entry.kind in _ROS and is_latched(entry.channel, entry.type))
         if entry.kind.is_input:
-            cause_is_latched = entry.kind is Kind.ROS_IN and is_latched(entry.channel, entry.type)
-        latched = is_latched(entry.channel, entry.type) if entry.kind in _ROS else cause_is_latched
-        if state is not None and (key := _key(entry, latched)):
+            cause_is_latched = latched
+        if state is not None and (key := _key(entry, latched or cause_is_latched)):
             state.pop(key, None)
             state[key] = entry
     if state:
@@ -64,9 +64,7 @@ def _in_order(state: dict[Hashable, Entry]) -> list[Entry]:
 
 def _key(entry: Entry, latched: bool) -> Hashable:
     """What a later entry with the same key replaces; None for what is no state."""
-    if entry.kind in _IGTL:
-        return (entry.kind, entry.channel) if latched or entry.type in STATE_TYPES else None
-    if entry.kind not in _ROS or not latched:
+    if not latched or entry.kind not in _MESSAGES:
         return None
     return (entry.kind, entry.channel, _frames(entry) if entry.channel == _STATIC_TF else ())
 

@@ -53,13 +53,11 @@ class PlaybackClock:
         return self._recorded_ns + int((now_ns - self._real_ns) * self._rate)
 
     def is_state(self, recorded_ns: int) -> bool:
-        """Whether an entry of this moment lies before the target of the last jump: it rebuilds the state there."""
+        """Whether an entry lies before the target of the last jump: it rebuilds the state there, and is due at once."""
         return recorded_ns < self._state_before_ns
 
     def wait_ns(self, recorded_ns: int, now_ns: int) -> int | None:
-        """How long from now until ``recorded_ns`` is due; 0 if it is, as state always is; None while paused."""
-        if self.is_state(recorded_ns):
-            return 0
+        """How long from now until ``recorded_ns`` is due; 0 if it is; None while paused."""
         if self._paused:
             return None
         if self._recorded_ns is None:

@@ -63,12 +63,12 @@ def compiled(package: str, folders: Sequence[Path]) -> Path:
     if root is None:
         places = " nor ".join(map(str, folders))
         raise ImportError(f"{package} has to be compiled once, but neither {places} can be written", name=package)
-    with _locked(root / f"{package}.lock"):
+    with _locked(root / f"{package}.lock") as lock:
         if not (root / wanted).is_dir():
             # One at a time by the lock, so what lies there is left over from a process that was killed.
             work = root / f"{package}.work"
             shutil.rmtree(work, ignore_errors=True)
-            _compile(package, _prefix(wheels), work)
+            _compile(package, _prefix(wheels), work, lock)
             (root / wanted).parent.mkdir(exist_ok=True)
             (work / "result" / package).rename(root / wanted)
             shutil.rmtree(work)
@@ -126,22 +126,30 @@ def _is_writable(folder: Path) -> bool:
 
 
 @contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Alone among all processes; the kernel opens the lock of one that dies."""
+def _locked(path: Path) -> Iterator[int]:
+    """Alone among all processes; the kernel opens the lock when nobody holds the descriptor any more."""
     import fcntl  # not on Windows, where no wheel of ROS brings us here
 
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+        yield file.fileno()
 
 
-def _compile(package: str, prefix: Path, work: Path) -> None:
-    """Compile into ``work/result/PACKAGE``, in a process of its own: the generators print and keep global state."""
+def _compile(package: str, prefix: Path, work: Path, lock: int) -> None:
+    """Compile into ``work/result/PACKAGE``, in a process of its own: the generators print and keep global state.
+
+    That process holds the lock, too: should we be killed, the next one must not work in the same folder beside it.
+    """
     sys.stderr.write(f"{package}: compiling it, once for this environment ...\n")
     # -P: the folder of build.py is not to be searched for modules
     command: list[str | Path] = [sys.executable, "-P", _BUILD, package, folder_of(package), prefix, work]
     run = subprocess.run(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        check=False,
+        pass_fds=[lock],
     )
     if run.returncode:
         output = run.stdout.decode(errors="replace").strip()

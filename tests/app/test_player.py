@@ -167,6 +167,16 @@ def test_a_seek_sends_the_state_even_while_paused_and_is_told() -> None:
         assert run.end() == [1, 2, 1, 4, 1, 2, 3, 4, 5]
 
 
+def test_behind_the_last_message_a_paused_player_waits_for_a_way_back() -> None:
+    with Played(paused=True, entries=lambda start: (entry for entry in feed(start) if entry.seq < 4)) as run:
+        assert run.player.seek(at(4))
+        run.wait(lambda: run.sent == [1])
+        assert run.player.burst(1) == 0
+        assert run.player.seek(at(3))
+        assert run.player.burst(1) == 1
+        assert run.end() == [1, 1, 3]
+
+
 def test_one_cannot_seek_outside() -> None:
     with Played(paused=True) as run:
         assert not run.player.seek(at(0.9)) and not run.player.seek(at(5.1))
@@ -220,6 +230,8 @@ def test_the_clock_is_no_message_and_is_repeated_while_paused() -> None:
         assert run.player.burst(2) == 2
         run.wait(lambda: run.ticks > 10)
         assert run.sent == [1, 2]
+        assert run.player.seek(at(4))
+        run.wait(lambda: run.sent == [1, 2, 1])
 
 
 def test_new_stamps_are_what_is_hashed() -> None:

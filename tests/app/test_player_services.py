@@ -9,6 +9,7 @@ from typing import Any
 from igtl_gateway.app.player import Player
 from igtl_gateway.app.player_services import PlayerServices
 from igtl_gateway.clock import SystemClock
+from igtl_gateway.errors import RosError
 from igtl_gateway.session.entry import Entry, Kind
 
 S = 1_000_000_000
@@ -68,18 +69,23 @@ def test_every_service_does_what_its_name_says() -> None:
     assert not thread.is_alive()
 
 
-def test_the_first_service_that_cannot_be_offered_ends_the_offer() -> None:
+def test_services_that_cannot_be_offered_are_told_with_the_reason() -> None:
     asked: list[tuple[str, str]] = []
 
     class Edge:
+        def __init__(self, missing: str = "") -> None:
+            self._missing = missing
+
+        def message_class(self, _name: str) -> None:
+            if self._missing:
+                raise RosError(self._missing)
+
         def serve(self, name: str, type_name: str, _answer: Any) -> bool:
             asked.append((name, type_name))
-            return len(asked) < 3
+            return len(asked) < 2
 
-    player = Player(lambda _: (), lambda _: True, SystemClock(), threading.Event())
-    assert not PlayerServices(player).offer(Edge())  # type: ignore[arg-type]
-    assert asked == [
-        ("~/pause", "rosbag2_interfaces/srv/Pause"),
-        ("~/resume", "rosbag2_interfaces/srv/Resume"),
-        ("~/toggle_paused", "rosbag2_interfaces/srv/TogglePaused"),
-    ]
+    services = PlayerServices(Player(lambda _: (), lambda _: True, SystemClock(), threading.Event()))
+    assert services.offer(Edge("no compiler")) == "no compiler"  # type: ignore[arg-type]
+    assert asked == []
+    assert services.offer(Edge()) == "~/resume is refused"  # type: ignore[arg-type]
+    assert asked == [("~/pause", "rosbag2_interfaces/srv/Pause"), ("~/resume", "rosbag2_interfaces/srv/Resume")]

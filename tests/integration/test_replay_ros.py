@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import socket
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.integration.bridge import RosClient, gateway
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.source import once, select
+from igtl_gateway.session.entry import Entry, Kind
+from tests.integration.bridge import TIMEOUT_S, RosClient, gateway
 
 pytestmark = pytest.mark.ros
 
@@ -40,5 +46,105 @@ def test_a_ros_node_hears_what_was_published_that_day() -> None:
             program.wait_until(lambda: '"complete"' in program.said(), "the outcome")
             told = json.loads(next(line for line in program.said().splitlines() if '"complete"' in line))
             assert told["complete"] and told["messages"] == sum(told["streams"].values())
+        finally:
+            program.close()
+
+
+START_S = 1_767_225_600  # of the recording
+NODE = "/igtl_gateway_replay"
+STRING, MESH = "/igtl/in/Greeting/string", "/igtl/in/Surface/mesh"
+
+
+def test_the_services_of_ros2_bag_play() -> None:
+    """Two strings at 0.1 s and 0.2 s, and a latched mesh at 1.0 s."""
+    with RosClient("driver", subscribe={STRING: HEARD[STRING], MESH: HEARD[MESH]}) as node:
+        node.subscribe("/clock", "rosgraph_msgs/msg/Clock", depth=1)
+
+        def call(name: str, kind: str, **fields: Any) -> dict[str, Any]:
+            node.call(f"{NODE}/{name}", f"rosbag2_interfaces/srv/{kind}", fields)
+            answer: dict[str, Any] = node.receive(f"{NODE}/{name}")
+            return answer
+
+        def clock() -> float:
+            now = node.receive("/clock")["clock"]
+            return round(float(now["sec"] - START_S + now["nanosec"] / 1e9), 3)
+
+        def wait_clock(second: float) -> None:
+            while clock() != second:
+                pass
+
+        options = ("--start-paused", "--clock", "20", "--wait-peers", "1", "--streams", STRING, "--streams", MESH)
+        program = gateway("replay", str(TYPES), "--to", "ros", "--json", *options)
+        try:
+            assert call("is_paused", "IsPaused") == {"paused": True}
+            assert call("get_rate", "GetRate") == {"rate": 1.0}
+            assert node.waiting(STRING) == 0
+            assert call("play_next", "PlayNext") == {"success": True}
+            assert node.receive(STRING)["data"] == "hello from OpenIGTLink"
+            wait_clock(0.1)
+            assert call("burst", "Burst", num_messages=1) == {"actually_burst": 1}
+            assert node.receive(STRING)["data"] == "Grüße, 你好"
+            assert node.waiting(MESH) == 0
+
+            # behind the mesh: it is latched, so it is heard although the player is paused
+            time = {"sec": START_S + 1, "nanosec": 50_000_000}
+            assert call("seek", "Seek", time=time) == {"success": True}
+            assert len(node.receive(MESH)["triangles"]) == 4
+            wait_clock(1.05)
+            assert call("seek", "Seek", time={"sec": START_S - 5}) == {"success": False}
+            program.wait_until(lambda: '"jump"' in program.said(), "jump")
+
+            assert call("seek", "Seek", time={"sec": START_S}) == {"success": True}
+            assert call("set_rate", "SetRate", rate=-1.0) == {"success": False}
+            assert call("set_rate", "SetRate", rate=0.001) == {"success": True}
+            call("toggle_paused", "TogglePaused")
+            assert call("is_paused", "IsPaused") == {"paused": False}
+            assert call("play_next", "PlayNext") == {"success": False}
+            call("pause", "Pause")
+            assert call("is_paused", "IsPaused") == {"paused": True}
+            assert call("set_rate", "SetRate", rate=100.0) == {"success": True}
+            call("resume", "Resume")
+            assert [node.receive(STRING)["data"] for _ in range(2)] == ["hello from OpenIGTLink", "Grüße, 你好"]
+            assert len(node.receive(MESH)["triangles"]) == 4
+            program.wait_until(lambda: '"complete"' in program.said(), "the outcome")
+            jumps = [json.loads(line) for line in program.lines if '"jump"' in line]
+            assert [(jump["why"], jump["to_ns"] - START_S * 10**9) for jump in jumps] == [
+                ("seek", 1_050_000_000),
+                ("seek", 0),
+            ]
+        finally:
+            program.close()
+
+
+def test_both_sides_at_once_in_the_order_of_the_log() -> None:
+    with SessionFile.open(TYPES) as file:
+        igtl = list(select(once(file.entries()), frozenset({Kind.IGTL_OUT})))
+        ros = list(select(file.entries(), frozenset({Kind.ROS_IN, Kind.ROS_OUT})))
+
+    def digest(entries: list[Entry]) -> str:
+        return hashlib.sha256(b"".join(entry.data() for entry in entries)).hexdigest()
+
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        RosClient("listener", subscribe={STRING: HEARD[STRING]}) as node,
+    ):
+        server.settimeout(TIMEOUT_S)
+        target = f"127.0.0.1:{server.getsockname()[1]}"
+        program = gateway("replay", str(TYPES), "--to", "both", "--connect", target, "--speed-of-light", "--json")
+        try:
+            peer, _ = server.accept()
+            received = bytearray()
+            with peer:
+                peer.settimeout(TIMEOUT_S)
+                while part := peer.recv(1 << 20):
+                    received += part
+            assert received == b"".join(entry.data() for entry in igtl)
+            assert node.receive(STRING)["data"] == "hello from OpenIGTLink"
+            program.wait_until(lambda: '"complete"' in program.said(), "the outcome")
+            told = json.loads(next(line for line in program.lines if '"complete"' in line))
+            assert told["complete"]
+            assert told["sides"]["igtl"]["sha256"] == digest(igtl)
+            assert told["sides"]["ros"]["sha256"] == digest(ros)
+            assert told["sha256"] == digest(sorted(igtl + ros, key=lambda entry: entry.seq))
         finally:
             program.close()

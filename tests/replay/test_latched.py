@@ -60,6 +60,19 @@ def test_what_a_latched_message_caused_is_latched() -> None:
     assert numbers(entries, 50) == [1, 2, 5]
 
 
+def test_what_a_state_of_openigtlink_caused_is_latched() -> None:
+    entries = log(
+        (Kind.IGTL_IN, "STATUS/Device", "STATUS"),
+        (Kind.ROS_OUT, "/igtl/in/Device/status", "D"),
+        (Kind.NOTE, "", ""),
+        (Kind.IGTL_IN, "TRANSFORM/Tool", "TRANSFORM"),
+        (Kind.ROS_OUT, "/igtl/in/Tool/transform", "T"),
+        (Kind.LINK, "", ""),
+        (Kind.ROS_OUT, "/igtl/links", "L"),
+    )
+    assert numbers(entries, 1000) == [1, 2]
+
+
 def test_each_publisher_of_static_transforms_counts() -> None:
     def static(seq: int, *frames: str) -> Entry:
         transforms = tuple(FrameTransform(Header(0, "base"), frame, (0, 0, 0, 0, 0, 0, 1)) for frame in frames)
