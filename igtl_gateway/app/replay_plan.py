@@ -12,7 +12,7 @@ from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.qos import Qos
 from igtl_gateway.replay.latched import part
 from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.replay.source import once, select, through_gateway
+from igtl_gateway.replay.source import once, select, spoken_to, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
 
 #: For topics of which the file tells no quality of service.
@@ -75,15 +75,21 @@ def planned(
     streams: Iterable[str],
     start_ns: int | None = None,
     end_ns: int | None = None,
+    role: str = "server",
 ) -> Iterator[Entry]:
     """The entries of a plan, in order; those that were latched before ``start_ns`` (UTC) first, none after ``end_ns``.
 
     The gateway is fed from the beginning in any case: what it says depends on all that it was told.
+
+    Args:
+        role: whose words of a relay's recording are played: those of the ``"server"`` or of the ``"client"``.
     """
     latched = {(channel.topic, channel.type) for channel in file.channels if channel.qos and channel.qos.latched}
     entries: Iterable[Entry] = file.entries()
     if how.recompute:
         entries = through_gateway(entries, config, has_links=any(c.kind is Kind.LINK for c in file.channels if c.count))
+    if config.relay:
+        entries = spoken_to(role, entries)
     entries = part(once(entries), start_ns, end_ns, lambda topic, ros_type: (topic, ros_type) in latched)
     return select(entries, how.kinds, streams)
 

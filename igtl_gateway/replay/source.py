@@ -42,6 +42,23 @@ def once(entries: Iterable[Entry]) -> Iterator[Entry]:
         yield entry
 
 
+def spoken_to(role: str, entries: Iterable[Entry]) -> Iterator[Entry]:
+    """Of a relay's recording the inputs, and of the outputs the words to one side.
+
+    Args:
+        role: our own in the replay.  ``"server"``: what was sent to those that had connected to the relay, which is
+            what their server said; ``"client"``: what was sent to that server.
+    """
+    listeners: set[int] = set()
+    for entry in entries:
+        if entry.kind is Kind.LINK:
+            note = Note.unpack(entry.data())
+            if note.code == LINK_UP and note.data.get("role") == role:
+                listeners.update(entry.links)
+        if entry.kind.is_input or listeners.intersection(entry.links):
+            yield entry
+
+
 def select(entries: Iterable[Entry], kinds: frozenset[Kind], streams: Iterable[str] = ()) -> Iterator[Entry]:
     """Entries of some kinds, of streams that match one of the globs (no glob: all).
 

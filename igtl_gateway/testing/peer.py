@@ -14,9 +14,8 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.errors import ConfigError, WireError
-from igtl_gateway.gateway import LINK_UP
 from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.replay.source import once, select, through_gateway
+from igtl_gateway.replay.source import once, select, spoken_to, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
@@ -183,7 +182,7 @@ class ReplayPeer:
         if self._side == "peers":
             return select(entries, frozenset({Kind.IGTL_IN}), self._streams)
         if self._config.relay:
-            entries = _for_role(entries, self._role)
+            entries = spoken_to(self._role, entries)
         elif Kind.IGTL_OUT not in present:
             entries = through_gateway(entries, self._config, has_links=Kind.LINK in present)
         return select(once(entries), frozenset({Kind.IGTL_OUT}), self._streams)
@@ -215,15 +214,3 @@ class ReplayPeer:
         with self._changed:
             self.notes.append(note)
             self._changed.notify_all()
-
-
-def _for_role(entries: Iterable[Entry], role: str) -> Iterator[Entry]:
-    """Of a relay's recording what went to the links of a role: ``server`` are those that had connected to it."""
-    ours: set[int] = set()
-    for entry in entries:
-        if entry.kind is Kind.LINK:
-            note = Note.unpack(entry.data())
-            if note.code == LINK_UP and note.data.get("role") == role:
-                ours.update(entry.links)
-        if entry.kind.is_input or ours.intersection(entry.links):
-            yield entry

@@ -6,10 +6,15 @@ from dataclasses import replace
 
 import pytest
 
-from igtl_gateway.replay.source import once, select, through_gateway
+from igtl_gateway.buffers import join
+from igtl_gateway.config import Config
+from igtl_gateway.gateway import LINK_UP, PARTNER, Session, gateway_of
+from igtl_gateway.replay.source import once, select, spoken_to, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
 from igtl_gateway.simulate.catalogue import SCENARIOS
-from igtl_gateway.wire import Header
+from igtl_gateway.wire import Header, Message, encode
+from igtl_gateway.wire.text import String
 
 SCENARIO = SCENARIOS["paper-types"]
 OUT = frozenset({Kind.IGTL_OUT})
@@ -74,3 +79,16 @@ def test_a_new_cause_sends_the_same_stream_again(entries: list[Entry]) -> None:
         replace(sent, seq=sent.seq + 3),
     ]
     assert len(list(select(once(log), OUT))) == 2
+
+
+@pytest.mark.parametrize(("role", "device"), [("server", "FromServer"), ("client", "FromClient")])
+def test_of_a_relay_the_words_of_one_side(role: str, device: str) -> None:
+    session = Session(gateway_of(Config(relay=True)))
+    log: list[Entry] = []
+    for link, facts in ((1, {"role": "server"}), (2, {"role": "client", PARTNER: 1})):
+        note = Note(Level.INFO, LINK_UP, "up", data=facts)
+        log += session.input(1, Kind.LINK, (note.pack(),), links=(link,))
+    for link, name in ((1, "FromClient"), (2, "FromServer")):
+        data = join(encode(Message("STRING", name, String.of("hello"))))
+        log += session.input(1, Kind.IGTL_IN, (data,), links=(link,))
+    assert [entry.channel for entry in select(spoken_to(role, log), OUT)] == [f"STRING/{device}"]
