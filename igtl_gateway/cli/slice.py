@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from itertools import chain
 from pathlib import Path
 
 from igtl_gateway import __version__
@@ -58,7 +59,10 @@ def run(options: argparse.Namespace) -> int:
         )
         if window.start_ns >= window.end_ns:
             raise ConfigError(f"--start, --end: found an end {_apart(window)} the start, expected one after it")
-        part = Slice(file.entries, recorded_config(file.session, options.config), window)
+        # what a part of a split recording brings along of the time before it is older than its first entry
+        part = Slice(
+            lambda: chain(file.prologue(), file.entries()), recorded_config(file.session, options.config), window
+        )
         _write(file, part, window, options)
         if options.json:
             print_json({"file": str(options.out), "bytes": options.out.stat().st_size, **_told(part.report)})

@@ -5,16 +5,25 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
+from igtl_gateway import __version__
 from igtl_gateway.cli.common import count, print_json, recorded_config
+from igtl_gateway.config import Config
+from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import UnsupportedRecording
+from igtl_gateway.replay.compare import Decoder
 from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.replay.verify import Report, verify
+from igtl_gateway.replay.verify import Losses, Report, verify
 
 EXAMPLES = """\
   igtl-gateway verify out.mcap                     exit code 0: every byte follows; 1: the first difference
   igtl-gateway verify out.mcap --config new.toml   what would change under another configuration?
-  igtl-gateway verify out.mcap --all --json        all differences, for programs"""
+  igtl-gateway verify out.mcap --all               how many in each stream, and the first of each
+  igtl-gateway verify out.mcap --json              all that and each difference (up to 1,000), for programs"""
+
+#: What the session says of the release that recorded it.
+_VERSION = "igtl_gateway_version"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", metavar="TOML", type=Path, help="use this configuration instead of the recorded one"
     )
-    parser.add_argument("--all", action="store_true", help="print all differences (up to 100), not only the first")
+    parser.add_argument("--all", action="store_true", help="print the first difference of each stream, not only of all")
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
 
 
@@ -30,25 +39,54 @@ def run(options: argparse.Namespace) -> int:
     with SessionFile.open(options.file) as file:
         if file.foreign:
             raise UnsupportedRecording(f"{options.file}: is no session of igtl-gateway: it has no outputs to verify")
-        config = recorded_config(file.session, options.config)
-        recorder = (file.ledger or {}).get("recorder", {})
-        report = verify(file.entries(), config, int(recorder.get("dropped_entries", 0)), file.prologue())
+        recorded_by = file.session.get(_VERSION, "")
+        config = _config(options, file, recorded_by)
+        decoder = Decoder(file.definitions, Lengths(config.ros_unit, config.igtl_unit))
+        losses = Losses.of(file.session, file.ledger)
+        report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
+    told: dict[str, Any] = {
+        "file": str(options.file),
+        "good": report.good,
+        "recorded_by": recorded_by,
+        "verified_by": __version__,
+        "config": str(options.config) if options.config else "recorded",
+    }
     if options.json:
-        print_json({"file": str(options.file), "good": report.good, **asdict(report)})
+        print_json({**told, **asdict(report)})
     else:
-        _print(options.file, report, options.all)
+        _print(told, report, options.all)
     return 0 if report.good else 1
 
 
-def _print(file: Path, report: Report, everything: bool) -> None:
-    print(f"{file}: {count(report.inputs, 'input')} fed to the gateway, {count(report.outputs, 'output')} compared")
+def _config(options: argparse.Namespace, file: SessionFile, recorded_by: str) -> Config:
+    """The configuration to verify with.  Raises ConfigError, or UnsupportedRecording with both versions."""
+    try:
+        return recorded_config(file.session, options.config)
+    except UnsupportedRecording as error:
+        raise UnsupportedRecording(
+            f"{options.file}: {error}; recorded by igtl-gateway {recorded_by or 'of an unknown version'}, "
+            f"this is {__version__}: give a configuration with --config"
+        ) from None
+
+
+def _print(told: dict[str, Any], report: Report, everything: bool) -> None:
+    versions = f"recorded by igtl-gateway {told['recorded_by'] or '(unknown)'}, verified by {told['verified_by']}"
+    configuration = "the recorded configuration" if told["config"] == "recorded" else told["config"]
+    print(f"{told['file']}: {versions} with {configuration}")
+    print(f"  {count(report.inputs, 'input')} fed to the gateway, {count(report.outputs, 'output')} compared")
     if report.good:
         print(f"verified: all {count(report.equal, 'output')} equal, byte for byte")
-        if report.lost:
-            print(f"not verified: {count(report.lost, 'output')} that the recorder said it dropped")
-        return
-    print(f"DIFFERENT: {count(report.differing, 'output')} of {report.outputs}")
-    for difference in report.differences if everything else report.differences[:1]:
-        print(f"  {difference}")
-    for stream, number in sorted(report.by_stream.items()):
-        print(f"  {stream}: {count(number, 'difference')}")
+    else:
+        print(f"DIFFERENT: {count(report.differing, 'output')} of {report.outputs:,}")
+        for difference in report.firsts.values() if everything else report.differences[:1]:
+            print(f"  {difference}")
+        for stream, number in sorted(report.by_stream.items()):
+            print(f"  {stream}: {count(number, 'difference')}")
+    for number, thing, things, why in (
+        (report.lost, "output", "", "that the recording says it lost"),
+        (report.missing, "further entry", "further entries", "that the recording says it lost or left out"),
+        (report.orphans, "output", "", "whose input is among those"),
+        (report.late, "note", "", "of a stream whose first message is among those"),
+    ):
+        if number:
+            print(f"not verified: {count(number, thing, things)} {why}")

@@ -87,6 +87,7 @@ class SessionFile:
         foreign: not a recording of ours: every message is a ROS_IN entry, numbered as read.
         channels: what is in it.
         skipped: what is in it but is not read.
+        definitions: ROS type → definition with all that it needs, where the file has one.
         entry_count: entries that :meth:`entries` gives.
         start_ns, end_ns: UTC nanoseconds of the first and the last one; 0 in an empty file.
     """
@@ -122,6 +123,11 @@ class SessionFile:
             told.append(self._open_channel(channel, schema, summary.statistics))
         self.channels = tuple(channel for channel in told if isinstance(channel, ChannelSummary))
         self.skipped = tuple(channel for channel in told if isinstance(channel, SkippedChannel))
+        self.definitions = {
+            schema.name: schema.data.decode("utf-8", "replace")
+            for schema in summary.schemas.values()
+            if schema.encoding == layout.SCHEMA_ENCODING
+        }
         self.entry_count = sum(channel.count for channel in self.channels)
         self.start_ns = summary.statistics.message_start_time
         self.end_ns = summary.statistics.message_end_time
@@ -275,6 +281,7 @@ class SessionParts(SessionFile):
         found: dict[int, Path] = {}
         channels: dict[tuple[str, str, Kind, str], ChannelSummary] = {}
         skipped: list[SkippedChannel] = []
+        self.definitions = {}
         self.entry_count = self.start_ns = self.end_ns = 0
         for path in sorted(folder.glob("*.mcap")):
             with SessionFile.open(path) as part:
@@ -290,6 +297,7 @@ class SessionParts(SessionFile):
                     count = channels[key].count if key in channels else 0
                     channels[key] = replace(channel, count=channel.count + count)
                 skipped += part.skipped
+                self.definitions |= part.definitions
                 self.entry_count += part.entry_count
         if not found:
             raise UnsupportedRecording(f"{folder}: found a directory, expected the .mcap file in it")

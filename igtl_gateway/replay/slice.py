@@ -163,15 +163,14 @@ class Slice:
             said = gateway.handle(moved)
             outputs = said
             extent = 1 + len(said)
-            if inside or depth is Depth.ALL:
+            if inside:
                 recorded = [_moved(entry, cause, moved) for entry in group.outputs]
                 differing = _differing(recorded, said, moved.seq)
-                report.differing += differing if inside else 0
+                report.differing += differing
                 if differing and rewrite:
                     report.computed += 1
                 else:
                     outputs, extent = recorded, group.extent
-            if inside:
                 report.inputs += 1
                 report.outputs += len(outputs)
             else:

@@ -2,36 +2,45 @@
 
 What the gateway produced is compared byte by byte; of notes the code, level, stream and links count, not the
 wording.  Where bytes differ, both are decoded and the first field that differs is named.
+
+Numbers without an entry are losses.  Those that the recording declares (what the recorder dropped or was not to
+record, what `recover` could not read) are excused, and counted: a lost output; a lost input, with the outputs of it
+that are there all the same.  An output that changed, or that nothing can have caused, is never excused.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from collections import deque
-from collections.abc import Iterable, Iterator
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
-
-import numpy as np
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.table import TO_ROS
+from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.gateway import gateway_of
+from igtl_gateway.replay.compare import Decoder, compare_values, flat, same
+from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.wire import describe
 
-#: So many differences are kept in full; all are counted.
-MAX_KEPT = 100
+#: So many differences are kept in full, and the first of each of so many streams; all are counted.
+MAX_KEPT = 1_000
+
+#: Stream of what is not there to tell.
+UNKNOWN = "(not recorded)"
 
 #: What the gateway publishes: by conversion, and of its own.
 _MESSAGES = {row.message.TYPE: row.message for row in TO_ROS} | {
     kind.TYPE: kind for kind in (LinkStatusList, Metadata, RawMessage)
 }
+
+_STREAM_NEWS = "stream"
+_OTHERS = "(others)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +54,7 @@ class Difference:
         field: path of the first field that differs, or ``"message"`` where one side has none.
         recorded: value in the recording.
         computed: value today.
+        measure: the difference in millimetres, degrees, pixels …; ``""`` where it has none.
     """
 
     seq: int
@@ -53,24 +63,72 @@ class Difference:
     field: str
     recorded: Any
     computed: Any
+    measure: str = ""
 
     def __str__(self) -> str:
         return (
             f"entry {self.seq} (caused by entry {self.cause}), {self.stream}: {self.field} "
             f"was {_shown(self.recorded)}, is now {_shown(self.computed)}"
+            + (f" ({self.measure})" if self.measure else "")
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Losses:
+    """What a recording says is not in it.
+
+    Attributes:
+        entries: how many entries.
+        streams: of these, how many of each stream.
+        uncounted: more may be lost, and its end: a recovered file, or one without a ledger.
+        midway: it begins in the middle of a session.
+    """
+
+    entries: int = 0
+    streams: Mapping[str, int] = field(default_factory=dict)
+    uncounted: bool = False
+    midway: bool = False
+
+    @classmethod
+    def of(cls, session: Mapping[str, str], ledger: Mapping[str, Any] | None) -> Losses:
+        """As the metadata of a recording tell."""
+        midway = layout.SNAPSHOT_KEY in session or session.get(layout.PART_KEY, "0") != "0"
+        if ledger is None:
+            return cls(uncounted=True, midway=midway)
+        recorder, recovered = ledger.get("recorder", {}), ledger.get("recovered", {"whole": True})
+        streams = Counter(recorder.get("dropped", {}))
+        streams.update(recorder.get("left_out", {}))
+        entries = recorder.get("dropped_entries", 0) + recorder.get("left_out_entries", 0)
+        return cls(entries, dict(streams), not recovered.get("whole"), midway)
 
 
 @dataclass(slots=True)
 class Report:
-    """The outcome: ``good`` if every output is the same and nothing is missing that should be there."""
+    """The outcome: ``good`` if every output is the same and nothing is missing that should be there.
+
+    Attributes:
+        inputs, outputs: entries of the recording.
+        equal: outputs that are what the gateway says today.
+        lost: outputs that it says but that were not recorded, as the recording declares.
+        missing: other entries that are not there, as the recording declares: inputs, with what they caused.
+        orphans: outputs whose cause is among those; not verified.
+        late: notes that come later than that day, because what they are about was lost.
+        differing: outputs that are different, missing or too many.
+        by_stream: these by stream.
+        firsts: the first of each stream.
+        differences: all of them, up to MAX_KEPT.
+    """
 
     inputs: int = 0
     outputs: int = 0
     equal: int = 0
     lost: int = 0
+    missing: int = 0
+    orphans: int = 0
+    late: int = 0
     differing: int = 0
     by_stream: dict[str, int] = field(default_factory=dict)
+    firsts: dict[str, Difference] = field(default_factory=dict)
     differences: list[Difference] = field(default_factory=list)
 
     @property
@@ -80,73 +138,143 @@ class Report:
     def add(self, difference: Difference) -> None:
         self.differing += 1
         self.by_stream[difference.stream] = self.by_stream.get(difference.stream, 0) + 1
+        if difference.stream not in self.firsts and len(self.firsts) < MAX_KEPT:
+            self.firsts[difference.stream] = difference
         if len(self.differences) < MAX_KEPT:
             self.differences.append(difference)
 
 
-def verify(entries: Iterable[Entry], config: Config, declared_lost: int = 0, prologue: Iterable[Entry] = ()) -> Report:
+def verify(
+    entries: Iterable[Entry],
+    config: Config,
+    losses: Losses = Losses(),
+    *,
+    before: Iterable[Entry] = (),
+    decoder: Decoder | None = None,
+) -> Report:
     """Compare the recorded outputs with those that ``config`` gives today for the recorded inputs.
 
     Args:
         entries: the recording, in order.
         config: the configuration to run with, usually the recorded one.
-        declared_lost: how many entries the recorder says that it dropped; so many missing outputs are excused.
-        prologue: inputs before the recording, whose outputs are not compared.
+        losses: what the recording says is not in it.
+        before: inputs from before its beginning.
+        decoder: of the recording, to tell differences in units.
     """
-    gateway, report = gateway_of(config), Report()
-    for entry in prologue:
-        gateway.handle(entry)
-    expected: deque[Entry] = deque()
-    cause = 0
+    verifier = _Verifier(config, losses, decoder or Decoder(lengths=Lengths(config.ros_unit, config.igtl_unit)))
+    for entry in before:
+        verifier.before(entry)
     for entry in entries:
+        verifier.take(entry)
+    return verifier.end()
+
+
+class _Verifier:
+    def __init__(self, config: Config, losses: Losses, decoder: Decoder) -> None:
+        self._gateway = gateway_of(config)
+        self._losses, self._decoder = losses, decoder
+        self._left, self._left_of = losses.entries, dict(losses.streams)  # what may still be lost
+        self._report = Report()
+        self._expected: deque[Entry] = deque()
+        self._cause = 0
+        self._last: int | None = None if losses.midway else 0
+        self._gap = False  # since the last input that is there, an input may have been lost
+
+    def before(self, entry: Entry) -> None:
+        """Take an input from before the beginning."""
+        self._gateway.handle(entry)
+
+    def take(self, entry: Entry) -> None:
+        """Take the next entry of the recording."""
+        self._skip_to(entry.seq)
+        self._last = entry.seq
         if entry.kind.is_input:
-            _miss(expected, cause, report)
-            report.inputs += 1
-            cause = entry.seq
-            expected.extend(gateway.handle(entry))
-            continue
-        report.outputs += 1
-        while expected and expected[0].seq < entry.seq:
-            _miss_one(expected.popleft(), cause, report)
-        if expected and expected[0].seq == entry.seq:
-            difference = compare(entry, expected.popleft(), cause)
+            self._miss()
+            self._report.inputs += 1
+            self._cause, self._gap = entry.seq, False
+            self._expected.extend(self._gateway.handle(entry))
+            return
+        self._report.outputs += 1
+        if self._expected and self._expected[0].seq == entry.seq:
+            difference = compare(entry, self._expected.popleft(), self._cause, self._decoder)
+            if difference:
+                self._report.add(difference)
+            else:
+                self._report.equal += 1
+        elif self._gap:
+            self._report.orphans += 1
         else:
-            difference = Difference(entry.seq, cause, _name(entry), "message", _kind(entry), "nothing")
-        if difference:
-            report.add(difference)
+            self._differ(entry, _kind(entry), "nothing")
+
+    def end(self) -> Report:
+        """The recording has ended."""
+        while self._expected:
+            expected = self._expected.popleft()
+            if self._losses.uncounted or self._take_from(_name(expected)):
+                self._report.lost += 1
+            else:
+                self._differ(expected, "nothing", _kind(expected))
+        return self._report
+
+    def _skip_to(self, seq: int) -> None:
+        """Numbers up to here have no entry."""
+        if self._last is None:
+            return
+        numbers = seq - self._last - 1
+        while self._expected and self._last < self._expected[0].seq < seq:
+            expected = self._expected.popleft()
+            numbers -= 1
+            if self._losses.uncounted or self._take_from(_name(expected)):
+                self._report.lost += 1
+            else:
+                self._differ(expected, "nothing", _kind(expected))
+        if numbers <= 0:
+            return
+        if self._losses.uncounted or numbers <= self._left:
+            self._left -= numbers
+            self._report.missing += numbers
+            self._gap = True
         else:
-            report.equal += 1
-    _miss(expected, cause, report)
-    _excuse(report, declared_lost)
-    return report
+            text = f"{numbers} of the entries {self._last + 1} to {seq - 1}"
+            self._report.add(Difference(seq - 1, self._cause, UNKNOWN, "entries", "nothing", text))
+
+    def _miss(self) -> None:
+        """What the gateway says and another entry has the number of."""
+        while self._expected:
+            expected = self._expected.popleft()
+            if self._report.missing and _is_news(expected):
+                self._report.late += 1
+            else:
+                self._differ(expected, "nothing", _kind(expected))
+
+    def _take_from(self, stream: str) -> bool:
+        """Whether a loss of this stream was declared, and is not used up."""
+        stream = stream if self._left_of.get(stream) else _OTHERS
+        if self._left <= 0 or not self._left_of.get(stream):
+            return False
+        self._left -= 1
+        self._left_of[stream] -= 1
+        return True
+
+    def _differ(self, entry: Entry, recorded: str, computed: str) -> None:
+        self._report.add(Difference(entry.seq, self._cause, _name(entry), "message", recorded, computed))
 
 
-def _miss(expected: deque[Entry], cause: int, report: Report) -> None:
-    while expected:
-        _miss_one(expected.popleft(), cause, report)
+def _is_news(entry: Entry) -> bool:
+    return entry.kind is Kind.NOTE and Note.unpack(entry.data()).code == _STREAM_NEWS
 
 
-def _miss_one(entry: Entry, cause: int, report: Report) -> None:
-    report.lost += 1
-    report.add(Difference(entry.seq, cause, _name(entry), "message", "nothing", _kind(entry)))
+def compare(recorded: Entry, computed: Entry, cause: int, decoder: Decoder | None = None) -> Difference | None:
+    """The first difference of two outputs, None if they are the same; with a decoder in units, too."""
 
-
-def _excuse(report: Report, declared_lost: int) -> None:
-    """Outputs that the recorder said it dropped are losses of that day, not differences of today."""
-    if report.lost and report.lost <= declared_lost and report.lost == report.differing:
-        report.differing = 0
-        report.by_stream.clear()
-        report.differences.clear()
-
-
-def compare(recorded: Entry, computed: Entry, cause: int) -> Difference | None:
-    """The first difference of two outputs, None if they are the same."""
-
-    def differ(what: str, one: Any, other: Any) -> Difference:
-        return Difference(recorded.seq, cause, _name(recorded), what, one, other)
+    def differ(what: str, one: Any, other: Any, measure: str = "") -> Difference:
+        return Difference(recorded.seq, cause, _name(recorded), what, one, other, measure)
 
     if recorded.kind is Kind.NOTE and computed.kind is Kind.NOTE:
-        one, other = Note.unpack(recorded.data()), Note.unpack(computed.data())
+        try:
+            one, other = Note.unpack(recorded.data()), Note.unpack(computed.data())
+        except (ValueError, KeyError, TypeError):
+            return differ(*_first_byte(recorded.data(), computed.data()))
         for what in ("code", "level", "stream"):
             if getattr(one, what) != getattr(other, what):
                 return differ(f"note.{what}", getattr(one, what), getattr(other, what))
@@ -155,7 +283,14 @@ def compare(recorded: Entry, computed: Entry, cause: int) -> Difference | None:
             return differ(what, getattr(recorded, what), getattr(computed, what))
     if recorded.kind is Kind.NOTE or recorded.data() == computed.data():
         return None
-    return differ(*_first_field(recorded, computed))
+    return differ(*_first_field(recorded, computed), _measure(recorded, computed, decoder) if decoder else "")
+
+
+def _measure(recorded: Entry, computed: Entry, decoder: Decoder) -> str:
+    try:
+        return compare_values(decoder.leaves(recorded), decoder.leaves(computed)).measure
+    except GatewayError:
+        return ""  # not decodable: the bytes themselves are the answer
 
 
 def _first_field(recorded: Entry, computed: Entry) -> tuple[str, Any, Any]:
@@ -167,10 +302,14 @@ def _first_field(recorded: Entry, computed: Entry) -> tuple[str, Any, Any]:
         ):
             if path != other_path:
                 return path, value, f"nothing ({other_path} follows)"
-            if value != other_value and not (_is_nan(value) and _is_nan(other_value)):
+            if not same(value, other_value):
                 return path, value, other_value
     except GatewayError:
         pass  # not decodable: the bytes themselves are the answer
+    return _first_byte(one, other)
+
+
+def _first_byte(one: bytes, other: bytes) -> tuple[str, Any, Any]:
     offset = next((at for at, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
     return f"byte {offset}", one[offset : offset + 8].hex(), other[offset : offset + 8].hex()
 
@@ -182,31 +321,9 @@ def _fields(entry: Entry, data: Buffer) -> Iterator[tuple[str, Any]]:
         for derived in ("error", "crc", "crc_ok", "body_size", "content_size"):
             if derived in told:
                 told[derived] = told.pop(derived)
-        return _flat(told, "")
+        return flat(told, "")
     message = _MESSAGES.get(entry.type)
-    return _flat(message.unpack(data), "") if message else iter(())
-
-
-def _flat(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """Every leaf of nested values with its path, as ``content.matrix[0][3]``."""
-    if dataclasses.is_dataclass(value):
-        value = {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        for name, part in value.items():
-            yield from _flat(part, f"{path}.{name}" if path else name)
-    elif isinstance(value, np.ndarray):
-        yield from _flat(value.tolist(), path)
-    elif isinstance(value, list | tuple):
-        for index, part in enumerate(value):
-            yield from _flat(part, f"{path}[{index}]")
-    elif isinstance(value, memoryview):
-        yield path, bytes(value)
-    else:
-        yield path, value
-
-
-def _is_nan(value: Any) -> bool:
-    return isinstance(value, float) and math.isnan(value)
+    return flat(message.unpack(data), "") if message else iter(())
 
 
 def _name(entry: Entry) -> str:

@@ -1,0 +1,460 @@
+"""Two messages of one type, compared by value: what differs, in the units of their world.
+
+A message becomes a row of *leaves*, each with its path: numbers and texts, and as a whole what has a measure of its
+own: places (position and rotation), grids (points, pixels, values) and stamps.  OpenIGTLink is read by our codecs,
+ROS by the definitions that its file brings, so that messages of any type can be compared, whatever the padding
+between their fields holds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from igtl_gateway.convert.units import UNITS, Lengths
+from igtl_gateway.errors import ChecksumMismatch, GatewayError
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
+from igtl_gateway.stamp import ticks_to_ns
+from igtl_gateway.wire import Header, decode
+from igtl_gateway.wire.elements import Elements
+from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway.wire.transform import Position, Transform
+
+Array = npt.NDArray[Any]
+_Leaf = tuple[str, Any]
+
+_SAME_ROTATION = 2 * math.sqrt(2)
+#: Arrays up to this length are compared number by number.
+_SHORT = 16
+_POINTS = frozenset({"geometry_msgs/msg/Point", "geometry_msgs/msg/Point32"})
+_BITS = re.compile(r"(8|16|32|64)([USF])C?\d*$")
+_NOTES = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})
+_NOTHING = "nothing"
+
+
+class Undecodable(GatewayError):
+    """A message that cannot be read: of an unknown type, or not of the type that it is said to be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where something is.
+
+    Attributes:
+        numbers: as in the message.
+        position: in millimetres; None for a rotation alone.
+        rotation: matrix, row by row; None for a position alone.
+    """
+
+    numbers: tuple[float, ...]
+    position: tuple[float, ...] | None
+    rotation: tuple[float, ...] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grid:
+    """Many elements of one kind.
+
+    Attributes:
+        values: (elements, components).
+        what: "points", "pixels" …
+        mm: millimetres of 1, where values are positions; else 0.
+    """
+
+    values: Array
+    what: str
+    mm: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """A time in a message, UTC ns; 0 = unset."""
+
+    ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """What counts as the same."""
+
+    mm: float = 0.0
+    deg: float = 0.0
+
+
+@dataclass(slots=True)
+class Delta:
+    """How two messages differ.
+
+    Attributes:
+        field: path of the first field that differs beyond the tolerance; ``""`` where none does.
+        one, other: its values.
+        mm, deg: largest distance between positions in millimetres, and between rotations in degrees.
+        what, elements, of: what differs in the array with the most differing elements: so many of so many.
+        largest: largest difference of a number in an array that holds no positions.
+        stamps_ns: by how much each stamp is later in the other one.
+    """
+
+    field: str = ""
+    one: Any = None
+    other: Any = None
+    mm: float = 0.0
+    deg: float = 0.0
+    what: str = ""
+    elements: int = 0
+    of: int = 0
+    largest: float = 0.0
+    stamps_ns: list[int] = dataclasses.field(default_factory=list)
+
+    def differ(self, path: str, one: Any, other: Any) -> None:
+        """Take note of a field, if it is the first one."""
+        if not self.field:
+            self.field, self.one, self.other = path, one, other
+
+    @property
+    def measure(self) -> str:
+        """The difference in units, for people; ``""`` where it has none."""
+        parts = [f"{self.mm:.6g} mm"] if self.mm else []
+        parts += [f"{self.deg:.6g}°"] if self.deg else []
+        parts += [f"{self.elements:,} of {self.of:,} {self.what}"] if self.elements else []
+        parts += [f"by up to {self.largest:.6g}"] if self.largest else []
+        return ", ".join(parts)
+
+
+def compare_values(one: Iterator[_Leaf], other: Iterator[_Leaf], tolerance: Tolerance = Tolerance()) -> Delta:
+    """How two messages differ, given their leaves; raises Undecodable where one cannot be read."""
+    delta = Delta()
+    for left, right in zip_longest(one, other):
+        if left is None or right is None or left[0] != right[0] or type(left[1]) is not type(right[1]):
+            path, value = left or (right[0], _NOTHING)
+            delta.differ(path, value, right[1] if right and right[0] == path else _NOTHING)
+            break
+        path, value = left
+        match value:
+            case Stamp():
+                if bool(value.ns) is not bool(right[1].ns):
+                    delta.differ(path, value.ns, right[1].ns)
+                elif value.ns:
+                    delta.stamps_ns.append(right[1].ns - value.ns)
+            case Place():
+                _compare_places(delta, path, value, right[1], tolerance)
+            case Grid():
+                _compare_grids(delta, path, value, right[1], tolerance)
+            case _:
+                if not same(value, right[1]):
+                    delta.differ(path, value, right[1])
+    return delta
+
+
+def same(one: Any, other: Any) -> bool:
+    """Equal, or neither a number."""
+    return bool(one == other) or (
+        isinstance(one, float) and isinstance(other, float) and math.isnan(one) and math.isnan(other)
+    )
+
+
+def _compare_places(delta: Delta, path: str, one: Place, other: Place, tolerance: Tolerance) -> None:
+    if all(map(same, one.numbers, other.numbers)):
+        return
+    mm = deg = 0.0
+    if one.position is not None and other.position is not None and not all(map(same, one.position, other.position)):
+        mm = _finite(math.dist(one.position, other.position))
+    if one.rotation is not None and other.rotation is not None and not all(map(same, one.rotation, other.rotation)):
+        # the chord between two rotations: right for small angles too, and not 0 for what is no rotation
+        chord = _finite(math.dist(one.rotation, other.rotation))
+        deg = math.degrees(2 * math.asin(min(1.0, chord / _SAME_ROTATION))) if chord < math.inf else chord
+    delta.mm, delta.deg = max(delta.mm, mm), max(delta.deg, deg)
+    if mm > tolerance.mm or deg > tolerance.deg or not (tolerance.mm or tolerance.deg):
+        delta.differ(path, list(one.numbers), list(other.numbers))
+
+
+def _compare_grids(delta: Delta, path: str, one: Grid, other: Grid, tolerance: Tolerance) -> None:
+    a, b = one.values, other.values
+    if a.shape != b.shape or a.dtype != b.dtype:
+        delta.differ(path, f"{a.shape} {a.dtype}", f"{b.shape} {b.dtype}")
+        return
+    unequal = a != b
+    if a.dtype.kind == "f":
+        unequal &= ~(np.isnan(a) & np.isnan(b))
+    rows = np.flatnonzero(unequal.any(axis=1))
+    if not len(rows):
+        return
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = np.where(unequal[rows], np.abs(b[rows].astype(np.float64) - a[rows].astype(np.float64)), 0.0)
+        apart = np.nan_to_num(apart, nan=np.inf, posinf=np.inf)
+        mm = float(np.sqrt((apart**2).sum(axis=1)).max()) * one.mm if one.mm else 0.0
+    largest = 0.0 if one.mm else float(apart.max())
+    delta.mm, delta.largest = max(delta.mm, mm), max(delta.largest, largest)
+    if len(rows) > delta.elements:
+        delta.what, delta.elements, delta.of = one.what, len(rows), len(a)
+    if not one.mm or not tolerance.mm or mm > tolerance.mm:
+        at = int(rows[0])
+        delta.differ(f"{path}[{at}]", a[at].tolist(), b[at].tolist())
+
+
+def _finite(value: float) -> float:
+    return math.inf if math.isnan(value) else value
+
+
+class Decoder:
+    """Takes messages apart.
+
+    Args:
+        definitions: ROS type → definition with all that it needs, as in ``ros2msg`` schemas.
+        lengths: units of both sides.
+    """
+
+    def __init__(self, definitions: Mapping[str, str] | None = None, lengths: Lengths = Lengths()) -> None:
+        self._definitions = definitions or {}
+        self._ros_mm, self._igtl_mm = UNITS[lengths.ros] / UNITS["mm"], UNITS[lengths.igtl] / UNITS["mm"]
+        self._store = get_typestore(Stores.EMPTY)
+        self._known: dict[str, bool] = {}
+
+    def leaves(self, entry: Entry) -> Iterator[_Leaf]:
+        """The leaves of an entry's message.  Raises Undecodable, perhaps after some."""
+        if entry.kind in _NOTES:
+            yield from _of_note(entry)
+        elif entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT):
+            yield from self._igtl(entry)
+        else:
+            yield from self._ros(entry)
+
+    # -- OpenIGTLink --------------------------------------------------------------------------------------------
+
+    def _igtl(self, entry: Entry) -> Iterator[_Leaf]:
+        data = entry.data()
+        try:
+            header = Header.unpack(data)
+            yield "header_version", header.version
+            yield "type", visible(header.type)
+            yield "device_name", visible(header.device_name)
+            yield "timestamp", Stamp(ticks_to_ns(header.ticks))
+            try:
+                message = decode(data)
+            except ChecksumMismatch:
+                yield "crc_ok", False
+                message = decode(data, check_crc=False)
+        except GatewayError as error:
+            raise Undecodable(str(error)) from None
+        yield "message_id", message.message_id
+        for item in message.metadata:
+            yield f"metadata.{visible(item.key)}", item.text
+        yield from self._content(message.content)
+
+    def _content(self, content: Any) -> Iterator[_Leaf]:
+        told = content.describe()
+        match content:
+            case Transform(wire_matrix):
+                told["matrix"] = _of_matrix(wire_matrix, self._igtl_mm)
+            case Position():
+                told = {"pose": self._igtl_pose(told.pop("position", ()), told.pop("quaternion", ())), **told}
+            case Elements():
+                told["elements"] = [
+                    self._element(one, row) for one, row in zip(told["elements"], content.elements, strict=True)
+                ]
+            case Image(wire_matrix=wire_matrix):
+                told["wire_matrix"] = _of_image_matrix(wire_matrix, self._igtl_mm)
+                told["spacing"] = _spacing(wire_matrix)
+                pixels = content.array
+                told["data"] = Grid(pixels.reshape(-1, max(1, pixels.shape[-1])), "pixels")
+                del told["data_crc64"]
+            case PolyData(points=points):
+                told["points"] = Grid(points.reshape(-1, 3), "points", self._igtl_mm)
+        yield from flat(told, "content")
+
+    def _element(self, told: dict[str, Any], row: Any) -> dict[str, Any]:
+        """An element of a list, such as a tool or a landmark."""
+        told = dict(told)
+        if "matrix" in told:
+            told["matrix"] = _of_matrix(row["matrix"].tolist(), self._igtl_mm)
+        if "quaternion" in told:
+            told["position"] = self._igtl_pose(told["position"], told.pop("quaternion"))
+        for name in ("position", "entry", "target"):
+            if isinstance(told.get(name), list | tuple):
+                told[name] = self._igtl_pose(told[name], ())
+        return told
+
+    def _igtl_pose(self, position: Sequence[float], quaternion: Sequence[float]) -> Place:
+        return _place(position, quaternion, self._igtl_mm)
+
+    # -- ROS ----------------------------------------------------------------------------------------------------
+
+    def _ros(self, entry: Entry) -> Iterator[_Leaf]:
+        if not self._knows(entry.type):
+            raise Undecodable(f"{entry.type}: found no definition")
+        try:
+            message = self._store.deserialize_cdr(entry.data(), entry.type)
+        except Exception as error:  # of the library: whatever it makes of foreign bytes
+            raise Undecodable(f"{entry.type}: {type(error).__name__}: {error}") from None
+        yield from self._walk(message, "")
+
+    def _knows(self, ros_type: str) -> bool:
+        if ros_type not in self._known:
+            text = self._definitions.get(ros_type, "")
+            try:
+                found = get_types_from_msg(text, ros_type) if text else {}
+                self._store.register({name: one for name, one in found.items() if name not in self._store.types})
+            except Exception:  # of the library: a definition in a dialect that it does not read
+                found = {}
+            self._known[ros_type] = bool(found)
+        return self._known[ros_type]
+
+    def _walk(self, value: Any, path: str) -> Iterator[_Leaf]:
+        ros_type = getattr(value, "__msgtype__", "")
+        special = _SPECIAL.get(ros_type)
+        if ros_type == "builtin_interfaces/msg/Time" and path.rpartition(".")[2] in ("stamp", "timestamp"):
+            yield path, Stamp(value.sec * 1_000_000_000 + value.nanosec)
+        elif special:
+            yield path, special(value, self._ros_mm)
+        elif ros_type in _ARRAYS:
+            parts = {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
+            for name, part in {**parts, **_ARRAYS[ros_type](value, self._ros_mm)}.items():
+                yield from self._walk(part, f"{path}.{name}" if path else name)
+        elif ros_type:
+            for item in dataclasses.fields(value):
+                yield from self._walk(getattr(value, item.name), f"{path}.{item.name}" if path else item.name)
+        elif isinstance(value, list) and value and getattr(value[0], "__msgtype__", "") in _POINTS:
+            yield path, Grid(np.array([(one.x, one.y, one.z) for one in value]), "points", self._ros_mm)
+        elif isinstance(value, list):
+            for index, part in enumerate(value):
+                yield from self._walk(part, f"{path}[{index}]")
+        elif isinstance(value, np.ndarray) and value.ndim and value.size > _SHORT:
+            yield path, Grid(value.reshape(-1, 1), "values")
+        else:
+            yield from flat(value, path)
+
+
+def flat(value: Any, path: str) -> Iterator[_Leaf]:
+    """Every leaf of nested values with its path, as ``content.matrix[0][3]``."""
+    if isinstance(value, Place | Grid | Stamp):
+        yield path, value
+        return
+    if dataclasses.is_dataclass(value):
+        value = {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        for name, part in value.items():
+            yield from flat(part, f"{path}.{name}" if path else name)
+    elif isinstance(value, np.ndarray):
+        yield from flat(value.tolist(), path)
+    elif isinstance(value, list | tuple):
+        for index, part in enumerate(value):
+            yield from flat(part, f"{path}[{index}]")
+    elif isinstance(value, memoryview):
+        yield path, bytes(value)
+    else:
+        yield path, value
+
+
+def _of_note(entry: Entry) -> Iterator[_Leaf]:
+    """Of notes code, level and stream count, not the wording."""
+    try:
+        note = Note.unpack(entry.data())
+    except (ValueError, KeyError, TypeError) as error:
+        raise Undecodable(f"note: {error}") from None
+    yield "code", note.code
+    yield "level", note.level.name
+    yield "stream", note.stream
+
+
+def _place(position: Sequence[float], quaternion: Sequence[float], mm: float) -> Place:
+    """From a position and a quaternion x, y, z, w; either may be missing."""
+    rotation = None
+    if quaternion:
+        x, y, z = quaternion[:3]
+        w = quaternion[3] if len(quaternion) > 3 else math.sqrt(max(0.0, 1 - x * x - y * y - z * z))
+        norm = x * x + y * y + z * z + w * w
+        s = 2 / norm if norm else math.nan
+        rotation = (
+            *(1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)),
+            *(s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)),
+            *(s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)),
+        )
+    scaled = tuple(value * mm for value in position) if len(position) else None
+    return Place((*position, *quaternion), scaled, rotation)
+
+
+def _of_matrix(columns: Sequence[float], mm: float) -> Place:
+    """From three columns of directions and one of the position."""
+    turned = tuple(columns[3 * column + row] for row in range(3) for column in range(3))
+    return Place(tuple(columns), tuple(value * mm for value in columns[9:12]), turned)
+
+
+def _spacing(columns: Sequence[float]) -> list[float]:
+    """Lengths of the directions of an image, without the noise of a rotation."""
+    return [float(f"{math.hypot(*columns[at : at + 3]):.6g}") for at in (0, 3, 6)]
+
+
+def _of_image_matrix(columns: Sequence[float], mm: float) -> Place:
+    """The same with directions that are as long as a pixel."""
+    lengths = [math.hypot(*columns[at : at + 3]) or 1.0 for at in (0, 3, 6)]
+    place = _of_matrix([*(columns[at] / lengths[at // 3] for at in range(9)), *columns[9:]], mm)
+    return dataclasses.replace(place, numbers=tuple(columns))
+
+
+def _vector(value: Any) -> tuple[float, float, float]:
+    return float(value.x), float(value.y), float(value.z)
+
+
+def _quaternion(value: Any) -> tuple[float, float, float, float]:
+    return *_vector(value), float(value.w)
+
+
+#: ROS type → what it is, given millimetres of 1.
+_SPECIAL: dict[str, Callable[[Any, float], Place]] = {
+    **dict.fromkeys(_POINTS, lambda point, mm: _place(_vector(point), (), mm)),
+    "geometry_msgs/msg/Quaternion": lambda turn, mm: _place((), _quaternion(turn), mm),
+    "geometry_msgs/msg/Pose": lambda pose, mm: _place(_vector(pose.position), _quaternion(pose.orientation), mm),
+    "geometry_msgs/msg/Transform": lambda pose, mm: _place(_vector(pose.translation), _quaternion(pose.rotation), mm),
+}
+
+
+def _of_image(image: Any, _mm: float) -> dict[str, Any]:
+    """The pixels of a sensor_msgs/Image, without what stands between its rows."""
+    height, width, step, data = image.height, image.width, image.step, image.data
+    found = _BITS.match(image.encoding)
+    bits, kind = (int(found[1]), found[2]) if found else (16 if image.encoding.endswith("16") else 8, "U")
+    dtype = np.dtype(f"{'>' if image.is_bigendian else '<'}{ {'U': 'u', 'S': 'i', 'F': 'f'}[kind] }{bits // 8}")
+    if not width or not height or len(data) != height * step or step % width or step // width % dtype.itemsize:
+        return {"data": Grid(data.reshape(-1, 1), "bytes")}
+    return {"data": Grid(data.view(dtype).reshape(height * width, -1), "pixels")}
+
+
+def _of_cloud(cloud: Any, mm: float) -> dict[str, Any]:
+    """The points of a sensor_msgs/PointCloud2: positions, and the bytes of all other fields."""
+    number, step, data = cloud.width * cloud.height, cloud.point_step, cloud.data
+    if not number or len(data) != number * step:
+        return {"data": Grid(data.reshape(-1, 1), "bytes")}
+    rows = data.reshape(number, step)
+    order = ">" if cloud.is_bigendian else "<"
+    axes, rest = [], np.ones(step, bool)
+    for field in cloud.fields:
+        if field.name in ("x", "y", "z") and field.datatype in _FLOATS and field.count == 1:
+            dtype = np.dtype(order + _FLOATS[field.datatype])
+            end = field.offset + dtype.itemsize
+            if end <= step:
+                axes.append(np.ascontiguousarray(rows[:, field.offset : end]).view(dtype))
+                rest[field.offset : end] = False
+    parts: dict[str, Any] = {"data": Grid(rows[:, rest], "points' other fields")}
+    if axes:
+        parts = {"points": Grid(np.hstack(axes), "points", mm), **parts}
+    return parts
+
+
+_FLOATS = {7: "f4", 8: "f8"}
+
+#: ROS type → its fields that are arrays of elements.
+_ARRAYS: dict[str, Callable[[Any, float], dict[str, Any]]] = {
+    "sensor_msgs/msg/Image": _of_image,
+    "sensor_msgs/msg/PointCloud2": _of_cloud,
+}
