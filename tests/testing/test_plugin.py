@@ -60,3 +60,13 @@ def test_nothing_is_imported_before_it_is_used() -> None:
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, check=True)
     assert result.stdout.strip() == str(["igtl_gateway", "igtl_gateway.testing", "igtl_gateway.testing.plugin"])
+
+
+def test_no_ros_is_needed() -> None:
+    code = (
+        "import sys; sys.modules['rclpy'] = None; sys.modules['geometry_msgs'] = None; "  # as where they are absent
+        "from igtl_gateway.testing import compare, gateway, peer; "
+        "gateway.ManualGateway().from_peer(bytes(58)); peer.ReplayPeer(sys.argv[1]).close()"
+    )
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-c", code, str(FIXTURES / "star.mcap")], env=env, check=True)
