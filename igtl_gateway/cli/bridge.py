@@ -30,7 +30,7 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import Query
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role, RosRow
-from igtl_gateway.edges.ros_env import prepare_environment
+from igtl_gateway.edges.ros_env import keep_large_blocks, prepare_environment
 from igtl_gateway.edges.tcp import Limits
 from igtl_gateway.edges.video import CODECS, VideoOptions
 from igtl_gateway.errors import ConfigError
@@ -114,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
     watch = _Watch()
     clock = SystemClock()
     with stop_event() as stop:
-        notes = [] if options.no_ros else prepare_environment()
+        notes = [keep_large_blocks()] if options.no_ros else prepare_environment()
         bridge = Bridge(
             config,
             BridgeOptions(

@@ -52,7 +52,7 @@ def prepare_environment() -> list[str]:
     Returns:
         One line for people for each setting: what was applied, or what was kept and why.
     """
-    return [_set_profile(), _set_malloc()]
+    return [_set_profile(), keep_large_blocks()]
 
 
 def _set_profile() -> str:
@@ -85,7 +85,11 @@ def _profile_kept(environ: Mapping[str, str], cwd: Path, shared_memory: Path) ->
     return ""
 
 
-def _set_malloc() -> str:
+def keep_large_blocks() -> str:
+    """Tell malloc to keep the blocks of pictures, where the user has set nothing; one line for people.
+
+    It halves what the recorder costs, too, so it is of use without ROS.
+    """
     kept = _malloc_kept(os.environ)
     if kept:
         return f"malloc: {kept}"
