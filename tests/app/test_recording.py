@@ -1,0 +1,90 @@
+"""What the services of a recording do and answer, on a real recorder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from igtl_gateway.app import recording
+from igtl_gateway.clock import ManualClock
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.replay.mcap_reader import SessionFile
+from tests.record import samples
+
+
+class Graph:
+    """Takes services as the ROS edge does, and calls them."""
+
+    def __init__(self) -> None:
+        self.services: dict[str, Any] = {}
+
+    def serve(self, name: str, type_name: str, answer: Any) -> bool:
+        assert type_name == "std_srvs/srv/Trigger"
+        self.services[name] = answer
+        return True
+
+    def call(self, name: str) -> tuple[bool, str]:
+        response = self.services[name](SimpleNamespace(), SimpleNamespace(success=None, message=None))
+        return response.success, response.message
+
+
+@pytest.fixture
+def recorders() -> Iterator[list[Recorder]]:
+    started: list[Recorder] = []
+    yield started
+    for recorder in started:
+        recorder.close({})
+
+
+def start(recorders: list[Recorder], path: Path, **options: Any) -> tuple[Recorder, Graph]:
+    recorder = Recorder(
+        path,
+        samples.SESSION,
+        qos_of=lambda _topic, _type: None,
+        on_note=lambda _note: None,
+        clock=ManualClock(),
+        options=RecordOptions(**options),
+    )
+    recorders.append(recorder)
+    graph = Graph()
+    recording.offer(graph, recorder)  # type: ignore[arg-type]
+    return recorder, graph
+
+
+def test_pause_and_resume(recorders: list[Recorder], tmp_path: Path) -> None:
+    recorder, graph = start(recorders, tmp_path / "a.mcap")
+    assert set(graph.services) == {"~/pause_recording", "~/resume_recording"}
+    recorder(samples.ros(1))
+    assert graph.call("~/pause_recording") == (True, "the recording is paused")
+    recorder(samples.ros(2))
+    assert graph.call("~/resume_recording") == (True, "the recording goes on")
+    recorder(samples.ros(3))
+    recorder.close({})
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        assert [entry.seq for entry in file.entries()] == [1, 3]
+
+
+def test_a_recording_that_has_failed_says_so(recorders: list[Recorder], tmp_path: Path) -> None:
+    recorder, graph = start(recorders, tmp_path / "a.mcap")
+    (tmp_path / "a.mcap").unlink()
+    recorder.close({})
+    for name in graph.services:
+        done, why = graph.call(name)
+        assert not done and "the file was removed" in why
+
+
+def test_snapshots(recorders: list[Recorder], tmp_path: Path) -> None:
+    recorder, graph = start(recorders, tmp_path / "a.mcap", snapshot_s=10.0)
+    assert set(graph.services) == {"~/snapshot"}
+    recorder(samples.ros(1))
+    done, path = graph.call("~/snapshot")
+    assert done
+    with SessionFile.open(path) as file:
+        assert [entry.seq for entry in file.entries()] == [1]
+    recorder.close({})
+    assert graph.call("~/snapshot") == (False, "the recording has ended")

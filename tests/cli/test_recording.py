@@ -1,0 +1,121 @@
+"""The options of a recording, and what steers it from outside."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from igtl_gateway.cli import recording
+from igtl_gateway.clock import ManualClock
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import PAUSED, RESUMED, SNAPSHOT, Recorder
+from igtl_gateway.record.selection import Selection
+from igtl_gateway.session.note import Note
+from tests.record import samples
+
+DEADLINE_S = 30.0
+
+
+def parsed(*arguments: str) -> RecordOptions:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--record", type=Path)
+    recording.add_arguments(parser)
+    return recording.record_options(parser.parse_args(arguments))
+
+
+def test_without_options_it_is_as_everywhere() -> None:
+    assert parsed("--record", "a.mcap") == RecordOptions()
+
+
+def test_every_option_arrives() -> None:
+    assert parsed(
+        *("--record", "a.mcap", "--compression", "zstd", "--flush-interval", "0.25", "--fsync", "flush"),
+        *("--split-size", "100", "--split-duration", "60", "--overwrite", "--on-record-failure", "stop"),
+        *("--record-include", "IMAGE/*", "/tf", "--record-exclude", "Camera"),
+    ) == RecordOptions(
+        compression="zstd",
+        flush_s=0.25,
+        fsync="flush",
+        split_bytes=100 << 20,
+        split_s=60.0,
+        overwrite=True,
+        stop_on_failure=True,
+        selection=Selection(("IMAGE/*", "/tf"), ("Camera",)),
+    )
+    assert parsed("--record", "a.mcap", "--snapshot", "30").snapshot_s == 30.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--snapshot", "30"], "--snapshot: about a recording, but --record FILE is missing"),
+        (["--record-all", "--split-size", "1"], "--record-all and --split-size: about a recording"),
+        (["--record", "a", "--split-duration", "-1"], "--split-duration: found -1, expected a number from 0 up"),
+        (["--record", "a", "--flush-interval", "inf"], "--flush-interval: found inf"),
+        (["--record", "a", "--snapshot", "nan"], "--snapshot: found nan"),
+        (["--record", "a", "--snapshot", "5", "--split-size", "1"], "nothing to split"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(arguments: list[str], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        parsed(*arguments)
+
+
+class Bench:
+    """A recorder, and what it said."""
+
+    def __init__(self, path: Path, **options: Any) -> None:
+        self.notes: list[Note] = []
+        self._changed = threading.Condition()
+        self.recorder = Recorder(
+            path,
+            samples.SESSION,
+            qos_of=lambda _topic, _type: None,
+            on_note=self._on_note,
+            clock=ManualClock(),
+            options=RecordOptions(**options),
+        )
+
+    def _on_note(self, note: Note) -> None:
+        with self._changed:
+            self.notes.append(note)
+            self._changed.notify_all()
+
+    def wait(self, *codes: str) -> None:
+        with self._changed:
+            assert self._changed.wait_for(lambda: len(self.notes) >= len(codes), DEADLINE_S)
+        assert [note.code for note in self.notes] == list(codes)
+
+
+def test_a_signal_pauses_and_resumes(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "a.mcap")
+    before = signal.getsignal(signal.SIGUSR2)
+    with recording.steering(bench.recorder):
+        os.kill(os.getpid(), signal.SIGUSR2)
+        bench.wait(PAUSED)
+        os.kill(os.getpid(), signal.SIGUSR2)
+        bench.wait(PAUSED, RESUMED)
+    assert signal.getsignal(signal.SIGUSR2) == before
+    bench.recorder.close({})
+
+
+def test_a_signal_writes_a_snapshot(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "a.mcap", snapshot_s=5.0)
+    with recording.steering(bench.recorder) as told:
+        assert told == "SIGUSR1 writes the last 5 s"
+        os.kill(os.getpid(), signal.SIGUSR1)
+        bench.wait(SNAPSHOT)
+    assert Path(bench.notes[0].data["path"]).is_file()
+    bench.recorder.close({})
+
+
+def test_without_a_recording_there_is_nothing_to_steer() -> None:
+    with recording.steering(None) as told:
+        assert told == ""
