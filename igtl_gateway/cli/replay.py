@@ -128,8 +128,10 @@ def run(options: argparse.Namespace) -> int:
             _tell(options, "stopped before the replay began")
             return 1
 
+        role = "client" if options.connect and not options.listen else "server"
+
         def feed(from_ns: int | None) -> Any:
-            entries = planned(file, config, how, options.streams, from_ns, end_ns)
+            entries = planned(file, config, how, options.streams, from_ns, end_ns, role)
             return with_ticks(entries, from_ns, period_ns(options.clock)) if options.clock else entries
 
         player = Player(

@@ -118,6 +118,30 @@ def test_bytes_are_unchanged_in_both_directions_and_recorded(
     assert "MYSTERY/Raw" in capsys.readouterr().out
 
 
+def test_a_replay_says_the_words_of_the_side_that_it_stands_for(server: Server, tmp_path: Path) -> None:
+    path = tmp_path / "talk.mcap"
+    with closing(relay(server.port, "--record", str(path))) as bridge:
+        with RawPeer(bridge.port) as client, closing(server.accepted()) as behind:
+            for number in range(3):
+                client.send(string(f"question {number}"))
+                behind.receive()
+                behind.send(string(f"answer {number}"))
+                client.receive()
+        bridge.wait_code("link_down", count=2)
+        assert bridge.end().code == 0
+    replay = ("replay", str(path), "--to", "igtl", "--as-fast-as-possible")
+    with closing(gateway(*replay, "--listen", "127.0.0.1:0")) as program:
+        program.wait_until(lambda: any("server on" in line for line in program.lines), "start")
+        port = next(line for line in program.lines if "server on" in line).rpartition(":")[2]
+        with RawPeer(int(port)) as peer:
+            assert received(peer, 3) == b"".join(string(f"answer {number}") for number in range(3))
+            assert peer.closed_by_peer()
+        assert program.end(None).code == 0
+    with closing(gateway(*replay, "--connect", f"127.0.0.1:{server.port}")), closing(server.accepted()) as peer:
+        assert received(peer, 3) == b"".join(string(f"question {number}") for number in range(3))
+        assert peer.closed_by_peer()
+
+
 @needs_library
 def test_the_library_and_pyigtl_talk_through_it() -> None:
     with ReferencePeer.server() as far, closing(relay(far.port)) as bridge:
