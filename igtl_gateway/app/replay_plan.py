@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 from igtl_gateway.config import Config
 from igtl_gateway.edges.ros import RosEdge
@@ -85,7 +86,7 @@ def planned(
         role: whose words of a relay's recording are played: those of the ``"server"`` or of the ``"client"``.
     """
     latched = {(channel.topic, channel.type) for channel in file.channels if channel.qos and channel.qos.latched}
-    entries: Iterable[Entry] = file.entries()
+    entries: Iterable[Entry] = chain(file.prologue(), file.entries())
     if how.recompute:
         entries = through_gateway(entries, config, has_links=any(c.kind is Kind.LINK for c in file.channels if c.count))
     if config.relay:

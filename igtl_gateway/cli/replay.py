@@ -178,7 +178,9 @@ def _check(options: argparse.Namespace) -> None:
 
 def _part(options: argparse.Namespace, file: SessionFile) -> tuple[int | None, int | None]:
     """First and last moment in UTC ns; None where nothing was said."""
-    start_ns = end_ns = None
+    # a file that begins midway begins with the state there, as any part does
+    start_ns = file.start_ns if file.prologue() else None
+    end_ns = None
     if options.start is not None:
         start_ns = moment(options.start, file.start_ns, "--start")
         if start_ns > file.end_ns:

@@ -1,0 +1,149 @@
+"""What a replay sends to which side."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from igtl_gateway.app.replay_plan import both_sender, igtl_sender, plan, planned, ros_sender
+from igtl_gateway.clock import ManualClock
+from igtl_gateway.config import Config
+from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Gateway, Session
+from igtl_gateway.qos import Qos
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.selection import StateRule
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from tests.record import samples
+
+TYPES = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
+S = 1_000_000_000
+PLAN = "/igtl/out/Plan"
+
+
+def seqs(entries: Any) -> list[int]:
+    return [entry.seq for entry in entries]
+
+
+@pytest.mark.parametrize(
+    ("side", "kinds"),
+    [
+        ("igtl", {Kind.IGTL_OUT}),
+        ("ros", {Kind.ROS_OUT, Kind.ROS_IN}),
+        ("both", {Kind.IGTL_OUT, Kind.ROS_OUT, Kind.ROS_IN}),
+    ],
+)
+def test_each_side_gets_what_it_heard_that_day(side: str, kinds: set[Kind]) -> None:
+    with SessionFile.open(TYPES) as file:
+        how = plan(file, side, recompute=False)
+        assert set(how.kinds) == kinds and not how.recompute
+        assert plan(file, side, recompute=True).recompute
+        found = seqs(planned(file, Config(), how, []))
+        assert found == sorted(found) and found
+
+
+def test_both_sides_are_the_two_sides() -> None:
+    with SessionFile.open(TYPES) as file:
+        igtl, ros, both = (
+            seqs(planned(file, Config(), plan(file, side, False), [])) for side in ("igtl", "ros", "both")
+        )
+    assert both == sorted(igtl + ros)
+
+
+def test_a_part_begins_with_the_latched_topics_of_the_file() -> None:
+    with SessionFile.open(TYPES) as file:
+        how, start_ns = plan(file, "ros", False), file.start_ns + 2 * S
+        latched = {channel.topic for channel in file.channels if channel.qos and channel.qos.latched}
+        found = list(planned(file, Config(), how, [], start_ns, start_ns + S // 2))
+        before = [entry for entry in planned(file, Config(), how, []) if entry.stamp_ns < start_ns]
+    state = [entry for entry in found if entry.stamp_ns < start_ns]
+    assert {entry.channel for entry in before} & latched <= {entry.channel for entry in state}
+    assert "/igtl/in/Device/status" in {entry.channel for entry in state}, "not latched in ROS, but a STATUS caused it"
+    assert not {"/tf", "/igtl/in/Grey/image"} & {entry.channel for entry in state}
+    assert len({entry.channel for entry in state}) == len(state)
+    assert all(start_ns <= entry.stamp_ns <= start_ns + S // 2 for entry in found[len(state) :])
+
+
+def split(folder: Path) -> list[Path]:
+    """A plan once, latched, and ten seconds of talk, in parts of two seconds."""
+    gateway = Session(Gateway(Config()))
+    up = Note(Level.INFO, LINK_UP, "a peer", data={"address": "127.0.0.1:1"}).pack()
+    entries = gateway.input(samples.START_NS, Kind.LINK, (up,), links=(1,))
+    for number in range(10):
+        entries += gateway.input(
+            samples.START_NS + number * S + 1000,
+            Kind.ROS_IN,
+            (samples.string_cdr(f"message {number}"),),
+            channel=PLAN if number == 0 else "/igtl/out/Chat",
+            type_name="std_msgs/msg/String",
+        )
+    recorder = Recorder(
+        folder / "long.mcap",
+        samples.SESSION,
+        qos_of=lambda topic, _: Qos(latched=topic == PLAN),
+        on_note=lambda note: pytest.fail(note.text),
+        clock=ManualClock(),
+        options=RecordOptions(split_s=2.0),
+        rule=StateRule(frozenset({LINKS_TOPIC, PLAN})),
+    )
+    for entry in entries:
+        recorder(entry)
+    return [file for file in recorder.close({"streams": {}}).files if file.suffix == ".mcap"]
+
+
+def test_a_file_that_begins_midway_goes_through_the_gateway_behind_its_prologue(tmp_path: Path) -> None:
+    *_, last = split(tmp_path)
+    with SessionFile.open(last) as file:
+        assert file.prologue()
+        said = list(planned(file, Config(), plan(file, "igtl", False), []))
+        again = list(planned(file, Config(), plan(file, "igtl", True), [], file.start_ns))
+    assert said and [entry.data() for entry in again[-len(said) :]] == [entry.data() for entry in said]
+
+
+class Edge:
+    """Both edges: what they were asked for, and acknowledgements that come at the third look."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+
+    def links(self) -> list[Any]:
+        return []
+
+    def send(self, links: list[int], _payload: Any, stream: str, keep: bool) -> None:
+        assert (links, keep) == ([], True)
+        self.asked.append(f"send {stream}")
+
+    def publish(self, topic: str, _type: str, _data: bytes, qos: Qos) -> None:
+        self.asked.append(f"publish {topic} {qos.depth}")
+
+    def flush(self, _timeout_s: float) -> bool:
+        return self._look("flush")
+
+    def wait_acked(self, topic: str, _timeout_s: float) -> bool:
+        return self._look(f"acked {topic}")
+
+    def _look(self, what: str) -> bool:
+        self.asked.append(what)
+        return self.asked.count(what) == 3
+
+
+def test_in_lock_step_each_message_is_waited_for() -> None:
+    igtl, ros = Entry(1, 1, Kind.IGTL_OUT, "STRING/A"), Entry(2, 2, Kind.ROS_IN, "/tf")
+    for stop, waits in ((None, 0), (threading.Event(), 3)):
+        edge: Any = Edge()
+        with SessionFile.open(TYPES) as file:
+            send = both_sender(igtl_sender(edge, stop), ros_sender(edge, file, stop))
+        assert [send(igtl), send(ros)] == [False, True]
+        assert edge.asked == ["send STRING/A", *["flush"] * waits, "publish /tf 100", *["acked /tf"] * waits]
+
+
+def test_a_stop_ends_the_wait_for_acknowledgements() -> None:
+    stop, edge = threading.Event(), Edge()
+    stop.set()
+    igtl_sender(edge, stop)(Entry(1, 1, Kind.IGTL_OUT, "STRING/A"))  # type: ignore[arg-type]
+    assert edge.asked == ["send STRING/A"]
