@@ -27,7 +27,7 @@ from igtl_gateway.cli.common import (
     with_routes,
 )
 from igtl_gateway.clock import SystemClock
-from igtl_gateway.config import Config
+from igtl_gateway.config import AUTO, Config
 from igtl_gateway.convert.igtl_msgs import Query
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role, RosRow
 from igtl_gateway.edges.ros_env import keep_large_blocks, prepare_environment
@@ -241,6 +241,8 @@ class _TextOutput:
         for note in notes:
             print(f"             {note.partition(' (')[0]}")
         print(f"recording    {bridge.options.record or 'off (--record FILE)'}")
+        for line in profiles(config):
+            print(line)
         if bridge.ros:
             for line in mapping(config):
                 print(line)
@@ -367,9 +369,15 @@ def mapping(config: Config) -> list[str]:
     for request in (row.request() for row in config.tf_out):
         frames = ", ".join(request.frames)
         lines.append(f"  frame {frames} in {request.base} -> {request.type}, device {request.device}")
-    for peer in config.peers:
-        lines.append(f"  peer {peer.at}: {peer.profile}")
     return lines
+
+
+def profiles(config: Config) -> list[str]:
+    """What the peers are taken for, where somebody has said so."""
+    told = [(peer.at, peer.profile) for peer in config.peers]
+    if config.profile != AUTO:
+        told.append(("all others" if told else "all", config.profile))
+    return [f"peers        {at}: {profile}" for at, profile in told]
 
 
 def types() -> list[str]:

@@ -110,7 +110,11 @@ def with_routes(config: Config, options: argparse.Namespace) -> Config:
     values = config.to_dict()
     values["to_igtl"] = [*map(_send_row, options.send), *values["to_igtl"]]
     values["tf_out"] = [*map(_tf_row, options.tf_out), *values["tf_out"]]
-    values["to_ros"] = [*map(_kinds_row, options.kinds), *values["to_ros"]]
+    kinds: dict[str, list[str]] = {}
+    for device, named in map(_kinds_row, options.kinds):
+        kinds.setdefault(device, []).extend(named)
+    rows = [{"device": device, "kinds": named} for device, named in kinds.items()]
+    values["to_ros"] = [*rows, *values["to_ros"]]
     values["peers"] = [*map(_peer_row, options.peer), *values["peers"]]
     if options.profile:
         values["profile"] = options.profile
@@ -138,14 +142,14 @@ def _tf_row(text: str) -> dict[str, Any]:
     return {"frames": request.frames, "base": request.base, "device": request.device, "type": request.type}
 
 
-def _kinds_row(text: str) -> dict[str, Any]:
+def _kinds_row(text: str) -> tuple[str, list[str]]:
     device, equals, kinds = text.partition("=")
     known = {row.kind for row in TO_ROS}
     named = [kind.strip() for kind in kinds.split(",")]
     wrong = [kind for kind in named if kind.removeprefix("+") not in known]
     if not device or not equals or wrong:
         raise ConfigError(f"--kinds: found {text!r}, expected DEVICE=KIND[,KIND…] of {', '.join(sorted(known))}")
-    return {"device": device, "kinds": named}
+    return device, named
 
 
 def _peer_row(text: str) -> dict[str, str]:

@@ -401,6 +401,10 @@ class Gateway:
             return self._on_raw(entry)
         stream = self._streams.to_igtl(topic, entry.type)
         if stream is None:
+            if self._streams.beyond(topic, entry.type):
+                self.ledger.drop(_ROS_IN, topic, "too_many_streams")
+                text = f"more than {self.config.max_streams} streams: {topic} is recorded, not sent"
+                return self._once(entry, Level.WARN, "too_many_streams", text, "ros")
             self.ledger.count(_ROS_IN, topic, "recorded_only")
             return []
         self._latest[topic] = entry

@@ -150,11 +150,21 @@ class Streams:
         return row, row_to_igtl(ros_type, row.type) if row else None
 
     def to_igtl(self, topic: str, ros_type: str) -> ToIgtlStream | None:
-        """The stream of a topic, resolved on its first message; None where the topic is not bridged."""
+        """The stream of a topic, resolved on its first message; None where the topic is not bridged.
+
+        None, too, beyond the limit of streams; ``beyond`` tells that apart.
+        """
         key = (topic, ros_type)
-        if key not in self._to_igtl:
-            self._to_igtl[key] = self._resolve_topic(topic, ros_type)
-        return self._to_igtl[key]
+        if key in self._to_igtl:
+            return self._to_igtl[key]
+        if len(self._to_igtl) >= self._config.max_streams:
+            return None
+        stream = self._to_igtl[key] = self._resolve_topic(topic, ros_type)
+        return stream
+
+    def beyond(self, topic: str, ros_type: str) -> bool:
+        """Whether a topic would be bridged, had there not been so many streams before it."""
+        return (topic, ros_type) not in self._to_igtl and self.rows(topic, ros_type)[1] is not None
 
     def _resolve_topic(self, topic: str, ros_type: str) -> ToIgtlStream | None:
         row, conversion = self.rows(topic, ros_type)

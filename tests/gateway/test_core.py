@@ -382,6 +382,14 @@ def test_a_peer_that_invents_names_opens_a_limited_number_of_topics() -> None:
     assert script.igtl(replace(TRANSFORM, device_name="D0")) == ["ros /igtl/in/D0/transform"]
 
 
+def test_ros_topics_beyond_the_limit_are_recorded_not_sent() -> None:
+    script = Script(Config(max_streams=2))
+    script.up(1)
+    lines = [script.ros(f"/igtl/out/T{index}", TOOL) for index in range(4)]
+    assert lines == [["igtl TRANSFORM/T0 v1 to 1"], ["igtl TRANSFORM/T1 v1 to 1"], ["note too_many_streams"], []]
+    assert script.gateway.ledger.to_dict()["ros_in"]["/igtl/out/T3"]["dropped"] == {"too_many_streams": 1}
+
+
 def test_the_ledger_closes() -> None:
     script = Script()
     script.up(1)
