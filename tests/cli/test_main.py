@@ -145,8 +145,8 @@ def test_decode_says_nothing_of_a_reader_that_has_seen_enough(tmp_path: Path) ->
 
 def test_a_bridge_whose_recording_failed_ends_with_a_failure(tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
-    # 2,048 bytes: enough to begin a recording, not enough to close it
-    command = 'ulimit -f 4; exec "$0" -m igtl_gateway bridge --no-ros --listen :0 --duration 0.1 --record "$1"'
+    # 2,560 bytes: enough to begin a recording, not enough to close it
+    command = 'ulimit -f 5; exec "$0" -m igtl_gateway bridge --no-ros --listen :0 --duration 0.1 --record "$1"'
     ended = subprocess.run(
         ["sh", "-c", command, sys.executable, str(path)], capture_output=True, text=True, check=False, timeout=60
     )
