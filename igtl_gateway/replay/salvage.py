@@ -347,7 +347,7 @@ class Salvage:
     def _attachment(self, frame: _Frame) -> Attachment | None:
         """An attachment; None if its checksum is wrong (0: it has none)."""
         content = self._content(frame)
-        (crc,) = _U32.unpack(content[-_U32.size :])
+        crc = int.from_bytes(content[-_U32.size :], "little")
         if crc and crc != zlib.crc32(content[: -_U32.size]):
             return None
         return _parsed(Attachment, content)
@@ -386,7 +386,7 @@ class Salvage:
         at, limit = len(MAGIC), self._data_end
         ended = False
         while at < limit:
-            frame = self._frame(at, limit)
+            frame = self._frame(at, limit, ended)
             if frame.opcode == 0 and frame.end == at:
                 frame = _Frame(0, at, self._seek_record(at + 1, limit))
             if frame.opcode == _MESSAGE:
@@ -397,35 +397,33 @@ class Salvage:
             ended = ended or frame.opcode == _DATA_END
             at = frame.end
 
-    def _frame(self, at: int, limit: int) -> _Frame:
-        """The record at ``at``, as far as it fits; of no length if nothing tells where it ends."""
+    def _frame(self, at: int, limit: int, ended: bool) -> _Frame:
+        """The record at ``at``, as far as it fits; of no length if nothing tells where it ends.
+
+        Behind the data (``ended``) there are other records than those in the table.
+        """
         head = self._bytes(at, _HEAD.size)
         if len(head) < _HEAD.size:
             return _Frame(0, at, at)
         opcode, length = _HEAD.unpack(head)
         outer = at + _HEAD.size + length
         inner = self._inner_end(opcode, at, limit)
-        if outer <= limit and (inner == outer or self._is_summary(opcode, outer, limit)):
+        if inner == outer or (ended and outer <= limit and opcode not in _FIELDS and self._fits(outer, limit)):
             return _Frame(opcode, at, outer)
         if inner and self._fits(inner, limit):
             return _Frame(opcode, at, inner)  # its length is damaged
         if outer <= limit and self._fits(outer, limit):
-            if opcode == _MESSAGE:
-                return _Frame(opcode, at, outer)
-            # a field of it is damaged, or its opcode; of a chunk the content may be right all the same
-            is_chunk = opcode == _CHUNK or self._inner_end(_CHUNK, at, limit) == outer
-            return _Frame(_CHUNK if is_chunk else 0, at, outer)
+            if opcode in (_MESSAGE, _CHUNK, _ATTACHMENT, _METADATA):
+                return _Frame(opcode, at, outer)  # a field of it is damaged, if it has any: its checksum tells
+            # of a chunk only the opcode may be damaged
+            return _Frame(_CHUNK if self._inner_end(_CHUNK, at, limit) == outer else 0, at, outer)
         return _Frame(0, at, at)
-
-    def _is_summary(self, opcode: int, outer: int, limit: int) -> bool:
-        """Whether it may be a record of the summary: those have no fields in the table."""
-        return self.report.closed and opcode not in (_MESSAGE, *_FIELDS) and self._fits(outer, limit)
 
     def _fits(self, at: int, limit: int, chain: int = 1) -> bool:
         """Whether at ``at`` the file ends, or ``chain`` records may follow."""
         for _ in range(chain):
             head = self._bytes(at, _HEAD.size)
-            if at == limit or self._bytes(at, len(MAGIC)) == MAGIC:
+            if at == limit or head.startswith(MAGIC):
                 return True
             if len(head) < _HEAD.size:
                 return False
@@ -512,11 +510,12 @@ class _Reading:
             file.position = frame.end
             if frame.opcode == _CHUNK:
                 yield from self._read_chunk(frame)
-            elif frame.opcode == _MESSAGE:
+            elif frame.opcode == _MESSAGE and file.foreign:
                 yield from self._message(file._content(frame), frame)
             elif frame.opcode == 0 and frame.end == report.size and not report.closed:
                 torn = frame
-            elif frame.opcode == 0 or frame.opcode >= _PRIVATE:
+            elif frame.opcode in (0, _MESSAGE) or frame.opcode >= _PRIVATE:
+                # a message of ours outside of a chunk has lost the chunk around it, and with it the checksum
                 self._lose(BYTES, frame, "not readable")
             elif frame.opcode == _ATTACHMENT and file._attachment(frame) is None:
                 self._lose(ATTACHMENT, frame, "its checksum is wrong")
@@ -572,6 +571,11 @@ class _Reading:
         yield Salvaged(definition.schema, definition.channel, message, entry)
 
     def _lose(self, what: str, frame: _Frame, text: str) -> Loss:
+        if what == BYTES and self._open and self._open[-1].what == BYTES:
+            last = self._open[-1]
+            if last.at + last.size == frame.at:
+                last.size += frame.end - frame.at
+                return last
         start, end = self._report.end_ns, 0
         if what == CHUNK:
             told = self._file._times(frame)
@@ -619,6 +623,8 @@ class _Reading:
             if not report.missing:
                 # not a message is missing, so the bytes were nothing but indexes
                 report.lost = [loss for loss in report.lost if loss.what not in (BYTES, CHUNK)]
+            if file._statistics.attachment_count > len(file._attachments):
+                self._lose(ATTACHMENT, _Frame(0, 0, 0), "not found")
         end = _Frame(0, report.size, report.size)
         if not report.closed:
             rest = f" and {torn.end - torn.at:,} bytes of a record" if torn else ""
