@@ -87,7 +87,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     # Libraries
     "av": ("edges.video",),
     "fastcrc": ("wire",),
-    "mcap": ("exchange.rosbag2", "record.mcap_copy", "record.mcap_writer", "replay.mcap_reader", "replay.salvage"),
+    "mcap": ("exchange", "record.mcap_copy", "record.mcap_writer", "replay.mcap_reader", "replay.salvage"),
     "numpy": (
         "wire",
         "convert",

@@ -25,6 +25,7 @@ VERBS = {
     "verify": "prove that a recording's outputs follow from its inputs, byte for byte",
     "slice": "cut a part out of a recording, by time and stream, that still verifies",
     "import": "make a session of another program's recording",
+    "export": "write a session in the formats of other programs",
     "recover": "make a whole file of a damaged one, and tell what is lost",
     "info": "what is in a recording",
     "decode": "print the messages of a raw OpenIGTLink byte stream as JSON lines",

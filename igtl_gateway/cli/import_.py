@@ -111,7 +111,7 @@ def _told(row: Row) -> dict[str, Any]:
         "type": row.type,
         "unit": row.unit,
         "declared": row.declared,
-        "imported": row.imported,
+        "imported": row.taken,
         "left_out": row.left_out,
         "why": row.why,
         "good": row.good,
@@ -124,7 +124,7 @@ def _print(source: Source, told: dict[str, Any]) -> None:
     kinds = max((len(row.type or row.unit) for row in source.rows), default=0)
     for row in source.rows:
         mark = " " if row.good else "!"
-        numbers = f"{row.declared:>12,} {row.imported:>12,} {row.left_out:>12,}"
+        numbers = f"{row.declared:>12,} {row.taken:>12,} {row.left_out:>12,}"
         print(f"{mark} {row.stream:<{width}}  {row.type or row.unit:<{kinds}} {numbers}  {row.why}".rstrip())
     for note in told["notes"]:
         print(f"note: {note}")

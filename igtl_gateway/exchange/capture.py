@@ -58,7 +58,7 @@ class Capture(Told):
             if first:
                 yield link_up(time_ns, _LINK, peer)
                 first = False
-            self._row.imported += len(message)
+            self._row.taken += len(message)
             count(streams, self.rows, item)
             yield Item(time_ns, item.kind, message, item.channel, item.type, item.links, item.source_ns)
         if not first:
@@ -71,7 +71,7 @@ class Capture(Told):
                 yield from framer.feed(data)
             yield from framer.received(0)  # raises what the last bytes announced
         except MessageTooLarge as error:
-            raise DamagedRecording(f"{self._path}: after {self._row.imported} bytes: {error}") from None
+            raise DamagedRecording(f"{self._path}: after {self._row.taken} bytes: {error}") from None
         if framer.pending:
             self._row.why = f"ends inside a message, of which {framer.pending} bytes are there"
 
@@ -96,4 +96,4 @@ def count(streams: dict[str, Row], rows: list[Row], item: Item) -> None:
         row = streams[item.channel] = Row(item.channel.partition("/")[2], 0, item.type)
         rows.append(row)
     row.declared += 1
-    row.imported += 1
+    row.taken += 1

@@ -219,7 +219,7 @@ class Pcap(Told):
             if segment.source not in connection.up:
                 connection.up.add(segment.source)
                 yield link_up(segment.time_ns, direction.link, connection.facts[segment.source])
-            direction.row.imported += len(message)
+            direction.row.taken += len(message)
             item = from_peer(segment.time_ns, direction.link, message)
             count(self._streams, self.rows, item)
             yield item

@@ -112,7 +112,7 @@ class Rosbag1(Told):
             except Exception as error:  # of generated code: whatever it makes of damaged bytes
                 row.why = f"not convertible, the first at {time_ns} ns: {type(error).__name__}: {error}"
                 continue
-            row.imported += 1
+            row.taken += 1
             yield Item(time_ns, Kind.ROS_IN, payload, topic, ros_type)
 
     def qos_of(self, topic: str, ros_type: str) -> Qos | None:

@@ -112,7 +112,7 @@ class Rosbag2(Told):
                 payload = unpack().decompress(data) if self._by_message else data
             except zstandard.ZstdError as error:
                 raise DamagedRecording(f"{self._path}: {key[0]} at {time_ns} ns: {error}") from None
-            self._rows[key].imported += 1
+            self._rows[key].taken += 1
             yield Item(time_ns, Kind.ROS_IN, payload, key[0], key[1], source_ns=source_ns)
 
     def qos_of(self, topic: str, ros_type: str) -> Qos | None:

@@ -56,6 +56,8 @@ _MET_TYPES = {
     "MET_FLOAT": "f4",
     "MET_DOUBLE": "f8",
 }
+#: numpy's name of a type without byte order → MetaIO's.
+MET_NAMES = {dtype: name for name, dtype in _MET_TYPES.items()}
 _NRRD_TYPES = {
     **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),
     **dict.fromkeys(("uchar", "unsigned char", "uint8", "uint8_t"), "u1"),
@@ -177,7 +179,7 @@ class Sequence(Told):
                     continue
                 invalid.discard(name)
                 content = Transform.from_rows(_matrix(text, f"frame {index}, {name}Transform"))
-                self._transform_rows[name].imported += 1
+                self._transform_rows[name].taken += 1
                 yield from_peer(time_ns, _LINK, join(encode(Message("TRANSFORM", device, content, ticks))))
             if index < self._layout.frames and self._layout.frame_bytes:
                 data = next(pixels)
@@ -185,7 +187,7 @@ class Sequence(Told):
                     self._image_row.left_out += 1
                     self._image_row.why = "image status not OK"
                     continue
-                self._image_row.imported += 1
+                self._image_row.taken += 1
                 yield from_peer(time_ns, _LINK, join(encode(Message("IMAGE", IMAGE_DEVICE, self._image(data), ticks))))
         yield link_down(time_ns, _LINK, peer, "the end of the file")
 

@@ -47,7 +47,7 @@ class Row:
         stream: its name in the source.
         declared: what the source says it has.
         type: message type.
-        imported: what came into the session.
+        taken: what came over.
         left_out: what was left out on purpose, and ``why``.
         unit: of all numbers.
     """
@@ -55,7 +55,7 @@ class Row:
     stream: str
     declared: int
     type: str = ""
-    imported: int = 0
+    taken: int = 0
     left_out: int = 0
     why: str = ""
     unit: str = MESSAGES
@@ -63,7 +63,7 @@ class Row:
     @property
     def good(self) -> bool:
         """Whether everything that the source declared is accounted for."""
-        return self.declared == self.imported + self.left_out
+        return self.declared == self.taken + self.left_out
 
 
 class Source(Protocol):

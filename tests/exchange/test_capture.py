@@ -44,7 +44,7 @@ def test_messages_are_where_their_stamps_say_else_a_millisecond_apart(tmp_path: 
     ]
     assert [item.source_ns % NS_PER_S for item in said] == [0, 0, 5, 3, 0]
     assert {(item.channel, item.links) for item in said} == {("STRING/Said", (1,))}
-    assert [(row.unit, row.declared, row.imported) for row in source.rows] == [
+    assert [(row.unit, row.declared, row.taken) for row in source.rows] == [
         ("bytes", path.stat().st_size, path.stat().st_size),
         ("messages", 5, 5),
     ]
@@ -81,7 +81,7 @@ def test_a_size_that_cannot_be_ends_it(tmp_path: Path) -> None:
     with closing(Capture(tmp_path / "some.igtl")) as source:
         with pytest.raises(DamagedRecording, match="body size"):
             list(source.items())
-        assert source.rows[0].imported == len(message("a"))
+        assert source.rows[0].taken == len(message("a"))
 
 
 def test_other_bytes_are_refused(tmp_path: Path) -> None:

@@ -119,7 +119,7 @@ def test_both_directions_of_a_connection(tmp_path: Path, link: int, ends: tuple[
         ("link_down", "client"),
     ]
     assert [item.links for item in items if item.kind is Kind.IGTL_IN] == [(1,), (1,), (2,)]
-    assert [(row.declared, row.imported) for row in source.rows if row.unit == "bytes"] == [
+    assert [(row.declared, row.taken) for row in source.rows if row.unit == "bytes"] == [
         (len(message("a") + message("b")),) * 2,
         (len(message("c")),) * 2,
     ]
@@ -160,7 +160,7 @@ def test_a_packet_that_was_not_captured_shows(tmp_path: Path) -> None:
     items, source = read(write(tmp_path / "some.pcap", talk.packets))
     assert said(items) == [message("a")]
     (row,) = (row for row in source.rows if not row.good)
-    assert (row.declared, row.imported) == (len(message("a") + message("b" * 100) + message("c")), len(message("a")))
+    assert (row.declared, row.taken) == (len(message("a") + message("b" * 100) + message("c")), len(message("a")))
     assert row.why == f"a segment is missing after {len(message('a'))} bytes"
 
 
@@ -220,7 +220,7 @@ def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
 def test_the_real_capture_comes_whole(shared_dir: Path) -> None:
     items, source = read(shared_dir / "data/igtl/reference_mixed.pcap")
     assert all(row.good for row in source.rows)
-    counts = {(row.type, row.stream): row.imported for row in source.rows if row.type}
+    counts = {(row.type, row.stream): row.taken for row in source.rows if row.type}
     assert counts == {
         ("TRANSFORM", "Probe"): 20,
         ("TRANSFORM", "Needle"): 20,

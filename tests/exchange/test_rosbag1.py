@@ -69,7 +69,7 @@ def test_messages_become_those_of_ros_2(tmp_path: Path, compression: str) -> Non
         ("/camera", 2000),
     ]
     assert {item.kind for item in items} == {Kind.ROS_IN}
-    assert all(row.good and row.imported == row.declared for row in source.rows)
+    assert all(row.good and row.taken == row.declared for row in source.rows)
     points = [ROS2.deserialize_cdr(bytes(item.payload), item.type) for item in items[1:4]]
     assert [(point.point.x, point.header.stamp.sec) for point in points] == [(0.0, 100), (1.0, 101), (2.0, 102)]  # type: ignore[attr-defined]
     camera = ROS2.deserialize_cdr(bytes(items[4].payload), items[4].type)
@@ -110,6 +110,6 @@ def test_a_bag_that_was_cut_off_is_refused(tmp_path: Path) -> None:
 )
 def test_real_bags_come_whole(shared_dir: Path, name: str, counts: dict[str, int]) -> None:
     with closing(Rosbag1(shared_dir / "data/bags/ros1" / name)) as source:
-        assert sum(1 for _ in source.items()) == sum(row.imported for row in source.rows)
+        assert sum(1 for _ in source.items()) == sum(row.taken for row in source.rows)
     assert all(row.good and not row.left_out for row in source.rows)
-    assert counts.items() <= {row.stream: row.imported for row in source.rows}.items()
+    assert counts.items() <= {row.stream: row.taken for row in source.rows}.items()

@@ -47,7 +47,7 @@ def test_all_messages_of_a_directory(tmp_path: Path, storage: StoragePlugin, mod
     assert [(item.time_ns, item.channel, bytes(item.payload)) for item in items] == [
         (1000 + 10 * index, "/one" if index % 2 else "/two", text(f"1000 {index}")) for index in range(5)
     ]
-    assert {row.stream: (row.declared, row.imported) for row in rows} == {"/one": (2, 2), "/two": (3, 3)}
+    assert {row.stream: (row.declared, row.taken) for row in rows} == {"/one": (2, 2), "/two": (3, 3)}
     assert notes == []
 
 
@@ -124,7 +124,7 @@ def test_a_directory_without_a_recording(tmp_path: Path) -> None:
 )
 def test_real_recordings_come_whole(shared_dir: Path, name: str, counts: dict[str, int]) -> None:
     items, rows, _ = read(shared_dir / "data/bags/ros2" / name)
-    assert {row.stream: row.imported for row in rows if row.imported} == counts
+    assert {row.stream: row.taken for row in rows if row.taken} == counts
     assert len(items) == sum(counts.values())
     assert all(row.good for row in rows)
 

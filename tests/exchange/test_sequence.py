@@ -120,7 +120,7 @@ def test_frames_become_transforms_and_images(tmp_path: Path, form: str) -> None:
     assert told.transforms() == [
         (stamp(frame), "TRANSFORM/ProbeToTracker", [frame + 0.5, -2.0, 3.0]) for frame in (0, 2)
     ]
-    assert [(row.stream, row.declared, row.imported, row.left_out) for row in told.source.rows] == [
+    assert [(row.stream, row.declared, row.taken, row.left_out) for row in told.source.rows] == [
         ("ProbeToTracker", 3, 2, 1),
         ("Image", 3, 3, 0),
     ]
@@ -201,4 +201,4 @@ def test_real_sequences_come_whole(shared_dir: Path, name: str, transforms: int,
     *tracked, pictures = source.rows
     assert all(row.good for row in source.rows)
     assert sum(row.left_out for row in tracked) == left_out
-    assert pictures.declared == pictures.imported + pictures.left_out
+    assert pictures.declared == pictures.taken + pictures.left_out

@@ -12,6 +12,6 @@ def test_entries_strictly_increase() -> None:
 
 
 def test_all_that_is_declared_has_to_be_accounted_for() -> None:
-    assert Row("a", 5, imported=3, left_out=2).good
-    assert not Row("a", 5, imported=3, left_out=1).good
-    assert not Row("a", 5, imported=6).good
+    assert Row("a", 5, taken=3, left_out=2).good
+    assert not Row("a", 5, taken=3, left_out=1).good
+    assert not Row("a", 5, taken=6).good

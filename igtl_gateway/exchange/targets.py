@@ -1,0 +1,32 @@
+"""The table of formats that a session can be exported to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from igtl_gateway.exchange.csv_out import export_csv
+from igtl_gateway.exchange.recording import Account, Recording
+from igtl_gateway.exchange.rosbag2_out import export_rosbag2
+from igtl_gateway.exchange.sequence_out import export_sequence
+from igtl_gateway.exchange.surface_out import export_ply, export_vtk
+from igtl_gateway.exchange.volume_out import export_nrrd
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A format: what of a session goes there, and what does it."""
+
+    text: str
+    export: Callable[[Recording, Path, Sequence[str]], Account]
+
+
+TARGETS = {
+    "rosbag2": Target("ROS topics, as a directory for `ros2 bag`", export_rosbag2),
+    "igs.mha": Target("an IMAGE and its TRANSFORMs, as one tracked sequence", export_sequence),
+    "csv": Target("poses, texts, numbers: a folder with one table per stream", export_csv),
+    "ply": Target("surfaces and clouds: a folder with one file per message", export_ply),
+    "vtk": Target("the same with all attributes", export_vtk),
+    "nrrd": Target("images and volumes: a folder with one file per message", export_nrrd),
+}
