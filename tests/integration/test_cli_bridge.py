@@ -243,3 +243,60 @@ def test_kill_9_leaves_what_was_flushed(programs: list[Program], tmp_path: Path)
     assert told.code in (1, 2)
     (line,) = told.err.splitlines()
     assert str(path) in line and "recover" in line
+
+
+@pytest.mark.parametrize(("policy", "then"), [("stop", "the bridge stops"), ("continue", "the bridge goes on")])
+def test_a_recording_that_is_removed_is_told_at_once(
+    programs: list[Program], tmp_path: Path, policy: str, then: str
+) -> None:
+    path = tmp_path / "out.mcap"
+    bridge = Bridge("--no-ros", "--record", str(path), "--on-record-failure", policy)
+    programs.append(bridge)
+    path.unlink()
+    bridge.wait_code("record_failed")
+    assert any("the file was removed" in line and then in line for line in bridge.lines)
+    if policy == "continue":
+        with RawPeer(bridge.port) as peer:
+            peer.send(string("still there"))
+            bridge.wait_code("stream")
+    result = bridge.end(None if policy == "stop" else signal.SIGINT)
+    assert result.code == 1
+
+
+def test_split_pause_and_leave_out(programs: list[Program], tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    options = ["--split-duration", "0.2", "--record-exclude", "Secret"]
+    bridge = Bridge("--no-ros", "--record", str(path), *options)
+    programs.append(bridge)
+    with RawPeer(bridge.port) as peer:
+        peer.send(string("first"))
+        bridge.wait_code("stream")
+        time.sleep(0.3)  # of the session's own time: the next entry begins the next part
+        bridge.process.send_signal(signal.SIGUSR2)
+        bridge.wait_code("record_paused")
+        peer.send(string("not this"))
+        bridge.process.send_signal(signal.SIGUSR2)
+        bridge.wait_code("record_resumed")
+        peer.send(string("last"))
+        result = bridge.end()
+    assert (result.code, result.err) == (0, "")
+    parts = sorted(path.with_suffix("").glob("*.mcap"))
+    assert len(parts) >= 2
+    for file in (path.with_suffix(""), *parts):
+        told = run(programs, "verify", str(file))
+        assert told.code == 0, told.out
+
+
+def test_a_snapshot_by_signal(programs: list[Program], tmp_path: Path) -> None:
+    bridge = Bridge("--no-ros", "--record", str(tmp_path / "out.mcap"), "--snapshot", "60")
+    programs.append(bridge)
+    with RawPeer(bridge.port) as peer:
+        peer.send(string("what just happened"))
+        bridge.wait_code("stream")
+        bridge.process.send_signal(signal.SIGUSR1)
+        bridge.wait_code("record_snapshot")
+        result = bridge.end()
+    assert (result.code, result.err) == (0, "")
+    (file,) = tmp_path.iterdir()
+    assert any(topic == "/igtl/in/Raw/string" for topic, _, _ in recorded(file))
+    assert run(programs, "verify", str(file)).code == 0
