@@ -1,0 +1,223 @@
+"""``recover``, and ``info`` on damaged files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from igtl_gateway.cli import main
+from igtl_gateway.config import Config
+from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.session.entry import Entry
+from tests.record import samples
+
+FIXTURE = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
+ENTRIES = samples.every_kind(20)
+SESSION = {**samples.SESSION, "config": json.dumps(Config().to_dict())}
+
+
+@pytest.fixture
+def cut(tmp_path: Path) -> Path:
+    """A recording that ended in the middle."""
+    path = tmp_path / "out.mcap"
+    writer = SessionWriter(path, SESSION, chunk_bytes=1000)
+    for entry in ENTRIES:
+        writer.write(entry)
+    writer.flush()
+    data = path.read_bytes()
+    writer.close({})
+    path.write_bytes(data[:-300])
+    return path
+
+
+def entries(path: Path) -> list[Entry]:
+    with SessionFile.open(path) as file:
+        return list(file.entries())
+
+
+def told(capsys: pytest.CaptureFixture[str], *arguments: str | Path, code: int) -> dict[str, Any]:
+    assert main([*map(str, arguments), "--json"]) == code
+    result: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return result
+
+
+def test_a_cut_recording_becomes_a_whole_file(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["recover", str(cut)]) == 1
+    out = cut.with_name("out.recovered.mcap")
+    said = capsys.readouterr()
+    assert f"{out}: written, closed and with its index" in said.out
+    assert "LOST the end after" in said.out and "whole" not in said.out
+    assert said.err == ""
+    found = entries(out)
+    assert 0 < len(found) < len(ENTRIES)
+    assert found == [samples.flat(entry) for entry in ENTRIES[: len(found)]]
+    with SessionFile.open(out) as file:
+        assert file.session == {**SESSION, "format_version": "1"}
+        assert file.ledger is not None
+        facts = file.ledger["recovered"]
+    assert (facts["from"], facts["messages"], facts["closed"], facts["whole"]) == (
+        "out.mcap", len(found), False, False,
+    )  # fmt: skip
+    (loss,) = facts["lost"]
+    assert (loss["what"], loss["start_ns"], loss["end_ns"]) == ("cut_off", found[-1].stamp_ns, 0)
+
+
+def test_for_programs(cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    facts = told(capsys, "recover", cut, "-o", tmp_path / "b", code=1)
+    assert facts["file"] == str(cut)
+    assert facts["output"] == str(tmp_path / "b")
+    assert facts["output_bytes"] == (tmp_path / "b").stat().st_size
+    assert facts["messages"] == len(entries(tmp_path / "b"))
+    assert [loss["what"] for loss in facts["lost"]] == ["cut_off"]
+
+
+def test_what_is_lost_stays_told_when_it_is_recovered_again(
+    cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = told(capsys, "recover", cut, "-o", tmp_path / "b", code=1)
+    second = told(capsys, "recover", tmp_path / "b", "-o", tmp_path / "c", code=0)
+    assert second["whole"]
+    assert second["earlier"]["lost"] == first["lost"]
+    assert entries(tmp_path / "c") == entries(tmp_path / "b")
+
+
+def test_a_recording_whose_index_alone_is_damaged_is_whole_again_and_verifies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray(FIXTURE.read_bytes())
+    data[-100] ^= 1
+    (tmp_path / "a.mcap").write_bytes(data)
+    assert main(["recover", str(tmp_path / "a.mcap")]) == 0
+    assert "whole: nothing that was recorded is lost" in capsys.readouterr().out
+    out = tmp_path / "a.recovered.mcap"
+    assert entries(out) == entries(FIXTURE)
+    with SessionFile.open(out) as file, SessionFile.open(FIXTURE) as before:
+        assert file.session == before.session
+        assert file.ledger is not None and before.ledger is not None
+        assert {**file.ledger, "recovered": None} == {**before.ledger, "recovered": None}
+        assert file.channels == before.channels
+    assert main(["verify", str(out)]) == 0
+
+
+def test_nothing_is_overwritten_unasked(cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = cut.read_bytes()
+    out = tmp_path / "b"
+    out.write_bytes(b"precious")
+    assert main(["recover", str(cut), "-o", str(out)]) == 1
+    assert "--overwrite" in capsys.readouterr().err
+    assert out.read_bytes() == b"precious"
+    assert main(["recover", str(cut), "-o", str(cut), "--overwrite"]) == 2
+    assert "the damaged file itself" in capsys.readouterr().err
+    assert cut.read_bytes() == before
+    assert main(["recover", str(cut), "-o", str(out), "--overwrite"]) == 1
+    assert entries(out)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no recording at all"])
+def test_what_is_no_recording_is_refused_and_nothing_written(
+    tmp_path: Path, content: bytes | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    assert main(["recover", str(path)]) == 2
+    assert capsys.readouterr().err.startswith(f"igtl-gateway recover: {path}: ")
+    assert list(tmp_path.iterdir()) == ([path] if content is not None else [])
+
+
+def test_a_disk_that_refuses_leaves_no_half_copy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "b"
+    assert main(["recover", str(FIXTURE), "-o", str(out / "c")]) == 1
+    assert "there is no folder" in capsys.readouterr().err
+    command = 'ulimit -f 40; exec "$0" -m igtl_gateway recover "$1" -o "$2"'
+    ended = subprocess.run(
+        ["sh", "-c", command, sys.executable, str(FIXTURE), str(out)], capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr == f"igtl-gateway recover: cannot write {out}: File too large\n"
+    assert not out.exists()
+
+
+def test_of_other_programs_everything_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "another program")
+        writer.add_metadata("theirs", {"a": "b"})
+        writer.add_attachment(1, 2, "notes.txt", "text/plain", b"hello")
+        string = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        other = writer.register_schema("foxglove.Log", "protobuf", b"\1\2")
+        for number in range(10):
+            for topic, encoding, schema in (
+                ("/chatter", "cdr", string),
+                ("/log", "protobuf", other),
+                ("/x", "json", 0),
+            ):
+                if number == 0:
+                    writer.register_channel(topic, encoding, schema, {"theirs": topic})
+            for channel in (1, 2, 3):
+                writer.add_message(channel, number + 1, samples.string_cdr(f"{number}"), number, number * 2)
+            writer.flush()  # type: ignore[no-untyped-call]
+    assert told(capsys, "recover", path, code=1)["messages"] == 30
+    out = tmp_path / "bag.recovered.mcap"
+    with out.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        found = list(reader.iter_messages())
+        assert [attachment.data for attachment in reader.iter_attachments()] == [b"hello"]
+        assert {"theirs": {"a": "b"}}.items() <= {each.name: each.metadata for each in reader.iter_metadata()}.items()
+    assert [(channel.topic, message.sequence, message.publish_time) for _, channel, message in found] == [
+        (topic, 2 * number, number) for number in range(10) for topic in ("/chatter", "/log", "/x")
+    ]
+    assert {channel.topic: (channel.message_encoding, schema and schema.data) for schema, channel, _ in found} == {
+        "/chatter": ("cdr", b"string data"), "/log": ("protobuf", b"\1\2"), "/x": ("json", None),
+    }  # fmt: skip
+    with SessionFile.open(out) as file:
+        assert file.foreign
+        assert len(list(file.entries())) == 10
+
+
+def test_info_tells_what_can_be_read_of_a_damaged_file(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(cut)]) == 1
+    said = capsys.readouterr()
+    assert "session log version 1" in said.out
+    assert "TRANSFORM/ProbeToTracker" in said.out
+    assert "LOST the end" in said.out
+    assert said.err.startswith(f"igtl-gateway info: {cut}: was cut off after ")
+    assert said.err.endswith(f"; run: igtl-gateway recover {cut}\n")
+    facts = told(capsys, "info", cut, code=1)
+    assert facts["entries"] == facts["damaged"]["messages"] > 0
+    assert [loss["what"] for loss in facts["damaged"]["lost"]] == ["cut_off"]
+
+
+def test_info_reads_a_file_that_turns_out_to_be_damaged_in_the_middle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.mcap"
+    writer = SessionWriter(path, SESSION, chunk_bytes=1000, compression="none")
+    for entry in ENTRIES:
+        writer.write(entry)
+    writer.close({"streams": {}})
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"message 70", b"message 71"))
+    facts = told(capsys, "info", path, code=1)
+    assert 0 < facts["entries"] < len(ENTRIES)
+    assert facts["damaged"]["missing"] == len(ENTRIES) - facts["entries"]
+    assert "crc" in facts["damaged"]["why"]
+
+
+def test_info_tells_of_a_recovered_file(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["recover", str(cut)])
+    capsys.readouterr()
+    assert main(["info", str(cut.with_name("out.recovered.mcap"))]) == 0
+    said = capsys.readouterr().out
+    assert "recovered from out.mcap by igtl-gateway" in said
+    assert "lost in 1 place" in said
