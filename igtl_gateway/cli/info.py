@@ -152,6 +152,8 @@ def run(options: argparse.Namespace) -> int:
             told = _told(options.file, file, content, file.start_ns, file.end_ns)
             told["skipped"] = [asdict(skipped) for skipped in file.skipped]
     except DamagedRecording as error:
+        if options.file.is_dir():
+            raise  # it names the part that is damaged
         return _run_damaged(options, str(error))
     if options.json:
         print_json(told)
