@@ -15,6 +15,7 @@ import math
 import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -154,7 +155,7 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ac
     epoch_ns = int(given) if given.isdigit() else 0
     account = sequence.account
     account.files = 1
-    with out.open("xb") as stream:
+    with out.open("xb") as stream, _whole(out):
         header = "\n".join(_header(sequence.first, count, recording.session, epoch_ns)) + "\n"
         size_at = header.index(_SIZE_KEY) + len(_SIZE_KEY)
         stream.write(header.encode("ascii", "replace"))
@@ -163,7 +164,7 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ac
         stream.write(b"ElementDataFile = LOCAL\n")
         start = stream.tell()
         if sequence.first:
-            packer = zlib.compressobj(1)
+            packer = zlib.compressobj()
             for frame in sequence.frames(Account()):
                 if frame.image:
                     stream.write(packer.compress(frame.image.pixels))
@@ -175,6 +176,16 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ac
     if first and not _is_plain(first):
         account.notes.append("the images' directions in the patient are not kept")
     return account
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[None]:
+    """Around the writing of a file: half a sequence is none."""
+    try:
+        yield
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
 
 
 def _header(image: Image | None, count: int, session: Mapping[str, str], epoch_ns: int) -> list[str]:

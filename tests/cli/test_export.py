@@ -15,8 +15,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.buffers import join
 from igtl_gateway.cli import FAILURE, USAGE, main
-from igtl_gateway.gateway import Session
-from igtl_gateway.gateway.core import Gateway
+from igtl_gateway.config import Config
+from igtl_gateway.gateway import Gateway, Session
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
@@ -56,7 +56,7 @@ def ros(name: str, **fields: Any) -> bytes:
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
     """A session by the gateway itself: both sides, inputs and outputs."""
-    session, path = Session(Gateway()), tmp_path / "session.mcap"
+    session, path = Session(Gateway(Config())), tmp_path / "session.mcap"
     writer = SessionWriter(path, {"config": "{}"})
 
     def peer(device: str, kind: str, content: Body, at: int) -> list[Entry]:
@@ -165,7 +165,7 @@ def test_a_sequence_comes_back(tmp_path: Path, pixels: bool) -> None:
 
 
 def test_several_images_are_no_sequence(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    session, path = Session(Gateway()), tmp_path / "two.mcap"
+    session, path = Session(Gateway(Config())), tmp_path / "two.mcap"
     writer = SessionWriter(path, {})
     for device in ("A", "B"):
         data = join(encode(Message("IMAGE", device, Image((1, 1, 1), 3, b"x"))))
