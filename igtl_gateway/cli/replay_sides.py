@@ -91,7 +91,7 @@ def _open_ros(
     """A sender to the ROS graph, its topics advertised."""
     from igtl_gateway.edges.ros_env import prepare_environment
 
-    prepare_environment()
+    prepare_environment(lock_step=options.speed_of_light)
     edge = RosEdge(
         node_name="igtl_gateway_replay",
         on_message=lambda *_: None,

@@ -20,6 +20,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 PROFILE = Path(__file__).with_name("fastdds_profile.xml")
+#: The same with quick acknowledgements, for whoever waits for each.
+LOCK_STEP_PROFILE = Path(__file__).with_name("fastdds_profile_lock_step.xml")
 
 #: Fast DDS 2 reads the first name, Fast DDS 3 the second.
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
@@ -44,24 +46,27 @@ _MALLOC_SETTINGS: tuple[tuple[str, int, tuple[int, ...]], ...] = (
 _MALLOC_VARIABLES = ("MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_", "MALLOC_TOP_PAD_")
 
 
-def prepare_environment() -> list[str]:
+def prepare_environment(lock_step: bool = False) -> list[str]:
     """Apply both settings where the user has set none; call it before rclpy is imported.
 
     Changes ``os.environ`` (child processes inherit the profile) and this process's allocator.
 
+    Args:
+        lock_step: acknowledgements of messages will be waited for.
+
     Returns:
         One line for people for each setting: what was applied, or what was kept and why.
     """
-    return [_set_profile(), keep_large_blocks()]
+    return [_set_profile(LOCK_STEP_PROFILE if lock_step else PROFILE), keep_large_blocks()]
 
 
-def _set_profile() -> str:
+def _set_profile(profile: Path) -> str:
     kept = _profile_kept(os.environ, Path.cwd(), _SHARED_MEMORY)
     if kept:
         return f"Fast DDS profile: {kept}"
     for name in PROFILE_VARIABLES:
-        os.environ[name] = str(PROFILE)
-    return f"Fast DDS profile: shared memory for large messages ({PROFILE_VARIABLES[0]}={PROFILE})"
+        os.environ[name] = str(profile)
+    return f"Fast DDS profile: shared memory for large messages ({PROFILE_VARIABLES[0]}={profile})"
 
 
 def _profile_kept(environ: Mapping[str, str], cwd: Path, shared_memory: Path) -> str:

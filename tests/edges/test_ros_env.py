@@ -129,3 +129,23 @@ def test_packaged_profile_is_what_it_says() -> None:
     defined = [node.text for node in root.findall(".//dds:transport_descriptor/dds:transport_id", names)]
     used = [node.text for node in root.findall(".//dds:userTransports/dds:transport_id", names)]
     assert defined == used
+
+
+def test_the_profile_for_lock_step_is_the_other_one_with_quick_acknowledgements(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    name = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}publisher"
+    usual, quick = (ElementTree.parse(path).getroot() for path in (ros_env.PROFILE, ros_env.LOCK_STEP_PROFILE))
+    (publisher,) = quick.findall(name)
+    assert publisher.get("is_default_profile") == "true"
+    assert [text.strip() for text in publisher.itertext() if text.strip()] == ["0", "2000000"]
+    quick.remove(publisher)
+    assert [element.tag for element in quick.iter()] == [element.tag for element in usual.iter()]
+    assert [element.text for element in quick.iter() if element.text and element.text.strip()] == [
+        element.text for element in usual.iter() if element.text and element.text.strip()
+    ]
+    if room_for_segments():
+        for variable in ros_env.PROFILE_VARIABLES:
+            monkeypatch.setenv(variable, "")
+        ros_env.prepare_environment(lock_step=True)
+        assert os.environ[ros_env.PROFILE_VARIABLES[0]] == str(ros_env.LOCK_STEP_PROFILE)
