@@ -1,4 +1,7 @@
-"""Text fields of element lists, a column at a time: zero-padded bytes of the wire ⇄ str."""
+"""Lists of elements: how many become messages of rows, and their texts: zero-padded bytes of the wire ⇄ str.
+
+And the one rule for texts that do not fit: cut at the end of a character, with a warning.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,19 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.convert.context import ToIgtl
+from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.fields import cut_text, decode_text, visible
 
 Array = npt.NDArray[Any]
+
+#: Rows of plans and of what a peer has: each is an object of Python and costs up to 0.1 ms on its way.
+MAX_ROWS = 10_000
+
+
+def check_rows(elements: Array, place: str, most: int = MAX_ROWS) -> None:
+    """Raises ConversionError for more elements than become objects one by one: they would stop all other traffic."""
+    if len(elements) > most:
+        raise ConversionError(f"{place}: found {len(elements)} elements, expected at most {most}")
 
 
 def texts(elements: Array, field: str) -> list[str]:
@@ -20,14 +33,23 @@ def texts(elements: Array, field: str) -> list[str]:
 
 
 def set_texts(elements: Array, field: str, values: Iterable[str], to: ToIgtl) -> None:
-    """Fill the field of every element; what does not fit is cut, with one warning.
+    """Fill the field of every element; what does not fit is cut, with one warning for all.
 
     One byte stays free: C++ readers refuse a text that is as long as its field.
     """
-    width = elements.dtype[field].itemsize - 1
-    wanted = [visible(value) for value in values]
-    fitting = [cut_text(value, width) for value in wanted]
-    if cut := [text for text, fits in zip(wanted, fitting, strict=True) if fits != text]:
-        more = f" and {len(cut) - 1} more" if len(cut) > 1 else ""
-        to.warnings.append(("text_cut", f"{field} {cut[0]!r}{more} cut to {width} bytes"))
+    fitting = fitted(values, elements.dtype[field].itemsize - 1, field, to)
     elements[field] = np.array([text.encode() for text in fitting], elements.dtype[field])
+
+
+def fitted(values: Iterable[str], width: int, what: str, to: ToIgtl) -> list[str]:
+    """Texts in ``width`` bytes each: up to the first NUL, where every reader stops, and to the last whole character.
+
+    What is cut is told in one warning, which says ``what`` it is.
+    """
+    wanted = list(values)
+    fitting = [cut_text(visible(text), width) for text in wanted]
+    if cut := [(text, fits) for text, fits in zip(wanted, fitting, strict=True) if text != fits]:
+        (text, fits), *more = cut
+        others = f", and {len(more)} more are cut" if more else ""
+        to.warnings.append(("text_cut", f"{what} {text!r} is sent as {fits!r}{others}"))
+    return fitting

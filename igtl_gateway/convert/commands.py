@@ -10,11 +10,12 @@ from __future__ import annotations
 import re
 from xml.sax.saxutils import unescape
 
+from igtl_gateway.convert.columns import fitted
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, Items, MetadataItem
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.wire import command as wire
-from igtl_gateway.wire.fields import cut_text, visible
+from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.text import CODECS, mib_of
 
 _REPLY_TYPE = "RTS_COMMAND"
@@ -36,6 +37,8 @@ _TOLD_STATUS = {CommandReply.SUCCESS: "SUCCESS"}
 
 #: PLUS's reply: one element, at the very start (so that a search cannot be made to take long).
 _PLUS_REPLY = re.compile(r"""\s*(?:<\?xml[^>]*>\s*)?<CommandReply((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))*)\s*/?>""")
+#: How many characters are searched for it: sixteen times as many as PLUS's library can write, in 0.2 s.
+_MAX_XML = 1 << 20
 _ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 
 #: Encodings that we write.  "UTF-16" without an order means another one on every machine; UTF-8 takes its place.
@@ -98,9 +101,7 @@ def reply_to_igtl(message: CommandReply, to: ToIgtl) -> Outgoing:
 
 
 def _outgoing(message: Command | CommandReply, metadata: Items, igtl_type: str, to: ToIgtl) -> Outgoing:
-    name = cut_text(visible(message.name), _NAME_BYTES)
-    if name != visible(message.name):
-        to.warnings.append(("name_cut", f"the name {message.name!r} of a command is sent as {name!r}"))
+    (name,) = fitted((message.name,), _NAME_BYTES, "name of a command", to)
     data, encoding = _encoded(message.content, message.encoding, to)
     return Outgoing(
         wire.Command(message.id, name, data, encoding),
@@ -131,7 +132,7 @@ def _first(metadata: Items, keys: tuple[str, ...]) -> str:
 
 def _plus_attributes(text: str) -> dict[str, str]:
     """Attributes of the ``<CommandReply …>`` that the text is; none of any other text."""
-    match = _PLUS_REPLY.match(text)
+    match = _PLUS_REPLY.match(text, 0, _MAX_XML)
     if not match:
         return {}
     quotes = {"&quot;": '"', "&apos;": "'"}

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.convert import geometry, igtl_msgs
-from igtl_gateway.convert.columns import set_texts, texts
+from igtl_gateway.convert.columns import check_rows, fitted, set_texts, texts
 from igtl_gateway.convert.common_msgs import Array
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.igtl_msgs import BoundMessage, ImageMeta, LabelMeta, VideoMeta
@@ -25,7 +25,8 @@ from igtl_gateway.wire.bind import Bind, Child
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.colort import MAP_U16, ColorTable
-from igtl_gateway.wire.fields import cut_text, visible
+from igtl_gateway.wire.elements import Elements
+from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.metalists import (
     IMAGE_META_DTYPE,
     LABEL_META_DTYPE,
@@ -46,7 +47,7 @@ _CHILD_NAME_BYTES = 20  # of C++ readers; the protocol has no limit
 
 def images_to_ros(content: ImageMetaList, to: ToRos) -> igtl_msgs.ImageMetaList:
     """One ``ImageMeta`` for each element."""
-    rows = _rows(content.elements, *_IMAGE_TEXTS, "ticks", "size", "scalar_type")
+    rows = _rows(content, *_IMAGE_TEXTS, "ticks", "size", "scalar_type")
     images = tuple(
         ImageMeta(name, device, modality, patient, patient_id, ticks_to_ns(ticks), tuple(size), scalar)
         for name, device, modality, patient, patient_id, ticks, size, scalar in rows
@@ -68,7 +69,7 @@ def labels_to_ros(content: LabelMetaList, to: ToRos) -> igtl_msgs.LabelMetaList:
     """One ``LabelMeta`` for each element."""
     labels = tuple(
         LabelMeta(name, device, label, tuple(rgba), tuple(size), owner)
-        for name, device, owner, label, rgba, size in _rows(content.elements, *_LABEL_TEXTS, "label", "rgba", "size")
+        for name, device, owner, label, rgba, size in _rows(content, *_LABEL_TEXTS, "label", "rgba", "size")
     )
     return igtl_msgs.LabelMetaList(_header(to), labels, to.metadata)
 
@@ -90,7 +91,7 @@ def videos_to_ros(content: VideoMetaList, to: ToRos) -> igtl_msgs.VideoMetaList:
     to_ros = to.lengths.to_ros
     videos = []
     for name, device, patient, patient_id, zoom, focal_length, size, matrix, scalar in _rows(
-        content.elements, *_VIDEO_TEXTS, "zoom_level", "focal_length", "size", "matrix", "scalar_type"
+        content, *_VIDEO_TEXTS, "zoom_level", "focal_length", "size", "matrix", "scalar_type"
     ):
         direction, (i, j, k) = geometry.split(matrix[:9])
         x, y, z = matrix[9:]
@@ -162,12 +163,11 @@ def bind_to_ros(content: Bind, to: ToRos) -> igtl_msgs.Bind:
 
 def bind_to_igtl(message: igtl_msgs.Bind, to: ToIgtl) -> Outgoing:
     """Raises ConversionError for types above 12 bytes; names above 20 bytes are cut, with a warning."""
-    children = []
-    for child in message.children:
-        name = cut_text(visible(child.name), _CHILD_NAME_BYTES)
-        if name != visible(child.name):
-            to.warnings.append(("text_cut", f"the name {child.name!r} in a BIND is sent as {name!r}"))
-        children.append(Child(_type_name(child.type, message.TYPE), name, child.content))
+    names = fitted((child.name for child in message.children), _CHILD_NAME_BYTES, "name in a BIND", to)
+    children = [
+        Child(_type_name(child.type, message.TYPE), name, child.content)
+        for child, name in zip(message.children, names, strict=True)
+    ]
     return _outgoing(Bind(tuple(children)), message)
 
 
@@ -192,8 +192,13 @@ def _header(to: ToRos) -> Header:
     return Header(to.stamp_ns, to.frame_id)
 
 
-def _rows(elements: Array, *fields: str) -> Iterator[tuple[Any, ...]]:
-    """Some fields of each element: texts as people are meant to read them, numbers as Python's."""
+def _rows(content: Elements, *fields: str) -> Iterator[tuple[Any, ...]]:
+    """Some fields of each element: texts as people are meant to read them, numbers as Python's.
+
+    Raises ConversionError above MAX_ROWS.
+    """
+    elements = content.elements
+    check_rows(elements, content.NAME)
     columns = (
         texts(elements, name) if elements.dtype[name].kind == "S" else elements[name].tolist() for name in fields
     )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.convert.columns import set_texts, texts
+from igtl_gateway.convert.columns import check_rows, set_texts, texts
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.igtl_msgs import LabeledPoint, PointList, Trajectory, TrajectoryList
 from igtl_gateway.convert.rosmsg import Header, Marker
@@ -26,14 +26,18 @@ Array = npt.NDArray[Any]
 #: What a marker asks of a viewer.
 _ADD, _DELETE = 0, 2
 
+#: Points with names come by the thousands where surfaces are digitised; 65,535 of them take a second.
+MAX_POINTS = 65_535
+
 _LABELS = ("name", "group", "owner")
 #: The first bytes of the labels of a point: none of them is set where all are 0.
 _FIRST_BYTES = np.dtype([("name", "u1"), ("", "V63"), ("group", "u1"), ("", "V51"), ("owner", "u1"), ("", "V19")])
 
 
 def trajectories_to_ros(content: Trajectories, to: ToRos) -> TrajectoryList:
-    """One ``Trajectory`` for each element."""
+    """One ``Trajectory`` for each element.  Raises ConversionError above MAX_ROWS."""
     elements = content.elements
+    check_rows(elements, content.NAME)
     columns = zip(
         texts(elements, "name"),
         texts(elements, "group"),
@@ -93,8 +97,9 @@ def is_labeled(content: Points) -> bool:
 
 
 def points_to_ros(content: Points, to: ToRos) -> PointList:
-    """One ``LabeledPoint`` for each element."""
+    """One ``LabeledPoint`` for each element.  Raises ConversionError above MAX_POINTS."""
     elements = content.elements
+    check_rows(elements, content.NAME, MAX_POINTS)
     columns = zip(
         texts(elements, "name"),
         texts(elements, "group"),

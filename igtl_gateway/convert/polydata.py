@@ -12,11 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.convert import igtl_msgs, surfaces
+from igtl_gateway.convert.columns import fitted
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.errors import ConversionError, MalformedBody
-from igtl_gateway.wire.fields import cut_text, visible
+from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.polydata import (
     F4,
     MAX_ATTRIBUTE_NAME,
@@ -142,7 +143,5 @@ def _attribute(attribute: igtl_msgs.PolyDataAttribute, message: igtl_msgs.PolyDa
         raise ConversionError(
             f"{message.TYPE}, attribute {attribute.name!r}: found {count} values, expected a multiple of {components}"
         )
-    name = cut_text(visible(attribute.name), MAX_ATTRIBUTE_NAME)
-    if name != attribute.name:
-        to.warnings.append(("text_cut", f"the name {attribute.name!r} of an attribute is sent as {name!r}"))
+    (name,) = fitted((attribute.name,), MAX_ATTRIBUTE_NAME, "name of an attribute", to)
     return Attribute(attribute.type, name, components, attribute.values.astype(F4))

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from igtl_gateway.convert.columns import fitted
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.igtl_msgs import Query
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire.body import Body
-from igtl_gateway.wire.fields import cut_text, visible
+from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.query import (
     QUERIES,
     GetBind,
@@ -102,9 +103,7 @@ def _split(query: str) -> tuple[str, str]:
 
 
 def _start_tracking(message: Query, to: ToIgtl) -> Body:
-    name = cut_text(visible(message.coordinate_name), _COORDINATE_BYTES)
-    if name != visible(message.coordinate_name):
-        to.warnings.append(("name_cut", f"the coordinate name {message.coordinate_name!r} is sent as {name!r}"))
+    (name,) = fitted((message.coordinate_name,), _COORDINATE_BYTES, "coordinate name", to)
     signed = (message.resolution + _U32 // 2) % _U32 - _U32 // 2
     return StartTracking(signed, name)
 

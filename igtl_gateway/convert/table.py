@@ -14,6 +14,7 @@ import numpy as np
 
 from igtl_gateway.convert import (
     clouds,
+    columns,
     commands,
     common_msgs,
     igtl_msgs,
@@ -128,10 +129,14 @@ class IgtlRow:
 _POINT_LOSS = "names, groups and owners"
 _TEXT_LOSS = "bytes that are no text, and what stands behind a NUL"
 _LONG_TEXTS = "texts longer than their field"
-_SCAN_LOSS = f"{_TEXT_LOSS}; fractions of a nanosecond of scan times"
+#: The gateway refuses what would stop all other traffic, see ``columns.check_rows``.
+_LONG_LIST = f"lists above {columns.MAX_ROWS:,}"
+#: The library's nanoseconds, see ``stamp``: two fractions may be the same.
+_SCAN_LOSS = f"{_TEXT_LOSS}; up to 10 ns of scan times, where no library wrote them; {_LONG_LIST}"
+_LABEL_LOSS = f"{_TEXT_LOSS}; {_LONG_LIST}"
 _VIDEO_LOSS = (
     f"{_TEXT_LOSS}; last bit of the focal length; matrices that are not finite, and signs of zeros in vectors "
-    "without length"
+    f"without length; {_LONG_LIST}"
 )
 #: Of every number of a rotation that goes through float32, as matrix or as quaternion.  Measured: 7e-8.
 _ROUNDED = "rotations within 2e-7"
@@ -141,7 +146,10 @@ _TOOLS = (TrackingData, QuaternionTrackingData)
 _PLACE_LOSS = "versions of the header other than 1, matrices that are not finite, signs of zeros in the matrix"
 _FRAME_LOSS = "size, part, key frame or not but as the bit stream tells, grey, spacing, orientation and position"
 _FORMAT_LOSS = f"words of the format besides the codec, {_HEADER_1}; size 0 until a key frame has told it"
-_POSES = f"{_ROUNDED}; of matrices that are no rotation the same as with TRANSFORM"
+_POSES = (
+    f"scale and shear (warned of), length and sign of quaternions; {_ROUNDED}; more than {tracking.MAX_TOOLS:,} tools"
+)
+_NO_POSE = "tools that no pose can express (reflections, zeros) are"
 
 TO_ROS: tuple[RosRow, ...] = (
     RosRow(
@@ -285,7 +293,8 @@ TO_ROS: tuple[RosRow, ...] = (
         "query",
         queries.query_to_ros,
         _TEXTS,
-        lossy="which messages of a BIND are wanted, intervals below a millisecond, content that no document knows",
+        lossy="which messages of a BIND are wanted, intervals below a millisecond, content that no document knows, "
+        "whether a content that says nothing was there",
         role=Role.FULL,
     ),
     RosRow(
@@ -295,7 +304,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "tracking",
         tracking.tracking_to_ros,
         _STATES,
-        lossy=f"which form was sent, length and sign of quaternions, reserved bytes, {_TEXT_LOSS}; {_POSES}",
+        lossy=f"which form was sent, reserved bytes, {_TEXT_LOSS}, {_POSES}; {_NO_POSE} left out",
         role=Role.FULL,
     ),
     RosRow(
@@ -305,7 +314,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "poses",
         tracking.tracking_to_poses,
         _STATES,
-        lossy=f"names and types; {_POSES}",
+        lossy=f"names, types, {_POSES}; {_NO_POSE} not a number",
     ),
     RosRow(
         ("TRANSFORM",),
@@ -334,7 +343,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "tf",
         tracking.tracking_to_tf,
         _STATES,
-        lossy=f"types, frames that would be their own parents; names become frame ids; {_POSES}",
+        lossy=f"types, frames that would be their own parents, {_POSES}; names become frame ids; {_NO_POSE} left out",
         topic="/tf",
     ),
     RosRow(
@@ -344,7 +353,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "trajectories",
         plans.trajectories_to_ros,
         _SURFACES,
-        lossy=f"reserved bytes, {_TEXT_LOSS}",
+        lossy=f"reserved bytes, {_TEXT_LOSS}; {_LONG_LIST}",
         role=Role.FULL,
     ),
     RosRow(
@@ -363,7 +372,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "landmarks",
         plans.points_to_ros,
         _SURFACES,
-        lossy=_TEXT_LOSS,
+        lossy=f"{_TEXT_LOSS}; lists above {plans.MAX_POINTS:,}",
         applies=plans.is_labeled,
         role=Role.FULL,
     ),
@@ -371,7 +380,7 @@ TO_ROS: tuple[RosRow, ...] = (
         RosRow(types, content, message, kind, convert, _SURFACES, lossy=lossy, role=Role.FULL)
         for types, content, message, kind, convert, lossy in (
             (("IMGMETA",), ImageMetaList, igtl_msgs.ImageMetaList, "images", lists.images_to_ros, _SCAN_LOSS),
-            (("LBMETA",), LabelMetaList, igtl_msgs.LabelMetaList, "labels", lists.labels_to_ros, _TEXT_LOSS),
+            (("LBMETA",), LabelMetaList, igtl_msgs.LabelMetaList, "labels", lists.labels_to_ros, _LABEL_LOSS),
             (("VIDEOMETA",), VideoMetaList, igtl_msgs.VideoMetaList, "videos", lists.videos_to_ros, _VIDEO_LOSS),
             (("COLORT", "COLORTABLE"), ColorTable, igtl_msgs.ColorTable, "color_table", lists.colors_to_ros, ""),
             (

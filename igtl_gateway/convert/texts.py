@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from igtl_gateway.convert.columns import fitted
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.rosmsg import DiagnosticStatus
 from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.wire.fields import cut_text, visible
+from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.text import CODES, MAX_STRING_BYTES, Status, String
 
 OK, WARN, ERROR, STALE = range(4)
@@ -50,7 +51,7 @@ def status_to_ros(content: Status, to: ToRos) -> DiagnosticStatus:
     return DiagnosticStatus(level, to.device_name, message, "", values)
 
 
-def status_to_igtl(message: DiagnosticStatus, _: ToIgtl) -> Outgoing:
+def status_to_igtl(message: DiagnosticStatus, to: ToIgtl) -> Outgoing:
     """The inverse; without a ``code`` value the level tells the code."""
     values = dict(message.values)
     try:
@@ -60,5 +61,5 @@ def status_to_igtl(message: DiagnosticStatus, _: ToIgtl) -> Outgoing:
         raise ConversionError(f"DiagnosticStatus: found values {values}, expected whole numbers") from None
     if not 0 <= code < 1 << 16 or not -(1 << 63) <= subcode < 1 << 63:
         raise ConversionError(f"DiagnosticStatus: found code {code}, subcode {subcode}, expected u16 and i64")
-    error_name = cut_text(values.get(_ERROR_NAME, ""), _ERROR_NAME_BYTES)
+    (error_name,) = fitted((values.get(_ERROR_NAME, ""),), _ERROR_NAME_BYTES, "error_name", to)
     return Outgoing(Status(code, subcode, error_name, message.message))

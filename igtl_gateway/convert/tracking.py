@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.convert.columns import set_texts, texts
+from igtl_gateway.convert.columns import check_rows, set_texts, texts
 from igtl_gateway.convert.common_msgs import FrameTransform, PoseArray, TFMessage
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.igtl_msgs import Pose, TrackedTool, TrackingData
@@ -29,6 +29,9 @@ from igtl_gateway.wire.transform import Position, Transform
 
 Array = npt.NDArray[Any]
 Tracking = wire.TrackingData | wire.QuaternionTrackingData
+
+#: A tool costs up to 0.2 ms, a matrix that is no rotation most of all.  Trackers see hundreds at most.
+MAX_TOOLS = 4_096
 
 _POSE_COLUMNS = 7
 _NO_POSE = (float("nan"),) * _POSE_COLUMNS
@@ -94,8 +97,12 @@ def _tf(frames: Iterable[tuple[str, str, Pose]], to: ToRos) -> TFMessage:
 
 
 def _tools(content: Tracking, to: ToRos) -> list[tuple[str, Pose | None]]:
-    """Name and pose of each tool; None and a warning for what is no pose."""
+    """Name and pose of each tool; None and a warning for what is no pose.
+
+    Raises ConversionError above MAX_TOOLS.
+    """
     elements = content.elements
+    check_rows(elements, f"{content.NAME} {to.device_name!r}", MAX_TOOLS)
     names = texts(elements, "name")
     places = [f"{content.NAME} {to.device_name!r}, tool {name!r}" for name in names]
     readers: Iterable[Callable[[], Pose]]
@@ -110,7 +117,7 @@ def _tools(content: Tracking, to: ToRos) -> list[tuple[str, Pose | None]]:
         try:
             poses.append(read())
         except ConversionError as error:
-            to.warnings.append(("not_a_pose", f"a tool is left out: {error}"))
+            to.warnings.append(("not_a_pose", f"a tool has no pose: {error}"))
             poses.append(None)
     return list(zip(names, poses, strict=True))
 

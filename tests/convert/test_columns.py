@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.convert.columns import set_texts, texts
+from igtl_gateway.convert.columns import MAX_ROWS, check_rows, fitted, set_texts, texts
 from igtl_gateway.convert.context import ToIgtl
+from igtl_gateway.errors import ConversionError
 
 WIDTH = 8
 
@@ -42,16 +43,33 @@ def test_texts_are_cut_between_characters(text: str, stored: bytes) -> None:
     to = ToIgtl()
     set_texts(array, "name", ["x", text], to)
     assert array["name"].tolist() == [b"x", stored]
-    cut = stored not in (text.encode(), b"a")
+    cut = stored != text.encode()
     assert [code for code, _ in to.warnings] == ["text_cut"] * cut
 
 
 def test_one_warning_tells_of_all() -> None:
     to = ToIgtl()
     set_texts(elements(b"", b"", b""), "name", ["first one", "ok", "second one"], to)
-    assert to.warnings == [("text_cut", "name 'first one' and 1 more cut to 7 bytes")]
+    assert to.warnings == [("text_cut", "name 'first one' is sent as 'first o', and 1 more are cut")]
 
 
 def test_no_elements() -> None:
     set_texts(elements(), "name", [], ToIgtl())
     assert texts(elements(), "name") == []
+
+
+@pytest.mark.parametrize(
+    ("text", "kept"), [("", ""), ("1234", "1234"), ("a\x00bcdef", "a"), ("abcdé", "abcd"), ("abcé", "abc")]
+)
+def test_a_single_text_is_cut_by_the_same_rule(text: str, kept: str) -> None:
+    to = ToIgtl()
+    assert fitted((text,), 4, "name of a thing", to) == [kept]
+    cut = kept != text
+    assert to.warnings == [("text_cut", f"name of a thing {text!r} is sent as {kept!r}")] * cut
+
+
+def test_rows_end_somewhere() -> None:
+    rows = np.zeros(MAX_ROWS + 1, [("name", "S8")])
+    check_rows(rows[:-1], "LIST")
+    with pytest.raises(ConversionError, match=f"^LIST: found {MAX_ROWS + 1} elements, expected at most {MAX_ROWS}$"):
+        check_rows(rows, "LIST")

@@ -84,7 +84,7 @@ def test_an_encoding_that_does_not_do_becomes_utf_8_and_is_told(text: str, encod
 
 @pytest.mark.parametrize(
     ("name", "kept", "cut"),
-    [("x" * 127, "x" * 127, False), ("x" * 128, "x" * 127, True), ("é" * 64, "é" * 63, True), ("a\x00b", "a", False)],
+    [("x" * 127, "x" * 127, False), ("x" * 128, "x" * 127, True), ("é" * 64, "é" * 63, True), ("a\x00b", "a", True)],
 )
 def test_long_names_are_cut_and_it_is_told(name: str, kept: str, cut: bool) -> None:
     for message, convert in (
@@ -93,7 +93,7 @@ def test_long_names_are_cut_and_it_is_told(name: str, kept: str, cut: bool) -> N
     ):
         to = ToIgtl()
         assert sent(convert(message, to)).name == kept  # type: ignore[arg-type]
-        assert [code for code, _ in to.warnings] == ["name_cut"] * cut
+        assert [code for code, _ in to.warnings] == ["text_cut"] * cut
 
 
 def test_what_stands_behind_a_nul_is_no_text() -> None:
@@ -153,6 +153,15 @@ def test_why_a_command_failed(pairs: dict[str, str], why: str) -> None:
 def test_status_in_the_xml_of_plus(text: str, status: int, why: str) -> None:
     message = reply(text)
     assert (message.status, message.error_message, message.content) == (status, why, text)
+
+
+def test_a_reply_much_longer_than_the_library_writes_is_not_searched() -> None:
+    def padded(size: int) -> str:
+        start, end = '<CommandReply Status="FAIL" Message="', '"/>'
+        return start + "x" * (size - len(start) - len(end)) + end
+
+    assert reply(padded(1 << 20)).status == FAIL
+    assert reply(padded((1 << 20) + 1)).status == SUCCESS
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from igtl_gateway.buffers import join
 from igtl_gateway.convert import igtl_msgs, lists
+from igtl_gateway.convert.columns import MAX_ROWS
 from igtl_gateway.convert.context import ToIgtl, ToRos
 from igtl_gateway.convert.igtl_msgs import BoundMessage, ImageMeta, LabelMeta, MetadataItem, VideoMeta
 from igtl_gateway.convert.rosmsg import Header
@@ -101,6 +102,12 @@ video_lists = elements_of(
 @given(image_lists | label_lists | video_lists)
 def test_lists_of_a_careful_sender_come_back_as_they_were(content: Any) -> None:
     assert unsigned(sent(published(content), type(content))) == unsigned(content)
+
+
+@pytest.mark.parametrize("kind", [ImageMetaList, LabelMetaList, VideoMetaList])
+def test_longer_lists_than_anybody_reads_are_refused(kind: Any) -> None:
+    with pytest.raises(ConversionError, match=f"{kind.NAME}: found 10001 elements"):
+        published(kind(np.zeros(MAX_ROWS + 1, kind.DTYPE)))
 
 
 def unsigned(content: Any) -> Any:
@@ -213,7 +220,7 @@ def test_texts_are_cut_between_characters_and_it_is_told(kind: Any, message: Any
     assert bytes_of("x" * kept, []) == b"x" * kept
     assert bytes_of("x" * (kept + 1), ["text_cut"]) == b"x" * kept
     assert bytes_of("x" * (kept - 1) + "é", ["text_cut"]) == b"x" * (kept - 1)
-    assert bytes_of("a\x00b", []) == b"a"
+    assert bytes_of("a\x00b", ["text_cut"]) == b"a"
 
 
 @pytest.mark.parametrize("ns", [0, 1, 2**31 * 10**9, 4_000_000_000 * 10**9 + 123_456_789])

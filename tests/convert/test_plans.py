@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from igtl_gateway.buffers import join
 from igtl_gateway.convert import plans
+from igtl_gateway.convert.columns import MAX_ROWS
 from igtl_gateway.convert.context import ToIgtl, ToRos
 from igtl_gateway.convert.igtl_msgs import LabeledPoint, MetadataItem, PointList, Trajectory, TrajectoryList
 from igtl_gateway.convert.rosmsg import Header, Marker
@@ -150,6 +151,14 @@ def test_any_points_are_converted(content: Any) -> None:
     message = plans.points_to_ros(content, TO)
     labels = [label for point in message.points for label in (point.name, point.group, point.owner)]
     assert plans.is_labeled(content) == (any(labels) or not len(content))
+
+
+def test_longer_lists_are_refused() -> None:
+    """Each of their rows is an object: 16 MB of them would be seconds of work."""
+    with pytest.raises(ConversionError, match="TRAJ: found 10001 elements"):
+        plans.trajectories_to_ros(Trajectories(np.zeros(MAX_ROWS + 1, Trajectories.DTYPE)), TO)
+    with pytest.raises(ConversionError, match="POINT: found 65536 elements"):
+        plans.points_to_ros(Points(np.zeros(plans.MAX_POINTS + 1, Points.DTYPE)), TO)
 
 
 # -- what does not fit --------------------------------------------------------------------------------------------

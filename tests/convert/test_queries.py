@@ -123,7 +123,7 @@ def test_intervals_of_every_size_go_out() -> None:
         (query(Query.START, "VIDEO", codec="H264", coordinate_name="Base"), ["field_left_out"]),
         (query(Query.STOP, "TDATA", status=1), ["field_left_out"]),
         (query(Query.START, "TDATA", coordinate_name="x" * 31), []),
-        (query(Query.START, "TDATA", coordinate_name="x" * 32), ["name_cut"]),
+        (query(Query.START, "TDATA", coordinate_name="x" * 32), ["text_cut"]),
     ],
 )
 def test_what_a_query_has_no_place_for_is_told(message: Query, warnings: list[str]) -> None:

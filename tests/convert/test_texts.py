@@ -83,4 +83,6 @@ def test_values_that_are_no_codes(value: tuple[str, str]) -> None:
 
 def test_error_names_are_cut_to_what_readers_accept() -> None:
     message = DiagnosticStatus(0, "", "", "", (("error_name", "é" * 20),))
-    assert texts.status_to_igtl(message, ToIgtl()).content == Status(1, 0, "é" * 9)
+    to = ToIgtl()
+    assert texts.status_to_igtl(message, to).content == Status(1, 0, "é" * 9)
+    assert [code for code, _ in to.warnings] == ["text_cut"]

@@ -219,6 +219,20 @@ def test_a_tool_that_is_no_pose_costs_itself(convert: Callable[[Any, ToRos], Any
             assert np.isfinite(message.poses[0]).all() and np.isnan(message.poses[1]).all()
 
 
+@pytest.mark.parametrize("convert", TO_ROS)
+@pytest.mark.parametrize("kind", [TrackingData, QuaternionTrackingData])
+def test_more_tools_than_any_tracker_has_are_refused(kind: type[Content], convert: Callable[[Any, ToRos], Any]) -> None:
+    """16 MB of matrices that are no rotations would be a minute of work."""
+    with pytest.raises(ConversionError, match="elements, expected at most 4096"):
+        convert(kind(np.zeros(tracking.MAX_TOOLS + 1, kind.DTYPE)), to_ros())
+
+
+def test_as_many_tools_as_are_taken() -> None:
+    one = TWO.elements[:1]
+    message = tracking.tracking_to_poses(TrackingData(np.repeat(one, tracking.MAX_TOOLS)), to_ros())
+    assert (message.poses == message.poses[0]).all() and len(message.poses) == tracking.MAX_TOOLS
+
+
 # -- there and back -----------------------------------------------------------------------------------------------
 
 quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: sum(v * v for v in q) > 1e-6)
