@@ -174,14 +174,21 @@ class ManualGateway:
         """
         first = len(self.log)
         with SessionFile.open(recording) as file:
+            for entry in file.prologue():
+                self._replay(entry)
+            del self.log[first:]  # what was before: its state counts, its words were said that day
             wanted = {entry.seq for entry in select(file.entries(), _MESSAGES_IN, streams)} if streams else None
             for entry in select(file.entries(), _INPUTS):
                 if wanted is not None and entry.kind in _MESSAGES_IN and entry.seq not in wanted:
                     continue
-                self.now_ns = max(self.now_ns, entry.stamp_ns) if self.log else entry.stamp_ns
-                self._links = max(self._links, *entry.links, 0)
-                self._feed(entry.kind, entry.payload, entry.channel, entry.type, entry.links, entry.source_ns)
+                self._replay(entry)
         return Outputs(self.log[first:])
+
+    def _replay(self, entry: Entry) -> None:
+        """Feed a recorded input."""
+        self.now_ns = max(self.now_ns, entry.stamp_ns) if self.log else entry.stamp_ns
+        self._links = max(self._links, *entry.links, 0)
+        self._feed(entry.kind, entry.payload, entry.channel, entry.type, entry.links, entry.source_ns)
 
     def save(self, path: Path | str, *, overwrite: bool = False) -> None:
         """Write the log as a recording, to be replayed, verified or compared with.  Raises RecordingError."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import Literal
@@ -178,14 +179,15 @@ class ReplayPeer:
     def _entries(self) -> Iterator[Entry]:
         """What is played, in order."""
         present = {channel.kind for channel in self._file.channels if channel.count}
-        entries: Iterable[Entry] = self._file.entries()
+        entries: Iterable[Entry] = chain(self._file.prologue(), self._file.entries())
         if self._side == "peers":
-            return select(entries, frozenset({Kind.IGTL_IN}), self._streams)
+            return select(self._file.entries(), frozenset({Kind.IGTL_IN}), self._streams)
         if self._config.relay:
             entries = spoken_to(self._role, entries)
         elif Kind.IGTL_OUT not in present:
             entries = through_gateway(entries, self._config, has_links=Kind.LINK in present)
-        return select(once(entries), frozenset({Kind.IGTL_OUT}), self._streams)
+        outputs = select(once(entries), frozenset({Kind.IGTL_OUT}), self._streams)
+        return (entry for entry in outputs if entry.stamp_ns >= self._file.start_ns)  # not those of its prologue
 
     def _formed(self, payload: Sequence[Buffer]) -> Sequence[Buffer]:
         """In the header version asked for; what cannot be decoded goes as it is."""

@@ -49,7 +49,7 @@ def _igtl_gateway(request: pytest.FixtureRequest) -> Callable[..., ManualGateway
 
 @pytest.fixture(name="assert_session_equal")
 def _assert_session_equal(request: pytest.FixtureRequest) -> Callable[..., None]:
-    """``assert_session_equal("golden.mcap", gateway, tolerance=1e-9)``: fails and says where two sessions differ.
+    """``assert_session_equal("golden.mcap", gateway, tolerance_mm=0.01)``: fails and says where two sessions differ.
 
     The arguments are those of ``igtl_gateway.testing.compare.assert_session_equal``.
     """

@@ -10,7 +10,7 @@ from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.testing.compare import MAX_TOLD, assert_session_equal
 from igtl_gateway.testing.gateway import START_NS, ManualGateway
 from igtl_gateway.wire import Message
-from igtl_gateway.wire.text import String
+from igtl_gateway.wire.text import Status, String
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 
@@ -52,11 +52,20 @@ def test_the_first_field_that_differs_is_named_with_both_values() -> None:
 
 
 def test_numbers_within_the_tolerance_are_the_same() -> None:
-    told = differences(session(), session(x=0.1001), tolerance=1e-3)
-    assert "OpenIGTLink out TRANSFORM/Tool, message 1 of 1: content.matrix[0][3]: 100.0 expected, 100.0999" in told
-    assert "ROS in" not in told, "0.1 mm is within a millimetre, of metres"
-    assert_session_equal(session(), session(x=0.1001), tolerance=0.11)
-    assert "ROS in /igtl/out/Tool" in differences(session(), session(x=0.1001))
+    other = session(x=0.1001)  # 0.1 mm, in millimetres on one side and metres on the other
+    assert_session_equal(session(), other, tolerance_mm=0.11)
+    told = differences(session(), other, tolerance_mm=0.09)
+    assert "OpenIGTLink out TRANSFORM/Tool, message 1 of 1: content.matrix: " in told
+    assert "ROS in /igtl/out/Tool, message 1 of 1: transform" in told
+    assert told.count(" mm)") == 2
+
+
+def test_a_stamp_is_a_value() -> None:
+    one, other = ManualGateway(), ManualGateway()
+    for gateway, seconds in ((one, 7), (other, 9)):
+        gateway.from_peer(Message("STATUS", "Robot", Status(1), seconds << 32))
+    assert "OpenIGTLink in STATUS/Robot, message 1 of 1: stamp: found 2,000,000,000 ns later" in differences(one, other)
+    assert_session_equal(one, other, ignore_fields=("timestamp", "header.stamp"), ignore=("/igtl/**",))
 
 
 def test_fields_and_streams_can_be_left_out() -> None:

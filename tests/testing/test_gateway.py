@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from igtl_gateway.convert.rosmsg import Header, String, TransformStamped
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import verify
+from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.testing.gateway import START_NS, ManualGateway
 from igtl_gateway.wire import Message, encode
@@ -101,3 +103,25 @@ def test_a_saved_session_is_a_recording_that_verifies(tmp_path: Path) -> None:
         assert file.session["config"]
     assert report.good
     assert report.equal == len(gateway.outputs.entries) > 0
+
+
+def test_a_recording_that_begins_midway_is_played_from_its_state(tmp_path: Path) -> None:
+    class Midway(SessionFile):
+        """The second half of a recording: the link came up before it."""
+
+        def prologue(self) -> list[Entry]:
+            return [entry for entry in super().entries() if entry.kind is Kind.LINK]
+
+        def entries(self) -> Iterator[Entry]:
+            return (entry for entry in super().entries() if entry.kind is Kind.ROS_IN)
+
+    gateway = ManualGateway()
+    gateway.connect()
+    gateway.from_ros("/igtl/out/ToolToBase", POSE)
+    gateway.save(tmp_path / "whole.mcap")
+    again = ManualGateway()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("igtl_gateway.testing.gateway.SessionFile", Midway)
+        outputs = again.play(tmp_path / "whole.mcap")
+    assert [sent.stream for sent in outputs.igtl()] == ["TRANSFORM/ToolToBase"]
+    assert not [entry for entry in again.log if entry.kind is Kind.LINK]
