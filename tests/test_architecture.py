@@ -100,7 +100,6 @@ HOMES: dict[str, tuple[str, ...]] = {
         "simulate",
         "view",
         "cli",
-        "testing.compare",
     ),
     "pytest": ("testing.plugin",),
     "rerun": ("view",),
