@@ -23,6 +23,7 @@ VERBS = {
     "bridge": "run the gateway between OpenIGTLink and ROS 2, and record it",
     "replay": "drive OpenIGTLink or ROS 2 from a recording",
     "verify": "prove that a recording's outputs follow from its inputs, byte for byte",
+    "diff": "compare two recordings, stream by stream, in millimetres and degrees",
     "slice": "cut a part out of a recording, by time and stream, that still verifies",
     "import": "make a session of another program's recording",
     "export": "write a session in the formats of other programs",

@@ -93,6 +93,9 @@ class Tolerance:
     deg: float = 0.0
 
 
+EXACT = Tolerance()
+
+
 @dataclass(slots=True)
 class Delta:
     """How two messages differ.
@@ -132,7 +135,7 @@ class Delta:
         return ", ".join(parts)
 
 
-def compare_values(one: Iterator[_Leaf], other: Iterator[_Leaf], tolerance: Tolerance = Tolerance()) -> Delta:
+def compare_values(one: Iterator[_Leaf], other: Iterator[_Leaf], tolerance: Tolerance = EXACT) -> Delta:
     """How two messages differ, given their leaves; raises Undecodable where one cannot be read."""
     delta = Delta()
     for left, right in zip_longest(one, other):
@@ -162,6 +165,12 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other) or (
         isinstance(one, float) and isinstance(other, float) and math.isnan(one) and math.isnan(other)
     )
+
+
+def first_byte(one: bytes, other: bytes) -> tuple[str, str, str]:
+    """Place and values of the first byte that differs, for what cannot be decoded."""
+    at = next((at for at, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
+    return f"byte {at}", one[at : at + 8].hex(), other[at : at + 8].hex()
 
 
 def _compare_places(delta: Delta, path: str, one: Place, other: Place, tolerance: Tolerance) -> None:
@@ -240,17 +249,18 @@ class Decoder:
             yield "type", visible(header.type)
             yield "device_name", visible(header.device_name)
             yield "timestamp", Stamp(ticks_to_ns(header.ticks))
+            right = True
             try:
                 message = decode(data)
             except ChecksumMismatch:
-                yield "crc_ok", False
-                message = decode(data, check_crc=False)
+                message, right = decode(data, check_crc=False), False
         except GatewayError as error:
             raise Undecodable(str(error)) from None
         yield "message_id", message.message_id
         for item in message.metadata:
             yield f"metadata.{visible(item.key)}", item.text
         yield from self._content(message.content)
+        yield "crc_ok", right
 
     def _content(self, content: Any) -> Iterator[_Leaf]:
         told = content.describe()

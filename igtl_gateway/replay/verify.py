@@ -22,7 +22,7 @@ from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.gateway import gateway_of
-from igtl_gateway.replay.compare import Decoder, compare_values, flat, same
+from igtl_gateway.replay.compare import Decoder, compare_values, first_byte, flat, same
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
@@ -274,7 +274,7 @@ def compare(recorded: Entry, computed: Entry, cause: int, decoder: Decoder | Non
         try:
             one, other = Note.unpack(recorded.data()), Note.unpack(computed.data())
         except (ValueError, KeyError, TypeError):
-            return differ(*_first_byte(recorded.data(), computed.data()))
+            return differ(*first_byte(recorded.data(), computed.data()))
         for what in ("code", "level", "stream"):
             if getattr(one, what) != getattr(other, what):
                 return differ(f"note.{what}", getattr(one, what), getattr(other, what))
@@ -306,12 +306,7 @@ def _first_field(recorded: Entry, computed: Entry) -> tuple[str, Any, Any]:
                 return path, value, other_value
     except GatewayError:
         pass  # not decodable: the bytes themselves are the answer
-    return _first_byte(one, other)
-
-
-def _first_byte(one: bytes, other: bytes) -> tuple[str, Any, Any]:
-    offset = next((at for at, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
-    return f"byte {offset}", one[offset : offset + 8].hex(), other[offset : offset + 8].hex()
+    return first_byte(one, other)
 
 
 def _fields(entry: Entry, data: Buffer) -> Iterator[tuple[str, Any]]:

@@ -1,0 +1,134 @@
+"""``igtl-gateway diff``: two recordings side by side."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.cli.common import count, print_json, recorded_config
+from igtl_gateway.convert.units import Lengths
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.replay.compare import Decoder, Tolerance
+from igtl_gateway.replay.diff import DiffReport, Side, StreamDiff, diff
+from igtl_gateway.replay.mcap_reader import SessionFile
+
+EXAMPLES = """\
+  igtl-gateway diff monday.mcap tuesday.mcap                    exit code 0: the same messages; 1: differences
+  igtl-gateway diff a.mcap b.mcap --tolerance-mm 0.1 --tolerance-deg 0.05
+  igtl-gateway diff a.mcap b.mcap --streams 'TRANSFORM/*'       some streams only
+  igtl-gateway diff out.mcap bag.mcap                           against a rosbag2 MCAP file: its ROS topics
+
+Gateway times decide nothing: their offset and its jitter are told.  Of notes code, level and stream count."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("one", metavar="A", type=Path, help="a recording, or a rosbag2 MCAP file")
+    parser.add_argument("other", metavar="B", type=Path, help="another one")
+    parser.add_argument(
+        "--streams", action="append", default=[], metavar="GLOB", help="only these: TYPE/device, device or topic"
+    )
+    for name, unit in (("mm", "millimetres"), ("deg", "degrees")):
+        parser.add_argument(
+            f"--tolerance-{name}",
+            type=float,
+            default=0.0,
+            metavar="X",
+            help=f"poses and points that are at most so many {unit} apart are equal (default: 0)",
+        )
+    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+
+
+def run(options: argparse.Namespace) -> int:
+    tolerance = Tolerance(options.tolerance_mm, options.tolerance_deg)
+    for name, value in (("mm", tolerance.mm), ("deg", tolerance.deg)):
+        if not 0 <= value < math.inf:
+            raise ConfigError(f"--tolerance-{name}: found {value}, expected 0 or more")
+    with ExitStack() as stack:
+        one, other = (stack.enter_context(SessionFile.open(path)) for path in (options.one, options.other))
+        foreign = one.foreign is not other.foreign
+        report = diff(_side(one), _side(other), globs=options.streams, tolerance=tolerance, foreign=foreign)
+    if options.json:
+        told = {
+            "one": str(options.one),
+            "other": str(options.other),
+            "equal": report.equal,
+            "stamp_offset_ns": report.stamp_offset_ns,
+            "offset_ns": report.offset_ns,
+            "streams": [{**asdict(stream), "equal": stream.equal} for stream in report.streams],
+        }
+        print_json(_plain(told))
+    else:
+        _print(options, report)
+    return 0 if report.equal else 1
+
+
+def _side(file: SessionFile) -> Side:
+    config = recorded_config(file.session)
+    return Side(file.entries(), Decoder(file.definitions, Lengths(config.ros_unit, config.igtl_unit)))
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no infinity."""
+    match value:
+        case dict():
+            return {key: _plain(part) for key, part in value.items()}
+        case list():
+            return [_plain(part) for part in value]
+        case float() if not math.isfinite(value):
+            return str(value)
+        case _:
+            return value
+
+
+def _print(options: argparse.Namespace, report: DiffReport) -> None:
+    messages = sum(stream.messages for stream in report.streams)
+    others = sum(stream.other_messages for stream in report.streams)
+    print(f"A {options.one}: {count(messages, 'message')}")
+    print(f"B {options.other}: {count(others, 'message')}")
+    print(f"  by gateway time B is {_signed(report.offset_ns)} later" if report.offset_ns else "  at the same times")
+    if report.stamp_offset_ns:
+        print(f"  stamps in messages of B are {_signed(report.stamp_offset_ns)} later")
+    title = ("stream", "A", "B", "missing", "extra", "different", "mm", "deg", "offset", "jitter")
+    rows = [title, *(_row(stream, report) for stream in report.streams)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(title))]
+    for row in rows:
+        cells = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
+        print(f"  {row[0]:<{widths[0]}}  {'  '.join(cells)}".rstrip())
+    for stream in report.streams:
+        for line in _places(stream):
+            print(f"{stream.kind} {stream.stream}".rstrip() + f": {line}")
+    wrong = sum(not stream.equal for stream in report.streams)
+    print("equal" if report.equal else f"DIFFERENT: {count(wrong, 'stream')} of {len(report.streams)}")
+
+
+def _row(stream: StreamDiff, report: DiffReport) -> tuple[str, ...]:
+    paired = stream.messages - stream.missing
+    return (
+        f"{stream.kind} {stream.stream}".rstrip(),
+        *(f"{number:,}" for number in (stream.messages, stream.other_messages)),
+        *(f"{number:,}" if number else "" for number in (stream.missing, stream.extra)),
+        f"{stream.different + stream.restamped:,}" if stream.different + stream.restamped else "",
+        *(f"{number:.4g}" if number else "" for number in (stream.mm, stream.deg)),
+        _signed(stream.offset_ns - report.offset_ns) if paired else "",
+        f"{stream.jitter_ns / 1e6:.3f} ms" if paired > 1 else "",
+    )
+
+
+def _places(stream: StreamDiff) -> list[str]:
+    """Where the first differences are."""
+    lines = [str(stream.first)] if stream.first else []
+    lines += [f"{stream.restamped:,} stamps deviate from the common offset"] if stream.restamped else []
+    if stream.within:
+        at = f"at message {stream.mm_at or stream.deg_at}"
+        lines.append(f"{stream.within:,} differ within the tolerance, most {at}")
+    lines += [f"the first missing in B is entry {stream.first_missing} of A"] if stream.missing else []
+    lines += [f"the first only in B is its entry {stream.first_extra}"] if stream.extra else []
+    return lines
+
+
+def _signed(offset_ns: float) -> str:
+    return f"{offset_ns / 1e9:+.3f} s" if abs(offset_ns) >= 1e9 else f"{offset_ns / 1e6:+.3f} ms"

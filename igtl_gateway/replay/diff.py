@@ -1,0 +1,369 @@
+"""Two recordings side by side: which messages are only in one, and how the others differ.
+
+Messages are paired by stream and by their order in it.  Where two do not match, the next messages of both are
+searched for the place at which the streams go on together (the same bytes, or as many with the same stamp of the
+sender): what lies before it on one side only is missing there.  Both files are read once, at the same pace; at most a
+window of each stream waits.
+
+Times are compared apart from values.  The gateway times of two recordings never agree, so their offset and its
+jitter are told and decide nothing.  Stamps inside messages may all be later by one constant (a session that was
+replayed with shifted stamps); what deviates from the commonest offset is a difference.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from igtl_gateway.replay.compare import EXACT, Decoder, Delta, Tolerance, Undecodable, compare_values, first_byte
+from igtl_gateway.replay.source import fits
+from igtl_gateway.session.entry import Entry, Kind
+
+#: So many messages of a stream wait for their counterpart, and so many bytes of them.
+WINDOW = 64
+WINDOW_BYTES = 64 << 20
+#: So many of both sides are looked through for the place where they go on together.
+AHEAD = 16
+#: What a stamp may lose on its way through 32.32 fixed point.
+STAMP_NS = 1_000
+
+_MAX_OFFSETS = 10_000
+_ROS = "ros"
+_IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
+
+Key = tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where in a stream a difference is.
+
+    Attributes:
+        index: number of the message in the stream of the first recording, from 1.
+        seq, other_seq: entry numbers; 0 where there is none.
+        delta: how the messages differ.
+    """
+
+    index: int
+    seq: int
+    other_seq: int
+    delta: Delta
+
+    def __str__(self) -> str:
+        measure = f" ({self.delta.measure})" if self.delta.measure else ""
+        return (
+            f"message {self.index} (entries {self.seq}, {self.other_seq}): {self.delta.field} "
+            f"is {_shown(self.delta.one)} and {_shown(self.delta.other)}{measure}"
+        )
+
+
+@dataclass(slots=True)
+class StreamDiff:
+    """One stream in both recordings.
+
+    Attributes:
+        kind: ``igtl_in`` …; ``ros`` where one recording is not of igtl-gateway.
+        stream: its channel.
+        messages, other_messages: how many there are.
+        missing: messages that only the first recording has.
+        extra: messages that only the other one has.
+        different: messages that differ beyond the tolerance.
+        restamped: messages with a stamp that deviates from the common offset.
+        within: messages that differ within the tolerance.
+        mm, deg: largest distance and rotation.
+        mm_at, deg_at: the messages that they are of.
+        first: the first difference of values.
+        first_missing, first_extra: entry numbers of the first ones; 0 = none.
+        offset_ns: mean of how much later, by gateway time, the other recording's messages are.
+        jitter_ns: standard deviation of that.
+    """
+
+    kind: str
+    stream: str
+    messages: int = 0
+    other_messages: int = 0
+    missing: int = 0
+    extra: int = 0
+    different: int = 0
+    restamped: int = 0
+    within: int = 0
+    mm: float = 0.0
+    deg: float = 0.0
+    mm_at: int = 0
+    deg_at: int = 0
+    first: Place | None = None
+    first_missing: int = 0
+    first_extra: int = 0
+    offset_ns: float = 0.0
+    jitter_ns: float = 0.0
+
+    @property
+    def equal(self) -> bool:
+        return not (self.missing or self.extra or self.different or self.restamped)
+
+
+@dataclass(slots=True)
+class DiffReport:
+    """Two recordings.
+
+    Attributes:
+        streams: by kind and name.
+        stamp_offset_ns: by how much the stamps in the other recording's messages are later.
+        offset_ns: the same of its gateway times, in the mean.
+    """
+
+    streams: list[StreamDiff] = field(default_factory=list)
+    stamp_offset_ns: int = 0
+    offset_ns: float = 0.0
+
+    @property
+    def equal(self) -> bool:
+        return all(stream.equal for stream in self.streams)
+
+
+@dataclass(slots=True)
+class Side:
+    """One recording.
+
+    Attributes:
+        entries: in order.
+        decoder: of its messages.
+    """
+
+    entries: Iterable[Entry]
+    decoder: Decoder
+
+
+def diff(
+    one: Side, other: Side, *, globs: Sequence[str] = (), tolerance: Tolerance = EXACT, foreign: bool = False
+) -> DiffReport:
+    """Compare two recordings.
+
+    Args:
+        one, other: the recordings.
+        globs: only these streams: topic, ``TYPE/device`` or device; none = all, notes too.
+        tolerance: what counts as equal.
+        foreign: one of them (not both) is of another program: its ROS messages are compared, with those of the
+            session whichever way they went.
+    """
+    pairing = _Pairing(one.decoder, other.decoder, tolerance)
+    for entry, first in _in_step(one.entries, other.entries):
+        if key := _key(entry, globs, foreign):
+            pairing.take(key, entry, first)
+    return pairing.end()
+
+
+def _in_step(one: Iterable[Entry], other: Iterable[Entry]) -> Iterator[tuple[Entry, bool]]:
+    """The entries of both, by their time since the beginning of their recording, and whether of the first one."""
+    sides = iter(one), iter(other)
+    heads = [next(side, None) for side in sides]
+    starts = [head.stamp_ns if head else 0 for head in heads]
+    while any(head is not None for head in heads):
+        ages = [head.stamp_ns - start if head else math.inf for head, start in zip(heads, starts, strict=True)]
+        at = 0 if ages[0] <= ages[1] else 1
+        head = heads[at]
+        assert head is not None
+        yield head, at == 0
+        heads[at] = next(sides[at], None)
+
+
+def _key(entry: Entry, globs: Sequence[str], foreign: bool) -> Key | None:
+    """The stream of an entry, None if it is not compared."""
+    ros = entry.kind in (Kind.ROS_IN, Kind.ROS_OUT)
+    if foreign and not ros:
+        return None
+    named = fits(entry.channel, globs) or (entry.kind in _IGTL and fits(entry.channel.partition("/")[2], globs))
+    if globs and not (entry.channel and named):
+        return None
+    return (_ROS if foreign else entry.kind.value, entry.channel)
+
+
+@dataclass(slots=True)
+class _Times:
+    """Mean and deviation of times, exactly: sums of whole numbers."""
+
+    number: int = 0
+    total: int = 0
+    squares: int = 0
+
+    def add(self, value: int) -> None:
+        self.number += 1
+        self.total += value
+        self.squares += value * value
+
+    @property
+    def mean(self) -> float:
+        return self.total / self.number if self.number else 0.0
+
+    @property
+    def deviation(self) -> float:
+        spread = self.number * self.squares - self.total * self.total
+        return math.sqrt(spread) / self.number if self.number else 0.0
+
+
+class _Queue(deque[Entry]):
+    """Messages of one side that wait."""
+
+    size = 0
+
+    def push(self, entry: Entry) -> None:
+        self.append(entry)
+        self.size += entry.size
+
+    def pop_first(self) -> Entry:
+        entry = self.popleft()
+        self.size -= entry.size
+        return entry
+
+    @property
+    def full(self) -> bool:
+        return len(self) > WINDOW or (self.size > WINDOW_BYTES and len(self) > 1)
+
+
+@dataclass(slots=True)
+class _Stream:
+    told: StreamDiff
+    one: _Queue = field(default_factory=_Queue)
+    other: _Queue = field(default_factory=_Queue)
+    times: _Times = field(default_factory=_Times)
+    #: Offsets of stamps → number of messages that have one, and the first of them.
+    offsets: Counter[int] = field(default_factory=Counter)
+    first_at: dict[int, Place] = field(default_factory=dict)
+    index: int = 0
+
+
+class _Pairing:
+    def __init__(self, one: Decoder, other: Decoder, tolerance: Tolerance) -> None:
+        self._decoders = one, other
+        self._tolerance = tolerance
+        self._streams: dict[Key, _Stream] = {}
+        self._all = _Times()
+
+    def take(self, key: Key, entry: Entry, first: bool) -> None:
+        """The next entry of one side."""
+        stream = self._streams.get(key)
+        if stream is None:
+            stream = self._streams[key] = _Stream(StreamDiff(*key))
+        if first:
+            stream.told.messages += 1
+            stream.one.push(entry)
+        else:
+            stream.told.other_messages += 1
+            stream.other.push(entry)
+        self._settle(stream, lambda: stream.one.full or stream.other.full)
+
+    def end(self) -> DiffReport:
+        """Both have ended."""
+        for stream in self._streams.values():
+            self._settle(stream, lambda: True)
+        offset_ns = self._commonest_offset()
+        for stream in self._streams.values():
+            told = stream.told
+            wrong = [offset for offset in stream.offsets if abs(offset - offset_ns) > STAMP_NS]
+            told.restamped = sum(stream.offsets[offset] for offset in wrong)
+            if wrong and told.first is None:
+                told.first = min((stream.first_at[offset] for offset in wrong), key=lambda place: place.index)
+            told.offset_ns, told.jitter_ns = stream.times.mean, stream.times.deviation
+        streams = [stream.told for _, stream in sorted(self._streams.items())]
+        return DiffReport(streams, offset_ns, self._all.mean)
+
+    def _commonest_offset(self) -> int:
+        offsets: Counter[int] = Counter()
+        for stream in self._streams.values():
+            offsets.update(stream.offsets)
+        return min(offsets, key=lambda offset: (-offsets[offset], abs(offset)), default=0)
+
+    def _settle(self, stream: _Stream, full: Callable[[], bool]) -> None:
+        """Pair what can be paired; all of it when ``full`` says that no more may be waited for."""
+        one, other = stream.one, stream.other
+        while one or other:
+            if one and other and _same(one[0], other[0]):
+                self._pair(stream)
+                continue
+            if min(len(one), len(other)) < AHEAD and not full():
+                return
+            skipped = _together(one, other)
+            if skipped is None and one and other:
+                self._pair(stream)
+                continue
+            ours, theirs = skipped or (len(one), len(other))
+            for _ in range(min(ours, theirs)):
+                self._pair(stream)
+            for _ in range(ours - theirs):
+                self._missing(stream)
+            for _ in range(theirs - ours):
+                self._extra(stream)
+
+    def _missing(self, stream: _Stream) -> None:
+        entry = stream.one.pop_first()
+        stream.index += 1
+        stream.told.missing += 1
+        stream.told.first_missing = stream.told.first_missing or entry.seq
+
+    def _extra(self, stream: _Stream) -> None:
+        entry = stream.other.pop_first()
+        stream.told.extra += 1
+        stream.told.first_extra = stream.told.first_extra or entry.seq
+
+    def _pair(self, stream: _Stream) -> None:
+        one, other = stream.one.pop_first(), stream.other.pop_first()
+        stream.index += 1
+        stream.times.add(other.stamp_ns - one.stamp_ns)
+        self._all.add(other.stamp_ns - one.stamp_ns)
+        told, delta = stream.told, self._delta(one, other)
+        place = Place(stream.index, one.seq, other.seq, delta)
+        if delta.field:
+            told.different += 1
+            told.first = told.first or place
+        elif delta.mm or delta.deg:
+            told.within += 1
+        if delta.mm > told.mm:
+            told.mm, told.mm_at = delta.mm, stream.index
+        if delta.deg > told.deg:
+            told.deg, told.deg_at = delta.deg, stream.index
+        for offset in set(delta.stamps_ns):
+            # whatever has so many offsets has no constant one
+            known = offset in stream.offsets or len(stream.offsets) < _MAX_OFFSETS
+            stream.offsets[offset if known else max(stream.offsets)] += 1
+            if known and offset not in stream.first_at:
+                delta.differ("stamp", "0", f"{offset / 1e6:+.6g} ms")
+                stream.first_at[offset] = place
+
+    def _delta(self, one: Entry, other: Entry) -> Delta:
+        if one.type != other.type:
+            return Delta("type", one.type, other.type)
+        if one.links != other.links:
+            return Delta("links", list(one.links), list(other.links))
+        ours, theirs = one.data(), other.data()
+        if ours == theirs:
+            return Delta(stamps_ns=[0] if one.source_ns and other.source_ns else [])
+        try:
+            leaves = (decoder.leaves(entry) for decoder, entry in zip(self._decoders, (one, other), strict=True))
+            return compare_values(next(leaves), next(leaves), self._tolerance)
+        except Undecodable:
+            return Delta(*first_byte(ours, theirs))
+
+
+def _same(one: Entry, other: Entry) -> bool:
+    """Whether two messages are one message, perhaps changed."""
+    if one.size != other.size:
+        return False
+    return bool(one.source_ns and one.source_ns == other.source_ns) or one.data() == other.data()
+
+
+def _together(one: Sequence[Entry], other: Sequence[Entry]) -> tuple[int, int] | None:
+    """How many messages of each side come before the first place at which they are the same again."""
+    ours, theirs = min(AHEAD, len(one)), min(AHEAD, len(other))
+    for distance in range(1, ours + theirs - 1):
+        for i in range(max(0, distance - theirs + 1), min(distance, ours - 1) + 1):
+            if _same(one[i], other[distance - i]):
+                return i, distance - i
+    return None
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 100 else f"{text[:80]}… ({len(text)} characters)"
