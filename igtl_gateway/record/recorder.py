@@ -86,7 +86,7 @@ class Recorder:
         session: what the recording says of itself.
         qos_of: QoS of a ROS topic (name, type), None where it is not known; called in the recorder's thread.
         on_note: takes what the recorder has to say; called in the recorder's thread.
-        clock: paces flushes and notes.
+        clock: paces flushes and notes, names snapshots.
         options: how to record.
         rule: which inputs later outputs depend on; for what is left out, and for files that begin midway.
 
@@ -336,7 +336,7 @@ class Recorder:
         try:
             if not isinstance(self._writer, Ring):
                 raise RecordingError("no snapshots: everything is recorded (--snapshot SECONDS keeps the last ones)")
-            path = self._writer.take(self.counters())
+            path = self._writer.take(self.counters(), self._clock.utc_ns())
         except (RecordingError, OSError) as error:
             self._on_note(Note(Level.ERROR, FAILED, f"no snapshot: {error}"))
             done.set_exception(error)

@@ -67,11 +67,10 @@ class Ring:
             self._prologue.see(gone)
         return following > 0
 
-    def take(self, counters: dict[str, Any]) -> Path:
-        """Write what there is into a file.  Raises RecordingError; the ring goes on in any case."""
+    def take(self, counters: dict[str, Any], utc_ns: int) -> Path:
+        """Write what there is into a file named by the time.  Raises RecordingError; the ring goes on in any case."""
         entries = list(self._entries)
-        last_ns = entries[-1].stamp_ns if entries else 0
-        path = self._path(last_ns)
+        path = self._path(utc_ns)
         writer = self._open_file(path, {layout.SNAPSHOT_KEY: f"{self._seconds:g}"}, self._prologue.entries())
         for entry in entries:
             with suppress(LayoutError):  # what the format cannot hold costs only itself
@@ -90,8 +89,8 @@ class Ring:
         """What was not asked for is not written."""
         self._entries.clear()
 
-    def _path(self, stamp_ns: int) -> Path:
-        time = datetime.fromtimestamp(stamp_ns // NS_PER_S, UTC)
+    def _path(self, utc_ns: int) -> Path:
+        time = datetime.fromtimestamp(utc_ns // NS_PER_S, UTC)
         name = f"{self.path.stem if self.path.suffix == '.mcap' else self.path.name}_{time:%Y%m%dT%H%M%SZ}"
         path, number = self.path.with_name(f"{name}.mcap"), 1
         while path.exists():

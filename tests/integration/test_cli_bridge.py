@@ -300,3 +300,27 @@ def test_a_snapshot_by_signal(programs: list[Program], tmp_path: Path) -> None:
     (file,) = tmp_path.iterdir()
     assert any(topic == "/igtl/in/Raw/string" for topic, _, _ in recorded(file))
     assert run(programs, "verify", str(file)).code == 0
+
+
+@needs_ros
+def test_the_services_of_a_recording(programs: list[Program], tmp_path: Path) -> None:
+    path, domain = tmp_path / "out.mcap", str(SECOND_DOMAIN)
+    with RosClient("operator", domain=SECOND_DOMAIN) as node:
+
+        def call(name: str) -> str:
+            node.call(f"/igtl_gateway/{name}", "std_srvs/srv/Trigger", {})
+            answer = node.receive(f"/igtl_gateway/{name}")
+            assert answer["success"], answer
+            return str(answer["message"])
+
+        bridge = Bridge("--record", str(path), "--snapshot", "60", ROS_DOMAIN_ID=domain)
+        programs.append(bridge)
+        assert Path(call("snapshot")).is_file()
+        assert bridge.end().code == 0
+        bridge = Bridge("--record", str(path), ROS_DOMAIN_ID=domain)
+        programs.append(bridge)
+        assert call("pause_recording") == "the recording is paused"
+        assert call("resume_recording") == "the recording goes on"
+        assert bridge.end().code == 0
+    notes = [message.code for topic, _, message in recorded(path) if topic == "/igtl_gateway/notes"]
+    assert [code for code in notes if code.startswith("record_")] == ["record_paused", "record_resumed"]
