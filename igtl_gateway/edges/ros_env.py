@@ -73,7 +73,8 @@ def _profile_kept(environ: Mapping[str, str], cwd: Path, shared_memory: Path) ->
     """Why the profile is not to be touched; ``""`` if it may be set."""
     # FASTDDS_BUILTIN_TRANSPORTS is a choice of transports too, which a profile of ours would override
     for name in (*PROFILE_VARIABLES, "FASTDDS_BUILTIN_TRANSPORTS"):
-        if environ.get(name):
+        # one of ours is what a program of ours left to its children
+        if environ.get(name, "") not in ("", str(PROFILE), str(LOCK_STEP_PROFILE)):
             return f"kept the user's ({name}={environ[name]})"
     for name in _PROFILES_IN_CWD:
         if (cwd / name).is_file():
