@@ -10,14 +10,16 @@ from typing import Any
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import count, print_json, size
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
 from igtl_gateway.record.mcap_copy import CopyWriter
+from igtl_gateway.record.parts import SIDE_FILE
 from igtl_gateway.replay.salvage import Loss, Report, Salvage
 from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
   igtl-gateway recover out.mcap                 after a crash: out.recovered.mcap, closed and with its index
   igtl-gateway recover out.mcap -o whole.mcap   under another name
+  igtl-gateway recover out                      all parts of a split recording, into out.recovered
   igtl-gateway recover out.mcap --json          what was read and lost, for programs
 
 exit code 0: all that was recorded is in the new file; 1: something is lost, and the output says what"""
@@ -27,7 +29,9 @@ _SHOWN = 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or another MCAP file, damaged or not")
+    parser.add_argument(
+        "file", metavar="FILE", type=Path, help="a recording, the folder of a split one, or another MCAP file"
+    )
     parser.add_argument(
         "-o", "--output", metavar="OUT", type=Path, help="the file to write (default: FILE with .recovered.mcap)"
     )
@@ -37,7 +41,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     source: Path = options.file
+    if source.is_dir():
+        return _run_parts(options)
     output: Path = options.output or source.with_suffix(".recovered.mcap")
+    told, report = _recover(source, output, options)
+    if options.json:
+        print_json(told)
+    else:
+        _print(told, report)
+    return 0 if report.whole else 1
+
+
+def _run_parts(options: argparse.Namespace) -> int:
+    """All parts of a split recording, into a folder of their own and under the same names."""
+    source: Path = options.file
+    output: Path = options.output or source.with_name(f"{source.name}.recovered")
+    parts = sorted(source.glob("*.mcap"))
+    if not parts:
+        raise UnsupportedRecording(f"{source}: found a directory without .mcap files, expected a split recording")
+    try:
+        output.mkdir(exist_ok=options.overwrite)
+    except OSError as error:
+        raise RecordingError(f"cannot record to {output}: {error.strerror}") from None
+    everything = []
+    for part in parts:
+        try:
+            told, report = _recover(part, output / part.name, options)
+        except UnsupportedRecording as error:
+            told = {"file": str(part), "whole": False, "why": str(error)}
+            if not options.json:
+                print(f"LOST {error}")
+        else:
+            if not options.json:
+                _print(told, report)
+        everything.append(told)
+    whole = all(told["whole"] for told in everything)
+    if options.json:
+        print_json({"file": str(source), "output": str(output), "whole": whole, "parts": everything})
+    else:
+        print(f"{output}: written; ros2 bag reindex makes its {SIDE_FILE}")
+    return 0 if whole else 1
+
+
+def _recover(source: Path, output: Path, options: argparse.Namespace) -> tuple[dict[str, Any], Report]:
+    """One file.  Gives what is told of it."""
     if output.exists() and source.exists() and output.samefile(source):
         raise ConfigError(f"{output}: is the damaged file itself; expected another name for the recovered one")
     with Salvage.open(source) as file:
@@ -55,13 +102,7 @@ def run(options: argparse.Namespace) -> int:
             if "recovered" in ledger:
                 facts["earlier"] = ledger["recovered"]
             written = writer.close({**ledger, "recovered": facts})
-        report = file.report
-        told = {"file": str(source), "output": str(output), "output_bytes": written, **facts}
-    if options.json:
-        print_json(told)
-    else:
-        _print(source, output, written, report)
-    return 0 if report.whole else 1
+        return {"file": str(source), "output": str(output), "output_bytes": written, **facts}, file.report
 
 
 def _copy(file: Salvage, writer: CopyWriter, *, progress: bool) -> None:
@@ -96,18 +137,19 @@ def _facts(file: Salvage) -> dict[str, Any]:
     }
 
 
-def _print(source: Path, output: Path, written: int, report: Report) -> None:
-    print(f"{source}: {count(report.messages, 'message')} read of {size(report.size)}")
+def _print(told: dict[str, Any], report: Report) -> None:
+    print(f"{told['file']}: {count(report.messages, 'message')} read of {size(report.size)}")
     print_losses(report)
-    print(f"{output}: written, closed and with its index, {size(written)}")
+    print(f"{told['output']}: written, closed and with its index, {size(told['output_bytes'])}")
     if report.whole:
         print("whole: nothing that was recorded is lost")
 
 
 def print_losses(report: Report) -> None:
     """What is lost, in words; nothing where nothing is."""
+    start_ns = min((each for each in (report.start_ns, *(loss.start_ns for loss in report.lost)) if each), default=0)
     for loss in report.lost[:_SHOWN]:
-        print(f"  LOST {_words(loss, report.start_ns)}")
+        print(f"  LOST {_words(loss, start_ns)}")
     more = max(0, len(report.lost) - _SHOWN) + report.more_lost
     if more:
         print(f"  LOST in {count(more, 'more place')}")

@@ -16,6 +16,7 @@ from igtl_gateway.cli import main
 from igtl_gateway.config import Config
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry
 from tests.record import samples
 
@@ -221,3 +222,30 @@ def test_info_tells_of_a_recovered_file(cut: Path, capsys: pytest.CaptureFixture
     said = capsys.readouterr().out
     assert "recovered from out.mcap by igtl-gateway" in said
     assert "lost in 1 place" in said
+
+
+def test_the_parts_of_a_split_recording_are_recovered_together(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "split"
+    folder.mkdir()
+    for number, given in enumerate((ENTRIES[:70], ENTRIES[70:])):
+        writer = SessionWriter(folder / f"split_{number}.mcap", {**SESSION, layout.PART_KEY: str(number)})
+        for entry in given:
+            writer.write(entry)
+        writer.close({"streams": {}})
+    last = folder / "split_1.mcap"
+    last.write_bytes(last.read_bytes()[:-300])
+    assert main(["info", str(folder)]) == 1
+    assert capsys.readouterr().err.endswith(f"; run: igtl-gateway recover {last}\n")
+    facts = told(capsys, "recover", folder, code=0)
+    assert [Path(part["file"]).name for part in facts["parts"]] == ["split_0.mcap", "split_1.mcap"]
+    assert entries(tmp_path / "split.recovered") == [samples.flat(entry) for entry in ENTRIES]
+    assert main(["recover", str(folder)]) == 1
+    assert "File exists" in capsys.readouterr().err
+    (folder / "split_2.mcap").touch()  # killed before its first byte
+    assert main(["recover", str(folder), "-o", str(tmp_path / "more")]) == 1
+    assert "LOST" in capsys.readouterr().out
+    assert entries(tmp_path / "more") == [samples.flat(entry) for entry in ENTRIES]
+    (tmp_path / "none").mkdir()
+    assert main(["recover", str(tmp_path / "none")]) == 2
