@@ -72,6 +72,7 @@ class SessionWriter:
         fsync: when what is written is on the disk itself.
         overwrite: replace an existing file instead of refusing it.
         prologue: inputs before the first entry, which the gateway's state came from.
+        types: definitions of ROS types; whoever writes several files shares one.
         memory: write into this instead of a file.
 
     Raises RecordingError when the file cannot be created.  From the constructor on it can be read by scanning,
@@ -90,6 +91,7 @@ class SessionWriter:
         fsync: Fsync = "never",
         overwrite: bool = False,
         prologue: Iterable[Entry] = (),
+        types: RosTypes | None = None,
         memory: BytesIO | None = None,
     ) -> None:
         self.path = path
@@ -101,7 +103,7 @@ class SessionWriter:
         self.undefined: list[str] = []
         self._qos_of = qos_of
         self._definition_of = definition_of
-        self._types = RosTypes()
+        self._types = types or RosTypes()
         self._topics = layout.WireTopics()
         self._channels: dict[tuple[Kind, str, str], int] = {}  # by kind, channel and type of the entries
         self._schemas: dict[str, int] = {}
@@ -110,7 +112,7 @@ class SessionWriter:
         self._closed = False
         self._failure = ""
         self._fsync = fsync
-        before = packed(prologue)
+        before = _packed(prologue, self._types)
         self._file = memory or create_file(path, overwrite)
         self._mcap = Writer(self._file, chunk_size=chunk_bytes, compression=COMPRESSIONS[compression])
         try:
@@ -299,13 +301,13 @@ class SessionWriter:
             self._file.raw.close()
 
 
-def packed(entries: Iterable[Entry]) -> bytes:
+def _packed(entries: Iterable[Entry], types: RosTypes) -> bytes:
     """Entries as the bytes of an MCAP file of the same layout; none: nothing."""
     entries = list(entries)
     if not entries:
         return b""
     stream = BytesIO()
-    writer = SessionWriter(Path(layout.PROLOGUE_ATTACHMENT), {}, memory=stream)
+    writer = SessionWriter(Path(layout.PROLOGUE_ATTACHMENT), {}, types=types, memory=stream)
     for entry in entries:
         writer.write(entry)
     writer.close({})

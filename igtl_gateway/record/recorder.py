@@ -30,6 +30,7 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.ring import Ring
+from igtl_gateway.record.rostypes import RosTypes
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, Gate, StateRule
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.layout import LayoutError
@@ -112,6 +113,7 @@ class Recorder:
         self._on_note = on_note
         self._clock = clock
         self._flush_ns = int(self.options.flush_s * 1_000_000_000)
+        self._types = RosTypes()
         self._gate = Gate(self.options.selection, rule or StateRule())
 
         self._lock = threading.Lock()  # held for a few operations at a time; guards all up to the empty line
@@ -171,6 +173,7 @@ class Recorder:
             fsync=self.options.fsync,
             overwrite=self.options.overwrite,
             prologue=prologue,
+            types=self._types,
         )
 
     def __call__(self, entry: Entry) -> None:
