@@ -164,6 +164,61 @@ def test_a_sequence_comes_back(tmp_path: Path, pixels: bool) -> None:
     assert "Seq_Frame0002_Timestamp = 2.500000001" in header
 
 
+def written(path: Path, *given: tuple[int, Kind, str, str, bytes]) -> Path:
+    """A session of these: nanosecond, kind, channel, type, bytes."""
+    writer = SessionWriter(path, {})
+    for number, (at, kind, channel, name, data) in enumerate(given, 1):
+        links = () if channel.startswith("/") else (1,)
+        writer.write(Entry(number, START + at, kind, channel, name, (data,), links))
+    writer.close({})
+    return path
+
+
+def test_a_transform_is_valid_for_a_second(tmp_path: Path) -> None:
+    pose = join(encode(Message("TRANSFORM", "AToB", moved(7))))
+    scan = join(encode(Message("IMAGE", "Scan", Image((1, 1, 1), 3, b"x"))))
+    second = 10**9
+    path = written(
+        tmp_path / "some.mcap",
+        (0, Kind.IGTL_IN, "IMAGE/Scan", "IMAGE", scan),
+        (1, Kind.IGTL_IN, "TRANSFORM/AToB", "TRANSFORM", pose),
+        (1 + second, Kind.IGTL_IN, "IMAGE/Scan", "IMAGE", scan),
+        (2 + second, Kind.IGTL_IN, "IMAGE/Scan", "IMAGE", scan),
+    )
+    exported(path, "igs.mha", tmp_path / "out.mha")
+    told = (tmp_path / "out.mha").read_bytes().decode("latin1")
+    assert [f"Seq_Frame000{frame}_AToBTransformStatus = OK" in told for frame in range(3)] == [False, True, False]
+
+
+def test_a_message_in_two_header_versions_is_one_row(tmp_path: Path) -> None:
+    said = String.of("a")
+    forms = [join(encode(Message("STRING", "Said", said, header_version=version))) for version in (1, 2)]
+    path = written(
+        tmp_path / "some.mcap",
+        *((at, Kind.IGTL_OUT, "STRING/Said", "STRING", data) for at, data in enumerate(forms)),
+        (5, Kind.IGTL_IN, "STRING/Other", "STRING", join(encode(Message("STRING", "Other", said)))),
+        (6, Kind.IGTL_OUT, "STRING/Said", "STRING", forms[0]),
+    )
+    files = exported(path, "csv", tmp_path / "out", "Said")
+    assert [line.split(",")[0] for line in files["igtl_out.STRING_Said.csv"].read_text().splitlines()] == [
+        "entry",
+        "1",
+        "4",
+    ]
+
+
+@pytest.mark.parametrize(("numbers", "rows"), [(64, 1), (65, 0)])
+def test_long_rows_of_numbers_are_no_table(tmp_path: Path, numbers: int, rows: int) -> None:
+    name = "std_msgs/msg/Float64MultiArray"
+    layout = ROS2.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    path = written(
+        tmp_path / "some.mcap",
+        (1, Kind.ROS_IN, "/row", name, ros(name, layout=layout, data=np.arange(numbers, dtype=np.float64))),
+        (2, Kind.ROS_IN, "/said", "std_msgs/msg/String", ros("std_msgs/msg/String", data="a")),
+    )
+    assert len(exported(path, "csv", tmp_path / "out")) == 1 + rows
+
+
 def test_several_images_are_no_sequence(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session, path = Session(Gateway(Config())), tmp_path / "two.mcap"
     writer = SessionWriter(path, {})

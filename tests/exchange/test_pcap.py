@@ -72,6 +72,7 @@ class Talk:
 
     def close(self) -> Talk:
         self.packets.append(ip_packet(self.client, self.server, self.client_seq, FIN | ACK))
+        self.packets.append(ip_packet(self.client, self.server, self.client_seq + 1, ACK))
         self.packets.append(ip_packet(self.server, self.client, self.server_seq, FIN | ACK))
         self.packets.append(ip_packet(self.client, self.server, self.client_seq + 1, ACK))
         return self
