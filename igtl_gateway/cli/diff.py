@@ -31,13 +31,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--streams", action="append", default=[], metavar="GLOB", help="only these: TYPE/device, device or topic"
     )
-    for name, unit in (("mm", "millimetres"), ("deg", "degrees")):
+    for name, what in (
+        ("mm", "positions that are at most so many millimetres"),
+        ("deg", "rotations that are at most so many degrees"),
+    ):
         parser.add_argument(
             f"--tolerance-{name}",
             type=float,
             default=0.0,
             metavar="X",
-            help=f"poses and points that are at most so many {unit} apart are equal (default: 0)",
+            help=f"{what} apart are equal (default: 0)",
         )
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
 

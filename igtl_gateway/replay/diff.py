@@ -23,9 +23,10 @@ from igtl_gateway.replay.source import fits
 from igtl_gateway.session.entry import Entry, Kind
 
 #: So many messages of a stream wait for their counterpart, and so many bytes of them.
-WINDOW = 64
-WINDOW_BYTES = 64 << 20
-#: So many of both sides are looked through for the place where they go on together.
+WINDOW = 1024
+WINDOW_BYTES = 32 << 20
+#: So many of both sides are looked through for the nearest place where they go on together; what waits longer is
+#: looked through only for the counterpart of the next one.
 AHEAD = 16
 #: What a stamp may lose on its way through 32.32 fixed point.
 STAMP_NS = 1_000
@@ -204,23 +205,48 @@ class _Times:
         return math.sqrt(spread) / self.number if self.number else 0.0
 
 
-class _Queue(deque[Entry]):
+class _Queue:
     """Messages of one side that wait."""
 
-    size = 0
+    def __init__(self) -> None:
+        self._entries: deque[Entry] = deque()
+        self._digests: deque[int] = deque()
+        self._stamps: deque[tuple[int, int] | None] = deque()
+        self._size = 0
+
+    def __len__(self) -> int:
+        return len(self._entries)
 
     def push(self, entry: Entry) -> None:
-        self.append(entry)
-        self.size += entry.size
+        self._entries.append(entry)
+        self._digests.append(hash(entry.data()))
+        # a message whose value changed has kept its size, mostly, and its sender's stamp
+        self._stamps.append((entry.source_ns, entry.size) if entry.source_ns else None)
+        self._size += entry.size
 
-    def pop_first(self) -> Entry:
-        entry = self.popleft()
-        self.size -= entry.size
+    def pop(self) -> Entry:
+        entry = self._entries.popleft()
+        self._digests.popleft()
+        self._stamps.popleft()
+        self._size -= entry.size
         return entry
 
     @property
     def full(self) -> bool:
-        return len(self) > WINDOW or (self.size > WINDOW_BYTES and len(self) > 1)
+        return len(self) > WINDOW or (self._size > WINDOW_BYTES and len(self) > 1)
+
+    def same(self, at: int, other: _Queue, there: int) -> bool:
+        """Whether two messages are one message, perhaps changed."""
+        if self._digests[at] == other._digests[there]:
+            return True
+        return self._stamps[at] is not None and self._stamps[at] == other._stamps[there]
+
+    def find_first_of(self, other: _Queue) -> int | None:
+        """Where the other side's next message is, None if not in the window."""
+        for mine, wanted in ((self._digests, other._digests[0]), (self._stamps, other._stamps[0])):
+            if wanted is not None and wanted in mine:
+                return mine.index(wanted)  # type: ignore[arg-type]
+        return None
 
 
 @dataclass(slots=True)
@@ -265,7 +291,9 @@ class _Pairing:
             wrong = [offset for offset in stream.offsets if abs(offset - offset_ns) > STAMP_NS]
             told.restamped = sum(stream.offsets[offset] for offset in wrong)
             if wrong and told.first is None:
-                told.first = min((stream.first_at[offset] for offset in wrong), key=lambda place: place.index)
+                first = min(wrong, key=lambda offset: stream.first_at[offset].index)
+                told.first = stream.first_at[first]
+                told.first.delta.differ("stamp", f"{offset_ns:+,} ns later, commonly", f"{first:+,} ns here")
             told.offset_ns, told.jitter_ns = stream.times.mean, stream.times.deviation
         streams = [stream.told for _, stream in sorted(self._streams.items())]
         return DiffReport(streams, offset_ns, self._all.mean)
@@ -280,7 +308,7 @@ class _Pairing:
         """Pair what can be paired; all of it when ``full`` says that no more may be waited for."""
         one, other = stream.one, stream.other
         while one or other:
-            if one and other and _same(one[0], other[0]):
+            if one and other and one.same(0, other, 0):
                 self._pair(stream)
                 continue
             if min(len(one), len(other)) < AHEAD and not full():
@@ -298,18 +326,18 @@ class _Pairing:
                 self._extra(stream)
 
     def _missing(self, stream: _Stream) -> None:
-        entry = stream.one.pop_first()
+        entry = stream.one.pop()
         stream.index += 1
         stream.told.missing += 1
         stream.told.first_missing = stream.told.first_missing or entry.seq
 
     def _extra(self, stream: _Stream) -> None:
-        entry = stream.other.pop_first()
+        entry = stream.other.pop()
         stream.told.extra += 1
         stream.told.first_extra = stream.told.first_extra or entry.seq
 
     def _pair(self, stream: _Stream) -> None:
-        one, other = stream.one.pop_first(), stream.other.pop_first()
+        one, other = stream.one.pop(), stream.other.pop()
         stream.index += 1
         stream.times.add(other.stamp_ns - one.stamp_ns)
         self._all.add(other.stamp_ns - one.stamp_ns)
@@ -328,9 +356,8 @@ class _Pairing:
             # whatever has so many offsets has no constant one
             known = offset in stream.offsets or len(stream.offsets) < _MAX_OFFSETS
             stream.offsets[offset if known else max(stream.offsets)] += 1
-            if known and offset not in stream.first_at:
-                delta.differ("stamp", "0", f"{offset / 1e6:+.6g} ms")
-                stream.first_at[offset] = place
+            if known:
+                stream.first_at.setdefault(offset, place)
 
     def _delta(self, one: Entry, other: Entry) -> Delta:
         if one.type != other.type:
@@ -347,21 +374,19 @@ class _Pairing:
             return Delta(*first_byte(ours, theirs))
 
 
-def _same(one: Entry, other: Entry) -> bool:
-    """Whether two messages are one message, perhaps changed."""
-    if one.size != other.size:
-        return False
-    return bool(one.source_ns and one.source_ns == other.source_ns) or one.data() == other.data()
-
-
-def _together(one: Sequence[Entry], other: Sequence[Entry]) -> tuple[int, int] | None:
+def _together(one: _Queue, other: _Queue) -> tuple[int, int] | None:
     """How many messages of each side come before the first place at which they are the same again."""
     ours, theirs = min(AHEAD, len(one)), min(AHEAD, len(other))
     for distance in range(1, ours + theirs - 1):
         for i in range(max(0, distance - theirs + 1), min(distance, ours - 1) + 1):
-            if _same(one[i], other[distance - i]):
+            if one.same(i, other, distance - i):
                 return i, distance - i
-    return None
+    if not one or not other:
+        return None
+    if (at := one.find_first_of(other)) is not None:
+        return at, 0
+    at = other.find_first_of(one)
+    return None if at is None else (0, at)
 
 
 def _shown(value: Any) -> str:
