@@ -137,7 +137,7 @@ class Bridge:
                     on_note=self._on_edge_note,
                     clock=self._clock,
                     options=self.options.recording,
-                    rule=_state_rule(self.gateway.config),
+                    rule=state_rule(self.gateway.config),
                 )
             if self.ros:
                 self.ros.start()
@@ -257,7 +257,7 @@ class Bridge:
         return failed and self.options.recording.stop_on_failure
 
 
-def _state_rule(config: Config) -> StateRule:
+def state_rule(config: Config) -> StateRule:
     """What a recording needs of streams that it leaves out: see ``record.selection``."""
     commands = frozenset({"COMMAND", "RTS_COMMAND", Command.TYPE, CommandReply.TYPE})
     return StateRule(frozenset({LINKS_TOPIC}), commands, frozenset(TF_QOS) if config.tf_out else frozenset())

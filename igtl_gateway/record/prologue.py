@@ -2,8 +2,8 @@
 
 The state of the gateway follows from all inputs since the beginning.  Most of them have left nothing behind, so a
 few stand for all: links, inputs by which the gateway learned something (a first message of a stream, a version, a
-refusal: it shows in their outputs), and the last input of each stream, which a query may ask for.  They are kept
-within bounds; who shares a state that is made of more, such as frames of many nodes on ``/tf``, reads all parts.
+refusal: it shows in their outputs), the last messages of mixed topics, and the last input of each stream, which a
+query may ask for.  They are kept within bounds; where a state is made of more, only all parts together give it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from igtl_gateway.session.entry import Entry, Kind
 
 MAX_ENTRIES = 5_000
 MAX_BYTES = 64 << 20
+#: Messages of mixed topics, such as the frames of many nodes on /tf.
+MAX_MIXED = 1_000
 
 
 class Prologue:
@@ -28,6 +30,7 @@ class Prologue:
         self._links: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
         self._learned: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
         self._last: OrderedDict[Hashable, Entry] = OrderedDict()  # by stream and link
+        self._mixed: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
         self._bytes = 0
 
     def see(self, entry: Entry) -> None:
@@ -39,6 +42,10 @@ class Prologue:
             self._input = entry
             if self._rule.by_input(entry):
                 self._add(self._learned, entry.seq, entry)
+            elif self._rule.mixes(entry):
+                self._add(self._mixed, entry.seq, entry)
+                if len(self._mixed) > MAX_MIXED:
+                    self._bytes -= self._mixed.popitem(last=False)[1].size
             elif entry.kind is not Kind.EDGE_NOTE:
                 self._add(self._last, (entry.kind, entry.channel, entry.links), entry)
         elif self._input is not None and self._rule.by_output(entry):
@@ -47,7 +54,7 @@ class Prologue:
 
     def entries(self) -> list[Entry]:
         """The inputs to be fed to a gateway first, in their order."""
-        found = {entry.seq: entry for kept in (self._links, self._learned, self._last) for entry in kept.values()}
+        found = {entry.seq: entry for kept in self._tables() for entry in kept.values()}
         return [found[seq] for seq in sorted(found)]
 
     def _add(self, kept: OrderedDict[Hashable, Entry], key: Hashable, entry: Entry) -> None:
@@ -58,9 +65,13 @@ class Prologue:
         self._bytes += entry.size - (before.size if before else 0)
         while self._bytes > self._max_bytes or self._count() > self._max_entries:
             # the last of a stream are the least: pictures, mostly
-            least = next(part for part in (self._last, self._learned, self._links) if part)
+            least = next(part for part in self._tables() if part)
             _, gone = least.popitem(last=False)
             self._bytes -= gone.size
 
     def _count(self) -> int:
-        return len(self._links) + len(self._learned) + len(self._last)
+        return sum(map(len, self._tables()))
+
+    def _tables(self) -> tuple[OrderedDict[Hashable, Entry], ...]:
+        """All that is kept, the least first."""
+        return self._last, self._mixed, self._learned, self._links

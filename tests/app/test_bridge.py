@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import socket
 from pathlib import Path
 
 import pytest
 
-from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.bridge import Bridge, BridgeOptions, state_rule
 from igtl_gateway.buffers import join
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.errors import ConfigError, RecordingError
 from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 
+FIXTURES = Path(__file__).parents[2] / "fixtures"
 HELLO = join(encode(Message("STRING", "Greeting", String.of("hello"))))
 
 
@@ -26,7 +30,9 @@ def test_a_port_that_is_taken_does_not_cost_the_recording_of_yesterday(tmp_path:
     recording = tmp_path / "out.mcap"
     recording.write_bytes(b"yesterday")
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        options = BridgeOptions((taken.getsockname(),), ros=False, record=recording, recording=RecordOptions(overwrite=True))
+        options = BridgeOptions(
+            (taken.getsockname(),), ros=False, record=recording, recording=RecordOptions(overwrite=True)
+        )
         with pytest.raises(ConfigError):
             Bridge(Config(), options, SystemClock()).start()
     assert recording.read_bytes() == b"yesterday"
@@ -78,3 +84,30 @@ def test_what_a_peer_says_is_in_the_recording(tmp_path: Path) -> None:
         (e.seq, e.kind, e.channel, e.data()) for e in seen
     ]
     assert HELLO in [entry.data() for entry in recorded if entry.kind is Kind.IGTL_IN]
+
+
+def test_every_part_of_a_session_of_all_types_verifies_alone(tmp_path: Path) -> None:
+    """Nothing but a part and its prologue: queries, frames, commands and all."""
+    with SessionFile.open(FIXTURES / "every-type.mcap") as file:
+        config, entries = Config.from_dict(json.loads(file.session["config"])), list(file.entries())
+        facts = {key: value for key, value in file.session.items() if key != "format_version"}
+    recorder = Recorder(
+        tmp_path / "all.mcap",
+        facts,
+        qos_of=lambda _topic, _type: None,
+        on_note=lambda note: pytest.fail(note.text),
+        clock=SystemClock(),
+        options=RecordOptions(split_s=2.0),
+        rule=state_rule(config),
+    )
+    for entry in entries:
+        recorder(entry)
+    *parts, _ = recorder.close({}).files
+    assert len(parts) >= 4
+    compared = 0
+    for part in parts:
+        with SessionFile.open(part) as file:
+            report = verify(file.entries(), config, Losses.of(file.session, file.ledger), before=file.prologue())
+        assert report.good, (part.name, report.differences[:1])
+        compared += report.equal
+    assert compared == sum(not entry.kind.is_input for entry in entries)

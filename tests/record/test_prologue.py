@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pytest
+
+from igtl_gateway.record import prologue
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.selection import StateRule
 from igtl_gateway.session.entry import Entry, Kind
@@ -10,10 +13,10 @@ from tests.record import samples
 RULE = StateRule(frozenset({"/igtl/links"}), frozenset({"COMMAND"}))
 
 
-def kept(prologue: Prologue, entries: list[Entry]) -> list[int]:
+def kept(given: Prologue, entries: list[Entry]) -> list[int]:
     for entry in entries:
-        prologue.see(entry)
-    return [entry.seq for entry in prologue.entries()]
+        given.see(entry)
+    return [entry.seq for entry in given.entries()]
 
 
 def test_links_what_was_learned_and_the_last_of_each_stream() -> None:
@@ -37,6 +40,13 @@ def test_links_what_was_learned_and_the_last_of_each_stream() -> None:
 def test_an_output_says_of_its_own_cause_only() -> None:
     entries = [samples.ros(1), samples.note(2, Kind.LINK), samples.note(3), samples.ros(4)]
     assert kept(Prologue(RULE), entries) == [2, 4]
+
+
+def test_of_mixed_topics_many_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(prologue, "MAX_MIXED", 3)
+    rule = StateRule(mixed=frozenset({"/tf"}))
+    entries = [samples.ros(seq, topic="/tf" if seq % 2 else "/chatter") for seq in range(1, 12)]
+    assert kept(Prologue(rule), entries) == [7, 9, 10, 11]
 
 
 def test_the_last_messages_give_way_first() -> None:
