@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
+from igtl_gateway.buffers import join
 from igtl_gateway.config import MAX_TIMEOUT_S, Config
 from igtl_gateway.convert import commands as command_conversions
 from igtl_gateway.convert.assembly import VolumeAssembler
@@ -22,6 +23,7 @@ from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.frames import MAX_FRAMES
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage, Size
+from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.raw import message_of, raw_message
 from igtl_gateway.convert.rosmsg import Header as RosHeader
 from igtl_gateway.convert.rosmsg import RosMessage
@@ -41,7 +43,7 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S, ticks_to_ns
-from igtl_gateway.wire import Header, Message, Raw, decode
+from igtl_gateway.wire import Header, Message, Raw, decode, encode
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import visible
@@ -223,18 +225,30 @@ class Gateway:
     def _publish(
         self, entry: Entry, content: object, to: ToRos, stream: ToRosStream, outputs: list[tuple[RosRow, str]]
     ) -> list[Reply]:
+        """By every row that applies.  What one refuses costs the others nothing; raises where all do."""
         replies: list[Reply] = []
         frames: list[Reply] = []
+        refused: list[tuple[RosRow, ConversionError]] = []
         full = False
         for row, topic in outputs:
             if not row.applies(content):
                 continue
-            converted = row.convert(content, to)
+            try:
+                converted = row.convert(content, to)
+            except ConversionError as error:
+                refused.append((row, error))
+                continue
             full = full or row.role is Role.FULL
             for message in converted if isinstance(converted, list) else (converted,):
                 replies.append(self._published(topic, message, to.stamp_ns))
                 if self._tf and isinstance(message, TFMessage):
                     frames += self._send_frames(entry, message, static=False)
+        if refused and not replies:
+            raise refused[0][1]
+        replies += [
+            note(Level.ERROR, "conversion", f"not published as {row.message.TYPE}: {error}", entry.channel, entry.links)
+            for row, error in refused
+        ]
         if to.metadata and not full:
             message = Metadata(
                 RosHeader(to.stamp_ns, to.frame_id), to.igtl_type, to.device_name, to.message_id, to.metadata
@@ -255,7 +269,9 @@ class Gateway:
         if any(not kind.startswith("+") for kind in stream.row.kinds):
             return [], "not_chosen"
         self._streams.advertise(stream.raw_topic, _RAW_QOS)
-        raw = raw_message(entry.payload[0], entry.stamp_ns, to.link)
+        # a child of a BIND has no message of its own, and the whole BIND for each of thousands would fill the memory
+        data = entry.payload[0] if entry.payload else join(encode(message))
+        raw = raw_message(data, entry.stamp_ns, to.link)
         text = f"{to.igtl_type} has no conversion to ROS and is published as it is"
         published = self._published(stream.raw_topic, raw, to.stamp_ns)
         return [published, *self._once(entry, Level.INFO, "no_conversion", text, message.type, to.link)], ""
@@ -265,6 +281,7 @@ class Gateway:
     ) -> list[Reply]:
         """A BIND as a whole, then each of its children as if it had come alone."""
         replies = self._publish(entry, bind, to, stream, list(stream.outputs)) if stream.outputs else []
+        alone = replace(entry, payload=())
         for child in bind.children:
             try:
                 content = child.body()
@@ -272,9 +289,9 @@ class Gateway:
                 text = f"child {visible(child.name)!r} of {entry.channel} refused: {error}"
                 replies.append(note(Level.ERROR, error.code, text, entry.channel, entry.links))
                 continue
-            inner = replace(message, type=child.type, device_name=child.name, content=content)
             name = visible(child.name) or told.device_name
-            replies += self._deliver(entry, inner, replace(told, device_name=name, items=()))[0]
+            inner = Message(child.type, short_device_name(name), content, message.ticks)
+            replies += self._deliver(alone, inner, replace(told, device_name=name, items=()))[0]
         return replies
 
     def _assembled(self, device: str, image: Image) -> Image | None:
