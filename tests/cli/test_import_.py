@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import zlib
 from pathlib import Path
 
@@ -90,6 +91,20 @@ def test_what_is_missing_is_a_failure_and_the_rest_is_there(tmp_path: Path, caps
     assert main(["import", str(source), "-o", str(out), "--overwrite"]) == FAILURE
     assert "FAILED" in capsys.readouterr().out
     assert [bytes(entry.data()) for entry in entries(out) if entry.kind is Kind.IGTL_IN] == [message("a")]
+
+
+def test_times_that_no_session_holds_are_a_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    base = sqlite3.connect(tmp_path / "some.db3")
+    base.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)")
+    base.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+    base.execute("INSERT INTO topics VALUES(1, '/said', 'std_msgs/msg/Empty', 'cdr')")
+    base.executemany("INSERT INTO messages VALUES(?, 1, ?, x'0001000000')", [(1, 7), (2, 2**63 - 1)])
+    base.executemany("INSERT INTO messages VALUES(?, 1, ?, x'0001000000')", [(3, 2.0**70)])
+    base.commit()
+    base.close()
+    assert main(["import", str(tmp_path / "some.db3"), "-o", str(tmp_path / "out.mcap")]) == FAILURE
+    assert "FAILED" in capsys.readouterr().out
+    assert len(entries(tmp_path / "out.mcap")) == 2
 
 
 def test_wrong_use(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -83,6 +83,36 @@ def test_messages_become_those_of_ros_2(tmp_path: Path, compression: str) -> Non
     assert probe.header.frame_id == "f"  # type: ignore[attr-defined]
 
 
+def test_tf_has_another_name_and_lost_fields_are_named(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", "tf/msg/tfMessage"))
+    store.fielddefs.pop("geometry_msgs/msg/Twist")
+    store.types.pop("geometry_msgs/msg/Twist")
+    store.register(
+        get_types_from_msg(
+            "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\nint8 gear\n", "geometry_msgs/msg/Twist"
+        )
+    )
+    vector = store.types["geometry_msgs/msg/Vector3"]
+    with Writer(tmp_path / "some.bag") as writer:
+        tf = writer.add_connection("/tf", "tf/msg/tfMessage", typestore=store)
+        pose = store.types["geometry_msgs/msg/Transform"](
+            vector(1.0, 2.0, 3.0), store.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        )
+        stamped = store.types["geometry_msgs/msg/TransformStamped"](header(1, 7, "map"), "tool", pose)
+        writer.write(tf, 5, store.serialize_ros1(store.types["tf/msg/tfMessage"]([stamped]), tf.msgtype))
+        twist = writer.add_connection("/speed", "geometry_msgs/msg/Twist", typestore=store)
+        made = store.types["geometry_msgs/msg/Twist"](vector(1.0, 2.0, 3.0), vector(4.0, 5.0, 6.0), 3)
+        writer.write(twist, 6, store.serialize_ros1(made, twist.msgtype))
+    with closing(Rosbag1(tmp_path / "some.bag")) as source:
+        frames, speed = source.items()
+        assert source.notes == ["geometry_msgs/msg/Twist: ROS 2 has no counterpart of geometry_msgs/msg/Twist.gear"]
+    assert frames.type == "tf2_msgs/msg/TFMessage"
+    (one,) = ROS2.deserialize_cdr(bytes(frames.payload), frames.type).transforms  # type: ignore[attr-defined]
+    assert (one.header.frame_id, one.child_frame_id, one.transform.translation.y) == ("map", "tool", 2.0)
+    assert ROS2.deserialize_cdr(bytes(speed.payload), speed.type).angular.z == 6.0  # type: ignore[attr-defined]
+
+
 def test_a_damaged_chunk_ends_it_with_one_error(tmp_path: Path) -> None:
     path = bag(tmp_path / "some.bag", "BZ2")
     data = bytearray(path.read_bytes())

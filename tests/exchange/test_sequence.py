@@ -151,6 +151,26 @@ def test_spacing_and_offset_place_the_image(tmp_path: Path) -> None:
     assert image.wire_matrix == (0.5, 0, 0, 0, 0.25, 0, 0, 0, 1.0, 10.75, 20.25, 0.0)  # the centre
 
 
+def test_volumes_and_colours_over_time(tmp_path: Path) -> None:
+    pixels = bytes(range(2 * 2 * 2 * 2 * 3))
+    stamps = "".join(f"Seq_Frame000{frame}_Timestamp:={frame}\n" for frame in range(2))
+    head = (
+        "NRRD0005\ntype: uint8\ndimension: 5\nsizes: 3 2 2 2 2\nkinds: vector domain domain domain list\n"
+        "space directions: none (0.5,0,0) (0,0.5,0) (0,0,2) none\nencoding: raw\n"
+    )
+    (tmp_path / "some.nrrd").write_bytes((head + stamps + "\n").encode() + pixels)
+    images = [image for _, image in read(tmp_path / "some.nrrd").images()]
+    assert [(image.dimensions, image.num_components) for image in images] == [((2, 2, 2), 3)] * 2
+    assert b"".join(bytes(image.pixels) for image in images) == pixels
+    assert images[0].wire_matrix[:9] == (0.5, 0, 0, 0, 0.5, 0, 0, 0, 2.0)
+    lines = ["NDims = 4", "DimSize = 2 2 3 2", "ElementType = MET_SHORT", "BinaryDataByteOrderMSB = True"]
+    lines += [f"Seq_Frame000{frame}_Timestamp = {frame}" for frame in range(2)]
+    (tmp_path / "some.mha").write_bytes("\n".join([*lines, "ElementDataFile = LOCAL", ""]).encode() + pixels)
+    images = [image for _, image in read(tmp_path / "some.mha").images()]
+    assert [(image.dimensions, image.scalar_type, image.endian) for image in images] == [((2, 2, 3), 4, 1)] * 2
+    assert b"".join(bytes(image.pixels) for image in images) == pixels
+
+
 def test_long_names_are_cut_and_stay_different(tmp_path: Path) -> None:
     path = mha(tmp_path / "some.mha")
     path.write_bytes(path.read_bytes().replace(b"ProbeToTracker", b"SomeVeryLongNameOfAProbeToTracker"))
