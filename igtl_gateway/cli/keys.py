@@ -89,11 +89,19 @@ def keyboard(on_command: Callable[[str], None], stream: IO[Any] | None = None) -
         termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
 
-def read_lines(on_line: Callable[[], object], on_end: Callable[[], None], stream: IO[bytes] | None = None) -> None:
+def read_lines(on_line: Callable[[], object], on_end: Callable[[], None], stream: IO[Any] | None = None) -> None:
     """A thread that calls ``on_line`` for every line of standard input, and ``on_end`` after the last."""
+    # not by the stream's own reader: the interpreter cannot end while a thread waits inside that
+    descriptor = (stream or sys.stdin).fileno()
 
     def read() -> None:
-        for _ in stream or sys.stdin.buffer:
+        begun = False
+        while typed := os.read(descriptor, 4096):
+            *lines, rest = typed.split(b"\n")
+            for _ in lines:
+                on_line()
+            begun = bool(rest)
+        if begun:
             on_line()
         on_end()
 

@@ -7,7 +7,7 @@ import termios
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from io import BytesIO
+from pathlib import Path
 from typing import IO
 
 import pytest
@@ -78,8 +78,12 @@ def test_only_a_terminal_of_ours_is_asked_for_keys() -> None:
         assert not is_ours(nothing)
 
 
-def test_lines_are_counted_up_to_their_end() -> None:
+@pytest.mark.parametrize("typed", [b"\n\nlast", b"a\nb\nc\n"])
+def test_lines_are_counted_up_to_their_end(tmp_path: Path, typed: bytes) -> None:
     found, ended = list[str](), threading.Event()
-    read_lines(lambda: found.append("line"), ended.set, BytesIO(b"\n\nlast"))
-    assert ended.wait(PATIENCE_S)
+    path = tmp_path / "lines"
+    path.write_bytes(typed)
+    with path.open("rb") as stream:
+        read_lines(lambda: found.append("line"), ended.set, stream)
+        assert ended.wait(PATIENCE_S)
     assert found == ["line"] * 3

@@ -273,6 +273,29 @@ def test_steps_by_lines_and_their_end() -> None:
     assert "stopped after 3 messages" in out
 
 
+def test_a_stop_does_not_wait_for_a_line() -> None:
+    with server() as listener:
+        command = [sys.executable, "-m", "igtl_gateway", "replay", str(TYPES), "--to", "igtl", "--step"]
+        with subprocess.Popen(
+            [*command, "--connect", target(listener)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as process:
+            peer, _ = listener.accept()
+            with peer:
+                assert process.stdin and process.stdout and process.stderr
+                process.stdin.write("\n")
+                process.stdin.flush()
+                assert peer.recv(1)
+                process.send_signal(signal.SIGINT)
+                everything(peer)
+            assert process.wait(PATIENCE_S) == 1
+            assert "stopped after 1 message," in process.stdout.read()
+            assert process.stderr.read() == ""
+
+
 def test_keys_of_a_terminal() -> None:
     user, ours = os.openpty()
     try:
