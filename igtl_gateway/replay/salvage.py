@@ -410,9 +410,11 @@ class Salvage:
         inner = self._inner_end(opcode, at, limit)
         if inner == outer or (ended and outer <= limit and opcode not in _FIELDS and self._fits(outer, limit)):
             return _Frame(opcode, at, outer)
-        if inner and self._fits(inner, limit):
+        outer_fits = outer <= limit and self._fits(outer, limit)
+        # where both may be, the nearer end swallows nothing
+        if inner and self._fits(inner, limit) and not (outer_fits and outer < inner):
             return _Frame(opcode, at, inner)  # its length is damaged
-        if outer <= limit and self._fits(outer, limit):
+        if outer_fits:
             if opcode in (_MESSAGE, _CHUNK, _ATTACHMENT, _METADATA):
                 return _Frame(opcode, at, outer)  # a field of it is damaged, if it has any: its checksum tells
             # of a chunk only the opcode may be damaged
@@ -620,6 +622,8 @@ class _Reading:
             loss.text = f"{self._unknown_counts[number]:,} messages of a channel of which no description is left"
         if file._statistics is not None:
             report.missing = max(0, file._statistics.message_count - report.messages)
+            if report.missing and not any(loss.what in (BYTES, CHUNK, CHANNEL, NUMBER) for loss in report.lost):
+                self._lose(BYTES, _Frame(0, 0, 0), "messages of the index were not found")
             if not report.missing:
                 # not a message is missing, so the bytes were nothing but indexes
                 report.lost = [loss for loss in report.lost if loss.what not in (BYTES, CHUNK)]
