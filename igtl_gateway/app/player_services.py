@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 from igtl_gateway.app.player import Player
@@ -17,11 +18,13 @@ class PlayerServices:
 
     def __init__(self, player: Player) -> None:
         self._player = player
+        self._offering = threading.Lock()
+        self._closed = False
 
     def offer(self, edge: RosEdge) -> str:
         """Offer all; gives the reason why that is not possible, or ``""``.
 
-        May take a while, where the service types have to be compiled first.
+        May take a while, where the service types have to be compiled first: for a thread of its own.
         """
         try:
             edge.message_class(f"{PACKAGE}/srv/Pause")
@@ -38,10 +41,18 @@ class PlayerServices:
             "set_rate": ("SetRate", self.set_rate),
             "get_rate": ("GetRate", self.get_rate),
         }
-        for name, (kind, answer) in offered.items():
-            if not edge.serve(f"~/{name}", f"{PACKAGE}/srv/{kind}", answer):
-                return f"~/{name} is refused"
+        with self._offering:
+            for name, (kind, answer) in offered.items():
+                if self._closed:
+                    break
+                if not edge.serve(f"~/{name}", f"{PACKAGE}/srv/{kind}", answer):
+                    return f"~/{name} is refused"
         return ""
+
+    def close(self) -> None:
+        """Offer nothing from now on: the edge is about to stop."""
+        with self._offering:
+            self._closed = True
 
     def pause(self, _request: Any, response: Any) -> Any:
         self._player.pause()

@@ -217,13 +217,16 @@ def _controls(
         elif command == QUIT:
             stop.set()
 
+    services = PlayerServices(player)
+
     def offer(edge: RosEdge) -> None:
-        if reason := PlayerServices(player).offer(edge):
+        if reason := services.offer(edge):
             _tell(options, f"! no services to pause, step or seek: {reason}")
 
     if side.ros:
         # beside the replay: the first time their types are compiled
         Thread(target=offer, args=(side.ros,), name="igtl-services", daemon=True).start()
+        stack.callback(services.close)
     if is_ours():
         _tell(options, HELP)
         stack.enter_context(keyboard(obey))

@@ -89,3 +89,6 @@ def test_services_that_cannot_be_offered_are_told_with_the_reason() -> None:
     assert asked == []
     assert services.offer(Edge()) == "~/resume is refused"  # type: ignore[arg-type]
     assert asked == [("~/pause", "rosbag2_interfaces/srv/Pause"), ("~/resume", "rosbag2_interfaces/srv/Resume")]
+    asked.clear()
+    services.close()
+    assert services.offer(Edge()) == "" and asked == [], "too late"  # type: ignore[arg-type]
