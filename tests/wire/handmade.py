@@ -129,6 +129,7 @@ def files() -> dict[str, tuple[bytes, Any]]:
     info = struct.pack(">HH", 3, len(wish)) + wish, {"encoding": 3, "string": wish.decode(), "string_hex": wish.hex()}
     return {
         "CLIENTINFO_v1_tdata": message(b"CLIENTINFO", b"Client", *info),
+        "CLIENTINFO_v2_tdata": message(b"CLIENTINFO", b"Client", *info, metadata=()),
         "VIDEO_v1_key": message(b"VIDEO", b"Endoscope", *key),
         "VIDEO_v1_grey": message(b"VIDEO", b"Endoscope", *grey),
         "VIDEO_v2_delta": message(b"VIDEO", b"Endoscope", *delta, metadata=((b"Exposure", b"12 ms"), (b"Gain", b"3"))),
