@@ -52,7 +52,7 @@ _CODES = {
     "float32": "f", "float64": "d",
 }  # fmt: skip
 INT16, UINT8, UINT16, UINT32, UINT64 = (_number(n, _CODES[n]) for n in ("int16", "uint8", "uint16", "uint32", "uint64"))
-FLOAT32, FLOAT64 = _number("float32", "f"), _number("float64", "d")
+FLOAT64 = _number("float64", "d")
 BOOL = CdrType("bool", Writer.bool, Reader.bool)
 STRING = CdrType("string", Writer.string, Reader.string)
 #: uint8[]: any buffer, not copied.
