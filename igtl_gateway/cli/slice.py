@@ -91,7 +91,9 @@ def _write(file: SessionFile, part: Slice, window: Window, options: argparse.Nam
     }
     if options.config:
         facts[layout.CONFIGURATION_KEY] = json.dumps(recorded_config(file.session, options.config).to_dict())
-    facts = {**file.session, **facts}
+    # a slice begins at its own beginning, whatever it was cut from
+    own = (layout.PART_KEY, layout.PREVIOUS_KEY, layout.SNAPSHOT_KEY)
+    facts = {**{key: value for key, value in file.session.items() if key not in own}, **facts}
     writer = SessionWriter(options.out, facts, qos_of=qos_of, compression="zstd", overwrite=options.overwrite)
     try:
         for entry in part.entries():

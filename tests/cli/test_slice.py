@@ -10,6 +10,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from igtl_gateway.cli import main
+from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.replay.mcap_reader import SessionFile
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
@@ -46,6 +47,24 @@ def test_a_slice_verifies_and_other_tools_read_it(
         assert sum(1 for _ in reader.messages()) == count
     with out.open("rb") as stream:
         assert sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages()) == count
+
+
+def test_a_part_of_a_split_recording_is_cut_with_what_it_brings_of_the_time_before(tmp_path: Path) -> None:
+    with SessionFile.open(FIXTURES / "star.mcap") as file:
+        entries = list(file.entries())
+        middle, end = (next(at for at in range(here, 900) if entries[at].kind.is_input) for here in (400, 800))
+        before = [entry for entry in entries[:middle] if entry.kind.is_input]
+        part = tmp_path / "part_1.mcap"
+        writer = SessionWriter(part, {**file.session, "part": "1"}, prologue=before)
+        for entry in entries[middle:end]:
+            writer.write(entry)
+        writer.close({})
+    assert main(["verify", str(part)]) == 0
+    out = tmp_path / "slice.mcap"
+    assert main(["slice", str(part), str(out), "--start", "1"]) == 0
+    assert main(["verify", str(out)]) == 0
+    with SessionFile.open(out) as file:
+        assert "part" not in file.session and next(file.entries()).seq == 1
 
 
 def test_equal_slices_are_equal_files(tmp_path: Path) -> None:
