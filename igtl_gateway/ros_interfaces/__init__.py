@@ -1,4 +1,4 @@
-"""ROS 2 interface packages that no wheel brings: ``igtl_msgs``, ``tf2_msgs``, ``foxglove_msgs``, ``rosbag2_interfaces``.
+"""ROS 2 interface packages that no wheel brings: igtl_msgs, tf2_msgs, foxglove_msgs, rosbag2_interfaces.
 
 After ``pip install igtl-gateway[ros]`` any program of that environment may say ``from igtl_msgs.msg import
 TrackingData``.  Strategy:

@@ -1,4 +1,4 @@
-"""Stand-in for the ROS 2 package rosbag2_interfaces, compiled when it is first imported (igtl_gateway/ros_interfaces)."""
+"""Stand-in for the ROS 2 package rosbag2_interfaces, compiled at its first import (igtl_gateway/ros_interfaces)."""
 
 from igtl_gateway.ros_interfaces.cache import package_path
 
