@@ -169,7 +169,7 @@ def test_every_type_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
     lines = [" ".join(line.split()) for line in out.splitlines()]
     assert "TRANSFORM transform geometry_msgs/msg/TransformStamped" in lines
     assert "TDATA/QTDATA /tf tf2_msgs/msg/TFMessage" in lines
-    assert "std_msgs/msg/String STRING" in lines
+    assert "std_msgs/msg/String STRING CLIENTINFO" in lines
     assert "igtl_msgs/msg/TrackingData TDATA QTDATA" in lines
 
 
