@@ -24,6 +24,8 @@ EXAMPLES = """\
 
 #: What the session says of the release that recorded it.
 _VERSION = "igtl_gateway_version"
+#: What the session of an import says of its source.
+_IMPORTED = "imported_format"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,6 +41,11 @@ def run(options: argparse.Namespace) -> int:
     with SessionFile.open(options.file) as file:
         if file.foreign:
             raise UnsupportedRecording(f"{options.file}: is no session of igtl-gateway: it has no outputs to verify")
+        if _IMPORTED in file.session:
+            raise UnsupportedRecording(
+                f"{options.file}: was imported ({file.session[_IMPORTED]}): no gateway said anything that day, so there "
+                "is nothing to verify; `replay --through-gateway` shows what today's would say"
+            )
         recorded_by = file.session.get(_VERSION, "")
         config = _config(options, file, recorded_by)
         decoder = Decoder(file.definitions, Lengths(config.ros_unit, config.igtl_unit))
@@ -74,7 +81,9 @@ def _print(told: dict[str, Any], report: Report, everything: bool) -> None:
     configuration = "the recorded configuration" if told["config"] == "recorded" else told["config"]
     print(f"{told['file']}: {versions} with {configuration}")
     print(f"  {count(report.inputs, 'input')} fed to the gateway, {count(report.outputs, 'output')} compared")
-    if report.good:
+    if report.good and not report.outputs:
+        print("nothing to verify: there are no outputs, neither recorded nor due")
+    elif report.good:
         print(f"verified: all {count(report.equal, 'output')} equal, byte for byte")
     else:
         print(f"DIFFERENT: {count(report.differing, 'output')} of {report.outputs:,}")

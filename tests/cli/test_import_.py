@@ -143,3 +143,11 @@ def test_real_files(shared_dir: Path, tmp_path: Path, name: str, count: int) -> 
     out = tmp_path / "out.mcap"
     assert main(["import", str(shared_dir / "data" / name), "-o", str(out)]) == 0
     assert sum(entry.kind in (Kind.IGTL_IN, Kind.ROS_IN) for entry in entries(out)) == count
+
+
+def test_there_is_nothing_to_verify(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.mcap"
+    assert main(["import", str(sequence(tmp_path / "some.igs.mha")), "-o", str(out)]) == 0
+    capsys.readouterr()
+    assert main(["verify", str(out)]) == USAGE
+    assert "was imported (sequence)" in capsys.readouterr().err
