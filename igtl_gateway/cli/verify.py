@@ -43,8 +43,8 @@ def run(options: argparse.Namespace) -> int:
             raise UnsupportedRecording(f"{options.file}: is no session of igtl-gateway: it has no outputs to verify")
         if _IMPORTED in file.session:
             raise UnsupportedRecording(
-                f"{options.file}: was imported ({file.session[_IMPORTED]}): no gateway said anything that day, so there "
-                "is nothing to verify; `replay --through-gateway` shows what today's would say"
+                f"{options.file}: was imported ({file.session[_IMPORTED]}): no gateway spoke that day, so there is "
+                "nothing to verify; `replay --through-gateway` shows what today's would say"
             )
         recorded_by = file.session.get(_VERSION, "")
         config = _config(options, file, recorded_by)
