@@ -74,10 +74,11 @@ def test_verify_names_the_field_when_a_converter_constant_changes(
 ) -> None:
     from igtl_gateway.cli import main
 
-    assert main(("verify", str(FIXTURES / "star.mcap"))) == 0
+    path = str(FIXTURES / "paper-types.mcap")
+    assert main(("verify", path)) == 0
     capsys.readouterr()
     monkeypatch.setitem(UNITS, "mm", 1001)
-    assert main(("verify", str(FIXTURES / "star.mcap"))) == 1
+    assert main(("verify", path)) == 1
     told = capsys.readouterr().out
     assert "DIFFERENT" in told and "content." in told and "was" in told and "is now" in told
 
