@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ def test_every_package_is_named_with_its_place(
     installed = tmp_path / "tf2_msgs" / "__init__.py"
     installed.parent.mkdir()
     installed.touch()
+    monkeypatch.delitem(sys.modules, "tf2_msgs", raising=False)  # whoever else was here before may have imported it
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(program, "package_path", lambda package: [f"/compiled/{package}"])
     assert program.main() == 0
