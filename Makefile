@@ -17,7 +17,7 @@ demo: $(READY)
 	@$(BIN)/igtl-gateway demo
 
 test: static peers
-	@$(BIN)/python -m pytest -q -n 3 --dist loadfile --durations=10
+	@$(BIN)/python -m pytest -q -n 2 --dist loadfile --durations=10
 
 check: static
 	@$(BIN)/python -m pytest -q tests/test_architecture.py

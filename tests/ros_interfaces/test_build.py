@@ -151,11 +151,23 @@ def heard(here: Here, there: subprocess.Popen[str]) -> dict[str, Any]:
     """Type → the values that the foreign program read, after one message of each has gone there and back."""
     here.until(lambda: all(publisher.get_subscription_count() for publisher in here.publishers.values()))
     here.until(lambda: all(here.node.count_publishers(topic(name) + "/back") for name in TYPES))
-    for name, publisher in here.publishers.items():
-        publisher.publish(bytes(STORE.serialize_cdr(SAMPLES[name], name)))
-    here.until(lambda: len(here.back) == len(TYPES))
+
+    def all_back() -> bool:
+        """Whether all are back; sends again what is not, since the other side may have been matched too late."""
+        missing = [name for name in TYPES if name not in here.back]
+        for name in missing:
+            here.publishers[name].publish(bytes(STORE.serialize_cdr(SAMPLES[name], name)))
+        for _ in missing:
+            here.executor.spin_once(timeout_sec=0.02)
+        return not missing
+
+    here.until(all_back)
     assert there.stdout
-    return dict(json.loads(there.stdout.readline()) for _ in TYPES)
+    heard: dict[str, Any] = {}
+    while len(heard) < len(TYPES):
+        name, values = json.loads(there.stdout.readline())
+        heard[name] = values
+    return heard
 
 
 @pytest.mark.parametrize("name", TYPES)
