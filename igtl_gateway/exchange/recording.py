@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
+from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import matches
-from igtl_gateway.errors import GatewayError, UnsupportedRecording
+from igtl_gateway.errors import ConversionError, GatewayError, UnsupportedRecording, WireError
 from igtl_gateway.exchange.source import Row
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
@@ -146,3 +147,42 @@ class Names:
                 name = f"{wanted}_{number}"
             self._names[key] = name
         return self._names[key]
+
+
+Content = TypeVar("Content")
+
+
+def one_file_each(
+    recording: Recording,
+    out: Path,
+    globs: Sequence[str],
+    types: Container[str],
+    suffix: str,
+    read: Callable[[Entry], Content],
+    parts: Callable[[Content], Iterable[Buffer]],
+) -> Account:
+    """Write the folder ``out`` with a file for each message of some types.
+
+    Args:
+        types: OpenIGTLink and ROS types of the messages.
+        suffix: of the files.
+        read: the content of a message; where it raises WireError, ConversionError or ValueError, that is told instead.
+        parts: the bytes of a file.
+
+    Raises UnsupportedRecording where the folder is not empty; OSError.
+    """
+    account, names, folder = Account(), Names(), new_folder(out)
+    for entry in chosen(recording, (*IGTL_KINDS, *ROS_KINDS), globs):
+        if entry.type not in types:
+            continue
+        row = account.row(entry)
+        try:
+            content = read(entry)
+        except (WireError, ConversionError, ValueError) as error:
+            row.why = str(error)
+            continue
+        with (folder / f"{names.of(entry)}.{row.declared:06}.{suffix}").open("xb") as stream:
+            stream.writelines(parts(content))
+        row.taken += 1
+        account.files += 1
+    return account

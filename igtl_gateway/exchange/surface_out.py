@@ -20,16 +20,8 @@ from igtl_gateway.convert.context import Outgoing, ToIgtl
 from igtl_gateway.convert.polydata import polydata_to_igtl
 from igtl_gateway.convert.rosmsg import Marker, Mesh, PointCloud2
 from igtl_gateway.convert.surfaces import marker_to_igtl, mesh_to_igtl
-from igtl_gateway.errors import ConversionError, WireError
-from igtl_gateway.exchange.recording import (
-    IGTL_KINDS,
-    ROS_KINDS,
-    Account,
-    Names,
-    Recording,
-    chosen,
-    new_folder,
-)
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.exchange.recording import Account, Recording, one_file_each
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.polydata import CELL, NORMAL, Attribute, PolyData
@@ -42,35 +34,17 @@ _TO_POLYDATA: dict[str, Callable[[bytes, ToIgtl], Outgoing]] = {
     Marker.TYPE: lambda data, to: marker_to_igtl(Marker.unpack(data), to),
     igtl_msgs.PolyData.TYPE: lambda data, to: polydata_to_igtl(igtl_msgs.PolyData.unpack(data), to),
 }
+_READ = frozenset({"POLYDATA", *_TO_POLYDATA})
 
 
 def export_ply(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
     """Write the folder ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
-    return _export(recording, out, globs, "ply", ply)
+    return one_file_each(recording, out, globs, _READ, "ply", _polydata, lambda content: (ply(content),))
 
 
 def export_vtk(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
     """As ``export_ply``."""
-    return _export(recording, out, globs, "vtk", vtk)
-
-
-def _export(
-    recording: Recording, out: Path, globs: Sequence[str], suffix: str, make: Callable[[PolyData], bytes]
-) -> Account:
-    account, names, folder = Account(), Names(), new_folder(out)
-    for entry in chosen(recording, (*IGTL_KINDS, *ROS_KINDS), globs):
-        if entry.type != "POLYDATA" and entry.type not in _TO_POLYDATA:
-            continue
-        row = account.row(entry)
-        try:
-            content = _polydata(entry)
-        except (WireError, ConversionError, ValueError) as error:
-            row.why = str(error)
-            continue
-        (folder / f"{names.of(entry)}.{row.declared:06}.{suffix}").write_bytes(make(content))
-        row.taken += 1
-        account.files += 1
-    return account
+    return one_file_each(recording, out, globs, _READ, "vtk", _polydata, lambda content: (vtk(content),))
 
 
 def _polydata(entry: Entry) -> PolyData:

@@ -17,16 +17,8 @@ from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.images import image_to_igtl
 from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.convert.volumes import volume_to_image
-from igtl_gateway.errors import ConversionError, WireError
-from igtl_gateway.exchange.recording import (
-    IGTL_KINDS,
-    ROS_KINDS,
-    Account,
-    Names,
-    Recording,
-    chosen,
-    new_folder,
-)
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.exchange.recording import Account, Recording, one_file_each
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import BIG_ENDIAN, LPS, SCALARS, Image
@@ -35,27 +27,15 @@ _TO_IMAGE: dict[str, Callable[[bytes, ToIgtl], Outgoing]] = {
     Volume.TYPE: lambda data, to: volume_to_image(Volume.unpack(data), to),
     RosImage.TYPE: lambda data, to: image_to_igtl(RosImage.unpack(data), to),
 }
+_READ = frozenset({"IMAGE", *_TO_IMAGE})
 _TYPES = {"i": "int", "u": "uint"}
 
 
 def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
     """Write the folder ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
-    account, names, folder = Account(), Names(), new_folder(out)
-    for entry in chosen(recording, (*IGTL_KINDS, *ROS_KINDS), globs):
-        if entry.type != "IMAGE" and entry.type not in _TO_IMAGE:
-            continue
-        row = account.row(entry)
-        try:
-            content = _image(entry)
-        except (WireError, ConversionError, ValueError) as error:
-            row.why = str(error)
-            continue
-        with (folder / f"{names.of(entry)}.{row.declared:06}.nrrd").open("xb") as stream:
-            stream.write(header(content))
-            stream.write(content.pixels)
-        row.taken += 1
-        account.files += 1
-    return account
+    return one_file_each(
+        recording, out, globs, _READ, "nrrd", _image, lambda content: (header(content), content.pixels)
+    )
 
 
 def _image(entry: Entry) -> Image:
