@@ -1,0 +1,98 @@
+"""Actors: the programs of a scenario, each a pure machine, so that one story is told live and offline.
+
+An actor speaks one protocol.  Time is an argument (UTC nanoseconds) and chance a seeded generator, so the same
+actors give the same bytes on a manual clock (``stage``), and play on a real ROS 2 graph or a real OpenIGTLink
+connection when something live drives them.  An actor never waits: it says when it wants to be called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Protocol
+
+from igtl_gateway.convert.rosmsg import RosMessage
+from igtl_gateway.wire import Message
+
+
+class Side(Enum):
+    """What an actor speaks."""
+
+    ROS = "ros"
+    IGTL = "igtl"
+
+
+@dataclass(frozen=True, slots=True)
+class RosSaid:
+    """A message for a ROS topic; ``latched``: the last one is for late subscribers, too (transient local)."""
+
+    topic: str
+    message: RosMessage
+    latched: bool = False
+
+
+#: What an actor says: an actor of ROS the first, one of OpenIGTLink the second.
+Said = RosSaid | Message
+
+
+@dataclass(frozen=True, slots=True)
+class RosHeard:
+    """A message that came on a ROS topic: its type as ``"std_msgs/msg/String"`` and its CDR bytes."""
+
+    topic: str
+    type: str
+    cdr: bytes
+
+
+#: What an actor hears: of ROS the first, of OpenIGTLink the decoded message.
+Heard = RosHeard | Message
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """How a scenario went for one actor.
+
+    Attributes:
+        good: whether what should have happened has happened.
+        lines: for people, one fact a line.
+        facts: the same as JSON values.
+    """
+
+    good: bool
+    lines: tuple[str, ...] = ()
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+class Actor(Protocol):
+    """One program of a scenario.
+
+    Attributes:
+        name: lower case, unique in its scenario; the ROS node or the OpenIGTLink program is called so.
+        side: what it speaks.
+        hears: ROS topic → type of what it subscribes to; an actor of OpenIGTLink hears all that is sent to it.
+    """
+
+    name: str
+    side: Side
+    hears: dict[str, str]
+
+    def begin(self, now_ns: int) -> None:
+        """The connection is up, or the node has found its peers.  Called once, before all else."""
+
+    @property
+    def due_ns(self) -> int | None:
+        """When it wants to act next; None: not before it hears something."""
+
+    def act(self, now_ns: int) -> Iterable[Said]:
+        """What it says now that it is due."""
+
+    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+        """What it answers to a message."""
+
+    @property
+    def done(self) -> bool:
+        """Whether its part is over; the scenario ends when that of every actor is."""
+
+    def report(self) -> Report:
+        """How it went."""
