@@ -24,12 +24,22 @@ class Side(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class Says:
+    """What is published on a ROS topic: its type as ``"std_msgs/msg/String"``.
+
+    ``latched``: the last message is for late subscribers, too (transient local).
+    """
+
+    type: str
+    latched: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class RosSaid:
-    """A message for a ROS topic; ``latched``: the last one is for late subscribers, too (transient local)."""
+    """A message for a ROS topic, one of those in the actor's ``says``."""
 
     topic: str
     message: RosMessage
-    latched: bool = False
 
 
 #: What an actor says: an actor of ROS the first, one of OpenIGTLink the second.
@@ -71,11 +81,14 @@ class Actor(Protocol):
         name: lower case, unique in its scenario; the ROS node or the OpenIGTLink program is called so.
         side: what it speaks.
         hears: ROS topic → type of what it subscribes to; an actor of OpenIGTLink hears all that is sent to it.
+        says: ROS topic → what it publishes there: a publisher has to be found by its readers before it begins.
+            Empty for an actor of OpenIGTLink.
     """
 
     name: str
     side: Side
     hears: dict[str, str]
+    says: dict[str, Says]
 
     def begin(self, now_ns: int) -> None:
         """The connection is up, or the node has found its peers.  Called once, before all else."""
