@@ -1,7 +1,8 @@
 """Scenarios: synthetic inputs from both sides, and the session that the real gateway makes of them.
 
 Nothing is faked but the world: every input goes through the same ``Session`` as live traffic, so a simulated
-recording holds both sides and verifies like any other.
+recording holds both sides and verifies like any other.  A scenario is either a list of inputs, or a cast of actors
+that react to each other; only the latter can be played live.
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ from typing import Any
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config
 from igtl_gateway.convert.rosmsg import RosMessage
-from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Gateway, Session
+from igtl_gateway.gateway import TICK, Gateway, Session
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.simulate.actor import Actor
+from igtl_gateway.simulate.stage import came, play, went
 from igtl_gateway.wire import Message, encode
 
 
@@ -33,22 +36,51 @@ class Input:
     source_ns: int = 0
 
 
+Inputs = Callable[[float | None], Iterable[Input]]
+#: The actors of a story of so many seconds (None: its own length), fresh with each call.
+Cast = Callable[[float | None], tuple[Actor, ...]]
+
+
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A synthetic session.
+    """A synthetic session: ``inputs`` or ``actors``.
 
     Attributes:
         title: one line that says that it is synthetic.
         config: how the gateway is configured.
         inputs: gives the inputs of a session of so many seconds (None: its own length), in order of time.
+        actors: gives those who make the session among themselves.
+        limit_s: a story that takes so much longer than it was asked to is stuck.
     """
 
     title: str
     config: Config
-    inputs: Callable[[float | None], Iterable[Input]]
+    inputs: Inputs | None = None
+    actors: Cast | None = None
+    limit_s: float = 60.0
 
-    def entries(self, duration_s: float | None = None, gateway: Gateway | None = None) -> Iterator[Entry]:
-        """The session log, outputs included; ``gateway`` is a new one with this configuration unless given."""
+    def __post_init__(self) -> None:
+        if (self.inputs is None) == (self.actors is None):
+            raise ValueError(f"scenario {self.title!r}: expected inputs or actors, and not both")
+
+    def cast(self, duration_s: float | None = None) -> tuple[Actor, ...]:
+        """Fresh actors for a story of so many seconds; none where there are only inputs."""
+        return self.actors(duration_s) if self.actors else ()
+
+    def entries(
+        self, duration_s: float | None = None, gateway: Gateway | None = None, cast: tuple[Actor, ...] = ()
+    ) -> Iterator[Entry]:
+        """The session log, outputs included.
+
+        Args:
+            duration_s: see ``inputs``.
+            gateway: a new one with this configuration unless given.
+            cast: of whom the caller wants the reports; fresh ones unless given.
+        """
+        if self.inputs is None:
+            limit_s = self.limit_s + (duration_s or 0.0)
+            yield from play(cast or self.cast(duration_s), self.config, limit_s=limit_s, gateway=gateway)
+            return
         session = Session(gateway or Gateway(self.config))
         for given in self.inputs(duration_s):
             yield from session.input(
@@ -69,16 +101,12 @@ def merged(*sources: Iterable[Input]) -> Iterator[Input]:
 
 def link_up(time_ns: int, link: int, peer: str) -> Input:
     """A peer connects to the (imagined) server."""
-    data = {"peer": peer, "local": "127.0.0.1:18944", "role": "server"}
-    note = Note(Level.INFO, LINK_UP, f"{peer} connected", data=data)
-    return Input(time_ns, Kind.LINK, note.pack(), link=link)
+    return Input(time_ns, Kind.LINK, came(peer).pack(), link=link)
 
 
 def link_down(time_ns: int, link: int, peer: str) -> Input:
     """The peer closes."""
-    data = {"peer": peer, "local": "127.0.0.1:18944", "role": "server", "reason": "closed by the peer"}
-    note = Note(Level.INFO, LINK_DOWN, f"{peer} gone: closed by the peer", data=data)
-    return Input(time_ns, Kind.LINK, note.pack(), link=link)
+    return Input(time_ns, Kind.LINK, went(peer).pack(), link=link)
 
 
 def fact(time_ns: int, code: str, text: str) -> Input:
