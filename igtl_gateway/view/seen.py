@@ -1,0 +1,161 @@
+"""What a session has to show: entity paths by kind, frames, times.  Blueprints are chosen and built from this alone.
+
+``SessionView`` fills it while it draws; nothing here knows rerun.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from igtl_gateway.stamp import NS_PER_S
+
+#: Entities that are there besides those of topics.
+LOG, LINKS, DROPS = "session/log", "session/links", "session/drops"
+RATES, LATENCIES = "plots/rate", "plots/latency"
+#: Frames of the transform tree: ``frames/<frame id>`` each, with axes.
+FRAMES = "frames"
+REVIEW = "review"
+REVIEW_CLOUD, REVIEW_STITCHES, REVIEW_TABLE = f"{REVIEW}/cloud", f"{REVIEW}/stitches", f"{REVIEW}/table"
+
+
+class What(Enum):
+    """What an entity is to the eye, which decides the view that it belongs in."""
+
+    CLOUD = "cloud"  #: many points, 3-D
+    POINTS = "points"  #: a few points, perhaps with names, 3-D
+    POSE = "pose"  #: axes of a tool; its trail is ``<path>/trail``, 3-D
+    POSES = "poses"  #: several tools, ``<path>/<tool>`` each, 3-D
+    FRAMES = "frames"  #: /tf: nothing at its own path but the names; the tree is at ``frames/<frame id>``
+    LINES = "lines"  #: lines, trajectories, markers of lines: plans, 3-D
+    MARKERS = "markers"  #: markers of other forms at ``<path>/<namespace>/<id>``, 3-D
+    MESH = "mesh"  #: surface, 3-D
+    IMAGE = "image"  #: picture, 2-D
+    PLANE = "plane"  #: picture with a place: 2-D at ``<path>``, 3-D at ``<path>/plane``
+    VOLUME = "volume"  #: tensor at ``<path>``, slice 2-D at ``<path>/slice``, slices 3-D at ``<path>/plane/i, j, k``
+    VIDEO = "video"  #: encoded frames, 2-D
+    PLOT = "plot"  #: numbers over time
+    BARS = "bars"  #: an array of numbers, bar chart
+    TENSOR = "tensor"  #: an array of several dimensions
+    TEXT = "text"  #: text document at its path, and a line of ``session/log``
+    DATA = "data"  #: nothing to look at but the fields (selection panel); a line of ``session/log`` says so
+
+
+#: Kinds that have something in 3-D.
+IN_3D = frozenset(
+    (What.CLOUD, What.POINTS, What.POSE, What.POSES, What.LINES, What.MARKERS, What.MESH, What.PLANE, What.VOLUME)
+)
+#: Kinds that have something in 2-D at their own path (VOLUME: at ``<path>/slice``).
+IN_2D = frozenset((What.IMAGE, What.PLANE, What.VIDEO))
+
+
+@dataclass(slots=True)
+class Shown:
+    """One topic and its picture.
+
+    Attributes:
+        path: entity path, without leading slash; parts are escaped, so it stands for itself in blueprints.
+        topic: ROS topic.
+        ros_type: of its messages.
+        what: kind of picture; of the first message where messages differ.
+        frame: frame id of the last message, the session's base frame where it has none.
+        count: messages so far.
+        outdone: how many of them came with a fuller message made of the same OpenIGTLink message (POLYDATA as
+            ``polydata`` outdoes its ``mesh``): the same thing twice in 3-D.
+        first_ns, last_ns: gateway time of the first and the last message, UTC ns.
+        width, height: of pictures in pixels; 0 for others.
+        coloured: whether a cloud has colours of its own.
+    """
+
+    path: str
+    topic: str
+    ros_type: str
+    what: What
+    frame: str = ""
+    count: int = 0
+    outdone: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    width: int = 0
+    height: int = 0
+    coloured: bool = False
+
+    @property
+    def drawn(self) -> bool:
+        """Whether to draw it in 3-D: it has something there that no fuller message has, too."""
+        return self.what in IN_3D and self.outdone < self.count
+
+
+@dataclass(slots=True)
+class Seen:
+    """All of it.
+
+    Attributes:
+        base_frame: the session's base frame (of its configuration): what has no frame is drawn there.
+        shown: topic → what there is of it, in the order of appearance.
+        parents: child frame → parent frame, last told.
+        first_ns, last_ns: gateway time of the first and last entry, UTC ns; 0 = none.
+        reviewed: whether a review of the suture plan was drawn.
+    """
+
+    base_frame: str = "world"
+    shown: dict[str, Shown] = field(default_factory=dict)
+    parents: dict[str, str] = field(default_factory=dict)
+    first_ns: int = 0
+    last_ns: int = 0
+    reviewed: bool = False
+
+    def of(self, *kinds: What) -> list[Shown]:
+        """Everything of these kinds, in the order of appearance."""
+        return [shown for shown in self.shown.values() if shown.what in kinds]
+
+    def root_of(self, frame: str) -> str:
+        """The frame without parent above ``frame`` (itself where it has none; where frames go in a circle, any)."""
+        passed = {frame}
+        while (parent := self.parents.get(frame)) is not None and parent not in passed:
+            frame = parent
+            passed.add(frame)
+        return frame
+
+    def trees(self) -> dict[str, list[Shown]]:
+        """Root frame → what is drawn in 3-D below it, the fullest first.
+
+        What lies in different trees has no place to each other: one 3-D view each, else the viewer reports
+        missing transforms.
+        """
+        trees: dict[str, list[Shown]] = {}
+        for shown in self.shown.values():
+            if shown.drawn:
+                trees.setdefault(self.root_of(shown.frame), []).append(shown)
+        return dict(sorted(trees.items(), key=lambda tree: -sum(_WEIGHTS.get(shown.what, 1) for shown in tree[1])))
+
+    @property
+    def root(self) -> str:
+        """Root of the fullest tree: the target frame of the main 3-D view."""
+        return next(iter(self.trees()), self.root_of(self.base_frame))
+
+    def frames_of(self, root: str) -> list[str]:
+        """Entity paths ``frames/<frame id>`` of the frames below a root, for their axes."""
+        return [f"{FRAMES}/{escape(child)}" for child in self.parents if self.root_of(child) == root]
+
+    @property
+    def seconds(self) -> float:
+        """From the first entry to the last."""
+        return (self.last_ns - self.first_ns) / NS_PER_S
+
+
+#: How much a picture counts where trees compete for the main view.
+_WEIGHTS = {What.CLOUD: 5, What.VOLUME: 5, What.MESH: 4, What.PLANE: 3, What.LINES: 3}
+
+#: What stands for itself in one part of an entity path; the rest becomes ``_``, so that no tool needs escapes.
+_PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-.")
+
+
+def escape(name: str) -> str:
+    """A name as one part of an entity path."""
+    return "".join(sign if sign in _PLAIN else "_" for sign in name) or "unnamed"
+
+
+def path_of(topic: str) -> str:
+    """Entity path of a topic or stream: ``/star/cloud`` → ``star/cloud``."""
+    return "/".join(escape(part) for part in topic.split("/") if part) or "unnamed"
