@@ -11,6 +11,7 @@
     │   └── MalformedBody           a length, count or value that the format forbids
     ├── ConversionError             a message that has no counterpart on the other side
     ├── RosError                    the ROS 2 side: missing installation, unknown type, refused name
+    ├── ViewerError                 rerun and its viewer: not installed, nothing to draw with, no answer
     └── RecordingError              a session file (fault of the file or of the disk)
         ├── UnsupportedRecording    not a session log, or a version we do not know
         └── DamagedRecording        a session log that cannot be read to its end
@@ -78,6 +79,10 @@ class ConversionError(GatewayError):
 
 class RosError(GatewayError):
     """ROS 2 is not installed here, or refuses a type or a name."""
+
+
+class ViewerError(GatewayError):
+    """rerun or its viewer is not installed, has nothing to draw with, or does not answer."""
 
 
 class RecordingError(GatewayError):
