@@ -33,6 +33,7 @@ LEVELS = {
     "config": 2,
     "convert": 2,
     "gateway": 3,
+    "review": 3,  # of a plan, on arrays
     "ros_interfaces.definitions": 3,  # files of definitions, for whoever reads or compiles them
     "edges": 4,  # the helpers that its edges share
     "edges.ros": 4,
@@ -96,6 +97,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "exchange",
         "record",
         "replay",
+        "review",
         "ros_interfaces.build",
         "simulate",
         "view",
