@@ -15,15 +15,17 @@ from typing import Any
 from igtl_gateway.cli.common import count, print_json, size
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.errors import DamagedRecording
-from igtl_gateway.replay.mcap_reader import SessionFile, recover_hint
+from igtl_gateway.replay.mcap_reader import PartSummary, SessionFile, recover_hint
 from igtl_gateway.replay.salvage import Salvage
+from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
   igtl-gateway info out.mcap            streams, rates, gaps, errors, losses, peers, configuration
-  igtl-gateway info out.mcap --json     the same for programs"""
+  igtl-gateway info out.mcap --json     the same for programs
+  igtl-gateway info out                 a split recording: its parts as one, and what each of them holds"""
 
 _DIRECTIONS = {
     Kind.IGTL_IN: "OpenIGTLink in",
@@ -44,7 +46,9 @@ _MAX_AGES = 100_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or a rosbag2 MCAP file")
+    parser.add_argument(
+        "file", metavar="FILE", type=Path, help="a recording, the folder of a split one, or a rosbag2 MCAP file"
+    )
     parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
 
 
@@ -151,6 +155,9 @@ def run(options: argparse.Namespace) -> int:
             content = Content.of(file.entries())
             told = _told(options.file, file, content, file.start_ns, file.end_ns)
             told["skipped"] = [asdict(skipped) for skipped in file.skipped]
+            if file.parts:
+                told["bytes"] = sum(part.size for part in file.parts)
+                told["parts"] = [_part(part) for part in file.parts]
     except DamagedRecording as error:
         if options.file.is_dir():
             raise  # it names the part that is damaged
@@ -200,6 +207,16 @@ def _told(path: Path, file: SessionFile | Salvage, content: Content, start_ns: i
     }
 
 
+def _part(part: PartSummary) -> dict[str, Any]:
+    return {
+        "file": part.path.name,
+        "bytes": part.size,
+        "entries": part.entries,
+        "start": _utc(part.start_ns),
+        "duration_s": (part.end_ns - part.start_ns) / NS_PER_S,
+    }
+
+
 def _order(item: tuple[tuple[Kind, str, str], Stream]) -> tuple[int, str, str]:
     kind, channel, type_name = item[0]
     return list(_DIRECTIONS).index(kind), channel, type_name
@@ -213,7 +230,9 @@ def _utc(stamp_ns: int) -> str:
 def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: int) -> None:
     session = told["session"]
     kind = "a foreign MCAP file" if told["foreign"] else f"session log version {told['format_version']}"
-    print(f"{told['file']}: {kind}, {size(told['bytes'])}")
+    parts = told.get("parts", [])
+    number = f"{count(len(parts), 'part')}, " if parts else ""
+    print(f"{told['file']}: {kind}, {number}{size(told['bytes'])}")
     if told["entries"]:
         print(f"  start     {told['start']}, {told['duration_s']:.3f} s, {count(told['entries'], 'entry', 'entries')}")
     else:
@@ -223,12 +242,20 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
         print(f"  made by   igtl-gateway {made}" + (f" ({session['scenario']})" if "scenario" in session else ""))
     if "synthetic" in session:
         print(f"  synthetic {session['synthetic']}")
+    for line in _origin(session):
+        print(f"  {line}")
     config = json.loads(session.get("config", "{}"))
     if config:
         print(
             f"  units     {config['igtl_unit']} in OpenIGTLink, {config['ros_unit']} in ROS; "
             f"stamps: {config['stamp']}; base frame {config['base_frame']!r}"
         )
+    if parts:
+        print("  parts")
+        width = max(len(part["file"]) for part in parts)
+        for part in parts:
+            span = f"from {part['start']}, {part['duration_s']:.3f} s" if part["entries"] else "no entries"
+            print(f"    {part['file']:<{width}} {part['entries']:>7,} {size(part['bytes']):>9}  {span}")
     _print_streams(told["streams"])
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
@@ -244,6 +271,30 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
             print(f"  {title}")
             for line in lines:
                 print(f"    {line}")
+
+
+def _origin(session: dict[str, str]) -> list[str]:
+    """What a file says of being a part of something."""
+    lines = []
+    if layout.PART_KEY in session:
+        before = f", after {session[layout.PREVIOUS_KEY]}" if layout.PREVIOUS_KEY in session else ""
+        lines.append(f"part      {session[layout.PART_KEY]} of a split recording{before}")
+    if layout.SNAPSHOT_KEY in session:
+        lines.append(f"snapshot  of the last {session[layout.SNAPSHOT_KEY]} s before it was asked for")
+    if "slice_of" in session:
+        start, end = (_utc(int(session[key])) for key in ("slice_start_ns", "slice_end_ns"))
+        lines.append(
+            f"slice     of {session['slice_of']}, {start} to {end}, "
+            f"streams {_globs(session.get('slice_streams', '')) or 'all'}"
+        )
+    for key, word in ((layout.INCLUDE_KEY, "only"), (layout.EXCLUDE_KEY, "without")):
+        if globs := _globs(session.get(key, "")):
+            lines.append(f"recorded  {word} {globs}")
+    return lines
+
+
+def _globs(text: str) -> str:
+    return " ".join(json.loads(text)) if text else ""
 
 
 def _print_streams(streams: list[dict[str, Any]]) -> None:

@@ -76,6 +76,17 @@ class SkippedChannel:
     why: str
 
 
+@dataclass(frozen=True, slots=True)
+class PartSummary:
+    """A file of a split recording: its size in bytes, its entries, UTC ns of the first and the last one (0: none)."""
+
+    path: Path
+    size: int
+    entries: int
+    start_ns: int
+    end_ns: int
+
+
 class SessionFile:
     """An open session file; a context manager.  Use :meth:`open`.
 
@@ -90,7 +101,10 @@ class SessionFile:
         definitions: ROS type → definition with all that it needs, where the file has one.
         entry_count: entries that :meth:`entries` gives.
         start_ns, end_ns: UTC nanoseconds of the first and the last one; 0 in an empty file.
+        parts: the files of a split recording, in order; empty for a file.
     """
+
+    parts: tuple[PartSummary, ...] = ()
 
     def __init__(self, path: Path, stream: IO[bytes]) -> None:
         self.path = path
@@ -278,7 +292,7 @@ class SessionParts(SessionFile):
 
     def __init__(self, folder: Path) -> None:
         self.path = folder
-        found: dict[int, Path] = {}
+        found: dict[int, PartSummary] = {}
         channels: dict[tuple[str, str, Kind, str], ChannelSummary] = {}
         skipped: list[SkippedChannel] = []
         self.definitions = {}
@@ -291,7 +305,8 @@ class SessionParts(SessionFile):
                         f"{folder}: found a directory with {path.name}, expected parts of a split recording; "
                         "name the .mcap file in it"
                     )
-                found[int(number)] = path
+                size = path.stat().st_size
+                found[int(number)] = PartSummary(path, size, part.entry_count, part.start_ns, part.end_ns)
                 for channel in part.channels:
                     key = (channel.topic, channel.type, channel.kind, channel.stream)
                     count = channels[key].count if key in channels else 0
@@ -304,13 +319,15 @@ class SessionParts(SessionFile):
         missing = next((number for number in range(max(found) + 1) if number not in found), None)
         if missing is not None:
             raise DamagedRecording(f"{folder}: part {missing} of the recording is missing")
-        self._parts = [found[number] for number in sorted(found)]
-        with SessionFile.open(self._parts[0]) as first, SessionFile.open(self._parts[-1]) as last:
+        self.parts = tuple(found[number] for number in sorted(found))
+        with SessionFile.open(self.parts[0].path) as first, SessionFile.open(self.parts[-1].path) as last:
             own = (layout.PART_KEY, layout.PREVIOUS_KEY)
             self.session = {key: value for key, value in first.session.items() if key not in own}
             self.format_version = first.format_version
-            self.start_ns, self.end_ns = first.start_ns, last.end_ns
             self.ledger = last.ledger
+        full = [part for part in self.parts if part.entries]
+        if full:
+            self.start_ns, self.end_ns = full[0].start_ns, full[-1].end_ns
         self.foreign = False
         self.channels, self.skipped = tuple(channels.values()), tuple(skipped)
 
@@ -320,11 +337,11 @@ class SessionParts(SessionFile):
     def entries(self) -> Iterator[Entry]:
         """All entries of all parts; as SessionFile.entries."""
         seq = 0
-        for path in self._parts:
-            with SessionFile.open(path) as part:
+        for each in self.parts:
+            with SessionFile.open(each.path) as part:
                 for entry in part.entries():
                     if entry.seq <= seq:
-                        raise DamagedRecording(f"{path}: found entry number {entry.seq}, expected one above {seq}")
+                        raise DamagedRecording(f"{each.path}: found entry number {entry.seq}, expected one above {seq}")
                     seq = entry.seq
                     yield entry
 

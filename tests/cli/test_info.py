@@ -1,0 +1,77 @@
+"""``info`` on recordings that are a part of something, or made of parts."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.cli import main
+from igtl_gateway.config import Config
+from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.session.entry import Entry
+from tests.record import samples
+
+SESSION = {**samples.SESSION, "config": json.dumps(Config().to_dict())}
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+
+
+def write(path: Path, entries: list[Entry], **facts: str) -> int:
+    """A session file; its size."""
+    writer = SessionWriter(path, {**SESSION, **facts})
+    for entry in entries:
+        writer.write(entry)
+    writer.close({"streams": {}})
+    return path.stat().st_size
+
+
+def said(capsys: pytest.CaptureFixture[str], path: Path, *options: str) -> str:
+    assert main(["info", str(path), *options]) == 0
+    return capsys.readouterr().out
+
+
+def test_a_split_recording_is_told_as_one_and_by_its_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "long"
+    folder.mkdir()
+    entries = samples.every_kind(20)
+    sizes = [
+        write(folder / "long_0.mcap", entries[:70], part="0"),
+        write(folder / "long_1.mcap", entries[70:105], part="1", previous_part="long_0.mcap"),
+        write(folder / "long_2.mcap", [], part="2", previous_part="long_1.mcap"),
+    ]
+    told = json.loads(said(capsys, folder, "--json"))
+    assert (told["bytes"], told["entries"]) == (sum(sizes), 105)
+    assert [(part["file"], part["bytes"], part["entries"]) for part in told["parts"]] == [
+        ("long_0.mcap", sizes[0], 70),
+        ("long_1.mcap", sizes[1], 35),
+        ("long_2.mcap", sizes[2], 0),
+    ]
+    assert told["parts"][0]["start"] == told["start"]
+    assert told["parts"][1]["duration_s"] == (entries[104].stamp_ns - entries[70].stamp_ns) / 1e9
+    text = said(capsys, folder)
+    assert text.startswith(f"{folder}: session log version 1, 3 parts, {sum(sizes) / 1000:.1f} kB\n")
+    rows = [line.split() for line in text.partition("  parts\n")[2].splitlines()[:3]]
+    assert [(row[0], row[1]) for row in rows] == [("long_0.mcap", "70"), ("long_1.mcap", "35"), ("long_2.mcap", "0")]
+    assert rows[2][-2:] == ["no", "entries"]
+    assert "part      1 of a split recording, after long_0.mcap\n" in said(capsys, folder / "long_1.mcap")
+    assert "parts" not in json.loads(said(capsys, folder / "long_1.mcap", "--json"))
+
+
+def test_what_a_file_is_a_part_of_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "snap.mcap"
+    write(path, [], snapshot_seconds="30", record_include='["TRANSFORM/*", "/tf"]', record_exclude='["IMAGE/*"]')
+    text = said(capsys, path)
+    assert "snapshot  of the last 30 s before it was asked for\n" in text
+    assert "recorded  only TRANSFORM/* /tf\n" in text
+    assert "recorded  without IMAGE/*\n" in text
+
+    part = tmp_path / "part.mcap"
+    whole = FIXTURES / "star.mcap"
+    assert main(["slice", str(whole), str(part), "--start", "1", "--end", "2", "--streams", "TRANSFORM/*"]) == 0
+    capsys.readouterr()
+    facts = json.loads(said(capsys, part, "--json"))["session"]
+    line = next(line for line in said(capsys, part).splitlines() if line.startswith("  slice "))
+    assert line.split()[1:3] == ["of", "star.mcap,"] and line.endswith("streams TRANSFORM/*")
+    assert f".{int(facts['slice_start_ns']) % 10**9 // 10**6:03}Z to " in line
+    assert not any(word in said(capsys, whole) for word in ("slice ", "snapshot ", "recorded  ", "parts\n"))
