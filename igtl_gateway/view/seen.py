@@ -34,6 +34,7 @@ class What(Enum):
     PLANE = "plane"  #: picture with a place: 2-D at ``<path>``, 3-D at ``<path>/plane``
     VOLUME = "volume"  #: tensor at ``<path>``, slice 2-D at ``<path>/slice``, slices 3-D at ``<path>/plane/i, j, k``
     VIDEO = "video"  #: encoded frames, 2-D
+    CAMERA = "camera"  #: intrinsics: a pinhole in its frame, whose pictures are in the frame ``<frame id>/image``
     PLOT = "plot"  #: numbers over time
     BARS = "bars"  #: an array of numbers, bar chart
     TENSOR = "tensor"  #: an array of several dimensions
@@ -65,6 +66,8 @@ class Shown:
         first_ns, last_ns: gateway time of the first and the last message, UTC ns.
         width, height: of pictures in pixels; 0 for others.
         coloured: whether a cloud has colours of its own.
+        low, high: corners of the box around most of what was drawn (of a cloud without its outliers), metres in
+            ``frame``; None while there is none.  The eye of a 3-D view is set by it.
     """
 
     path: str
@@ -79,6 +82,8 @@ class Shown:
     width: int = 0
     height: int = 0
     coloured: bool = False
+    low: tuple[float, float, float] | None = None
+    high: tuple[float, float, float] | None = None
 
     @property
     def drawn(self) -> bool:
