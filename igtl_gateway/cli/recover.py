@@ -12,7 +12,8 @@ from igtl_gateway import __version__
 from igtl_gateway.cli.common import count, print_json, size
 from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
 from igtl_gateway.record.mcap_copy import CopyWriter
-from igtl_gateway.record.parts import SIDE_FILE
+from igtl_gateway.record.mcap_writer import reason
+from igtl_gateway.record.parts import SIDE_FILE, Part, write_side_file
 from igtl_gateway.replay.salvage import Loss, Report, Salvage
 from igtl_gateway.stamp import NS_PER_S
 
@@ -24,6 +25,7 @@ EXAMPLES = """\
 
 exit code 0: all that was recorded is in the new file; 1: something is lost, and the output says what"""
 
+_NEVER = 1 << 64  # after every stamp
 _STEP = 64 << 20  # bytes between two words on the progress
 _SHOWN = 20
 
@@ -44,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     if source.is_dir():
         return _run_parts(options)
     output: Path = options.output or source.with_suffix(".recovered.mcap")
-    told, report = _recover(source, output, options)
+    told, report, _ = _recover(source, output, options)
     if options.json:
         print_json(told)
     else:
@@ -64,27 +66,35 @@ def _run_parts(options: argparse.Namespace) -> int:
     except OSError as error:
         raise RecordingError(f"cannot record to {output}: {error.strerror}") from None
     everything = []
+    written = []
     for part in parts:
         try:
-            told, report = _recover(part, output / part.name, options)
+            told, report, copy = _recover(part, output / part.name, options)
         except UnsupportedRecording as error:
             told = {"file": str(part), "whole": False, "why": str(error)}
             if not options.json:
                 print(f"LOST {error}")
         else:
+            written.append(copy)
             if not options.json:
                 _print(told, report)
         everything.append(told)
+    # in order of time, as they were recorded: part_10 comes before part_9 by name
+    written.sort(key=lambda part: (part.start_ns or _NEVER, part.path.name))
+    try:
+        write_side_file(output, written)
+    except OSError as error:
+        raise RecordingError(f"cannot write {output / SIDE_FILE}: {reason(error)}") from error
     whole = all(told["whole"] for told in everything)
     if options.json:
         print_json({"file": str(source), "output": str(output), "whole": whole, "parts": everything})
     else:
-        print(f"{output}: written; ros2 bag reindex makes its {SIDE_FILE}")
+        print(f"{output / SIDE_FILE}: written")
     return 0 if whole else 1
 
 
-def _recover(source: Path, output: Path, options: argparse.Namespace) -> tuple[dict[str, Any], Report]:
-    """One file.  Gives what is told of it."""
+def _recover(source: Path, output: Path, options: argparse.Namespace) -> tuple[dict[str, Any], Report, Part]:
+    """One file.  Gives what is told of it, and what the side file of a split recording has to tell of the new one."""
     if output.exists() and source.exists() and output.samefile(source):
         raise ConfigError(f"{output}: is the damaged file itself; expected another name for the recovered one")
     with Salvage.open(source) as file:
@@ -102,7 +112,9 @@ def _recover(source: Path, output: Path, options: argparse.Namespace) -> tuple[d
             if "recovered" in ledger:
                 facts["earlier"] = ledger["recovered"]
             written = writer.close({**ledger, "recovered": facts})
-        return {"file": str(source), "output": str(output), "output_bytes": written, **facts}, file.report
+        told = {"file": str(source), "output": str(output), "output_bytes": written, **facts}
+        part = Part(output, writer.start_ns, writer.end_ns, writer.messages, tuple(writer.topics()), written)
+        return told, file.report, part
 
 
 def _copy(file: Salvage, writer: CopyWriter, *, progress: bool) -> None:

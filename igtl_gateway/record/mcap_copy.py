@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -18,7 +19,7 @@ from mcap.writer import Writer
 
 from igtl_gateway import __version__
 from igtl_gateway.errors import RecordingError
-from igtl_gateway.record.mcap_writer import COMPRESSIONS, Compression, create_file, reason
+from igtl_gateway.record.mcap_writer import COMPRESSIONS, Compression, TopicCount, create_file, reason
 from igtl_gateway.session import layout
 
 
@@ -46,6 +47,10 @@ class CopyWriter:
         overwrite: bool = False,
     ) -> None:
         self.path = path
+        #: Messages written so far, and the first and the last of their times, 0 before there is one.
+        self.messages = self.start_ns = self.end_ns = 0
+        self._topics: dict[tuple[str, str], TopicCount] = {}
+        self._keys: dict[int, tuple[str, str]] = {}  # number here → topic and type
         self._file = create_file(path, overwrite)
         self._schemas: dict[int, int] = {}  # number there → number here
         self._channels: dict[int, int] = {}
@@ -85,6 +90,15 @@ class CopyWriter:
             if here is None:
                 here = self._channels[channel.id] = self._open_channel(schema, channel)
             self._mcap.add_message(here, message.log_time, message.data, message.publish_time, message.sequence)
+        key = self._keys[here]
+        self._topics[key] = replace(self._topics[key], count=self._topics[key].count + 1)
+        self.start_ns = min(self.start_ns, message.log_time) if self.messages else message.log_time
+        self.end_ns = max(self.end_ns, message.log_time)
+        self.messages += 1
+
+    def topics(self) -> list[TopicCount]:
+        """What is in it, by topic and type."""
+        return list(self._topics.values())
 
     def close(self, ledger: dict[str, Any]) -> int:
         """Write the ledger and the index.  Gives the size of the file in bytes."""
@@ -106,6 +120,11 @@ class CopyWriter:
             number = self._schemas[schema.id]
         here = self._mcap.register_channel(channel.topic, channel.message_encoding, number, channel.metadata)
         self._repeat(Channel(here, channel.topic, channel.message_encoding, channel.metadata, number))
+        key = self._keys[here] = (channel.topic, schema.name if schema else "")
+        if key not in self._topics:
+            qos = layout.parse_qos_yaml(channel.metadata.get(layout.QOS_KEY, ""))
+            profile = layout.qos_yaml(qos) if qos else ""
+            self._topics[key] = TopicCount(*key, profile, channel.metadata.get(layout.TYPE_HASH_KEY, ""), 0)
         return here
 
     def _repeat(self, record: McapRecord) -> None:

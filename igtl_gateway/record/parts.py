@@ -29,8 +29,8 @@ Open = Callable[[Path, dict[str, str], Sequence[Entry]], SessionWriter]
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
-    """A complete part."""
+class Part:
+    """A complete part: first and last stamp in UTC ns (0: no entries), entries, and bytes of the file."""
 
     path: Path
     start_ns: int
@@ -70,7 +70,7 @@ class PartsWriter:
         self._prologue = prologue
         self._max_bytes, self._max_ns = max_bytes, int(max_s * NS_PER_S)
         self._counters = counters
-        self._parts: list[_Part] = []
+        self._parts: list[Part] = []
         _make_folder(self.path, overwrite)
         self._part = self._open()
         self._ended = False  # the part is one of the complete ones
@@ -128,9 +128,9 @@ class PartsWriter:
             if not self._ended:
                 self._ended = True
                 self._parts.append(
-                    _Part(part.path, part.start_ns, part.end_ns, part.entries, tuple(part.topics()), size)
+                    Part(part.path, part.start_ns, part.end_ns, part.entries, tuple(part.topics()), size)
                 )
-            _replace(self.path / SIDE_FILE, side_file(self._parts))
+            write_side_file(self.path, self._parts)
         except OSError as error:
             raise RecordingError(f"recording to {self.path} failed: {error.strerror or error}") from error
 
@@ -140,7 +140,12 @@ def folder_of(path: Path) -> Path:
     return path.with_suffix("") if path.suffix == ".mcap" else path
 
 
-def side_file(parts: Sequence[_Part]) -> str:
+def write_side_file(folder: Path, parts: Sequence[Part]) -> None:
+    """Write ``metadata.yaml``, so that at any moment there is the old one or the new one.  Raises OSError."""
+    _replace(folder / SIDE_FILE, _side_file(parts))
+
+
+def _side_file(parts: Sequence[Part]) -> str:
     """``metadata.yaml`` as rosbag2 (Jazzy, version 9) writes it."""
     full = [part for part in parts if part.entries]
     start_ns = min((part.start_ns for part in full), default=0)
@@ -159,14 +164,15 @@ def side_file(parts: Sequence[_Part]) -> str:
             f"        name: {json.dumps(topic.topic)}",
             f"        type: {json.dumps(topic.type)}",
             f"        serialization_format: {layout.MESSAGE_ENCODING}",
-            "        offered_qos_profiles:",
+            "        offered_qos_profiles:" + ("" if profiles else " []"),
             *profiles,
             f"        type_description_hash: {json.dumps(topic.type_hash)}",
             f"      message_count: {topic.count}",
         ]
-    lines += ['  compression_format: ""', '  compression_mode: ""', "  relative_file_paths:"]
+    none = "" if parts else " []"
+    lines += ['  compression_format: ""', '  compression_mode: ""', f"  relative_file_paths:{none}"]
     lines += [f"    - {json.dumps(part.path.name)}" for part in parts]
-    lines.append("  files:")
+    lines.append(f"  files:{none}")
     for part in parts:
         lines.append(f"    - path: {json.dumps(part.path.name)}")
         lines += _span("      ", part.start_ns, part.end_ns - part.start_ns, part.entries)
@@ -183,7 +189,7 @@ def _span(indent: str, start_ns: int, duration_ns: int, messages: int) -> list[s
     ]
 
 
-def _merged(parts: Sequence[_Part]) -> list[TopicCount]:
+def _merged(parts: Sequence[Part]) -> list[TopicCount]:
     topics: dict[tuple[str, str], TopicCount] = {}
     for topic in (topic for part in parts for topic in part.topics):
         before = topics.get((topic.topic, topic.type))

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from rosbags.rosbag2 import Reader
+from ruamel.yaml import YAML
 
 from igtl_gateway.cli import main
 from igtl_gateway.config import Config
@@ -224,6 +227,52 @@ def test_info_tells_of_a_recovered_file(cut: Path, capsys: pytest.CaptureFixture
     assert "lost in 1 place" in said
 
 
+def side_file(folder: Path) -> Counter[str]:
+    """Messages by type as rosbags finds them by ``metadata.yaml``, each field of which is held against the files."""
+    told = YAML(typ="safe").load((folder / "metadata.yaml").read_text("utf-8"))["rosbag2_bagfile_information"]
+    parts = []
+    topics: Counter[tuple[str, str, str]] = Counter()
+    for path in sorted(folder.glob("*.mcap")):
+        with path.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+        assert summary and summary.statistics
+        facts = summary.statistics
+        span = facts.message_end_time - facts.message_start_time
+        parts.append((path.name, facts.message_start_time, span, facts.message_count))
+        for number, count in facts.channel_message_counts.items():
+            channel = summary.channels[number]
+            kind = summary.schemas[channel.schema_id].name
+            topics[channel.topic, kind, channel.metadata["offered_qos_profiles"]] += count
+    assert told["relative_file_paths"] == [part[0] for part in parts]
+    assert parts == [
+        (
+            one["path"],
+            one["starting_time"]["nanoseconds_since_epoch"],
+            one["duration"]["nanoseconds"],
+            one["message_count"],
+        )
+        for one in told["files"]
+    ]
+    end_ns = max(start_ns + span for _, start_ns, span, _ in parts)
+    assert told["starting_time"]["nanoseconds_since_epoch"] == min(start_ns for _, start_ns, _, _ in parts)
+    assert told["duration"]["nanoseconds"] == end_ns - told["starting_time"]["nanoseconds_since_epoch"]
+    assert {
+        (one["topic_metadata"]["name"], one["topic_metadata"]["type"]): (
+            one["topic_metadata"]["offered_qos_profiles"],
+            one["message_count"],
+        )
+        for one in told["topics_with_message_count"]
+    } == {(topic, kind): (YAML(typ="safe").load(qos), count) for (topic, kind, qos), count in topics.items()}
+    with Reader(folder) as reader:
+        found = Counter(connection.msgtype for connection, _, _ in reader.messages())
+        assert found.total() == reader.message_count == told["message_count"]
+    return found
+
+
+def counts(given: list[Entry]) -> Counter[str]:
+    return Counter(layout.type_of(entry.kind) or entry.type for entry in given)
+
+
 def test_the_parts_of_a_split_recording_are_recovered_together(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -243,9 +292,45 @@ def test_the_parts_of_a_split_recording_are_recovered_together(
     assert entries(tmp_path / "split.recovered") == [samples.flat(entry) for entry in ENTRIES]
     assert main(["recover", str(folder)]) == 1
     assert "File exists" in capsys.readouterr().err
+    assert side_file(tmp_path / "split.recovered") == counts(ENTRIES)
     (folder / "split_2.mcap").touch()  # killed before its first byte
     assert main(["recover", str(folder), "-o", str(tmp_path / "more")]) == 1
     assert "LOST" in capsys.readouterr().out
     assert entries(tmp_path / "more") == [samples.flat(entry) for entry in ENTRIES]
+    assert side_file(tmp_path / "more") == counts(ENTRIES)
     (tmp_path / "none").mkdir()
     assert main(["recover", str(tmp_path / "none")]) == 2
+
+
+def test_the_folder_of_another_program_gets_the_side_file_too(tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for name, at in (("bag_10", 2_000), ("bag_9", 1_000)):
+        with (folder / f"{name}.mcap").open("wb") as stream:
+            writer = Writer(stream)
+            writer.start("ros2", "rosbag2")
+            schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+            channel = writer.register_channel("/chatter", "cdr", schema, {})
+            for number in range(3):
+                writer.add_message(channel, at + number, samples.string_cdr("x"), at + number, number)
+            writer.finish()  # type: ignore[no-untyped-call]
+    assert main(["recover", str(folder)]) == 0
+    with Reader(tmp_path / "bag.recovered") as reader:
+        assert [stamp for _, stamp, _ in reader.messages()] == [1000, 1001, 1002, 2000, 2001, 2002]
+        (connection,) = reader.connections
+        assert (connection.topic, connection.msgcount) == ("/chatter", 6)
+    told = YAML(typ="safe").load((tmp_path / "bag.recovered" / "metadata.yaml").read_text("utf-8"))
+    told = told["rosbag2_bagfile_information"]
+    assert told["relative_file_paths"] == ["bag_9.mcap", "bag_10.mcap"], "in the order of time"
+    assert told["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"] == []
+
+
+def test_where_nothing_can_be_read_the_side_file_names_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    (folder / "bag_0.mcap").touch()
+    assert main(["recover", str(folder)]) == 1
+    told = YAML(typ="safe").load((tmp_path / "bag.recovered" / "metadata.yaml").read_text("utf-8"))
+    told = told["rosbag2_bagfile_information"]
+    lists = ("relative_file_paths", "files", "topics_with_message_count")
+    assert [told[key] for key in (*lists, "message_count")] == [[], [], [], 0]
