@@ -4,6 +4,8 @@
 #   tools/setup.sh venv     .venv with the package, its extras and the pins of constraints.txt, and in it the ROS
 #                           message packages that no wheel brings, compiled
 #   tools/setup.sh peers    what the C++ reference peer of the tests is built with
+#   tools/setup.sh mri      the MR head Colin27 for the scenarios lego and brain, out of a package of Debian, which is
+#                           unpacked into the user's cache folder and not installed
 #
 # System packages are installed where we are root or may sudo without a password; otherwise the command to type
 # is printed.  Without Python we stop; without the rest the tests that need it skip, with that reason.
@@ -123,11 +125,35 @@ setup_peers() {
     fi
 }
 
+# What igtl_gateway/simulate/volume.py looks for; it finds an installed mricron-data, too.
+setup_mri() {
+    local target="${XDG_CACHE_HOME:-$HOME/.cache}/igtl_gateway/mri" work log
+    if [ -f "$target/ch2.nii.gz" ] && [ -f "$target/ch2bet.nii.gz" ]; then
+        return
+    fi
+    if ! command -v apt-get >/dev/null || ! command -v dpkg-deb >/dev/null; then
+        say "This is not Debian or Ubuntu. Put ch2.nii.gz and ch2bet.nii.gz of MRIcron into $target"
+        exit 1
+    fi
+    work=$(mktemp -d)
+    trap "rm -rf '$work'" EXIT
+    say "Fetching the package mricron-data (Colin27)."
+    if ! log=$({ cd "$work" && apt-get -qq download mricron-data && dpkg-deb -x mricron-data_*.deb .; } 2>&1); then
+        say "$log" "apt-get could not download mricron-data (try 'apt-get update' first). Without it the scenarios take a head made of formulae."
+        exit 1
+    fi
+    mkdir -p "$target"
+    cp "$work"/usr/share/mricron/templates/ch2.nii.gz "$work"/usr/share/mricron/templates/ch2bet.nii.gz \
+        "$work"/usr/share/doc/mricron-data/copyright "$target"
+    say "$target"
+}
+
 case "${1:-}" in
 venv) setup_venv ;;
 peers) setup_peers ;;
+mri) setup_mri ;;
 *)
-    say "usage: tools/setup.sh venv|peers"
+    say "usage: tools/setup.sh venv|peers|mri"
     exit 2
     ;;
 esac
