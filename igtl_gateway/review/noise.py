@@ -1,0 +1,103 @@
+"""Depth noise of every pixel, from how its depth changes from cloud to cloud, or from pixel to pixel.
+
+Both are differences of readings of one place, so what is being looked at falls out, and both are pooled over the
+pixels around: a dozen clouds alone would tell a pixel's noise to ±20 % only.  What changes by far more than the
+noise around it (the tool that comes by, a gross error) is left out.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]
+
+#: Median of the size of a normal number → its deviation.
+MAD = 1.4826
+_BLOCK = 10  # pixels: squares for a first guess
+_POOL = 2  # pixels to each side: 5 by 5 are pooled
+_CUT = 3.5  # deviations; what is beyond is no noise
+_CUT_SHRINKS = 0.9969  # deviation of a normal number whose tails are cut off there
+_ROUNDS = 3
+_ENOUGH = 12  # differences that make a figure
+
+
+def between_clouds(depths: Array) -> Array:
+    """(height, width) standard deviation of depth from the differences of successive clouds.
+
+    A shift that all pixels share is taken off: the patient breathes, and that is no noise.
+
+    Args:
+        depths: (clouds, height, width), NaN where there is none; two clouds or more.
+    """
+    steps = np.diff(depths.astype(np.float64), axis=0) / np.sqrt(2.0)
+    for step in steps:
+        known = step[np.isfinite(step)]
+        if known.size:
+            step -= np.median(known)
+    return _pooled(steps)
+
+
+def within_cloud(depth: Array) -> Array:
+    """(height, width) standard deviation of depth from second differences along rows and columns.
+
+    Sees what differs between neighbours only: a lower bound where the grain is larger than a pixel.
+    """
+    depth = depth.astype(np.float64)
+    bends = np.full((2, *depth.shape), np.nan)
+    if min(depth.shape) > 2:  # noqa: PLR2004 - a pixel between two others
+        bends[0, 1:-1] = (depth[:-2] - 2 * depth[1:-1] + depth[2:]) / np.sqrt(6.0)
+        bends[1, :, 1:-1] = (depth[:, :-2] - 2 * depth[:, 1:-1] + depth[:, 2:]) / np.sqrt(6.0)
+    return _pooled(bends)
+
+
+def deviation(values: Array) -> float:
+    """Standard deviation of what scatters about 0, gross errors left out; NaN of nothing."""
+    size = np.abs(values[np.isfinite(values)])
+    if not size.size:
+        return float("nan")
+    guess = MAD * float(np.median(size))
+    kept = size[size <= _CUT * guess]
+    return float(np.sqrt((kept**2).mean())) / _CUT_SHRINKS
+
+
+def _pooled(differences: Array) -> Array:
+    """Root mean square of (n, height, width) differences about 0 over the pixels around, gross errors left out."""
+    size = np.abs(differences)
+    sigma = _guess(size)
+    for _ in range(_ROUNDS):
+        kept = size <= _CUT * sigma  # NaN is not
+        squares = _box(np.where(kept, size, 0.0) ** 2)
+        number = _box(kept.astype(np.float64))
+        enough = number > _ENOUGH - 0.5
+        found = np.sqrt(np.where(enough, np.maximum(squares, 0.0) / np.where(enough, number, 1.0), np.nan))
+        sigma = np.where(enough, found / _CUT_SHRINKS, np.nan)
+    return sigma
+
+
+def _guess(size: Array) -> Array:
+    """(height, width) deviation by the medians of blocks."""
+    count, height, width = size.shape
+    rows, columns = -(-height // _BLOCK), -(-width // _BLOCK)
+    padded = np.full((count, rows * _BLOCK, columns * _BLOCK), np.inf)
+    padded[:, :height, :width] = np.where(np.isfinite(size), size, np.inf)
+    blocks = padded.reshape(count, rows, _BLOCK, columns, _BLOCK).transpose(1, 3, 0, 2, 4).reshape(rows * columns, -1)
+    blocks = np.sort(blocks, axis=1)
+    number = np.isfinite(blocks).sum(axis=1)
+    medians = MAD * blocks[np.arange(len(blocks)), np.maximum(number - 1, 0) // 2]
+    medians = np.where(number > 0, medians, np.nan).reshape(rows, columns)
+    return np.repeat(np.repeat(medians, _BLOCK, axis=0), _BLOCK, axis=1)[:height, :width]
+
+
+def _box(values: Array) -> Array:
+    """(height, width) sums over all (n, height, width) in the square around each pixel."""
+    total = values.sum(axis=0)
+    for axis in (0, 1):
+        padding = [(0, 0), (0, 0)]
+        padding[axis] = (_POOL + 1, _POOL)
+        running = np.cumsum(np.pad(total, padding), axis=axis)
+        length, side = total.shape[axis], 2 * _POOL + 1
+        total = np.take(running, range(side, side + length), axis) - np.take(running, range(length), axis)
+    return total

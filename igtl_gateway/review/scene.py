@@ -1,0 +1,128 @@
+"""The clouds as one depth picture: which ray each pixel looks along, its median depth, its noise.
+
+The median over the clouds takes the tool out that comes by, fills the holes that come and go, and leaves the
+noise of one cloud divided by nearly the root of their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.errors import GatewayError
+from igtl_gateway.review import noise
+from igtl_gateway.review.linear import least_squares
+
+Array = npt.NDArray[Any]
+
+#: Clouds from which on scatter between them tells more than a formula.
+SEVERAL = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Cloud:
+    """A cloud as it came.
+
+    Attributes:
+        topic, frame_id: of its message.
+        stamp_ns: gateway time.
+        source_ns: stamp in the message; 0 = unset.
+        points: (height, width, 3) metres, NaN where the camera gave no depth; height 1 if not organised.
+    """
+
+    topic: str
+    frame_id: str
+    stamp_ns: int
+    source_ns: int
+    points: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What the clouds say together; pixels in one row, as (height · width,).
+
+    Attributes:
+        clouds: what it was made of, in order of time.
+        rays: (pixels, 2): x / z and y / z of what a pixel sees.
+        depth: (pixels,) median z, metres; NaN where no cloud has any.
+        depths: (clouds, pixels) z of each.
+        noise: (pixels,) standard deviation of z, metres; NaN where unknown.
+        temporal: whether ``noise`` is from cloud to cloud.
+        organised: whether the clouds are pictures.
+    """
+
+    clouds: tuple[Cloud, ...]
+    rays: Array
+    depth: Array
+    depths: Array
+    noise: Array
+    temporal: bool
+    organised: bool
+
+    @classmethod
+    def of(cls, clouds: Sequence[Cloud]) -> Scene:
+        """From clouds of one size and frame; of clouds that are not organised the last one only.
+
+        Raises GatewayError where the points do not lie in front of a camera.
+        """
+        height, width, _ = clouds[-1].points.shape
+        organised = height > 1 and width > 1
+        used = tuple(clouds) if organised else (clouds[-1],)
+        x, y, z = (np.stack([cloud.points[..., axis] for cloud in used]).astype(np.float64) for axis in range(3))
+        behind = np.isfinite(z) & (z <= 0)
+        if 2 * np.count_nonzero(behind) > np.count_nonzero(np.isfinite(z)):
+            raise GatewayError(
+                f"{used[0].topic}, frame {used[0].frame_id!r}: found most points behind the camera (z below 0), "
+                "expected a cloud in the optical frame of its camera (z forward)"
+            )
+        z[behind] = np.nan
+        rays = np.stack([_mean_ray(x / z), _mean_ray(y / z)], axis=-1)
+        if organised and len(used) > 1:
+            sigma = noise.between_clouds(z)
+        else:
+            sigma = noise.within_cloud(z[0])
+        return cls(
+            used,
+            rays.reshape(-1, 2),
+            _median(z).reshape(-1),
+            z.reshape(len(used), -1),
+            sigma.reshape(-1),
+            len(used) > 1,
+            organised,
+        )
+
+    def around(self, ray: Array, radius: float) -> Array:
+        """Numbers of the pixels within ``radius`` (as x / z) of a ray."""
+        off = self.rays - ray
+        with np.errstate(invalid="ignore"):
+            return np.flatnonzero(off[:, 0] ** 2 + off[:, 1] ** 2 <= radius**2)
+
+
+def _median(values: Array) -> Array:
+    """Along the first axis, without the NaNs; NaN of none.  (numpy's is slow, and warns of those.)"""
+    ordered = np.sort(values, axis=0)  # NaN last
+    number = np.isfinite(values).sum(axis=0)
+    low, high = np.maximum(number - 1, 0) // 2, number // 2
+    high = np.minimum(high, len(values) - 1)
+    picked = np.take_along_axis(ordered, low[None], 0)[0] + np.take_along_axis(ordered, high[None], 0)[0]
+    return np.where(number > 0, picked / 2, np.nan)
+
+
+def _mean_ray(slopes: Array) -> Array:
+    """(height, width) mean over the clouds; where no cloud knows, what a pinhole camera would have there."""
+    known = np.isfinite(slopes)
+    number = known.sum(axis=0)
+    mean = np.where(known, slopes, 0.0).sum(axis=0) / np.maximum(number, 1)
+    height, width = mean.shape
+    if height == 1 or number.all():
+        return np.where(number > 0, mean, np.nan)
+    row, column = np.mgrid[0:height, 0:width]
+    design = np.stack([np.ones(mean.size), column.reshape(-1) / width, row.reshape(-1) / height], axis=1)
+    line = least_squares(design, mean.reshape(-1), (number > 0).reshape(-1).astype(np.float64))
+    if line is None:
+        return np.where(number > 0, mean, np.nan)
+    return np.where(number > 0, mean, (design * line).sum(axis=1).reshape(height, width))

@@ -1,0 +1,142 @@
+"""The tissue around a point: depth as a quadric over the viewing rays, fitted so that gross errors do not count.
+
+The error of a camera lies along its rays, so depth is fitted over the rays and the distance is then taken at a
+right angle to the fitted surface.  The place itself has no say in the first fit (``_OUTSIDE``): whether its
+reading is right is just the question, and a planned point was lifted from that very reading.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.review import noise
+from igtl_gateway.review.linear import influence, least_squares, times
+from igtl_gateway.review.scene import SEVERAL, Scene
+
+Array = npt.NDArray[Any]
+
+_TUKEY = 4.685  # deviations; from here on a point has no weight
+_ROUNDS = 12
+_OUTSIDE = 0.5  # share of the radius within which a point has no say in the first rounds
+_FIRST_ROUNDS = 4
+_MIN_POINTS = 24
+_PLANE, _QUADRIC = 3, 6  # unknowns
+_LEAST_SCALE_M = 1e-5  # a scatter below the steps of any sensor
+_GROSS = 5.0  # deviations; what is beyond in one cloud says nothing of the surface
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """z = c₀ + c₁ p + c₂ q + c₃ p² + c₄ p q + c₅ q², with (p, q) = (ray − ``ray``) / ``radius``.
+
+    Attributes:
+        ray: (x / z, y / z) of the middle.
+        radius: of the window, as x / z.
+        coefficients: (6,) metres.
+        error: standard error of the depth in the middle, metres.
+        scatter: standard deviation of the pixels of one cloud about the surface, metres.
+    """
+
+    ray: Array
+    radius: float
+    coefficients: Array
+    error: float
+    scatter: float
+
+    def depth(self, rays: Array) -> Array:
+        """(n,) z of the surface on (n, 2) rays."""
+        return times(_design((rays - self.ray) / self.radius), self.coefficients)
+
+    def slant(self, rays: Array) -> Array:
+        """(n,) length on the ray's own z for each unit at a right angle to the surface: 1 where it is looked at
+        squarely, more where it is steep."""
+        _, b, c, d, e, f = self.coefficients
+        p, q = ((rays - self.ray) / self.radius).T
+        along_u, along_v = (b + 2 * d * p + e * q) / self.radius, (c + e * p + 2 * f * q) / self.radius
+        z = self.depth(rays)
+        # normal of the surface z (u, v) · (u, v, 1), up to its length; its product with the ray is z
+        forward = z + along_u * rays[:, 0] + along_v * rays[:, 1]
+        slant: Array = np.sqrt(along_u**2 + along_v**2 + forward**2) / z
+        return slant
+
+    def distance(self, points: Array) -> Array:
+        """(n,) signed distance of (n, 3) points, metres: + on the camera's side, − under the surface."""
+        rays = points[:, :2] / points[:, 2:]
+        distance: Array = (self.depth(rays) - points[:, 2]) / self.slant(rays)
+        return distance
+
+
+def fit(scene: Scene, point: Array, window: float) -> Surface | None:
+    """The tissue around a point (3,), from all clouds; None where there are too few points around.
+
+    Args:
+        scene: the clouds.
+        point: metres; its depth gives the scale of the window and nothing else.
+        window: radius, metres.
+    """
+    if not point[2] > 0:
+        return None
+    ray, radius = point[:2] / point[2], window / point[2]
+    around = scene.around(ray, radius)
+    around = around[np.isfinite(scene.depth[around])]
+    if len(around) < _MIN_POINTS:
+        return None
+    places = (scene.rays[around] - ray) / radius
+    z = scene.depth[around]
+    found = _robust(places, z)
+    if found is None:
+        return None
+    coefficients, weights = found
+    design = _design(places)[:, : np.count_nonzero(coefficients[_PLANE:]) and _QUADRIC or _PLANE]
+    spread = influence(design, weights)
+    if spread is None:
+        return None
+    residuals = scene.depths[:, around] - times(_design(places), coefficients)
+    counted = weights > 0
+    scatter = max(noise.deviation(residuals[:, counted]), _LEAST_SCALE_M)
+    residuals = np.where(np.abs(residuals) < _GROSS * scatter, residuals, 0.0)
+    # the depth in the middle as each cloud alone would have it
+    single = times(residuals, spread[0])
+    if len(single) >= SEVERAL:
+        error = _error_of_mean(single)
+    else:
+        error = scatter * float(np.sqrt((spread[0] ** 2).sum() / len(single)))
+    return Surface(ray, radius, coefficients, error, scatter)
+
+
+def _error_of_mean(values: Array) -> float:
+    """Standard error of the mean."""
+    off = values - values.mean()
+    return float(np.sqrt((off**2).sum() / (len(values) - 1) / len(values)))
+
+
+def _robust(places: Array, z: Array) -> tuple[Array, Array] | None:
+    """(6,) coefficients and (n,) weights by iterated weighted least squares, Tukey's biweight."""
+    square = (places**2).sum(axis=1)
+    outside = (square > _OUTSIDE**2).astype(np.float64)
+    if outside.sum() < _MIN_POINTS:
+        outside = np.ones_like(outside)
+    weights = outside
+    design = _design(places)
+    coefficients = np.zeros(_QUADRIC)
+    for number in range(_ROUNDS):
+        terms = _PLANE if number == 0 else _QUADRIC
+        solved = least_squares(design[:, :terms], z, weights)
+        if solved is None:
+            return None
+        coefficients = np.zeros(_QUADRIC)
+        coefficients[:terms] = solved
+        residuals = z - times(design, coefficients)
+        heard = outside > 0 if number < _FIRST_ROUNDS else np.ones(len(z), np.bool_)
+        scale = max(noise.MAD * float(np.median(np.abs(residuals[heard]))), _LEAST_SCALE_M)
+        weights = np.clip(1 - (residuals / (_TUKEY * scale)) ** 2, 0, None) ** 2 * heard
+    return coefficients, weights
+
+
+def _design(places: Array) -> Array:
+    p, q = places[:, 0], places[:, 1]
+    return np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1)
