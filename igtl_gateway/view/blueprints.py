@@ -1,0 +1,276 @@
+"""Arrangements of views for a session: which of them, where each looks at, what stands in it.
+
+A blueprint is made from ``Seen`` alone.  There are four: ``star`` for suture plans on a cloud, ``ultrasound`` for
+pictures that have a place, ``navigation`` for volumes, surfaces and tools, ``generic`` for all else; they differ in
+what is large and what goes where, the views themselves are made by the same few functions.
+
+Two rules keep the views free of errors.  A 3-D view shows things of one tree of frames only, since things of
+different trees have no place to each other; a picture shows things of space only where a camera's intrinsics are known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.view.seen import (
+    LATENCIES,
+    LOG,
+    RATES,
+    REVIEW_CLOUD,
+    REVIEW_STITCHES,
+    REVIEW_TABLE,
+    Seen,
+    Shown,
+    What,
+)
+
+TIME_LINE = "gateway_time"
+DARK = (18, 20, 24)  #: behind 3-D: lets dark tissue and black tools be told from nothing
+
+#: What the subject of a 3-D view can be, the likeliest first: the eye is set to it.
+_SUBJECTS = (What.CLOUD, What.VOLUME, What.MESH, What.PLANE, What.LINES, What.POINTS, What.MARKERS, What.POSE)
+_HALF_VIEW = math.radians(25)  #: half of the angle that a 3-D view of rerun takes in
+_IN_PICTURE = (What.LINES, What.POINTS, What.MARKERS, What.POSE)  #: of space, what is drawn over a camera's picture
+
+Xyz = tuple[float, float, float]
+Part = Any  #: a view or a container of rerun, whose types are unknown to the checker; None: nothing to show
+
+
+def choose(seen: Seen) -> str:
+    """The name of the blueprint that fits what the session holds."""
+    planned = any(_of(tree, What.CLOUD) and _of(tree, What.LINES) for tree in seen.trees().values())
+    if seen.reviewed or planned:
+        return "star"
+    if any(plane.count > 1 for plane in seen.of(What.PLANE)) and not seen.of(What.VOLUME):
+        return "ultrasound"
+    if seen.of(What.VOLUME, What.MESH, What.POSE, What.POSES):
+        return "navigation"
+    return "generic"
+
+
+def blueprint(name: str, seen: Seen) -> rrb.Blueprint:
+    """The blueprint of that name for this session.
+
+    Raises ConfigError if there is none of that name.
+    """
+    if name not in _BLUEPRINTS:
+        raise ConfigError(f"blueprint: found {name!r}, expected {', '.join(NAMES)}")
+    return rrb.Blueprint(
+        _BLUEPRINTS[name](seen),
+        rrb.TimePanel(state="collapsed", timeline=TIME_LINE),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _star(seen: Seen) -> Part:
+    """The tissue large; beside it the camera's picture and the noise; words and numbers below."""
+    words: list[Part] = [_log()]
+    if seen.reviewed:
+        words.insert(0, rrb.TextDocumentView(name="Stitches", origin=f"/{REVIEW_TABLE}"))
+    side = _stack([*_pictures(seen)[:1], *_noise(seen), *_pictures(seen)[1:]])
+    return _column((_row((_tabs(_spaces(seen)), 3), (side, 2)), 3), (_row((_tabs(words), 3), (_plots(seen), 2)), 1))
+
+
+def _ultrasound(seen: Seen) -> Part:
+    """Picture and space side by side."""
+    top = _row((_tabs(_pictures(seen)), 1), (_tabs(_spaces(seen)), 1))
+    return _column((top, 3), (_words_and_numbers(seen), 1))
+
+
+def _navigation(seen: Seen) -> Part:
+    """Space large; slices and pictures beside it."""
+    top = _row((_tabs(_spaces(seen)), 2), (_stack([*_slices(seen), *_pictures(seen)]), 1))
+    return _column((top, 3), (_words_and_numbers(seen), 1))
+
+
+def _generic(seen: Seen) -> Part:
+    """A view of everything, as many as there are."""
+    everything = _grid([*_slices(seen), *_pictures(seen), *_tables(seen)])
+    return _column((_row((_tabs(_spaces(seen)), 1), (everything, 1)), 3), (_words_and_numbers(seen), 1))
+
+
+_BLUEPRINTS: dict[str, Callable[[Seen], Part]] = {
+    "star": _star,
+    "ultrasound": _ultrasound,
+    "navigation": _navigation,
+    "generic": _generic,
+}
+NAMES = tuple(_BLUEPRINTS)
+
+
+# The views
+
+
+def _spaces(seen: Seen) -> list[Part]:
+    """A 3-D view for each tree of frames, the fullest first."""
+    views: list[Part] = []
+    for root, tree in seen.trees().items():
+        contents = [entity for shown in tree for entity in _solids(shown)]
+        views.append(_space(seen, root, tree, [*contents, *(f"+ /{path}" for path in seen.frames_of(root))]))
+    return views
+
+
+def _space(seen: Seen, name: str, tree: list[Shown], contents: list[str]) -> rrb.Spatial3DView:
+    subject = _subject(tree)
+    frame = subject.frame or seen.base_frame
+    return rrb.Spatial3DView(
+        name=name,
+        origin="/",
+        contents=contents,
+        background=DARK,
+        line_grid=False,
+        spatial_information=rrb.SpatialInformation(target_frame=frame),
+        eye_controls=_eye(subject, frame in _cameras(seen)),
+        defaults=[rr.Points3D.from_fields(radii=rr.Radius.ui_points(2.0))],
+    )
+
+
+def _noise(seen: Seen) -> list[Part]:
+    """The cloud coloured by its depth noise with the judged stitches, where a review was made."""
+    clouds = [shown for tree in seen.trees().values() for shown in tree if shown.what is What.CLOUD]
+    if not seen.reviewed or not clouds:
+        return []
+    contents = [f"+ /{REVIEW_CLOUD}", f"+ /{REVIEW_STITCHES}/**"]
+    return [_space(seen, "Depth noise", clouds, contents)]
+
+
+def _pictures(seen: Seen) -> list[Part]:
+    """A 2-D view for each stream of pictures, with the plan and the tool on it where its camera is known."""
+    views: list[Part] = []
+    for shown in seen.of(What.IMAGE, What.PLANE, What.VIDEO):
+        contents = [f"+ /{shown.path}"]
+        frame = f"{shown.frame}/image"
+        information = None
+        if shown.frame in _cameras(seen):
+            information = rrb.SpatialInformation(target_frame=frame)
+            root = seen.root_of(shown.frame)
+            tree = seen.trees().get(root, [])
+            contents += [f"+ /{camera.path}" for camera in seen.of(What.CAMERA) if camera.frame == shown.frame]
+            contents += [entity for other in _of(tree, *_IN_PICTURE) for entity in _solids(other)]
+        views.append(
+            rrb.Spatial2DView(
+                name=shown.topic, origin=f"/{shown.path}", contents=contents, spatial_information=information
+            )
+        )
+    return views
+
+
+def _slices(seen: Seen) -> list[Part]:
+    return [rrb.Spatial2DView(name=shown.topic, origin=f"/{shown.path}/slice") for shown in seen.of(What.VOLUME)]
+
+
+def _tables(seen: Seen) -> list[Part]:
+    """Arrays and texts."""
+    views: list[Part] = [rrb.BarChartView(name=shown.topic, origin=f"/{shown.path}") for shown in seen.of(What.BARS)]
+    views += [rrb.TensorView(name=shown.topic, origin=f"/{shown.path}") for shown in seen.of(What.TENSOR)]
+    return views + [rrb.TextDocumentView(name=shown.topic, origin=f"/{shown.path}") for shown in seen.of(What.TEXT)]
+
+
+def _log() -> rrb.TextLogView:
+    return rrb.TextLogView(
+        name="Log",
+        origin=f"/{LOG}",
+        contents="/session/**",
+        columns=rrb.TextLogColumns(timeline_columns=["entry"], text_log_columns=["loglevel", "body"]),
+    )
+
+
+def _words_and_numbers(seen: Seen) -> Part:
+    return _row((_log(), 1), (_plots(seen), 1))
+
+
+def _plots(seen: Seen) -> Part:
+    """Sensors first, then how the gateway did."""
+    plots = [_plot(shown.topic, f"/{shown.path}") for shown in seen.of(What.PLOT)]
+    return _tabs([*plots, _plot("Latency (ms)", f"/{LATENCIES}"), _plot("Rate (Hz)", f"/{RATES}")])
+
+
+def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(name=name, origin=origin, plot_legend=rrb.Corner2D.RightTop)
+
+
+# What stands in them
+
+
+def _of(tree: Iterable[Shown], *kinds: What) -> list[Shown]:
+    return [shown for shown in tree if shown.what in kinds]
+
+
+def _solids(shown: Shown) -> list[str]:
+    """The entities of a topic that are in space: of a picture only its plane, the picture itself has none."""
+    if shown.what in {What.PLANE, What.VOLUME}:
+        return [f"+ /{shown.path}/plane/**"]
+    return [f"+ /{shown.path}/**"]
+
+
+def _cameras(seen: Seen) -> set[str]:
+    """Frames of cameras whose intrinsics are known."""
+    return {shown.frame for shown in seen.of(What.CAMERA)}
+
+
+def _subject(tree: list[Shown]) -> Shown:
+    """What a 3-D view is of."""
+    return min(tree, key=lambda shown: (_SUBJECTS.index(shown.what) if shown.what in _SUBJECTS else 99, -shown.count))
+
+
+def _eye(subject: Shown, camera: bool) -> rrb.EyeControls3D | None:
+    """Such that the subject fills the view; None leaves it to the viewer.
+
+    In a camera's frame (REP 103: x right, y down, z forward) seen from beside the camera, else from the front right
+    above, with z up.
+    """
+    if subject.low is None or subject.high is None:
+        return None
+    centre = tuple((low + high) / 2 for low, high in zip(subject.low, subject.high, strict=True))
+    spread = math.dist(subject.low, subject.high) / 2
+    distance = max(spread, 1e-3) / math.tan(_HALF_VIEW)
+    optical = camera or "optical" in subject.frame
+    way, up = ((0.25, 0.55, -0.8), (0.0, -1.0, 0.0)) if optical else ((0.55, -0.65, 0.52), (0.0, 0.0, 1.0))
+    length = math.hypot(*way)
+    place = tuple(at + distance * step / length for at, step in zip(centre, way, strict=True))
+    return rrb.EyeControls3D(position=place, look_target=centre, eye_up=up)
+
+
+# How they stand to each other; where nothing is (None), nothing takes its place
+
+
+def _tabs(parts: list[Part]) -> Part:
+    """One view as it is, several as tabs of which the first is on top."""
+    if len(parts) < 2:
+        return parts[0] if parts else None
+    return rrb.Tabs(*parts, active_tab=0)
+
+
+def _stack(parts: list[Part]) -> Part:
+    """Two above each other; more of them as tabs of the lower one."""
+    return _column((_tabs(parts[:1]), 1), (_tabs(parts[1:]), 1))
+
+
+def _grid(parts: list[Part]) -> Part:
+    return _tabs(parts) if len(parts) < 2 else rrb.Grid(*parts)
+
+
+def _row(*parts: tuple[Part, int]) -> Part:
+    """Side by side, each with its share of the width."""
+    there, shares = _there(parts)
+    return _tabs(there) if len(there) < 2 else rrb.Horizontal(*there, column_shares=shares)
+
+
+def _column(*parts: tuple[Part, int]) -> Part:
+    """One above the other, each with its share of the height."""
+    there, shares = _there(parts)
+    return _tabs(there) if len(there) < 2 else rrb.Vertical(*there, row_shares=shares)
+
+
+def _there(parts: tuple[tuple[Part, int], ...]) -> tuple[list[Part], list[int]]:
+    there = [(part, share) for part, share in parts if part is not None]
+    return [part for part, _ in there], [share for _, share in there]
