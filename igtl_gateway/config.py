@@ -44,6 +44,7 @@ is published below ``/igtl/out/`` goes out.
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 import tomllib
 from collections.abc import Mapping
@@ -213,6 +214,16 @@ class Config:
         """As JSON values: what is stored in a recording."""
         return dataclasses.asdict(self)
 
+    def to_toml(self) -> str:
+        """As the text of a file: what differs from the default settings."""
+        own, default = dataclasses.asdict(self), dataclasses.asdict(Config())
+        lines = ["[gateway]", *_toml_lines({n: v for n, v in own.items() if n not in _TABLES and v != default[n]})]
+        for name in sorted(_TABLES):
+            for row in getattr(self, name):
+                given, usual = dataclasses.asdict(row), dataclasses.asdict(type(row)())
+                lines += ["", f"[[{name}]]", *_toml_lines({n: v for n, v in given.items() if v != usual[n]})]
+        return "\n".join(lines) + "\n"
+
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Config:
         """From the values of ``to_dict``.  Raises ConfigError with the path of the wrong setting."""
@@ -246,6 +257,22 @@ class Config:
 
 
 _TABLES = frozenset({"to_igtl", "to_ros", "tf_out", "peers"})
+
+
+def _toml_lines(settings: Mapping[str, Any]) -> list[str]:
+    return [f"{name} = {_toml(name, value)}" for name, value in settings.items()]
+
+
+def _toml(name: str, value: Any) -> str:
+    if name == "metadata":
+        value = dict(value)
+    if isinstance(value, Mapping):
+        pairs = (f"{json.dumps(key, ensure_ascii=False)} = {_toml(key, item)}" for key, item in value.items())
+        return f"{{ {', '.join(pairs)} }}"
+    # texts, numbers, truth and lists of texts are written as in JSON
+    return json.dumps(value, ensure_ascii=False)
+
+
 _DEFAULT_TO_IGTL = ToIgtlRow()
 _DEFAULT_TO_ROS = ToRosRow()
 

@@ -387,6 +387,22 @@ class RosEdge:
 
     # --- subscribing ----------------------------------------------------------------------------------------------
 
+    def subscribe(self, topic: str, type_name: str, qos: Qos) -> bool:
+        """Subscribe now, before anybody publishes there: a publisher that comes later waits for us with its first
+        message.  Without that, topics are subscribed to when they are found, see ``wants``.
+
+        Returns:
+            Whether that was possible; if not, a note says why.
+        """
+        try:
+            with self._lock:
+                if topic not in self._readers:
+                    self._make_reader(topic, type_name, qos)
+        except Exception as error:  # rclpy raises a dozen unrelated classes here
+            self._refuse("subscribe", topic, type_name, error)
+            return False
+        return True
+
     def subscriptions(self) -> list[tuple[str, str]]:
         """Topic and type of everything that we receive."""
         with self._lock:
