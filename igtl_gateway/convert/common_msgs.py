@@ -17,6 +17,7 @@ from igtl_gateway.convert.cdr import Writer
 from igtl_gateway.convert.igtl_msgs import HEADER, Pose
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import (
+    BOOL,
     OCTETS,
     POSE,
     STRING,
@@ -24,6 +25,7 @@ from igtl_gateway.convert.structs import (
     UINT32,
     CdrType,
     Struct,
+    fixed,
     nested,
     numbers,
     several,
@@ -93,6 +95,42 @@ class JointState(Struct):
     position: Array = field(default_factory=_nothing)
     velocity: Array = field(default_factory=_nothing)
     effort: Array = field(default_factory=_nothing)
+
+
+@dataclass(frozen=True, slots=True)
+class RegionOfInterest(Struct):
+    """sensor_msgs/msg/RegionOfInterest: pixels; all 0 = the whole picture."""
+
+    TYPE: ClassVar[str] = "sensor_msgs/msg/RegionOfInterest"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (UINT32, UINT32, UINT32, UINT32, BOOL)
+    x_offset: int = 0
+    y_offset: int = 0
+    height: int = 0
+    width: int = 0
+    do_rectify: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class CameraInfo(Struct):
+    """sensor_msgs/msg/CameraInfo: distortion d, intrinsics k (3 x 3), rectification r (3 x 3), projection p (3 x 4)."""
+
+    TYPE: ClassVar[str] = "sensor_msgs/msg/CameraInfo"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (
+        *(HEADER, UINT32, UINT32, STRING, numbers("float64")),
+        *(fixed("float64", count) for count in (9, 9, 12)),
+        *(UINT32, UINT32, nested(RegionOfInterest)),
+    )
+    header: Header
+    height: int
+    width: int
+    distortion_model: str
+    d: Array
+    k: tuple[float, ...]
+    r: tuple[float, ...]
+    p: tuple[float, ...]
+    binning_x: int = 0
+    binning_y: int = 0
+    roi: RegionOfInterest = RegionOfInterest()
 
 
 @dataclass(frozen=True, slots=True)

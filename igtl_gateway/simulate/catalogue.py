@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from igtl_gateway.config import Config
-from igtl_gateway.simulate import every_type, paper_types, star, star_topics
+from igtl_gateway.simulate import acquisition, every_type, paper_types, star, star_topics
 from igtl_gateway.simulate.scenario import Scenario
 
 SCENARIOS = {

@@ -14,10 +14,13 @@ import numpy as np
 from igtl_gateway.simulate.star_numbers import Array, Noise, dot, rounded, unit
 from igtl_gateway.simulate.star_tissue import Plan
 
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
 TOOL_STEP_M = 1e-6
 ROTATION_STEP = 1e-9
 
-IDLE_S, APPROACH_S, DRIVE_S, PULL_S = 0.8, 1.2, 1.4, 1.1
+APPROACH_S, DRIVE_S, PULL_S = 1.0, 1.2, 1.0
 CYCLE_S = APPROACH_S + DRIVE_S + PULL_S
 BITE_DEPTH_M = 0.0025  #: how deep below its chord the needle passes
 RETRACT_M = 0.030
@@ -62,12 +65,12 @@ class Waypoints:
 
 
 def waypoints(start: Array, plan: Plan, times: Array) -> Waypoints:
-    """Where the needle is meant to be, ``times`` seconds after the start: at ``start``, then at each stitch."""
+    """Where the needle is meant to be, ``times`` seconds after the arm sets off from ``start`` to the first stitch."""
     here, facing = start, 0.0
     tip = np.broadcast_to(here, (len(times), 3)).copy()
     roll, yaw = np.zeros(len(times)), np.zeros(len(times))
     for number, (entry, leave) in enumerate(zip(plan.entry, plan.exit, strict=True)):
-        since = times - IDLE_S - number * CYCLE_S
+        since = times - number * CYCLE_S
         approach, drive = minimum_jerk(since / APPROACH_S), minimum_jerk((since - APPROACH_S) / DRIVE_S)
         pull = minimum_jerk((since - APPROACH_S - DRIVE_S) / PULL_S)
         turn = 0.06 * np.sin(1.7 * number + 0.5)
@@ -92,10 +95,11 @@ def tool_path(way: Waypoints, times: Array, noise: Noise) -> ToolPath:
     return ToolPath(rounded(position, TOOL_STEP_M), rounded(rotation, ROTATION_STEP))
 
 
-def shaft_at(roll: float) -> Array:
-    """Direction up the shaft, in the camera frame, when the wrist is turned by ``roll``."""
-    cos, sin = np.cos(roll), np.sin(roll)
-    return np.array([SHAFT[0], cos * SHAFT[1] - sin * SHAFT[2], sin * SHAFT[1] + cos * SHAFT[2]])
+def held(position: Vector, rotation: Quaternion) -> tuple[Array, Array]:
+    """Of a tool pose in the base frame the needle's tip and the direction up the shaft, both in the camera frame."""
+    x, y, z, w = rotation
+    down = np.array([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
+    return to_camera(np.array(position)), np.stack([-dot(down, BASE_FROM_CAMERA[:3, i]) for i in range(3)])
 
 
 def _needle_arc(entry: Array, leave: Array, part: Array) -> Array:

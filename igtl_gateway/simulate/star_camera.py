@@ -5,6 +5,7 @@ Pictures are made by stepping along each pixel's ray until it meets the surface.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +15,8 @@ from igtl_gateway.simulate.star_numbers import Array, Mask, Noise, Rgb, dot, rou
 from igtl_gateway.simulate.star_tissue import (
     CLOTH,
     FOCUS_M,
+    SPOT_RADIUS_M,
     TUBES,
-    WET_ERROR_M,
-    WET_RADIUS_M,
     surface_distance,
     surface_distances,
     surface_normals,
@@ -98,8 +98,7 @@ def see(camera: Camera, markers: Array, wet_spot: Array) -> View:
     facing = np.clip(dot(normals, sight), 0, 1)
     lamp = unit(np.array([0.035, -0.030, 0.02]) - points)
     gloss = np.clip(dot(normals, unit(lamp + sight)), 0, 1) ** 150
-    off_spot = points - wet_spot
-    gloss = np.maximum(gloss, 0.55 * np.exp(-dot(off_spot, off_spot) / (0.6 * WET_RADIUS_M) ** 2))
+    gloss = np.maximum(gloss, shine(points, wet_spot))
     rgb = np.empty((*depth.shape, 3))
     for number, tube in enumerate(TUBES):
         mask = material == number
@@ -111,12 +110,23 @@ def see(camera: Camera, markers: Array, wet_spot: Array) -> View:
     light = (0.20 + 0.80 * np.clip(dot(normals, lamp), 0, 1)) * np.clip(1.15 - (depth - FOCUS_M) / 0.055, 0.15, 1)
     rgb *= light[..., None]
     gloss = np.where(material == CLOTH, 0, gloss)
-    rgb += 0.80 * gloss[..., None] * np.array([1.0, 0.98, 0.95])
+    rgb += glare(gloss)
     for marker in markers:
         off = points - marker
         glue = np.exp(-((dot(off, off) / 0.0009**2) ** 3))[..., None]
         rgb = rgb * (1 - glue) + glue * np.array([0.72, 0.93, 0.76]) * light[..., None]
     return View(rays, depth, facing, gloss, np.clip(rgb, 0, 1))
+
+
+def shine(points: Array, spot: Array) -> Array:
+    """How strongly a wet spot reflects at points near it: less than what costs the camera its depth."""
+    off_spot = points - spot
+    return np.asarray(0.55 * np.exp(-dot(off_spot, off_spot) / (0.6 * SPOT_RADIUS_M) ** 2))
+
+
+def glare(gloss: Array) -> Array:
+    """The lamp's colour, as it is added to what reflects it."""
+    return np.asarray(0.80 * gloss[..., None] * np.array([1.0, 0.98, 0.95]))
 
 
 def noise_sigma(depth: Array, facing: Array) -> Array:
@@ -172,16 +182,25 @@ def draw_tool(view: View, tip: Array, shaft: Array) -> ToolView:
     return ToolView(depth < view.depth, depth, shade)
 
 
-def measure(view: View, tool: ToolView, wet_spot: Array, noise: Noise) -> CloudFrame:
-    """A shot of the depth camera: noise, outliers, the wet spot that reads too deep, and gaps."""
+def measure(view: View, rgb: Array, tool: ToolView, spots: Sequence[tuple[Array, float]], noise: Noise) -> CloudFrame:
+    """A shot of the depth camera: noise, outliers, spots that read too far or too near, and gaps.
+
+    Args:
+        view: the undisturbed scene.
+        rgb: its colours in this shot.
+        tool: what hides it.
+        spots: places on the tissue, and the error of the depth there.
+        noise: random numbers of this shot.
+    """
     hidden, (height, width) = tool.hidden, view.depth.shape
     depth = np.where(hidden, tool.depth, view.depth)
     facing = np.where(hidden, 0.5, view.facing)
     grain = 0.8 * noise.normal(height, width) + 0.6 * noise.smooth(height, width, 5)
     measured = depth + noise_sigma(depth, facing) * grain
     truth = view.rays * depth[..., None]
-    off_spot = truth - wet_spot
-    measured += np.where(dot(off_spot, off_spot) < WET_RADIUS_M**2, WET_ERROR_M, 0)
+    for spot, error in spots:
+        off_spot = truth - spot
+        measured += np.where(dot(off_spot, off_spot) < SPOT_RADIUS_M**2, error, 0)
     outlier = noise.uniform(height, width) < 0.002
     measured += np.where(outlier, 0.004 * noise.normal(height, width), 0)
     # what a light-field camera loses: steep flanks, glare, blur far from the focus, metal, and a little of all
@@ -192,7 +211,7 @@ def measure(view: View, tool: ToolView, wet_spot: Array, noise: Noise) -> CloudF
     lost |= noise.smooth(height, width, 6) < -2.9
     points = rounded(view.rays * measured[..., None], SENSOR_STEP_M)
     points[lost] = np.nan
-    return CloudFrame(points.astype(np.float32), seven_bits(tool.over(view.rgb)), truth, hidden, outlier & ~lost)
+    return CloudFrame(points.astype(np.float32), seven_bits(tool.over(rgb)), truth, hidden, outlier & ~lost)
 
 
 def seven_bits(rgb: Array) -> Rgb:

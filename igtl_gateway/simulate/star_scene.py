@@ -6,8 +6,9 @@ loops and a cloth behind it.  A KUKA-LWR-like arm brings the needle to eleven pl
 
 Ground truth stays reachable: ``Scene`` holds the true surface, the true plan and markers, and every
 ``CloudFrame`` its true points, so that a reviewer's tools can be judged against what really was there.
-As on the real system, the plan is made from the noisy cloud; a wet spot that reads 2 mm too deep puts one
-stitch beside the tissue until an operator corrects it (``measured_plan``, ``corrected_plan``).
+As on the real system, the plan is drawn in the picture and gets its depth from one noisy cloud.  Two errors
+are planted (``PLANTED``): a glint in that first cloud lifts one stitch 2 mm off the tissue, and a wet spot,
+which reads too deep in every cloud, sinks another by as much.  The picture shows neither.
 
 Surfaces are distance functions (``star_tissue``), pictures are made by stepping along each pixel's ray
 (``star_camera``), the arm follows the plan (``star_arm``).  Lengths are metres, angles radians, times seconds;
@@ -16,27 +17,40 @@ the camera frame is optical: x right, y down, z forward.  Same bytes everywhere,
 
 from __future__ import annotations
 
+import math
 from functools import cache, cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from igtl_gateway.simulate.star_arm import HOME, SHAFT, ToolPath, Waypoints, shaft_at, tool_path, waypoints
+from igtl_gateway.simulate.star_arm import HOME, SHAFT, ToolPath, tool_path, waypoints
 from igtl_gateway.simulate.star_camera import (
     CLOUD_CAMERA,
     IMAGE_CAMERA,
     Camera,
     CloudFrame,
-    ToolView,
     View,
     draw_tool,
+    glare,
     measure,
     see,
     seven_bits,
+    shine,
 )
 from igtl_gateway.simulate.star_numbers import SEED, Array, Noise, Rgb, rounded
-from igtl_gateway.simulate.star_tissue import FOCUS_M, WET_STITCH, Plan, true_markers, true_plan
+from igtl_gateway.simulate.star_tissue import (
+    FOCUS_M,
+    GLINT_ERROR_M,
+    GLINT_STITCH,
+    WET_ERROR_M,
+    WET_STITCH,
+    Plan,
+    true_markers,
+    true_plan,
+)
 
 MARKER_STEP_M = 2.0**-20  #: positions of markers and stitches are multiples of this
+NEVER_S = math.inf
 
 
 class Scene:
@@ -45,13 +59,14 @@ class Scene:
     Attributes:
         plan: the true plan, on the true surface.
         markers: the true centres of the six glue dots that shine in the near infrared.
+        rest: the needle's tip as long as the arm waits, camera frame.
     """
 
     def __init__(self, seed: int = SEED) -> None:
         self._seed = seed
         self.plan = true_plan()
         self.markers = true_markers()
-        self._start = self.plan.entry[0] + HOME
+        self.rest: Array = self.plan.entry[0] + HOME
 
     @property
     def cloud_view(self) -> View:
@@ -63,14 +78,19 @@ class Scene:
         """The undisturbed scene in the pixels of the colour camera."""
         return _undisturbed(IMAGE_CAMERA)
 
-    def cloud(self, number: int, time_s: float) -> CloudFrame:
-        """Shot ``number`` of the depth camera, with the tool where it is at ``time_s``."""
-        return self._measure(number, self._tool_in_view(self.cloud_view, time_s))
+    def cloud(self, number: int, tip: Array, shaft: Array) -> CloudFrame:
+        """Shot ``number`` of the depth camera, with the tool where it is (tip, direction up the shaft)."""
+        view = self.cloud_view
+        spots = [(self.plan.exit[WET_STITCH], WET_ERROR_M)]
+        if number == 0:
+            spots.append((self._glint, GLINT_ERROR_M))
+        tool = draw_tool(view, tip, shaft)
+        return measure(view, self._colours(number, view), tool, spots, Noise(self._seed, 1, number))
 
-    def image(self, number: int, time_s: float) -> Rgb:
-        """Picture ``number`` of the colour camera, (240, 320, 3), with the tool where it is at ``time_s``."""
+    def image(self, number: int, tip: Array, shaft: Array) -> Rgb:
+        """Picture ``number`` of the colour camera, (240, 320, 3), with the tool where it is."""
         view = self.image_view
-        rgb = self._tool_in_view(view, time_s).over(view.rgb)
+        rgb = draw_tool(view, tip, shaft).over(self._colours(number, view))
         return seven_bits(rgb + 0.002 * Noise(self._seed, 2, number).normal(*rgb.shape))
 
     def detected_markers(self, number: int) -> Array:
@@ -82,34 +102,24 @@ class Scene:
 
     @cached_property
     def measured_plan(self) -> Plan:
-        """The plan as drawn in the picture and lifted by the first cloud: one stitch misses the tissue."""
-        frame = self._measure(0, draw_tool(self.cloud_view, self._start, SHAFT))
-        return Plan(_lift(frame, self.plan.entry), _lift(frame, self.plan.exit))
+        """The plan as drawn in the picture and lifted by the first cloud: the stitches ``PLANTED`` miss the tissue."""
+        return lifted(self.plan, self.cloud(0, self.rest, SHAFT).points)
 
-    @cached_property
-    def corrected_plan(self) -> Plan:
-        """The measured plan after the operator has put the stray exit point back on the tissue."""
-        exit_points = self.measured_plan.exit.copy()
-        exit_points[WET_STITCH] = rounded(self.plan.exit[WET_STITCH], MARKER_STEP_M)
-        return Plan(self.measured_plan.entry, exit_points)
+    def tool(self, times: Array, plan: Plan, begin_s: float = NEVER_S) -> ToolPath:
+        """Where the arm holds the needle tip, in the base frame, at ``times`` of the session.
 
-    def tool(self, times: Array) -> ToolPath:
-        """Where the arm holds the needle tip, in the base frame, ``times`` seconds after the start.
-
-        Each stitch of the corrected plan takes ``CYCLE_S``.
+        At rest until ``begin_s``; from then on each stitch of ``plan`` takes ``CYCLE_S``.
         """
-        return tool_path(self._waypoints(times), times, Noise(self._seed, 4))
+        return tool_path(waypoints(self.rest, plan, times - begin_s), times, Noise(self._seed, 4))
 
-    def _waypoints(self, times: Array) -> Waypoints:
-        return waypoints(self._start, self.corrected_plan, times)
+    @property
+    def _glint(self) -> Array:
+        return np.asarray(self.plan.entry[GLINT_STITCH])
 
-    def _tool_in_view(self, view: View, time_s: float) -> ToolView:
-        way = self._waypoints(np.array([time_s]))
-        return draw_tool(view, way.tip[0], shaft_at(way.roll[0]))
-
-    def _measure(self, number: int, tool: ToolView) -> CloudFrame:
-        noise = Noise(self._seed, 1, number)
-        return measure(self.cloud_view, tool, self.plan.exit[WET_STITCH], noise)
+    def _colours(self, number: int, view: View) -> Array:
+        if number:
+            return view.rgb
+        return np.clip(view.rgb + glare(shine(view.rays * view.depth[..., None], self._glint)), 0, 1)
 
 
 @cache
@@ -121,11 +131,16 @@ def _undisturbed(camera: Camera) -> View:
     return view
 
 
-def _lift(frame: CloudFrame, points: Array) -> Array:
-    """Points drawn in the picture, at the median depth of the 5 by 5 pixels around them."""
-    lifted = []
+def lifted(drawn: Plan, cloud: NDArray[np.float32]) -> Plan:
+    """A plan drawn in the picture, at the depths of an organised cloud of ``CLOUD_CAMERA``."""
+    return Plan(_lift(drawn.entry, cloud), _lift(drawn.exit, cloud))
+
+
+def _lift(points: Array, cloud: NDArray[np.float32]) -> Array:
+    """Points at the median depth of the 5 by 5 pixels around them."""
+    found = []
     for pixel, point in zip(CLOUD_CAMERA.project(points), points, strict=True):
         column, row = (int(value) for value in np.rint(pixel))
-        depth = np.nanmedian(frame.points[row - 2 : row + 3, column - 2 : column + 3, 2].astype(np.float64))
-        lifted.append(point / point[2] * depth)
-    return rounded(np.array(lifted), MARKER_STEP_M)
+        depth = np.nanmedian(cloud[row - 2 : row + 3, column - 2 : column + 3, 2].astype(np.float64))
+        found.append(point / point[2] * depth)
+    return rounded(np.array(found), MARKER_STEP_M)

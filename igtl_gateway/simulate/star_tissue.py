@@ -17,9 +17,15 @@ STITCHES = 11
 STITCH_SPACING_M = 0.003
 BITE_M = 0.0035  #: entry and exit lie this far from the incision, measured along the surface
 INCISION_M = 0.030
-WET_STITCH = 8  #: the exit point of this stitch lies in the wet spot
-WET_RADIUS_M = 0.0016
-WET_ERROR_M = 0.0020
+
+#: Planted errors of the measured plan.  Stitches count from 0 here, from 1 wherever people read them.
+GLINT_STITCH = 2  #: a glint lies on the entry point of this stitch: in the first shot, and in no other
+GLINT_ERROR_M = -0.0020  #: the camera reads it too near
+WET_STITCH = 8  #: the exit point of this stitch lies in a wet spot: in every shot
+WET_ERROR_M = 0.0020  #: the camera reads it too far away
+SPOT_RADIUS_M = 0.0016  #: of either
+#: Numbers (from 1) of the stitches that the measured plan has at a wrong depth; all others lie on the tissue.
+PLANTED = (GLINT_STITCH + 1, WET_STITCH + 1)
 
 
 @dataclass(frozen=True, slots=True)
