@@ -27,11 +27,13 @@ class Side(Enum):
 class Says:
     """What is published on a ROS topic: its type as ``"std_msgs/msg/String"``.
 
-    ``latched``: the last message is for late subscribers, too (transient local).
+    ``latched``: the last message is for late subscribers, too (transient local).  ``recorded``: it is for the recording
+    although the gateway has nothing to do with it (``bridge --record-topics``).
     """
 
     type: str
     latched: bool = False
+    recorded: bool = False
 
 
 @dataclass(frozen=True, slots=True)

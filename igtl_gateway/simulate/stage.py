@@ -138,7 +138,7 @@ class _Stage:
         topic, ros_type, cdr, sent_ns = said.topic, said.message.TYPE, said.message.pack(), self._now_ns
         if topic not in actor.says:
             raise ValueError(f"{actor.name}: publishes on {topic}, expected one of {', '.join(actor.says) or 'none'}")
-        if self._gateway.subscription(topic, ros_type):
+        if actor.says[topic].recorded or self._gateway.subscription(topic, ros_type):
             self._send(ROS_NS, lambda: self._input(Kind.ROS_IN, cdr, topic, ros_type, source_ns=sent_ns))
         self._to_ros(RosHeard(topic, ros_type, cdr), besides=actor)
 

@@ -59,7 +59,7 @@ class Sensors:
 
     def __init__(self, duration_ns: int, seed: int = SEED) -> None:
         self.hears = {topics.TOOL: topics.TYPES[topics.TOOL]}
-        self.says = {topic: Says(topics.TYPES[topic]) for topic in _SAID}
+        self.says = {topic: Says(topics.TYPES[topic], recorded=topic == topics.CAMERA_INFO) for topic in _SAID}
         self._duration_ns = duration_ns
         self._scene = Scene(seed)
         self._agenda = Agenda()
