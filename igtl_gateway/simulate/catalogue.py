@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from igtl_gateway.config import Config
-from igtl_gateway.simulate import acquisition, every_type, paper_types, star, star_topics
+from igtl_gateway.simulate import acquisition, brain, every_type, paper_types, star, star_topics
 from igtl_gateway.simulate.scenario import Scenario
 
 SCENARIOS = {
@@ -22,5 +22,10 @@ SCENARIOS = {
         "a planner has a robot initialised, moved to a point and acquire an image (the paper's Figure 9), synthetic",
         Config(),
         actors=acquisition.actors,
+    ),
+    "brain": Scenario(
+        "a brain surface of 700,000 points and 240,000 faces there and back; below 5 s a small synthetic one",
+        brain.CONFIG,
+        actors=brain.actors,
     ),
 }
