@@ -13,6 +13,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -26,13 +27,13 @@ SIZE = (1600, 1000)
 START_S = 60.0  #: a slow machine reads a large recording
 STEP_S = 0.1
 STEPS = 600  #: of ``STEP_S``: how long a recording may take to load
+HELLOS = 4  #: questions until the viewer answers the first; each waits 15 s
 GRACE_S = 1.0  #: a viewer that fell silent may be about to end
 TRIES = 20  #: pictures until two in a row are equal
 
 #: What the viewer says when there is nothing to draw with: no Vulkan driver, or one that cannot.
 _NO_DRIVER = re.compile(r"No graphics adapter|Failed to get render context|Failed to create render context")
 _LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
-_RUNS = "Headless viewer running"
 _SAID = 4000  #: characters of the viewer's last words that are kept
 
 #: Everything but the views and the time is taken away from a picture.
@@ -87,6 +88,7 @@ class HeadlessViewer:
     Attributes:
         first_ns: the recording's first gateway time, UTC nanoseconds.
         last_ns: its last.
+        pid: the viewer's process.
 
     Raises ViewerError where rerun or a graphics driver is missing, where the viewer does not come up in time or dies,
     and where the recording has no gateway time.
@@ -96,6 +98,7 @@ class HeadlessViewer:
         if not recording.is_file():
             raise ViewerError(f"{recording}: no such file; expected a recording of rerun (.rrd)")
         self._process = _start(recording, size)
+        self.pid = self._process.pid
         self._words = _Words(self._process)
         try:
             self._client = self._connect()
@@ -144,11 +147,18 @@ class HeadlessViewer:
     def _connect(self) -> Any:
         if not self._words.ready.wait(START_S):
             raise ViewerError(f"the viewer was not ready within {START_S:g} s; its last words: {self._words.last()}")
-        if self._words.port is None or self._words.ended.is_set():
+        if self._words.port is None:
             raise self._death()
         from rerun.experimental import ViewerClient
 
-        return ViewerClient.connect(f"rerun+http://127.0.0.1:{self._words.port}/proxy")
+        client = ViewerClient.connect(f"rerun+http://127.0.0.1:{self._words.port}/proxy")
+        for _ in range(HELLOS):  # it listens before it draws, and answers only when it draws
+            with suppress(RuntimeError):
+                client.get_state()
+                return client
+            if self._words.ended.wait(GRACE_S):
+                raise self._death()
+        raise ViewerError(f"the viewer did not answer; its last words: {self._words.last()}")
 
     def _load(self, recording: Path) -> tuple[int, int]:
         step = Event()
@@ -191,7 +201,7 @@ class _Words:
     """Reads what the viewer says, so that it never waits for a reader, and keeps what matters of it."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
-        self.ready = Event()  #: it runs, or it has ended
+        self.ready = Event()  #: it listens, or it has ended
         self.ended = Event()
         self.port: int | None = None
         self.text = ""
@@ -206,7 +216,6 @@ class _Words:
                 self.text = (self.text + line)[-_SAID:]
                 if found := _LISTENS.search(line):
                     self.port = int(found[1])
-                if _RUNS in line:
                     self.ready.set()
         self.ended.set()
         self.ready.set()
@@ -238,7 +247,8 @@ def _start(recording: Path, size: tuple[int, int]) -> subprocess.Popen[str]:
     command += ["--window-size", f"{width}x{height}"]
     if guard := shutil.which("setpriv"):  # the kernel ends the viewer should this process be killed
         command = [guard, "--pdeathsig", "TERM", "--", *command]
-    environment = {**os.environ, "RERUN_ANALYTICS": "0", "NO_COLOR": "1"}
+    # What it says at other levels it also writes over the picture; where it listens we must hear.
+    environment = {**os.environ, "RERUN_ANALYTICS": "0", "NO_COLOR": "1", "RUST_LOG": "error,re_grpc_server=info"}
     return subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,

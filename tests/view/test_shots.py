@@ -1,0 +1,109 @@
+"""Pictures by the viewer itself: at the time asked for, with what its views complain of, and no viewer left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pytest
+
+from igtl_gateway.errors import ViewerError
+from igtl_gateway.view.shots import TIME_LINE, HeadlessViewer, take
+
+rr = pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
+rrb = pytest.importorskip("rerun.blueprint")
+
+SIZE = (400, 300)
+RED_NS, BLUE_NS = 1_000_000_000, 3_000_000_000
+
+
+def a_recording(path: Path, time_line: str = TIME_LINE) -> Path:
+    """A red picture, two seconds later a blue one; one view of it, and a 3-D view that asks for a frame of nobody."""
+    stream = rr.RecordingStream("test", recording_id="test", send_properties=False)
+    stream.save(path)
+    for time_ns, colour in ((RED_NS, (255, 0, 0)), (BLUE_NS, (0, 0, 255))):
+        stream.set_time(time_line, timestamp=np.datetime64(time_ns, "ns"))
+        stream.log("picture", rr.Image(np.full((30, 40, 3), colour, np.uint8)))
+        stream.log("points", rr.Points3D([(0, 0, 0)]))
+    lost = rrb.Spatial3DView(
+        name="lost", origin="/points", spatial_information=rrb.SpatialInformation(target_frame="nowhere")
+    )
+    picture = rrb.Spatial2DView(name="picture", origin="/picture")
+    stream.send_blueprint(rrb.Blueprint(rrb.Vertical(picture, lost), rrb.TimePanel(state="hidden")))
+    stream.flush()
+    stream.disconnect()
+    return path
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return a_recording(tmp_path_factory.mktemp("shots") / "two.rrd")
+
+
+def has_gone(pid: int) -> bool:
+    """Within ten seconds; a process that its parent has not yet asked for has gone, too."""
+    for _ in range(100):
+        try:
+            if Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+                return True
+        except OSError:
+            return True
+        Event().wait(0.1)
+    return False
+
+
+def test_a_picture_at_each_time_and_what_the_views_complain_of(recording: Path) -> None:
+    try:
+        viewer = HeadlessViewer(recording, SIZE)
+    except ViewerError as error:
+        if "Vulkan" in str(error):
+            pytest.skip(str(error))
+        raise
+    with viewer:
+        pid = viewer.pid
+        assert (viewer.first_ns, viewer.last_ns, viewer.at(0.5)) == (RED_NS, BLUE_NS, (RED_NS + BLUE_NS) // 2)
+        red, between, blue = (viewer.shot(time_ns) for time_ns in (RED_NS, BLUE_NS - 1, BLUE_NS))
+    assert struct.unpack(">II", red.png[16:24]) == SIZE
+    assert red.png == between.png != blue.png
+    assert [(complaint.view, complaint.severity) for complaint in blue.complaints] == [("lost", "error")]
+    assert "nowhere" in blue.complaints[0].text
+    assert has_gone(pid)
+
+
+def test_without_a_driver_the_error_says_what_to_install(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("VK_DRIVER_FILES", "/nowhere.json")
+    monkeypatch.setenv("VK_ICD_FILENAMES", "/nowhere.json")
+    monkeypatch.setenv("WGPU_BACKEND", "vulkan")
+    with pytest.raises(ViewerError, match=r"no Vulkan driver.*apt-get install .*mesa-vulkan-drivers"):
+        take(recording, [None], SIZE)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ViewerError, match="no such file"):
+        take(tmp_path / "none.rrd", [None])
+
+
+@pytest.mark.skipif(
+    not Path("/usr/bin/setpriv").exists(), reason="no setpriv (util-linux), which ties the viewer to us"
+)
+def test_the_viewer_dies_with_a_killed_program(recording: Path) -> None:
+    program = (
+        "import os, signal, sys; from pathlib import Path; from igtl_gateway.view import shots\n"
+        "process = shots._start(Path(sys.argv[1]), (400, 300)); process.stderr.readline()\n"
+        "print(process.pid, flush=True); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program, str(recording)],
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == -signal.SIGKILL
+    assert has_gone(int(ended.stdout))
