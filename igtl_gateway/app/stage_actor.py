@@ -269,10 +269,11 @@ class _RosVoice:
             self._readers[topic] = int(bridged is not None) + heard_by
         self._linked = threading.Condition()
         self._links = 0
+        self._subscribed = threading.Event()
         self._edge = RosEdge(
             node_name=actor.name,
             on_message=self._on_message,
-            wants=lambda topic, ros_type: _HEARS if (topic, ros_type) == (LINKS_TOPIC, LinkStatusList.TYPE) else None,
+            wants=self._wants,
             on_note=self._on_note,
         )
 
@@ -282,6 +283,7 @@ class _RosVoice:
         # come through, the gateway knows of every one.
         for topic, ros_type in self._actor.hears.items():
             self._edge.subscribe(topic, ros_type, _HEARS)
+        self._subscribed.set()
         for topic, says in self._actor.says.items():
             self._edge.advertise(topic, says.type, self._qos[topic])
         return {}
@@ -303,6 +305,10 @@ class _RosVoice:
 
     def close(self) -> None:
         self._edge.stop()
+
+    def _wants(self, topic: str, ros_type: str) -> Qos | None:
+        links = (topic, ros_type) == (LINKS_TOPIC, LinkStatusList.TYPE)
+        return _HEARS if links and self._subscribed.is_set() else None
 
     def _on_message(self, topic: str, ros_type: str, cdr: bytes, _source_ns: int) -> None:
         if self._actor.hears.get(topic) == ros_type:

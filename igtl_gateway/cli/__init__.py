@@ -30,7 +30,7 @@ VERBS = {
     "recover": "make a whole file of a damaged one, and tell what is lost",
     "info": "what is in a recording",
     "decode": "print the messages of a raw OpenIGTLink byte stream as JSON lines",
-    "simulate": "make a synthetic session",
+    "simulate": "play a scenario, live over ROS 2 and OpenIGTLink or as a recording",
     "demo": "the main job in a minute: bridge, record, verify, replay",
 }
 

@@ -1,4 +1,4 @@
-"""``igtl-gateway simulate``: a synthetic session as a recording."""
+"""``igtl-gateway simulate``: a scenario, live over real connections or as a recording."""
 
 from __future__ import annotations
 
@@ -7,32 +7,112 @@ import json
 from pathlib import Path
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import count, print_json, size
+from igtl_gateway.cli import stage
+from igtl_gateway.cli.common import address, count, print_json, size
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway import Gateway
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.simulate.catalogue import SCENARIOS
+from igtl_gateway.simulate.load import SENDERS, SIZES, Load
+from igtl_gateway.simulate.scenario import Scenario
 
 EXAMPLES = """\
-  igtl-gateway simulate star --out star.mcap          12 s of a synthetic STAR suturing session
-  igtl-gateway simulate star --out long.mcap --duration 60
-  igtl-gateway simulate paper-types --out types.mcap  one of each message type, both directions"""
+  igtl-gateway simulate acquisition                   live: a bridge, a ROS 2 node and an OpenIGTLink client
+  igtl-gateway simulate acquisition --record a.mcap   and keep what the bridge recorded
+  igtl-gateway simulate acquisition --out a.mcap      offline: no ROS, no network, always the same bytes
+  igtl-gateway simulate test-server --type IMAGE --size 1920 --rate 30 --count 300
+  igtl-gateway simulate test-node --side ros          the ROS node alone, for a bridge of yours
+  igtl-gateway simulate test-server --side igtl --connect 127.0.0.1:18944
+  igtl-gateway simulate acquisition --side ros --listen :18944
+                                                      robot and bridge; 3D Slicer stands in for the planner"""
+
+_MAX_S = 3600.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     names = "; ".join(f"{name}: {scenario.title}" for name, scenario in SCENARIOS.items())
     parser.add_argument("name", choices=tuple(SCENARIOS), help=names)
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the recording to write")
-    parser.add_argument("--duration", type=float, metavar="S", help="seconds of the session")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="play offline and write this recording")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="live: keep the bridge's recording")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    parser.add_argument("--duration", type=float, metavar="S", help="seconds of the session")
+    parser.add_argument("--timeout", type=float, metavar="S", help="live: give up after so many seconds")
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+    alone = parser.add_argument_group("one side alone")
+    alone.add_argument(
+        "--side",
+        choices=("ros", "igtl"),
+        help="play only the actors of ROS 2, or of OpenIGTLink; the user runs the bridge and the other side",
+    )
+    where = alone.add_mutually_exclusive_group()
+    where.add_argument(
+        "--connect",
+        type=address,
+        metavar="HOST:PORT",
+        help="OpenIGTLink actors: the bridge's server (default 127.0.0.1:18944)",
+    )
+    where.add_argument(
+        "--listen",
+        type=address,
+        metavar="HOST:PORT",
+        help="OpenIGTLink actors: be the server, and the bridge the client; with --side ros: run a bridge that "
+        "listens here for the program that stands in",
+    )
+    alone.add_argument("--print-config", action="store_true", help="print the bridge's configuration, as TOML, and end")
+    load = parser.add_argument_group("load, of test-server")
+    load.add_argument("--type", choices=tuple(SIZES), help=f"type of the messages (default {Load().type})")
+    load.add_argument("--size", type=int, metavar="N", help="; ".join(_size_help()))
+    load.add_argument("--rate", type=float, metavar="HZ", help=f"messages a second (default {Load().rate_hz:g})")
+    load.add_argument("--count", type=int, metavar="N", help=f"messages (default {Load().count})")
+    load.add_argument("--sender", choices=SENDERS, help=f"which side sends (default {Load().sender})")
+    # of the programs that a live scenario starts
+    parser.add_argument("--actor", help=argparse.SUPPRESS)
+    parser.add_argument("--peers", type=int, default=1, help=argparse.SUPPRESS)
+
+
+def _size_help() -> list[str]:
+    return [f"{name}: {unit} (default {usual:,})" for name, (unit, usual, _) in SIZES.items() if unit]
 
 
 def run(options: argparse.Namespace) -> int:
-    if options.duration is not None and not 0 < options.duration < 3600:
-        raise ConfigError(f"--duration: found {options.duration}, expected more than 0 and less than 3600 seconds")
-    scenario = SCENARIOS[options.name]
+    for name in ("duration", "timeout"):
+        given = getattr(options, name)
+        if given is not None and not 0 < given < _MAX_S:
+            raise ConfigError(f"--{name}: found {given}, expected more than 0 and less than {_MAX_S:g} seconds")
+    scenario = _loaded(options)
+    if options.actor:
+        return stage.play_actor(options, scenario)
+    if options.print_config:
+        print(scenario.config.to_toml(), end="")
+        return 0
+    if not options.out:
+        return stage.play(options, scenario)
+    for name in ("record", "side", "connect", "listen", "timeout"):
+        if getattr(options, name) is not None:
+            raise ConfigError(f"--{name} is for a live scenario: it cannot be used with --out")
+    return _write(options, scenario)
+
+
+def _loaded(options: argparse.Namespace) -> Scenario:
+    """The scenario, with the load that was asked for."""
+    scenario: Scenario = SCENARIOS[options.name]
+    given = {
+        field: getattr(options, option)
+        for option, field in stage.LOAD_OPTIONS.items()
+        if getattr(options, option) is not None
+    }
+    if not given:
+        return scenario
+    if not scenario.loaded:
+        raise ConfigError(
+            f"--{next(o for o, f in stage.LOAD_OPTIONS.items() if f in given)}: {options.name} has no load"
+        )
+    return scenario.loaded(Load(**given))
+
+
+def _write(options: argparse.Namespace, scenario: Scenario) -> int:
+    """Play offline into a file."""
     gateway = Gateway(scenario.config)
     writer = SessionWriter(
         options.out,
@@ -42,17 +122,23 @@ def run(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
     )
     entries = 0
-    for entry in scenario.entries(options.duration, gateway):
+    cast = scenario.cast(options.duration)
+    for entry in scenario.entries(options.duration, gateway, cast):
         writer.write(entry)
         entries += 1
     writer.close({"streams": gateway.ledger.to_dict()})
-    told = {"file": str(options.out), "entries": entries, "bytes": options.out.stat().st_size}
+    reports = {actor.name: (actor.done, actor.report()) for actor in cast}
+    good = all(done and report.good for done, report in reports.values())
+    told = {"file": str(options.out), "entries": entries, "bytes": options.out.stat().st_size, "good": good}
     if options.json:
-        print_json(told)
+        actors = {name: stage.report_facts(done, report) for name, (done, report) in reports.items()}
+        print_json(told | ({"actors": actors} if actors else {}))
     else:
         print(f"{scenario.title}")
+        for name, (done, report) in reports.items():
+            print("\n".join(stage.report_lines(name, "", done, report)))
         print(f"{options.out}: {count(entries, 'entry', 'entries')}, {size(told['bytes'])}")
-    return 0
+    return 0 if good else 1
 
 
 def facts(name: str, config: Config) -> dict[str, str]:

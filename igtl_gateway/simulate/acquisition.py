@@ -234,7 +234,7 @@ class Planner:
     def act(self, now_ns: int) -> Iterable[Said]:
         if self._due_ns is None:
             self._faults.append(f"step {self._step}: no {_AWAITED[self._step]} within {_GIVE_UP_NS / NS_PER_S:g} s")
-            return []
+            return [self._text(now_ns, "SHUT DOWN")]  # whatever happened, the robot must not be left switched on
         self._due_ns = None
         self._next(now_ns)
         match self._step:

@@ -19,6 +19,7 @@ from igtl_gateway.gateway import TICK, Gateway, Session
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.simulate.actor import Actor
+from igtl_gateway.simulate.load import Load
 from igtl_gateway.simulate.stage import came, play, went
 from igtl_gateway.wire import Message, encode
 
@@ -51,6 +52,7 @@ class Scenario:
         inputs: gives the inputs of a session of so many seconds (None: its own length), in order of time.
         actors: gives those who make the session among themselves.
         limit_s: a story that takes so much longer than it was asked to is stuck.
+        loaded: the same with another load, where it has one.
     """
 
     title: str
@@ -58,6 +60,7 @@ class Scenario:
     inputs: Inputs | None = None
     actors: Cast | None = None
     limit_s: float = 60.0
+    loaded: Callable[[Load], Scenario] | None = None
 
     def __post_init__(self) -> None:
         if (self.inputs is None) == (self.actors is None):

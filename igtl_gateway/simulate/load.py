@@ -1,0 +1,61 @@
+"""What a test program sends, where the user may choose: type, size, rate and how many."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from igtl_gateway.errors import ConfigError
+
+#: Type → what its size counts, its default and its greatest.
+SIZES = {
+    "TRANSFORM": ("", 1, 1),
+    "STRING": ("bytes", 100, 60_000),
+    "POINT": ("points", 100, 100_000),
+    "POLYDATA": ("points", 1_000, 1_000_000),
+    "IMAGE": ("pixels wide, 3/4 of it high", 640, 4_000),
+}
+SENDERS = ("igtl", "ros", "both")
+
+_MAX_RATE_HZ = 2_000.0
+_MAX_COUNT = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """Raises ConfigError for what no test program can do.
+
+    Attributes:
+        type: of the OpenIGTLink messages.
+        size: of one, see ``SIZES``; 0: the default of its type.
+        rate_hz: messages a second, each way.
+        count: messages, each way.
+        sender: which side sends; the other one receives.
+    """
+
+    type: str = "TRANSFORM"
+    size: int = 0
+    rate_hz: float = 30.0
+    count: int = 90
+    sender: str = "both"
+
+    def __post_init__(self) -> None:
+        if self.type not in SIZES:
+            raise ConfigError(f"--type: found {self.type!r}, expected one of {', '.join(SIZES)}")
+        unit, _, most = SIZES[self.type]
+        if not 0 <= self.size <= most:
+            raise ConfigError(f"--size: found {self.size:,}, expected 1 to {most:,} {unit} in a {self.type}")
+        if not 0 < self.rate_hz <= _MAX_RATE_HZ:
+            raise ConfigError(f"--rate: found {self.rate_hz:g}, expected above 0 and at most {_MAX_RATE_HZ:g} Hz")
+        if not 1 <= self.count <= _MAX_COUNT:
+            raise ConfigError(f"--count: found {self.count:,}, expected 1 to {_MAX_COUNT:,}")
+        if self.sender not in SENDERS:
+            raise ConfigError(f"--sender: found {self.sender!r}, expected one of {', '.join(SENDERS)}")
+
+    @property
+    def length(self) -> int:
+        """The size of one message."""
+        return self.size or SIZES[self.type][1]
+
+    def lasting(self, duration_s: float | None) -> int:
+        """How many messages fill so many seconds; the count where None."""
+        return self.count if duration_s is None else max(1, round(duration_s * self.rate_hz))
