@@ -27,7 +27,7 @@ SIZE = (1600, 1000)
 START_S = 60.0  #: a slow machine reads a large recording
 STEP_S = 0.1
 STEPS = 600  #: of ``STEP_S``: how long a recording may take to load
-HELLOS = 4  #: questions until the viewer answers the first; each waits 15 s
+HELLOS = 100  #: questions until the viewer answers the first
 GRACE_S = 1.0  #: a viewer that fell silent may be about to end
 TRIES = 20  #: pictures until two in a row are equal
 
@@ -151,12 +151,13 @@ class HeadlessViewer:
             raise self._death()
         from rerun.experimental import ViewerClient
 
-        client = ViewerClient.connect(f"rerun+http://127.0.0.1:{self._words.port}/proxy")
-        for _ in range(HELLOS):  # it listens before it draws, and answers only when it draws
-            with suppress(RuntimeError):
+        for _ in range(HELLOS):
+            # It says that it listens a moment too early, and answers only when it draws.
+            with suppress(RuntimeError, OSError):
+                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{self._words.port}/proxy")
                 client.get_state()
                 return client
-            if self._words.ended.wait(GRACE_S):
+            if self._words.ended.wait(STEP_S):
                 raise self._death()
         raise ViewerError(f"the viewer did not answer; its last words: {self._words.last()}")
 
