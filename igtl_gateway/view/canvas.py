@@ -1,0 +1,166 @@
+"""Where one topic draws: its entity and what lies below, in its frame, and what is known of it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from igtl_gateway.view.colours import SERIES
+from igtl_gateway.view.pen import Pen, Xyz
+from igtl_gateway.view.seen import FRAMES, LOG, Seen, Shown, What, escape
+
+NS_PER_MS = 1_000_000
+
+#: A trail: how long it is, how close its points are in time, and how often it is drawn anew.
+TRAIL_NS, _STEP_NS, _DRAW_NS = 5_000 * NS_PER_MS, 20 * NS_PER_MS, 100 * NS_PER_MS
+
+#: Points that a box is made of, and from how many on outliers are left out.
+_SAMPLE, _MANY = 2000, 500
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to draw.
+
+    Attributes:
+        colour_by: field of clouds that gives their colour; "" = their own colours, else intensity, else none.
+        axis_m: length of a tool's axes, metres.
+        trails: draw where tools have been.
+    """
+
+    colour_by: str = ""
+    axis_m: float = 0.02
+    trails: bool = True
+
+
+@dataclass(slots=True)
+class _Trail:
+    """The last places of a tool."""
+
+    points: deque[tuple[int, Xyz]] = field(default_factory=deque)
+    drawn_ns: int = 0
+    frame: str = ""
+
+
+class Canvas:
+    """Handed to the function that draws a message of the topic.
+
+    Attributes:
+        shown: what is told of the topic; functions refine it.
+        rows: rows so far at the topic's own path: one for each message, see ``SessionView``.
+        memory: what a function keeps from message to message (a colour scale, markers that are shown).
+    """
+
+    def __init__(self, pen: Pen, seen: Seen, shown: Shown, options: Options, number: int) -> None:
+        self.pen = pen
+        self.shown = shown
+        self.options = options
+        self.rows = 0
+        self.memory: dict[str, Any] = {}
+        self.colour = SERIES[number % len(SERIES)]
+        self._seen = seen
+        self._trails: dict[str, _Trail] = {}
+        self._axes: set[str] = set()
+
+    def frame(self, frame_id: str) -> str:
+        """The frame to draw in; the session's base frame where the message names none."""
+        self.shown.frame = frame_id.lstrip("/") or self._seen.base_frame
+        return self.shown.frame
+
+    def what(self, what: What) -> None:
+        """What the topic's picture is, if this is its first message."""
+        if not self.shown.count:
+            self.shown.what = what
+
+    def log(self, *archetypes: Any, child: str = "", frame: str = "") -> None:
+        """A row of the topic (or of ``child`` below it), in 3-D in the frame ``frame``."""
+        where: tuple[Any, ...] = (rr.CoordinateFrame(frame),) if frame else ()
+        self.pen.log(f"{self.shown.path}/{child}" if child else self.shown.path, *where, *archetypes)
+        self.rows += not child
+
+    def static(self, archetype: Any, child: str = "") -> None:
+        """What holds for the whole session."""
+        self.pen.static(f"{self.shown.path}/{child}" if child else self.shown.path, archetype)
+
+    def numbers(self, values: Sequence[float], child: str = "") -> None:
+        """A row of numbers over time."""
+        self.pen.numbers(f"{self.shown.path}/{child}" if child else self.shown.path, values)
+        self.rows += not child
+
+    def text(self, text: str, level: str = "INFO", colour: int | None = None) -> None:
+        """A line of the session's log."""
+        self.pen.text(LOG, f"{self.shown.topic}: {text}", level, colour)
+
+    def once(self, text: str) -> None:
+        """A line of the session's log, the first time only."""
+        if text not in self.memory.setdefault("said", set()):
+            self.memory["said"].add(text)
+            self.text(text)
+
+    def tool(self, pose: Xyz, frame: str, child: str = "") -> None:
+        """Axes of a tool and its trail; ``pose`` is x, y, z, qx, qy, qz, qw."""
+        path = f"{self.shown.path}/{child}" if child else self.shown.path
+        if path not in self._axes:
+            self._axes.add(path)
+            self.pen.static(path, rr.TransformAxes3D(self.options.axis_m))
+        self.pen.pose(path, frame, pose[:3], pose[3:])
+        self.rows += not child
+        if self.options.trails:
+            self._trail(path, frame, pose[:3])
+
+    def box(self, places: npt.NDArray[Any]) -> None:
+        """Where the topic's things are: the eye of a 3-D view is set by the box around most of them."""
+        some = places[:: max(len(places) // _SAMPLE, 1)].astype(np.float64)
+        some = some[np.isfinite(some).all(axis=1)]
+        if not len(some):
+            return
+        low, high = np.percentile(some, (2, 98), axis=0) if len(some) >= _MANY else (some.min(axis=0), some.max(axis=0))
+        if self.shown.low is not None and self.shown.high is not None:
+            low, high = np.minimum(low, self.shown.low), np.maximum(high, self.shown.high)
+        (a, b, c), (d, e, f) = low.tolist(), high.tolist()
+        self.shown.low, self.shown.high = (a, b, c), (d, e, f)
+
+    def link(self, child: str, frame: str, pose: Xyz, *, static: bool = False) -> None:
+        """One edge of the transform tree: the frame ``child`` in the frame ``frame``.
+
+        A frame is told at one entity, whatever topics tell it; the topic that told it first is believed.
+        """
+        child = child.lstrip("/")
+        owner = self.pen.owners.setdefault(child, self.shown.topic)
+        if not child or child == frame or owner != self.shown.topic:
+            return
+        path = f"{FRAMES}/{escape(child)}"
+        if child not in self._seen.parents:
+            self.pen.static(path, rr.CoordinateFrame(child), rr.TransformAxes3D(self.options.axis_m))
+        self._seen.parents[child] = frame
+        if static:
+            x, y, z, w = pose[3:]
+            place = rr.Transform3D(
+                translation=pose[:3], quaternion=rr.Quaternion(xyzw=(x, y, z, w)), parent_frame=frame, child_frame=child
+            )
+            self.pen.static(path, place)
+        else:
+            self.pen.pose(path, frame, pose[:3], pose[3:], child)
+
+    def _trail(self, path: str, frame: str, place: Xyz) -> None:
+        trail = self._trails.setdefault(path, _Trail(frame=frame))
+        now = self.pen.stamp_ns
+        if trail.frame != frame:
+            trail.points.clear()
+            trail.frame = frame
+        if trail.points and now - trail.points[-1][0] < _STEP_NS:
+            return
+        trail.points.append((now, place))
+        while now - trail.points[0][0] > TRAIL_NS:
+            trail.points.popleft()
+        if now - trail.drawn_ns >= _DRAW_NS and len(trail.points) > 1:
+            trail.drawn_ns = now
+            strip = np.array([point for _, point in trail.points], np.float32)
+            lines = rr.LineStrips3D([strip], colors=[self.colour], radii=[rr.Radius.ui_points(1.5)])
+            self.pen.log(f"{path}/trail", rr.CoordinateFrame(frame), lines)

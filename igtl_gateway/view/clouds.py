@@ -1,0 +1,145 @@
+"""Points: clouds in colour, points with names."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from igtl_gateway.convert.igtl_msgs import PointList
+from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, PointCloud2, PointStamped
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.view import colours
+from igtl_gateway.view.canvas import Canvas
+from igtl_gateway.view.seen import What
+
+Array = npt.NDArray[Any]
+
+_XYZ = ("x", "y", "z")
+_WORD = 4
+#: Up to here a cloud is points to be seen one by one: markers, a plan.
+_FEW = 200
+#: Names of fields that colour a cloud which has no colour, in order.
+_SCALARS = ("intensity", "intensities", "i", "noise", "confidence", "curvature", "scalar")
+#: Drawn radius of single points without a size, in metres.
+POINT_M = 0.0015
+
+
+def draw_cloud(message: PointCloud2, canvas: Canvas) -> None:
+    """sensor_msgs/PointCloud2: points that have a place, in the colours of ``Options.colour_by``."""
+    frame = canvas.frame(message.header.frame_id)
+    fields = columns(message)
+    places = np.empty((len(fields["x"]), 3), np.float32)
+    for axis, name in enumerate(_XYZ):
+        places[:, axis] = fields[name]
+    kept: Any = slice(None)
+    if not message.is_dense or not np.isfinite(places.sum(dtype=np.float64)):
+        kept = np.isfinite(places).all(axis=1)
+        places = places[kept]
+    words = _words(fields, canvas)
+    canvas.shown.coloured = words is not None
+    canvas.box(places)
+    few = len(places) <= _FEW
+    if few:
+        canvas.what(What.POINTS)
+    radius = canvas.memory.get("radius")
+    if radius is None and len(places):
+        radius = canvas.memory["radius"] = POINT_M if few else _radius(message, places)
+    points = rr.Points3D(
+        places,
+        colors=[canvas.colour if few else colours.GREY] if words is None else words[kept],
+        radii=None if radius is None else [radius],
+    )
+    canvas.log(points, frame=frame)
+
+
+def columns(message: PointCloud2) -> dict[str, Array]:
+    """Every field of one value as an array (n,): views on the data.  Raises ConversionError."""
+    count = message.width * message.height
+    row = message.width * message.point_step
+    size = memoryview(message.data).nbytes
+    if (message.height > 1 and message.row_step < row) or size < message.row_step * (message.height - 1) + row:
+        raise ConversionError(f"{message.TYPE}: found {size} bytes, expected {message.height} rows of {row} bytes")
+    order = ">" if message.is_bigendian else "<"
+    found: dict[str, Array] = {}
+    for item in message.fields:
+        kind = POINT_FIELD_DTYPES.get(item.datatype)
+        if kind is None or item.name in found or item.count > 1:
+            continue
+        dtype = np.dtype(order + kind)
+        if item.offset + dtype.itemsize > message.point_step:
+            raise ConversionError(f"{message.TYPE}: field {item.name!r} ends behind point_step {message.point_step}")
+        if not count:
+            found[item.name] = np.empty(0, dtype)
+            continue
+        shape, strides = (message.height, message.width), (message.row_step, message.point_step)
+        view: Array = np.ndarray(shape, dtype, message.data, item.offset, strides)
+        found[item.name] = view.reshape(-1)
+    if missing := [name for name in _XYZ if name not in found]:
+        raise ConversionError(f"{message.TYPE}: found fields {list(found)}, expected {', '.join(missing)} too")
+    return found
+
+
+def draw_point(message: PointStamped, canvas: Canvas) -> None:
+    """geometry_msgs/PointStamped."""
+    frame = canvas.frame(message.header.frame_id)
+    canvas.box(np.array([message.point]))
+    canvas.log(rr.Points3D([message.point], colors=[canvas.colour], radii=[POINT_M]), frame=frame)
+
+
+def draw_point_list(message: PointList, canvas: Canvas) -> None:
+    """igtl_msgs/PointList: names as labels; a point without a colour is drawn in the topic's."""
+    frame = canvas.frame(message.header.frame_id)
+    points = message.points
+    places = np.array([point.position for point in points], np.float32).reshape(-1, 3)
+    canvas.box(places)
+    shown = rr.Points3D(
+        places,
+        colors=[_colour(point.rgba, canvas.colour) for point in points],
+        radii=[point.diameter / 2 or POINT_M for point in points],
+        labels=[point.name for point in points],
+        show_labels=len(points) <= _FEW,
+    )
+    canvas.log(shown, frame=frame)
+
+
+def _colour(rgba: tuple[int, int, int, int], unset: int) -> int:
+    red, green, blue, alpha = rgba
+    return red << 24 | green << 16 | blue << 8 | (alpha or 255) if any(rgba) else unset
+
+
+def _words(fields: dict[str, Array], canvas: Canvas) -> Array | None:
+    """The colour of each point; None for clouds without any."""
+    wanted = canvas.options.colour_by
+    if wanted in fields and wanted not in ("rgb", "rgba"):
+        return _scaled(wanted, fields[wanted], canvas)
+    for name in ("rgba", "rgb"):
+        if name in fields and fields[name].dtype.itemsize == _WORD:
+            values = np.ascontiguousarray(fields[name])
+            return colours.packed(values.view(values.dtype.str[0] + "u4").astype(np.uint32), alpha=name == "rgba")
+    if all(name in fields for name in ("r", "g", "b")):
+        return colours.rgba(np.stack([fields[name] for name in ("r", "g", "b")], axis=1))
+    for name in _SCALARS:
+        if name in fields:
+            return _scaled(name, fields[name], canvas)
+    return None
+
+
+def _scaled(name: str, values: Array, canvas: Canvas) -> Array:
+    """Colours by a field; the scale is that of the first cloud, so that colours can be compared."""
+    scales = canvas.memory.setdefault("scales", {})
+    if name not in scales and len(values):
+        scales[name] = low, high = colours.span(values)
+        canvas.text(f"coloured by {name}, blue {low:.4g} … red {high:.4g}")
+    return colours.scale(values, *scales.get(name, (0.0, 1.0)))
+
+
+def _radius(message: PointCloud2, places: Array) -> float:
+    """Half the distance between neighbours of an organised cloud, which then looks like a surface; else in pixels."""
+    if message.height > 1:
+        steps = np.linalg.norm(np.diff(places.astype(np.float64), axis=0), axis=1)
+        if len(steps):
+            return float(np.median(steps)) * 0.6
+    return float(rr.Radius.ui_points(1.5).value)

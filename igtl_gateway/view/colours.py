@@ -1,0 +1,79 @@
+"""Colours: of numbers, of packed ROS words, of markers; all as rerun's 0xRRGGBBAA words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]
+
+#: One colour for each device that has none of its own, in turn: distinct, and none is tissue.
+SERIES = (0x4FC3F7FF, 0xFFB74DFF, 0x81C784FF, 0xE57373FF, 0xBA68C8FF, 0xFFF176FF, 0x4DD0E1FF, 0xA1887FFF)
+GREY = 0xC8C8C8FF
+INFO, WARN, ERROR = 0xB0BEC5FF, 0xFFB300FF, 0xFF5252FF
+
+#: Turbo (A. Mikhailov, Google, 2019) as polynomials of degree 5 in 0 … 1, red, green, blue.
+_TURBO = (
+    (0.13572138, 4.61539260, -42.66032258, 132.13108234, -152.94239396, 59.28637943),
+    (0.09140261, 2.19418839, 4.84296658, -14.18503333, 4.27729857, 2.82956604),
+    (0.10667330, 12.64194608, -60.58204836, 110.36276771, -89.90310912, 27.34824973),
+)
+
+
+def scale(values: Array, low: float, high: float) -> Array:
+    """Numbers as colours: blue = ``low`` … red = ``high``; grey where there is no number."""
+    spread = high - low
+    unit = (values.astype(np.float64) - low) / spread if spread > 0 else np.full(len(values), 0.5)
+    known = np.isfinite(unit)
+    unit = np.clip(np.where(known, unit, 0.0), 0.0, 1.0)
+    index = (unit * (len(_TABLE) - 1)).astype(np.intp)
+    return np.where(known, _TABLE[index], np.uint32(GREY)).astype(np.uint32)
+
+
+def span(values: Array) -> tuple[float, float]:
+    """From the 1st to the 99th percentile of the finite numbers: what a colour scale is to cover."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return 0.0, 1.0
+    low, high = np.percentile(finite.astype(np.float64), (1, 99))
+    return float(low), float(high)
+
+
+def rgba(colours: Array) -> Array:
+    """(n, 3 or 4) numbers, 0 … 1 or 0 … 255 if any is above 1, as words."""
+    values = np.nan_to_num(np.asarray(colours, np.float64))
+    if values.size and values.max() <= 1.0:
+        values = values * 255.0
+    out = np.full((len(values), 4), 255, np.uint32)
+    out[:, : values.shape[1]] = np.clip(np.rint(values), 0, 255).astype(np.uint32)
+    return word(out)
+
+
+def word(octets: Array) -> Array:
+    """(n, 4) red, green, blue, alpha as words."""
+    wide = octets.astype(np.uint32)
+    joined: Array = wide[:, 0] << 24 | wide[:, 1] << 16 | wide[:, 2] << 8 | wide[:, 3]
+    return joined
+
+
+def packed(words: Array, *, alpha: bool) -> Array:
+    """PCL's packed 0xAARRGGBB words as 0xRRGGBBAA; opaque where the words have no alpha."""
+    turned: Array = (words << np.uint32(8)) | (words >> np.uint32(24) if alpha else np.uint32(255))
+    return turned
+
+
+def one(colour: tuple[float, ...]) -> int:
+    """A marker's colour 0 … 1; grey where it is unset (all zero, or transparent)."""
+    red, green, blue, alpha = (round(min(max(part, 0.0), 1.0) * 255) for part in colour)
+    return red << 24 | green << 16 | blue << 8 | alpha if alpha else GREY
+
+
+def _table() -> Array:
+    unit = np.linspace(0.0, 1.0, 256)
+    columns = [sum(factor * unit**power for power, factor in enumerate(row)) for row in _TURBO]
+    return rgba(np.clip(np.stack(columns, axis=1), 0.0, 1.0))
+
+
+_TABLE = _table()

@@ -1,0 +1,84 @@
+"""Numbers: plots over time, bars, tensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from igtl_gateway.convert.common_msgs import JointState, MultiArray
+from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.view.canvas import Canvas
+from igtl_gateway.view.other_msgs import Float64
+from igtl_gateway.view.seen import What
+from igtl_gateway.wire.ndarray import NDARRAY_SCALARS
+
+#: So many numbers are curves; more of them are bars.
+_CURVES = 16
+_JOINTS = ("position", "velocity", "effort")
+
+
+def draw_joints(message: JointState, canvas: Canvas) -> None:
+    """sensor_msgs/JointState: positions at the topic's path, velocities and efforts below it."""
+    for what, values in zip(_JOINTS, (message.position, message.velocity, message.effort), strict=True):
+        child = "" if what == "position" else what
+        if len(values):
+            _name(canvas, child, message.name)
+            canvas.numbers(values.tolist(), child)
+
+
+def draw_sensor(message: Sensor, canvas: Canvas) -> None:
+    """igtl_msgs/Sensor."""
+    unit = f" ({message.unit_text})" if message.unit_text else ""
+    _name(canvas, "", [f"{number}{unit}" for number in range(1, len(message.values) + 1)])
+    canvas.numbers(message.values.tolist())
+
+
+def draw_number(message: Float64, canvas: Canvas) -> None:
+    """std_msgs/Float64."""
+    canvas.numbers([message.data])
+
+
+def draw_multi_array(message: MultiArray, canvas: Canvas) -> None:
+    """std_msgs/…MultiArray."""
+    sizes = [each.size for each in message.layout.dim]
+    _array(message.data[message.layout.data_offset :], sizes, canvas)
+
+
+def draw_array(message: NdArray, canvas: Canvas) -> None:
+    """igtl_msgs/NdArray; of complex numbers the magnitude."""
+    code = NDARRAY_SCALARS.get(message.scalar_type)
+    if code is None:
+        raise ConversionError(f"{message.TYPE}: found scalar type {message.scalar_type}, which has no picture")
+    dtype = np.dtype(("<" if not message.is_bigendian else ">") + code[1:])
+    values = np.frombuffer(message.data, dtype)
+    if dtype.kind == "c":
+        canvas.once("complex numbers are shown by their magnitude")
+        values = np.abs(values)
+    _array(values, message.size.tolist(), canvas)
+
+
+def _array(values: npt.NDArray[Any], sizes: Sequence[int], canvas: Canvas) -> None:
+    flat = values.astype(values.dtype.newbyteorder("="), copy=False)
+    long = [size for size in sizes if size > 1]
+    if len(long) > 1 and math.prod(sizes) == len(flat):
+        canvas.what(What.TENSOR)
+        canvas.log(rr.Tensor(flat.reshape(sizes)))
+    elif 0 < len(flat) <= _CURVES:
+        canvas.what(What.PLOT)
+        canvas.numbers(flat.astype(np.float64).tolist())
+    elif len(flat):
+        canvas.what(What.BARS)
+        canvas.log(rr.BarChart(flat))
+
+
+def _name(canvas: Canvas, child: str, names: Sequence[str]) -> None:
+    """Name the curves, once and whenever they change."""
+    if canvas.memory.get(f"names {child}") != names and names:
+        canvas.memory[f"names {child}"] = names
+        canvas.static(rr.SeriesLines(names=list(names)), child)

@@ -1,0 +1,86 @@
+"""Messages that the gateway does not convert, but that have a picture: read only, and only what is drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy.typing as npt
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.convert.cdr import Reader
+from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.convert.igtl_msgs import HEADER
+from igtl_gateway.convert.rosmsg import Header, Marker
+from igtl_gateway.convert.structs import FLOAT64, STRING, UINT32, CdrType, Struct, fixed, numbers, several
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Path(Struct):
+    """nav_msgs/msg/Path."""
+
+    TYPE: ClassVar[str] = "nav_msgs/msg/Path"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(PoseStamped))
+    header: Header
+    poses: tuple[PoseStamped, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Float64(Struct):
+    """std_msgs/msg/Float64."""
+
+    TYPE: ClassVar[str] = "std_msgs/msg/Float64"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (FLOAT64,)
+    data: float
+
+
+@dataclass(frozen=True, slots=True)
+class CameraInfo(Struct):
+    """sensor_msgs/msg/CameraInfo; binning and region of interest are left unread."""
+
+    TYPE: ClassVar[str] = "sensor_msgs/msg/CameraInfo"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, UINT32, UINT32, STRING, numbers("float64"), fixed("float64", 9))
+    header: Header
+    height: int
+    width: int
+    distortion_model: str
+    d: Array
+    k: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerArray:
+    """visualization_msgs/msg/MarkerArray."""
+
+    TYPE: ClassVar[str] = "visualization_msgs/msg/MarkerArray"
+    markers: tuple[Marker, ...]
+
+    @classmethod
+    def unpack(cls, cdr: Buffer) -> Self:
+        """From CDR bytes.  Raises ConversionError."""
+        read = Reader(cdr, cls.TYPE)
+        return cls(tuple(_marker(read) for _ in range(read.count())))
+
+
+def _marker(read: Reader) -> Marker:
+    """The next of several markers; as ``Marker.unpack``, but to the very end of it."""
+    header, ns = Header.read(read), read.string()
+    marker_id, kind, action = read.unpack("iii", 4)
+    pose, color = read.unpack("10d", 8), read.unpack("4f", 4)
+    read.unpack("iI", 4)  # lifetime
+    read.bool()  # frame_locked
+    points = read.sequence("f8", 3, 8).reshape(-1, 3)
+    colors = read.sequence("f4", 4, 4).reshape(-1, 4)
+    read.string()  # texture_resource, then the texture itself
+    Header.read(read)
+    read.string()
+    read.octets()
+    read.sequence("f4", 2, 4)  # uv_coordinates
+    text = read.string()
+    read.string()  # mesh_resource, then mesh_file
+    read.string()
+    read.octets()
+    read.bool()  # mesh_use_embedded_materials
+    return Marker(header, ns, marker_id, kind, action, pose[:3], pose[3:7], pose[7:], color, points, colors, text)

@@ -1,0 +1,139 @@
+"""Where pictures are drawn: a rerun recording stream, the time lines, and columns for what comes by the thousand.
+
+A call of ``rerun.log`` costs some 100 µs, nothing for a cloud but a lot for a pose: poses and numbers are gathered and
+sent as columns, a hundred times cheaper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from igtl_gateway.session.entry import Entry
+
+#: The time lines: gateway time, the sender's own stamp (where it set one), and the entry number.
+GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"
+
+#: Rows of one entity that are gathered before they are sent.
+_ROWS = 2048
+
+Xyz = Sequence[float]
+
+
+@dataclass(slots=True)
+class _Column:
+    """Rows of one entity that wait: entry number, gateway time, sender's time, values."""
+
+    rows: list[tuple[int, int, int, Any]] = field(default_factory=list)
+
+
+class Pen:
+    """Draws into one recording; every row carries the times of the entry that was last given to ``at``."""
+
+    def __init__(self, recording: rr.RecordingStream) -> None:
+        self.recording = recording
+        recording.set_log_time_enabled(False)
+        recording.set_log_tick_enabled(False)
+        self.number = self.stamp_ns = self.source_ns = 0
+        self.owners: dict[str, str] = {}  # frame → topic that tells where it is
+        self.cameras: set[str] = set()  # frames that have a pinhole
+        self._told: tuple[int, int, int] | None = None
+        self._waiting: dict[tuple[str, str], _Column] = {}
+
+    def at(self, entry: Entry) -> None:
+        """What is drawn from now on belongs to this entry."""
+        self.number, self.stamp_ns, self.source_ns = entry.seq, entry.stamp_ns, entry.source_ns
+
+    def log(self, path: str, *archetypes: rr.AsComponents) -> None:
+        """One row at once; all components of it on the same row."""
+        self._set_time()
+        self.recording.log(path, *archetypes)
+
+    def static(self, path: str, *archetypes: rr.AsComponents) -> None:
+        """What holds at all times."""
+        self.recording.log(path, *archetypes, static=True)
+
+    def pose(self, path: str, parent: str, xyz: Xyz, quaternion: Xyz, child: str = "") -> None:
+        """The frame ``child`` (default: the entity's own) in the frame ``parent``; metres, quaternion x, y, z, w."""
+        self._wait((path, "pose"), (parent, child, xyz, quaternion))
+
+    def numbers(self, path: str, values: Sequence[float]) -> None:
+        """One value each of several series, NaN where one has none."""
+        self._wait((path, f"numbers {len(values)}"), values)
+
+    def text(self, path: str, text: str, level: str, colour: int | None = None) -> None:
+        """A line of a log."""
+        self.log(path, rr.TextLog(text, level=level, color=colour))
+
+    def fields(self, path: str, **values: Any) -> None:
+        """A row without picture: fields for the selection panel."""
+        self.log(path, rr.AnyValues(**values))
+
+    def flush(self) -> None:
+        """Send what was gathered."""
+        for key, column in self._waiting.items():
+            if column.rows:
+                self._send(key, column)
+
+    def _set_time(self) -> None:
+        told = (self.number, self.stamp_ns, self.source_ns)
+        if told == self._told:
+            return
+        self._told = told
+        self.recording.set_time(GATEWAY_TIME, timestamp=np.datetime64(self.stamp_ns, "ns"))
+        self.recording.set_time(ENTRY, sequence=self.number)
+        if self.source_ns:
+            self.recording.set_time(SENDER_TIME, timestamp=np.datetime64(self.source_ns, "ns"))
+        else:
+            self.recording.disable_timeline(SENDER_TIME)
+
+    def _wait(self, key: tuple[str, str], values: Any) -> None:
+        column = self._waiting.get(key)
+        if column is None:
+            column = self._waiting[key] = _Column()
+        column.rows.append((self.number, self.stamp_ns, self.source_ns, values))
+        if len(column.rows) >= _ROWS:
+            self._send(key, column)
+
+    def _send(self, key: tuple[str, str], column: _Column) -> None:
+        path, kind = key
+        make = _poses if kind == "pose" else _numbers
+        stamped = [row for row in column.rows if row[2]]
+        unstamped = [row for row in column.rows if not row[2]]
+        column.rows.clear()
+        for rows in (stamped, unstamped):
+            if rows:
+                self.recording.send_columns(path, _times(rows), make([row[3] for row in rows]))
+
+
+def _times(rows: list[tuple[int, int, int, Any]]) -> list[rr.TimeColumn]:
+    def stamps(column: int) -> Any:
+        return np.array([row[column] for row in rows], np.int64).view("datetime64[ns]")
+
+    times = [
+        rr.TimeColumn(GATEWAY_TIME, timestamp=stamps(1)),
+        rr.TimeColumn(ENTRY, sequence=np.array([row[0] for row in rows], np.int64)),
+    ]
+    return [*times, rr.TimeColumn(SENDER_TIME, timestamp=stamps(2))] if rows[0][2] else times
+
+
+def _poses(values: list[Any]) -> Any:
+    parents, children, places, rotations = zip(*values, strict=True)
+    columns: dict[str, Any] = {
+        "translation": np.array(places, np.float32),
+        "quaternion": np.array(rotations, np.float32),
+        "parent_frame": parents,
+    }
+    if children[0]:
+        columns["child_frame"] = children
+    return rr.Transform3D.columns(**columns)
+
+
+def _numbers(values: list[Any]) -> Any:
+    table = np.array(values, np.float64)
+    columns = rr.Scalars.columns(scalars=table.reshape(-1))
+    return columns.partition(lengths=[table.shape[1]] * len(table)) if table.shape[1] != 1 else columns

@@ -1,0 +1,62 @@
+"""Tools and frames: axes with their trail, and the transform tree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped, TFMessage
+from igtl_gateway.convert.igtl_msgs import TrackingData
+from igtl_gateway.convert.rosmsg import TransformStamped
+from igtl_gateway.view.canvas import Canvas
+from igtl_gateway.view.seen import escape
+
+
+def draw_transform(message: TransformStamped, canvas: Canvas) -> None:
+    """geometry_msgs/TransformStamped: a tool at the topic's path, and its frame in the tree."""
+    frame = canvas.frame(message.header.frame_id)
+    _tool((*message.translation, *message.rotation), frame, canvas, "", message.child_frame_id)
+
+
+def draw_pose(message: PoseStamped, canvas: Canvas) -> None:
+    """geometry_msgs/PoseStamped."""
+    _tool(message.pose, canvas.frame(message.header.frame_id), canvas)
+
+
+def draw_poses(message: PoseArray, canvas: Canvas) -> None:
+    """geometry_msgs/PoseArray: tools 1, 2, …"""
+    frame = canvas.frame(message.header.frame_id)
+    for number, pose in enumerate(message.poses.tolist(), 1):
+        _tool(pose, frame, canvas, str(number))
+
+
+def draw_tracking(message: TrackingData, canvas: Canvas) -> None:
+    """igtl_msgs/TrackingData: every tool by its name."""
+    frame = canvas.frame(message.header.frame_id)
+    for tool in message.tools:
+        _tool(tool.pose, frame, canvas, escape(tool.name))
+
+
+def draw_tf(message: TFMessage, canvas: Canvas) -> None:
+    """tf2_msgs/TFMessage: edges of the tree."""
+    for each in message.transforms:
+        frame = canvas.frame(each.header.frame_id)
+        if _is_pose(each.pose):
+            canvas.link(each.child_frame_id, frame, each.pose, static=canvas.shown.topic == "/tf_static")
+
+
+def _tool(pose: Sequence[float], frame: str, canvas: Canvas, child: str = "", child_frame: str = "") -> None:
+    if not _is_pose(pose):
+        canvas.once(f"{child or 'the tool'} has no place: found {tuple(pose)}, expected a pose")
+        return
+    canvas.tool(pose, frame, child)
+    canvas.box(np.array([pose[:3]]))
+    if child_frame:
+        canvas.link(child_frame, frame, pose)
+
+
+def _is_pose(pose: Sequence[float]) -> bool:
+    """Whether the numbers are finite and the quaternion turns."""
+    return all(map(math.isfinite, pose)) and any(pose[3:])

@@ -1,0 +1,240 @@
+"""A session as a rerun recording: entries in, pictures out; what is there is told by ``Seen``.
+
+Every message of ROS is one row at the entity of its topic, drawn by its row of ``table``; what an OpenIGTLink peer
+said is drawn as the ROS messages that it became.  Nothing is kept but the last seconds of trails and what waits in
+columns, so that the size of a session costs no memory.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import rerun as rr
+
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.view.canvas import Canvas, Options
+from igtl_gateway.view.colours import ERROR, INFO, WARN
+from igtl_gateway.view.pen import Pen
+from igtl_gateway.view.seen import DROPS, FRAMES, LATENCIES, LINKS, LOG, RATES, REVIEW, Seen, Shown, What, path_of
+from igtl_gateway.view.table import PICTURES, Picture
+
+_ROS = frozenset((Kind.ROS_IN, Kind.ROS_OUT))
+_NOTES = frozenset((Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE))
+_RESERVED = frozenset((LOG.partition("/")[0], RATES.partition("/")[0], FRAMES, REVIEW))
+_COLOURS = {Level.INFO: INFO, Level.WARN: WARN, Level.ERROR: ERROR}
+_DROP_WORDS = ("drop", "lost", "full", "missed", "left_out")
+
+#: A gap of a stream, as ``info`` has it: a pause of more than so many mean intervals, and of more than a second.
+_GAP_FACTOR, _RHYTHM = 10, 20
+_NS_PER_MS = 1e6
+#: Streams that get plots of rate and latency; a peer that invents names must not cost memory.
+_MAX_PLOTS = 300
+
+
+@dataclass(slots=True)
+class _Topic:
+    canvas: Canvas
+    picture: Picture | None
+
+
+@dataclass(slots=True)
+class _Rhythm:
+    """When a stream spoke; times in UTC ns of the gateway."""
+
+    path: str
+    first_ns: int = 0
+    last_ns: int = 0
+    messages: int = 0
+    this_second: int = 0
+
+
+@dataclass(slots=True)
+class _Sibling:
+    """A message made of the input that is being told."""
+
+    base: str
+    fullness: int
+    shown: Shown
+    outdone: bool = False
+
+
+@dataclass(slots=True)
+class Told:
+    """What was drawn, in numbers.
+
+    Attributes:
+        messages: drawn messages, by topic.
+        without_picture: messages that have none, by ROS type.
+        refused: messages that could not be drawn, by topic.
+    """
+
+    messages: Counter[str] = field(default_factory=Counter)
+    without_picture: Counter[str] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
+
+
+class SessionView:
+    """Draws a session into a recording stream, entry by entry.
+
+    Args:
+        recording: where to draw; its sink is the caller's.
+        base_frame: frame of all that names none.
+        options: how to draw.
+    """
+
+    def __init__(self, recording: rr.RecordingStream, base_frame: str = "igtl", options: Options | None = None) -> None:
+        self.seen = Seen(base_frame)
+        self.told = Told()
+        self._options = options or Options()
+        self._pen = Pen(recording)
+        self._topics: dict[tuple[str, str], _Topic] = {}
+        self._paths: set[str] = set()
+        self._siblings: list[_Sibling] = []
+        self._rhythms: dict[tuple[Kind, str], _Rhythm] = {}
+        self._second = 0
+        self._last_number = 0
+        self._pen.static(DROPS, rr.SeriesPoints(markers=["cross"], names=["drops and gaps"]))
+
+    def take(self, entry: Entry) -> None:
+        """Draw one entry; they come in the order of the session."""
+        self._pen.at(entry)
+        self.seen.first_ns = self.seen.first_ns or entry.stamp_ns
+        self.seen.last_ns = entry.stamp_ns
+        missing = entry.seq - self._last_number - 1
+        if self._last_number and missing > 0:
+            self._drop(missing, f"{missing:,} entries are missing")
+        self._last_number = entry.seq
+        if entry.kind.is_input:
+            self._siblings.clear()
+        if entry.kind in _NOTES:
+            self._note(entry)
+        else:
+            self._beat(entry)
+            if entry.kind in _ROS:
+                self._message(entry)
+
+    def flush(self) -> None:
+        """Send what waits in columns: a live view does it several times a second."""
+        self._pen.flush()
+
+    def finish(self) -> None:
+        """Tell what is left: the last second's rates, what waits in columns."""
+        self._rates(self._second + 1)
+        self._pen.flush()
+
+    # Messages
+
+    def _message(self, entry: Entry) -> None:
+        topic = self._topics.get((entry.channel, entry.type)) or self._meet(entry)
+        canvas, picture = topic.canvas, topic.picture
+        shown = canvas.shown
+        rows = canvas.rows
+        summary: dict[str, Any] = {"bytes": entry.size}
+        if picture is None:
+            self.told.without_picture[entry.type] += 1
+        else:
+            try:
+                picture.draw(picture.message.unpack(entry.data()), canvas)
+            except (ConversionError, ValueError) as error:
+                self.told.refused[entry.channel] += 1
+                summary["error"] = str(error)
+                self._pen.text(LOG, f"{entry.channel}: cannot be shown: {error}", "WARN", WARN)
+        if canvas.rows == rows:  # nothing at the topic's own path: a row that counts
+            self._pen.fields(shown.path, **summary)
+            canvas.rows += 1
+        shown.first_ns = shown.first_ns or entry.stamp_ns
+        shown.last_ns = entry.stamp_ns
+        shown.count += 1
+        self.told.messages[entry.channel] += 1
+        if entry.kind is Kind.ROS_OUT and picture and picture.fullness:
+            self._compare(_Sibling(entry.channel.rpartition("/")[0], picture.fullness, shown))
+
+    def _meet(self, entry: Entry) -> _Topic:
+        """The first message of a topic."""
+        picture = PICTURES.get(entry.type)
+        path = path_of(entry.channel)
+        if path.partition("/")[0] in _RESERVED:
+            path = f"topics/{path}"
+        free, number = path, 2
+        while free in self._paths:
+            free, number = f"{path}_{number}", number + 1
+        self._paths.add(free)
+        shown = Shown(free, entry.channel, entry.type, picture.what if picture else What.DATA, self.seen.base_frame)
+        known = entry.channel in self.seen.shown
+        self.seen.shown[f"{entry.channel} ({entry.type})" if known else entry.channel] = shown
+        canvas = Canvas(self._pen, self.seen, shown, self._options, len(self._topics))
+        if picture is None:
+            self._pen.text(LOG, f"no picture: {entry.channel} ({entry.type})", "WARN", WARN)
+        topic = self._topics[(entry.channel, entry.type)] = _Topic(canvas, picture)
+        return topic
+
+    def _compare(self, new: _Sibling) -> None:
+        """Of messages made of one OpenIGTLink message all but the fullest are outdone."""
+        for other in self._siblings:
+            if other.base == new.base and other.fullness != new.fullness:
+                less = other if other.fullness < new.fullness else new
+                less.shown.outdone += not less.outdone
+                less.outdone = True
+        self._siblings.append(new)
+
+    # Facts
+
+    def _note(self, entry: Entry) -> None:
+        note = Note.unpack(entry.data())
+        links = f" [link {', '.join(map(str, entry.links))}]" if entry.links else ""
+        stream = f"{note.stream}: " if note.stream and note.stream not in note.text else ""
+        text = f"{stream}{note.text}{links}"
+        self._pen.text(LOG, text, note.level.name, _COLOURS[note.level])
+        if entry.kind is Kind.LINK:
+            self._pen.text(LINKS, text, note.level.name, _COLOURS[note.level])
+        if any(word in note.code for word in _DROP_WORDS):
+            self._drop(int(note.data.get("count") or note.data.get("dropped") or 1), text, in_log=False)
+
+    def _drop(self, number: int, text: str, *, in_log: bool = True) -> None:
+        self._pen.log(DROPS, rr.TextLog(text, level="WARN", color=WARN), rr.Scalars([float(number)]))
+        if in_log:
+            self._pen.text(LOG, text, "WARN", WARN)
+
+    # Rates and latencies
+
+    def _beat(self, entry: Entry) -> None:
+        key = (entry.kind, entry.channel)
+        rhythm = self._rhythms.get(key)
+        if rhythm is None:
+            if len(self._rhythms) >= _MAX_PLOTS:
+                return
+            rhythm = self._rhythms[key] = _Rhythm(path_of(entry.channel), entry.stamp_ns, entry.stamp_ns)
+        second = entry.stamp_ns // NS_PER_S
+        if second != self._second:
+            self._rates(second)
+        if entry.kind.is_input:
+            if entry.source_ns:
+                self._pen.numbers(f"{LATENCIES}/{rhythm.path}", [(entry.stamp_ns - entry.source_ns) / _NS_PER_MS])
+            pause = entry.stamp_ns - rhythm.last_ns
+            if rhythm.messages >= _RHYTHM and pause > NS_PER_S:
+                mean = (rhythm.last_ns - rhythm.first_ns) / (rhythm.messages - 1)
+                if pause > _GAP_FACTOR * mean:
+                    self._drop(1, f"{entry.channel}: silent for {pause / NS_PER_S:.1f} s")
+        rhythm.last_ns = entry.stamp_ns
+        rhythm.messages += 1
+        rhythm.this_second += 1
+
+    def _rates(self, second: int) -> None:
+        """Messages of the second that is over, and zeros where a longer pause begins and ends."""
+        if self._second:
+            now = (self._pen.number, self._pen.stamp_ns, self._pen.source_ns)
+            pause = [self._second + 1, second - 1] if second - self._second > 1 else []
+            for at, counted in ((self._second, True), *((each, False) for each in dict.fromkeys(pause))):
+                self._pen.number, self._pen.stamp_ns, self._pen.source_ns = now[0] - 1, (at + 1) * NS_PER_S - 1, 0
+                for (kind, _), rhythm in self._rhythms.items():
+                    value = float(rhythm.this_second) if counted else 0.0
+                    self._pen.numbers(f"{RATES}/{kind.value}/{rhythm.path}", [value])
+            for rhythm in self._rhythms.values():
+                rhythm.this_second = 0
+            self._pen.number, self._pen.stamp_ns, self._pen.source_ns = now
+        self._second = second

@@ -1,0 +1,89 @@
+"""The table of pictures: what each ROS type looks like.
+
+A row is all there is to a picture.  A type without a row is said once in the session's log, and its messages are rows
+without picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.convert import common_msgs, igtl_msgs, rosmsg
+from igtl_gateway.view import clouds, numbers, other_msgs, pictures2d, poses, surfaces, volumes, words
+from igtl_gateway.view.canvas import Canvas
+from igtl_gateway.view.seen import What
+
+
+class Readable(Protocol):
+    """What a message class of a row offers."""
+
+    TYPE: str
+
+    @classmethod
+    def unpack(cls, cdr: Buffer) -> Any: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One ROS type.
+
+    Attributes:
+        message: class of the message.
+        what: kind of picture; some functions refine it by the first message.
+        draw: draws a message.
+        fullness: of several messages made of one OpenIGTLink message the one with the highest is drawn in 3-D.
+    """
+
+    message: Any
+    what: What
+    draw: Callable[[Any, Canvas], None]
+    fullness: int = 0
+
+
+_ROWS = (
+    Picture(rosmsg.PointCloud2, What.CLOUD, clouds.draw_cloud, 2),
+    Picture(rosmsg.PointStamped, What.POINTS, clouds.draw_point, 1),
+    Picture(igtl_msgs.PointList, What.POINTS, clouds.draw_point_list, 3),
+    Picture(rosmsg.TransformStamped, What.POSE, poses.draw_transform),
+    Picture(common_msgs.PoseStamped, What.POSE, poses.draw_pose),
+    Picture(common_msgs.PoseArray, What.POSES, poses.draw_poses, 1),
+    Picture(igtl_msgs.TrackingData, What.POSES, poses.draw_tracking, 3),
+    Picture(common_msgs.TFMessage, What.FRAMES, poses.draw_tf),
+    Picture(rosmsg.Image, What.IMAGE, pictures2d.draw_image),
+    Picture(common_msgs.CompressedImage, What.VIDEO, pictures2d.draw_compressed_image),
+    Picture(common_msgs.CompressedVideo, What.VIDEO, pictures2d.draw_compressed_video),
+    Picture(igtl_msgs.VideoFrame, What.VIDEO, pictures2d.draw_video_frame),
+    Picture(other_msgs.CameraInfo, What.CAMERA, pictures2d.draw_camera),
+    Picture(igtl_msgs.Volume, What.VOLUME, volumes.draw_volume),
+    Picture(igtl_msgs.ColorTable, What.IMAGE, pictures2d.draw_color_table),
+    Picture(rosmsg.Mesh, What.MESH, surfaces.draw_mesh, 2),
+    Picture(rosmsg.Marker, What.MARKERS, surfaces.draw_marker, 1),
+    Picture(other_msgs.MarkerArray, What.MARKERS, surfaces.draw_marker_array),
+    Picture(igtl_msgs.PolyData, What.MESH, surfaces.draw_polydata, 3),
+    Picture(igtl_msgs.TrajectoryList, What.LINES, surfaces.draw_trajectories, 3),
+    Picture(other_msgs.Path, What.LINES, surfaces.draw_path),
+    Picture(common_msgs.JointState, What.PLOT, numbers.draw_joints),
+    Picture(igtl_msgs.Sensor, What.PLOT, numbers.draw_sensor),
+    Picture(other_msgs.Float64, What.PLOT, numbers.draw_number),
+    Picture(igtl_msgs.NdArray, What.PLOT, numbers.draw_array),
+    *(Picture(message, What.PLOT, numbers.draw_multi_array) for message in common_msgs.MULTI_ARRAYS.values()),
+    Picture(rosmsg.String, What.TEXT, words.draw_string),
+    Picture(rosmsg.DiagnosticStatus, What.TEXT, words.draw_status),
+    Picture(igtl_msgs.Command, What.TEXT, words.draw_command),
+    Picture(igtl_msgs.CommandReply, What.TEXT, words.draw_reply),
+    Picture(igtl_msgs.Query, What.TEXT, words.draw_query),
+    Picture(igtl_msgs.Metadata, What.TEXT, words.draw_metadata),
+    Picture(igtl_msgs.Capability, What.TEXT, words.draw_capability),
+    Picture(igtl_msgs.LinkStatusList, What.TEXT, words.draw_links),
+    Picture(igtl_msgs.Bind, What.TEXT, words.draw_bind),
+    Picture(igtl_msgs.ImageMetaList, What.TEXT, words.draw_images),
+    Picture(igtl_msgs.LabelMetaList, What.TEXT, words.draw_labels),
+    Picture(igtl_msgs.VideoMetaList, What.TEXT, words.draw_videos),
+    Picture(igtl_msgs.RawMessage, What.TEXT, words.draw_raw),
+)
+
+#: ROS type → its picture.
+PICTURES: dict[str, Picture] = {row.message.TYPE: row for row in _ROWS}

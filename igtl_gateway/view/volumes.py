@@ -1,0 +1,128 @@
+"""Pictures with a place in the patient: planes, and volumes by three slices through their middle."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from igtl_gateway.convert.igtl_msgs import Volume
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.view.canvas import Canvas
+from igtl_gateway.view.colours import span
+from igtl_gateway.view.pictures2d import grey
+from igtl_gateway.view.seen import What
+from igtl_gateway.wire.image import SCALARS
+
+Array = npt.NDArray[Any]
+
+_COLOUR = (3, 4)
+_QUAD = np.array([(0, 1, 2), (0, 2, 3)], np.uint32)
+_TEXTURE = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float32)
+#: Axis of the volume → the other two, in the order across, down.
+_ACROSS = {0: (1, 2), 1: (0, 2), 2: (0, 1)}
+_NAMES = "ijk"
+
+
+def draw_volume(message: Volume, canvas: Canvas) -> None:
+    """igtl_msgs/Volume: a slice as picture and plane, a volume as tensor, picture and three planes."""
+    frame = canvas.frame(message.header.frame_id)
+    voxels = array_of(message)
+    corners = _corner(message, np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * message.size)
+    canvas.box(corners)
+    canvas.shown.width, canvas.shown.height = message.size[0], message.size[1]
+    if len(voxels) == 1:
+        canvas.what(What.PLANE)
+        canvas.log(_picture(voxels[0]))
+        canvas.log(_plane(message, voxels, 2, 0, None), child="plane", frame=frame)
+        return
+    canvas.what(What.VOLUME)
+    canvas.log(rr.Tensor(voxels[..., 0] if voxels.shape[3] == 1 else voxels, dim_names=_dimensions(voxels)))
+    window = None if voxels.shape[3] in _COLOUR else span(_sample(voxels))
+    middle = len(voxels) // 2
+    upright = voxels[middle][:: _turn(message, 1), :: _turn(message, 0)]
+    canvas.log(_picture(np.ascontiguousarray(upright)), child="slice")
+    for axis in range(3):
+        plane = _plane(message, voxels, axis, message.size[axis] // 2, window)
+        canvas.log(plane, child=f"plane/{_NAMES[axis]}", frame=frame)
+
+
+def array_of(message: Volume) -> Array:
+    """(slices, rows, columns, components), native byte order.  Raises ConversionError."""
+    code = SCALARS.get(message.scalar_type)
+    width, height, depth = message.size
+    if code is None:
+        raise ConversionError(f"{message.TYPE}: found scalar type {message.scalar_type}, expected one of {[*SCALARS]}")
+    dtype = np.dtype((">" if message.is_bigendian else "<") + code)
+    count = width * height * depth * message.components
+    if not count or memoryview(message.data).nbytes < count * dtype.itemsize:
+        found = memoryview(message.data).nbytes
+        raise ConversionError(f"{message.TYPE}: found {found} bytes, expected {count * dtype.itemsize} and some")
+    flat = np.frombuffer(message.data, dtype, count).astype(dtype.newbyteorder("="), copy=False)
+    return flat.reshape(depth, height, width, message.components)
+
+
+def _dimensions(voxels: Array) -> list[str]:
+    names = ["slice k", "row j", "column i", "component"]
+    return names if voxels.shape[3] > 1 else names[:3]
+
+
+def _picture(pixels: Array) -> rr.Image:
+    if pixels.shape[2] in _COLOUR:
+        return rr.Image(eight_bits(pixels, None))
+    return grey(pixels[..., 0])
+
+
+def eight_bits(pixels: Array, window: tuple[float, float] | None) -> Array:
+    """(rows, columns, 3) 8-bit colours of pixels of one, three or four components."""
+    if pixels.dtype == np.uint8 and window is None:
+        scaled = pixels
+    else:
+        low, high = window or span(_sample(pixels))
+        spread = high - low or 1.0
+        unit = (pixels.astype(np.float32) - np.float32(low)) * np.float32(255.0 / spread)
+        scaled = np.nan_to_num(np.clip(unit, 0, 255)).astype(np.uint8)
+    if scaled.shape[2] in _COLOUR:
+        return np.ascontiguousarray(scaled[..., :3])
+    return np.repeat(scaled[..., :1], 3, axis=2)
+
+
+def _sample(pixels: Array) -> Array:
+    return pixels.reshape(-1)[:: max(pixels.size // 100_000, 1)]
+
+
+def _corner(message: Volume, indices: Array) -> Array:
+    """Places of voxel corners (not centres): index 0 is half a voxel before the first centre."""
+    direction = np.array(message.direction).reshape(3, 3)  # a row is the direction of i, j, k
+    steps = direction * np.array(message.spacing)[:, None]
+    places: Array = np.array(message.origin) + (np.asarray(indices, np.float64) - 0.5) @ steps
+    return places
+
+
+def _plane(message: Volume, voxels: Array, axis: int, index: int, window: tuple[float, float] | None) -> rr.Mesh3D:
+    """The slice ``index`` across ``axis`` (0 i, 1 j, 2 k) where it lies, as a textured rectangle."""
+    pixels = np.take(voxels, index, axis=2 - axis)  # rows are the slower of the other axes
+    across, down = _ACROSS[axis]
+    corners = np.zeros((4, 3))
+    corners[:, axis] = index + 0.5
+    corners[[1, 2], across] = message.size[across]
+    corners[[2, 3], down] = message.size[down]
+    if voxels.dtype == np.uint8 and voxels.shape[3] not in _COLOUR:
+        window = None
+    return rr.Mesh3D(
+        vertex_positions=_corner(message, corners).astype(np.float32),
+        triangle_indices=_QUAD,
+        vertex_texcoords=_TEXTURE,
+        albedo_texture=eight_bits(pixels, window),
+    )
+
+
+def _turn(message: Volume, axis: int) -> int:
+    """−1 where an axis of the slice is to be turned for the usual view: patient's left at the right, head or nose up.
+
+    The header's frame is right, anterior, superior: pictures run to the left, to the back, downwards.
+    """
+    direction = np.array(message.direction).reshape(3, 3)[axis]
+    return -1 if direction[int(np.argmax(np.abs(direction)))] > 0 else 1
