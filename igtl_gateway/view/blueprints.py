@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import rerun as rr
 import rerun.blueprint as rrb
 
 from igtl_gateway.errors import ConfigError
@@ -130,7 +129,6 @@ def _space(seen: Seen, name: str, tree: list[Shown], contents: list[str]) -> rrb
         line_grid=False,
         spatial_information=rrb.SpatialInformation(target_frame=frame),
         eye_controls=_eye(subject, frame in _cameras(seen)),
-        defaults=[rr.Points3D.from_fields(radii=rr.Radius.ui_points(2.0))],
     )
 
 

@@ -1,0 +1,151 @@
+"""Blueprints: the one that fits, views without errors by their making, and an eye that sees its subject."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.view.seen import Seen, Shown, What, path_of
+
+rr = pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
+
+from igtl_gateway.view import blueprints  # noqa: E402  needs rerun
+
+CAMERA, BASE = "camera_optical", "base"
+BOX = ((-0.035, -0.026, 0.245), (0.035, 0.026, 0.275))
+
+
+def seen(*rows: tuple[str, What, str], **more: Any) -> Seen:
+    """A session with these topics: (topic, what, frame)."""
+    made = Seen(base_frame="world", **more)
+    for topic, what, frame in rows:
+        made.shown[topic] = Shown(path_of(topic), topic, "a/msg/Type", what, frame, count=3, low=BOX[0], high=BOX[1])
+    return made
+
+
+SUTURING = seen(
+    ("/cloud", What.CLOUD, CAMERA),
+    ("/plan", What.LINES, CAMERA),
+    ("/tool", What.POSE, BASE),
+    ("/picture", What.IMAGE, CAMERA),
+    ("/camera_info", What.CAMERA, CAMERA),
+    ("/force", What.PLOT, ""),
+    parents={CAMERA: BASE},
+)
+SWEEP = seen(("/frame", What.PLANE, "world"), ("/probe", What.POSE, "world"))
+HEAD = seen(("/mr", What.VOLUME, "world"), ("/probe", What.POSE, "world"), ("/landmarks", What.POINTS, "world"))
+SOUNDS = seen(("/text", What.TEXT, ""), ("/numbers", What.PLOT, ""), ("/array", What.BARS, ""))
+TWO_TREES = seen(("/cloud", What.CLOUD, CAMERA), ("/plan", What.LINES, "elsewhere"), parents={CAMERA: BASE})
+NOTHING = Seen()
+SESSIONS = {
+    "suturing": SUTURING,
+    "sweep": SWEEP,
+    "head": HEAD,
+    "sounds": SOUNDS,
+    "two trees": TWO_TREES,
+    "nothing": NOTHING,
+}
+
+
+def views(part: Any) -> Iterator[Any]:
+    """All views of a blueprint."""
+    if hasattr(part, "root_container"):
+        part = part.root_container
+    if hasattr(part, "class_identifier"):
+        yield part
+    else:
+        for inner in part.contents:
+            yield from views(inner)
+
+
+def of_class(name: str, session: Seen, view_class: str) -> list[Any]:
+    return [view for view in views(blueprints.blueprint(name, session)) if view.class_identifier == view_class]
+
+
+def frame_of(view: Any) -> str | None:
+    information = view.properties.get("SpatialInformation")
+    return None if information is None else str(information.target_frame.as_arrow_array()[0])
+
+
+@pytest.mark.parametrize(
+    ("session", "name"),
+    [(SUTURING, "star"), (SWEEP, "ultrasound"), (HEAD, "navigation"), (SOUNDS, "generic"), (NOTHING, "generic")],
+)
+def test_the_blueprint_that_fits_is_chosen(session: Seen, name: str) -> None:
+    assert blueprints.choose(session) == name
+
+
+def test_a_plan_that_lies_elsewhere_makes_no_suturing_session() -> None:
+    assert blueprints.choose(TWO_TREES) != "star"
+
+
+@pytest.mark.parametrize("name", blueprints.NAMES)
+@pytest.mark.parametrize("session", SESSIONS.values(), ids=SESSIONS)
+def test_every_blueprint_takes_every_session(name: str, session: Seen, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RERUN_STRICT", "1")
+    stream = rr.RecordingStream("test", send_properties=False)
+    memory = stream.memory_recording()
+    stream.send_blueprint(blueprints.blueprint(name, session))
+    assert memory.num_msgs() > 0
+    assert any(view.class_identifier == "TextLog" for view in views(blueprints.blueprint(name, session)))
+
+
+def test_a_name_that_is_none() -> None:
+    with pytest.raises(ConfigError, match="found 'stars', expected star, ultrasound, navigation, generic"):
+        blueprints.blueprint("stars", SUTURING)
+
+
+@pytest.mark.parametrize("name", blueprints.NAMES)
+def test_what_has_no_place_to_each_other_is_not_in_one_view(name: str) -> None:
+    spaces = of_class(name, TWO_TREES, "3D")
+    assert sorted(frame_of(space) or "" for space in spaces) == [CAMERA, "elsewhere"]
+    for space in spaces:
+        assert ("+ /plan/**" in space.contents) == (frame_of(space) == "elsewhere")
+
+
+def test_plan_and_tool_are_drawn_on_the_picture_of_a_known_camera() -> None:
+    (picture,) = of_class("star", SUTURING, "2D")
+    assert frame_of(picture) == f"{CAMERA}/image"
+    assert {"+ /picture", "+ /camera_info", "+ /plan/**", "+ /tool/**"} <= set(picture.contents)
+    assert "+ /cloud/**" not in picture.contents  # it would hide the picture
+
+
+def test_nothing_of_space_is_drawn_on_a_picture_without_intrinsics() -> None:
+    unknown = seen(("/plan", What.LINES, CAMERA), ("/cloud", What.CLOUD, CAMERA), ("/picture", What.IMAGE, CAMERA))
+    (picture,) = of_class("star", unknown, "2D")
+    assert picture.contents == ["+ /picture"]
+    assert frame_of(picture) is None
+
+
+def test_the_review_has_its_noise_and_its_table() -> None:
+    reviewed = seen(("/cloud", What.CLOUD, CAMERA), ("/plan", What.LINES, CAMERA), reviewed=True)
+    assert [view.name for view in of_class("star", reviewed, "TextDocument")] == ["Stitches"]
+    noise = of_class("star", reviewed, "3D")[-1]
+    assert "+ /review/cloud" in noise.contents
+    assert frame_of(noise) == CAMERA
+
+
+@pytest.mark.parametrize("frame", [CAMERA, "world"])
+def test_the_eye_sees_its_subject_and_little_else(frame: str) -> None:
+    (space,) = of_class("generic", seen(("/cloud", What.CLOUD, frame)), "3D")
+    eye = space.properties["EyeControls3D"]
+    place, target, up = (
+        tuple(part.as_arrow_array()[0].as_py()) for part in (eye.position, eye.look_target, eye.eye_up)
+    )
+    ahead = [b - a for a, b in zip(place, target, strict=True)]
+
+    def angle(corner: tuple[float, ...]) -> float:
+        there = [b - a for a, b in zip(place, corner, strict=True)]
+        dot = sum(a * b for a, b in zip(ahead, there, strict=True))
+        return math.degrees(math.acos(dot / math.hypot(*ahead) / math.hypot(*there)))
+
+    widest = max(angle(corner) for corner in itertools.product(*zip(*BOX, strict=True)))
+    assert 15 < widest < 30  # of the 25 that it takes in each way in height; there is more in width
+    # what is up is up: a camera's y points down
+    assert up == ((0, -1, 0) if frame == CAMERA else (0, 0, 1))
+    assert (place[2] < target[2]) == (frame == CAMERA)
