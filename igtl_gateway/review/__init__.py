@@ -12,6 +12,8 @@ depth looks as good as any.  Here every planned entry and exit point is held aga
 Pure functions on arrays: no file, no clock, no LAPACK.  Formulae and limits: ``docs/review.md``.
 """
 
+from igtl_gateway.review.assess import review_of
+from igtl_gateway.review.material import Material
 from igtl_gateway.review.model import (
     Change,
     CloudReview,
@@ -30,8 +32,10 @@ __all__ = [
     "EndReview",
     "Executed",
     "Level",
+    "Material",
     "PlanReview",
     "Review",
     "StitchReview",
     "Thresholds",
+    "review_of",
 ]

@@ -45,7 +45,8 @@ class Thresholds:
         bite: a bite length that differs by more than this share from the plan's median.
         reach_mm: the tool was at a planned point if it came so near.
         window_mm: radius of the window that the tissue is fitted in.
-        core_mm: radius of the place itself: noise, density, missing share and reading are taken here.
+        place_mm: radius of the place itself: noise, density and missing share are taken here.
+        core_mm: radius that the camera's own reading is taken in.
     """
 
     wrong_mm: float = 1.0
@@ -59,7 +60,8 @@ class Thresholds:
     bite: float = 0.4
     reach_mm: float = 5.0
     window_mm: float = 4.0
-    core_mm: float = 1.5
+    place_mm: float = 2.5
+    core_mm: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +119,7 @@ class EndReview:
         error_mm: standard error of this distance, of the tissue's part.
         noise_mm: depth noise here: ``temporal_mm`` where known, else ``spatial_mm``.
         temporal_mm: depth noise from cloud to cloud at the same pixel.
-        spatial_mm: depth noise of the pixels about the fitted tissue within a cloud.
+        spatial_mm: depth noise from pixel to pixel within a cloud: a lower bound.
         reading_mm: how far the camera's own reading here is from the tissue around: + towards the camera.
         density_mm2: points with a depth for each mm² of tissue, of one cloud.
         missing: share of the pixels without depth, of one cloud.

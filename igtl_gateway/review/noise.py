@@ -33,24 +33,26 @@ def between_clouds(depths: Array) -> Array:
         depths: (clouds, height, width), NaN where there is none; two clouds or more.
     """
     steps = np.diff(depths.astype(np.float64), axis=0) / np.sqrt(2.0)
-    for step in steps:
+    for number, step in enumerate(steps):
         known = step[np.isfinite(step)]
         if known.size:
-            step -= np.median(known)
+            steps[number] -= np.median(known)
     return _pooled(steps)
 
 
-def within_cloud(depth: Array) -> Array:
-    """(height, width) standard deviation of depth from second differences along rows and columns.
+def within_clouds(depths: Array) -> Array:
+    """(height, width) standard deviation of depth from second differences along the rows and the columns of each cloud.
 
     Sees what differs between neighbours only: a lower bound where the grain is larger than a pixel.
+
+    Args:
+        depths: (clouds, height, width), NaN where there is none.
     """
-    depth = depth.astype(np.float64)
-    bends = np.full((2, *depth.shape), np.nan)
-    if min(depth.shape) > 2:  # noqa: PLR2004 - a pixel between two others
-        bends[0, 1:-1] = (depth[:-2] - 2 * depth[1:-1] + depth[2:]) / np.sqrt(6.0)
-        bends[1, :, 1:-1] = (depth[:, :-2] - 2 * depth[:, 1:-1] + depth[:, 2:]) / np.sqrt(6.0)
-    return _pooled(bends)
+    depths = depths.astype(np.float64)
+    bends = np.full((2, *depths.shape), np.nan)
+    bends[0, :, 1:-1] = (depths[:, :-2] - 2 * depths[:, 1:-1] + depths[:, 2:]) / np.sqrt(6.0)
+    bends[1, :, :, 1:-1] = (depths[:, :, :-2] - 2 * depths[:, :, 1:-1] + depths[:, :, 2:]) / np.sqrt(6.0)
+    return _pooled(bends.reshape(-1, *depths.shape[1:]))
 
 
 def deviation(values: Array) -> float:
@@ -93,7 +95,7 @@ def _guess(size: Array) -> Array:
 
 def _box(values: Array) -> Array:
     """(height, width) sums over all (n, height, width) in the square around each pixel."""
-    total = values.sum(axis=0)
+    total: Array = values.sum(axis=0)
     for axis in (0, 1):
         padding = [(0, 0), (0, 0)]
         padding[axis] = (_POOL + 1, _POOL)

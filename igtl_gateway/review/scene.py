@@ -50,18 +50,16 @@ class Scene:
         rays: (pixels, 2): x / z and y / z of what a pixel sees.
         depth: (pixels,) median z, metres; NaN where no cloud has any.
         depths: (clouds, pixels) z of each.
-        noise: (pixels,) standard deviation of z, metres; NaN where unknown.
-        temporal: whether ``noise`` is from cloud to cloud.
-        organised: whether the clouds are pictures.
+        temporal: (pixels,) standard deviation of z from cloud to cloud, metres; NaN where unknown, None of one cloud.
+        spatial: the same from pixel to pixel; None where the cloud is no picture.
     """
 
     clouds: tuple[Cloud, ...]
     rays: Array
     depth: Array
     depths: Array
-    noise: Array
-    temporal: bool
-    organised: bool
+    temporal: Array | None
+    spatial: Array | None
 
     @classmethod
     def of(cls, clouds: Sequence[Cloud]) -> Scene:
@@ -81,19 +79,22 @@ class Scene:
             )
         z[behind] = np.nan
         rays = np.stack([_mean_ray(x / z), _mean_ray(y / z)], axis=-1)
-        if organised and len(used) > 1:
-            sigma = noise.between_clouds(z)
-        else:
-            sigma = noise.within_cloud(z[0])
+        temporal = noise.between_clouds(z).reshape(-1) if len(used) > 1 else None
+        spatial = noise.within_clouds(z).reshape(-1) if organised else None
         return cls(
             used,
             rays.reshape(-1, 2),
             _median(z).reshape(-1),
             z.reshape(len(used), -1),
-            sigma.reshape(-1),
-            len(used) > 1,
-            organised,
+            temporal,
+            spatial,
         )
+
+    @property
+    def noise(self) -> Array:
+        """(pixels,) the best that is known of the noise, metres: temporal, else spatial, else NaN."""
+        found = self.spatial if self.temporal is None else self.temporal
+        return np.full(len(self.depth), np.nan) if found is None else found
 
     def around(self, ray: Array, radius: float) -> Array:
         """Numbers of the pixels within ``radius`` (as x / z) of a ray."""
@@ -109,7 +110,8 @@ def _median(values: Array) -> Array:
     low, high = np.maximum(number - 1, 0) // 2, number // 2
     high = np.minimum(high, len(values) - 1)
     picked = np.take_along_axis(ordered, low[None], 0)[0] + np.take_along_axis(ordered, high[None], 0)[0]
-    return np.where(number > 0, picked / 2, np.nan)
+    median: Array = np.where(number > 0, picked / 2, np.nan)
+    return median
 
 
 def _mean_ray(slopes: Array) -> Array:

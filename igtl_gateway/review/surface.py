@@ -91,8 +91,7 @@ def fit(scene: Scene, point: Array, window: float) -> Surface | None:
     if found is None:
         return None
     coefficients, weights = found
-    design = _design(places)[:, : np.count_nonzero(coefficients[_PLANE:]) and _QUADRIC or _PLANE]
-    spread = influence(design, weights)
+    spread = influence(_design(places), weights)
     if spread is None:
         return None
     residuals = scene.depths[:, around] - times(_design(places), coefficients)

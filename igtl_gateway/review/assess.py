@@ -1,0 +1,281 @@
+"""A review of what a session holds: every version of the plan against the tissue, and against the tool's path."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.review import executed, judge
+from igtl_gateway.review.frames import Path
+from igtl_gateway.review.material import Material
+from igtl_gateway.review.messages import Drawn
+from igtl_gateway.review.model import (
+    Change,
+    CloudReview,
+    EndReview,
+    Executed,
+    PlanReview,
+    Review,
+    StitchReview,
+    Thresholds,
+)
+from igtl_gateway.review.scene import Scene
+from igtl_gateway.review.surface import Surface, fit
+
+Array = npt.NDArray[Any]
+
+MM = 1000.0
+_FEW_CLOUDS = 3  # below that a single bad shot cannot be outvoted
+_CHORD_STEPS = 33
+_BEYOND_BITE_M = 0.0015  # tissue beside a stitch that its bite is measured from
+_MOVED_MM = 0.5
+_USUAL = 3  # stitches that make a usual length
+
+
+def review_of(material: Material, thresholds: Thresholds | None = None) -> Review:
+    """The review.
+
+    Raises GatewayError where the session has no cloud or no plan, ConfigError where not the ones that were named.
+    """
+    limits = thresholds or Thresholds()
+    scene, topic = material.scene()
+    versions = material.versions(scene)
+    base = scene.clouds[-1].frame_id
+    tool, path = _tool(material, base, versions[-1])
+    notes = [*material.notes, *_doubts(scene)]
+    if not tool:
+        notes.append(f"no moving frame is connected with {base!r}: planned is not compared with executed")
+    assessor = _Assessor(scene, limits)
+    plans = [assessor.plan(version, path if version is versions[-1] else None) for version in versions]
+    known = np.isfinite(scene.depth)
+    positions = np.concatenate([scene.rays, np.ones((len(scene.rays), 1))], axis=1)[known] * scene.depth[known, None]
+    height, width, _ = scene.clouds[-1].points.shape
+    first, last = scene.clouds[0], scene.clouds[-1]
+    cloud = CloudReview(
+        topic,
+        base,
+        len(scene.clouds),
+        (first.stamp_ns, last.stamp_ns),
+        (first.source_ns, last.source_ns),
+        height,
+        width,
+        positions.astype(np.float32),
+        (scene.noise[known] * MM).astype(np.float32),
+        scene.temporal is not None,
+    )
+    return Review(cloud, tuple(plans), tuple(_changes(plans[0], plans[-1])), tool, limits, tuple(notes))
+
+
+def _doubts(scene: Scene) -> list[str]:
+    """What makes the figures less certain than they look."""
+    notes = []
+    if len(scene.clouds) < _FEW_CLOUDS:
+        notes.append(
+            f"only {len(scene.clouds)} cloud{'s' * (len(scene.clouds) > 1)}: "
+            "a single bad shot cannot be told from the tissue, and errors are lower bounds"
+        )
+    if len(scene.clouds) > 1:
+        steps = scene.depths[-1] - scene.depths[0]
+        steps = steps[np.isfinite(steps)]
+        moved_mm = float(np.median(steps)) * MM if steps.size else 0.0
+        if abs(moved_mm) > _MOVED_MM:
+            notes.append(
+                f"the scene moved by {moved_mm:+.1f} mm in depth from the first to the last cloud: "
+                "distances are to where it was in the middle"
+            )
+    return notes
+
+
+def _tool(material: Material, base: str, plan: Drawn) -> tuple[str, Path | None]:
+    """The moving frame that comes nearest to the planned points, and its path in ``base``."""
+    best: tuple[float, str, Path] | None = None
+    for frame in material.tools(base):
+        path = material.frames.path(frame, base)
+        off = [((path.positions - point) ** 2).sum(axis=1).min() for point in plan.ends()]
+        nearness = float(np.sort(off)[: max(len(off) // 4, 1)].mean())
+        if best is None or nearness < best[0]:
+            best = nearness, frame, path
+    return (best[1], best[2]) if best else ("", None)
+
+
+class _Assessor:
+    """Assesses plans on one scene; points that versions share are fitted once."""
+
+    def __init__(self, scene: Scene, limits: Thresholds) -> None:
+        self._scene = scene
+        self._limits = limits
+        self._ends: dict[bytes, EndReview] = {}
+        self._bites: dict[bytes, Surface | None] = {}
+
+    def plan(self, drawn: Drawn, path: Path | None) -> PlanReview:
+        """One version; ``path`` is that of the tool, for the one that was executed."""
+        limits, count = self._limits, len(drawn.entry)
+        passed: list[Executed | None] = [None] * (2 * count)
+        if path is not None:
+            passed = list(executed.approaches(path, drawn.ends(), limits.reach_mm))
+        spacing = [_spacing(ends) for ends in (drawn.entry, drawn.exit)]
+        usual = [float(np.median(found)) if count >= _USUAL else 0.0 for found in spacing]
+        lengths = np.sqrt(((drawn.exit - drawn.entry) ** 2).sum(axis=1)) * MM
+        usual_bite = float(np.median(lengths)) if count >= _USUAL else 0.0
+        stitches = []
+        for i in range(count):
+            ends = [
+                replace(self._end(points[i]), spacing_mm=float(found[i]) if count > 1 else None, executed=way)
+                for points, found, way in (
+                    (drawn.entry, spacing[0], passed[i]),
+                    (drawn.exit, spacing[1], passed[count + i]),
+                )
+            ]
+            reasons: list[judge.Reason] = []
+            for name, end, usual_mm in zip(("entry", "exit"), ends, usual, strict=True):
+                reasons += judge.of_end(name, end, limits)
+                if end.spacing_mm is not None:
+                    reasons += judge.of_length(f"{name}: spacing", end.spacing_mm, usual_mm, limits.spacing)
+            length_mm = float(lengths[i])
+            reasons += judge.of_length("bite", length_mm, usual_bite, limits.bite)
+            level, texts = judge.judged(reasons)
+            surface = self._bite(drawn.entry[i], drawn.exit[i])
+            driven = None
+            if path is not None and surface and (entered := ends[0].executed) and (left := ends[1].executed):
+                driven = executed.driven_depth_mm(path, entered, left, surface)
+            stitches.append(
+                StitchReview(
+                    number=i + 1,
+                    label=drawn.labels[i] if drawn.labels else str(i + 1),
+                    entry=ends[0],
+                    exit=ends[1],
+                    bite_length_mm=length_mm,
+                    bite_depth_mm=_chord_depth_mm(drawn.entry[i], drawn.exit[i], surface) if surface else None,
+                    driven_depth_mm=driven,
+                    level=level,
+                    reasons=texts,
+                )
+            )
+        return PlanReview(drawn.topic, drawn.type, drawn.frame_id, drawn.stamp_ns, drawn.source_ns, tuple(stitches))
+
+    def _end(self, point: Array) -> EndReview:
+        key = point.tobytes()
+        if key not in self._ends:
+            self._ends[key] = self._assessed(point)
+        return self._ends[key]
+
+    def _assessed(self, point: Array) -> EndReview:
+        scene, limits = self._scene, self._limits
+        x, y, z = (float(value) for value in point)
+        end = EndReview((x, y, z))
+        if not z > 0:
+            return end
+        ray = point[:2] / z
+        place = scene.around(ray, limits.place_mm / MM / z)
+        if not len(place):
+            return end
+        temporal, spatial = (_root_mean_square_mm(found, place) for found in (scene.temporal, scene.spatial))
+        known = np.isfinite(scene.depths[:, place])
+        end = replace(
+            end,
+            noise_mm=spatial if temporal is None else temporal,
+            temporal_mm=temporal,
+            spatial_mm=spatial,
+            missing=None if scene.spatial is None else float(1 - known.mean()),
+        )
+        surface = fit(scene, point, limits.window_mm / MM)
+        if surface is None:
+            return end
+        slant = float(surface.slant(ray[None])[0])
+        core = scene.around(ray, limits.core_mm / MM / z)
+        core = core[np.isfinite(scene.depth[core])]
+        reading = None
+        if len(core):
+            seen = np.concatenate([scene.rays[core], np.ones((len(core), 1))], axis=1) * scene.depth[core, None]
+            reading = float(np.median(surface.distance(seen))) * MM
+        # the disc as the camera sees it is of this size at the depth of the point; on slanting tissue it is larger
+        scale = float(surface.depth(ray[None])[0]) / z
+        area_mm2 = np.pi * limits.place_mm**2 * scale**2 * slant
+        return replace(
+            end,
+            distance_mm=float(surface.distance(point[None])[0]) * MM,
+            error_mm=surface.error / slant * MM,
+            reading_mm=reading,
+            density_mm2=float(known.sum(axis=1).mean() / area_mm2),
+        )
+
+    def _bite(self, entry: Array, leave: Array) -> Surface | None:
+        """The tissue around a whole stitch: across the wound, which a robust fit takes for closed."""
+        key = entry.tobytes() + leave.tobytes()
+        if key not in self._bites:
+            half = float(np.sqrt(((leave - entry) ** 2).sum())) / 2
+            window = max(self._limits.window_mm / MM, half + _BEYOND_BITE_M)
+            self._bites[key] = fit(self._scene, (entry + leave) / 2, window)
+        return self._bites[key]
+
+
+def _spacing(points: Array) -> Array:
+    """(n,) mm from each point to the nearer of its neighbours in the plan."""
+    steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1)) * MM
+    beside = np.full((2, len(points)), np.inf)
+    beside[0, 1:] = beside[1, :-1] = steps
+    nearer: Array = beside.min(axis=0)
+    return nearer
+
+
+def _chord_depth_mm(entry: Array, leave: Array, surface: Surface) -> float:
+    shares = np.linspace(0, 1, _CHORD_STEPS)[:, None]
+    return -MM * float(surface.distance(entry + shares * (leave - entry)).min())
+
+
+def _root_mean_square_mm(noise: Array | None, place: Array) -> float | None:
+    """Of the known ones; None where there is none."""
+    if noise is None:
+        return None
+    found = noise[place]
+    found = found[np.isfinite(found)]
+    return float(np.sqrt((found**2).mean())) * MM if found.size else None
+
+
+def _changes(first: PlanReview, last: PlanReview) -> list[Change]:
+    """By place in the plan where both have as many stitches, else by which lie nearest to each other."""
+    pairs: list[tuple[StitchReview | None, StitchReview | None]]
+    if len(first.stitches) == len(last.stitches):
+        pairs = list(zip(first.stitches, last.stitches, strict=True))
+    else:
+        pairs = _nearest(first, last)
+    changes = []
+    for before, after in pairs:
+        if before and after:
+            moved = tuple(
+                MM * float(np.sqrt(((np.array(a.position) - np.array(b.position)) ** 2).sum()))
+                for a, b in ((before.entry, after.entry), (before.exit, after.exit))
+            )
+            if max(moved) > _SAME_MM:
+                changes.append(Change(after.number, after.label, (moved[0], moved[1]), before.level, after.level))
+        elif one := after or before:
+            changes.append(
+                Change(one.number, one.label, None, before.level if before else None, after.level if after else None)
+            )
+    return changes
+
+
+_SAME_MM = 0.02
+
+
+def _nearest(first: PlanReview, last: PlanReview) -> list[tuple[StitchReview | None, StitchReview | None]]:
+    """Pairs of stitches whose middles are nearest to each other both ways; those without a partner alone."""
+    before, after = (
+        np.array([np.add(stitch.entry.position, stitch.exit.position) / 2 for stitch in plan.stitches])
+        for plan in (first, last)
+    )
+    square = ((before[:, None] - after[None]) ** 2).sum(axis=-1)
+    pairs: list[tuple[StitchReview | None, StitchReview | None]] = []
+    matched = set()
+    for number, stitch in enumerate(last.stitches):
+        partner = int(np.argmin(square[:, number]))
+        if int(np.argmin(square[partner])) == number:
+            matched.add(partner)
+            pairs.append((first.stitches[partner], stitch))
+        else:
+            pairs.append((None, stitch))
+    pairs += [(stitch, None) for number, stitch in enumerate(first.stitches) if number not in matched]
+    return pairs

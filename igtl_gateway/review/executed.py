@@ -1,0 +1,58 @@
+"""Planned against executed: where the tool passed each planned point."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.review.frames import Path
+from igtl_gateway.review.model import Executed
+from igtl_gateway.review.surface import Surface
+
+Array = npt.NDArray[Any]
+
+MM = 1000.0
+
+
+def approaches(path: Path, points: Array, reach_mm: float) -> list[Executed]:
+    """The closest approach of the tool to each of the planned points (n, 3), all of one version of the plan.
+
+    The tool moves straight from sample to sample.  It was *meant* for a point if it came within ``reach_mm`` of it
+    and was then nearer to it than to any other: passing by on the way to the next stitch does not count.
+    """
+    return [_approach(path, points, number, reach_mm) for number in range(len(points))]
+
+
+def _approach(path: Path, points: Array, number: int, reach_mm: float) -> Executed:
+    positions, point = path.positions, points[number]
+    off = positions - point
+    nearest = int(np.argmin((off**2).sum(axis=1)))
+    at, stamp_ns = positions[nearest], float(path.stamps_ns[nearest])
+    best = float(((at - point) ** 2).sum())
+    for first in (nearest - 1, nearest):
+        if 0 <= first < len(positions) - 1:
+            way = positions[first + 1] - positions[first]
+            length = float((way**2).sum())
+            share = min(max(float(-(off[first] * way).sum()) / length, 0.0), 1.0) if length else 0.0
+            place = positions[first] + share * way
+            square = float(((place - point) ** 2).sum())
+            if square < best:
+                best, at = square, place
+                step_ns = int(path.stamps_ns[first + 1]) - int(path.stamps_ns[first])
+                stamp_ns = int(path.stamps_ns[first]) + round(share * step_ns)
+    distance_mm = float(np.sqrt(best)) * MM
+    owner = int(np.argmin(((points - at) ** 2).sum(axis=1)))
+    x, y, z = (float(value) for value in at)
+    return Executed(distance_mm, int(stamp_ns), (x, y, z), distance_mm <= reach_mm and owner == number)
+
+
+def driven_depth_mm(path: Path, entry: Executed, leave: Executed, surface: Surface) -> float | None:
+    """How deep the tool ran below the tissue on its way from entry to exit, at most; None if it did not run it."""
+    if not (entry.reached and leave.reached and entry.stamp_ns < leave.stamp_ns):
+        return None
+    on_the_way = (path.stamps_ns >= entry.stamp_ns) & (path.stamps_ns <= leave.stamp_ns)
+    if not on_the_way.any():
+        return None
+    return -MM * float(surface.distance(path.positions[on_the_way]).min())

@@ -1,0 +1,47 @@
+"""Figures → level and reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from igtl_gateway.review.model import EndReview, Level, Thresholds
+
+#: A level and the reason for it.
+Reason = tuple[Level, str]
+
+
+def judged(reasons: list[Reason]) -> tuple[Level, tuple[str, ...]]:
+    """The worst level, and the reasons, the gravest first."""
+    ordered = sorted(reasons, key=lambda reason: -reason[0].rank)
+    return (ordered[0][0] if ordered else Level.OK), tuple(text for _, text in ordered)
+
+
+def of_end(name: str, end: EndReview, limits: Thresholds) -> Iterator[Reason]:
+    """What is to be said of an entry or exit point; ``name`` says which."""
+    if end.distance_mm is None or end.error_mm is None:
+        yield Level.LOOK, f"{name}: too few points of tissue around it to compare with"
+    else:
+        off, side = abs(end.distance_mm), "above" if end.distance_mm > 0 else "under"
+        text = f"{name} {off:.2f} ± {end.error_mm:.2f} mm {side} the tissue"
+        if off >= limits.wrong_mm and off > limits.sure * end.error_mm:
+            yield Level.WRONG, text
+        elif off >= limits.look_mm:
+            yield Level.LOOK, text
+    if end.reading_mm is not None and abs(end.reading_mm) >= limits.reading_mm:
+        where = "near" if end.reading_mm > 0 else "deep"
+        yield (
+            Level.LOOK,
+            f"{name}: the camera reads {abs(end.reading_mm):.1f} mm too {where} here, against the tissue around",
+        )
+    if end.noise_mm is not None and end.noise_mm > limits.noise_mm:
+        yield Level.LOOK, f"{name}: depth noise {end.noise_mm:.2f} mm"
+    if end.density_mm2 is not None and end.density_mm2 < limits.density_mm2:
+        yield Level.LOOK, f"{name}: {end.density_mm2:.1f} points/mm²"
+    if end.missing is not None and end.missing > limits.missing:
+        yield Level.LOOK, f"{name}: {end.missing:.0%} of the pixels have no depth"
+
+
+def of_length(what: str, length_mm: float, usual_mm: float, share: float) -> Iterator[Reason]:
+    """A length that differs from the plan's median by more than a share of it."""
+    if usual_mm > 0 and abs(length_mm - usual_mm) > share * usual_mm:
+        yield Level.LOOK, f"{what} {length_mm:.1f} mm, in this plan usually {usual_mm:.1f}"

@@ -1,0 +1,200 @@
+"""What a session holds for a review: entries in, clouds, versions of the plan and poses out.
+
+Streams are found by what they hold: the cloud is the PointCloud2 with the most points (a picture before a mere
+list), the plan is what pairs of points lie on its tissue, the tool is the moving frame that comes nearest to them.
+A caller may name any of them.
+
+Memory is bounded: of each stream of clouds at most twice ``clouds`` are kept, evenly spread over the session.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.convert.frames import frame_id
+from igtl_gateway.convert.rosmsg import PointCloud2
+from igtl_gateway.errors import ConfigError, ConversionError, GatewayError
+from igtl_gateway.review.frames import Frames
+from igtl_gateway.review.messages import PLANS, POSES, Drawn, cloud_of, is_cloud, plan_of, poses_of
+from igtl_gateway.review.scene import Cloud, Scene
+from igtl_gateway.session.entry import Entry, Kind
+
+Array = npt.NDArray[Any]
+
+#: Clouds that a review is made of.
+CLOUDS = 24
+_MAX_VERSIONS = 200
+_NEAR_M = 0.03  # points of a plan lie within this of what the camera sees there
+_HIT_RADIUS = 0.01  # of x / z: whether the camera sees anything there
+
+
+@dataclass(slots=True)
+class _Clouds:
+    """One stream of clouds, thinned: every ``stride``-th is kept."""
+
+    limit: int
+    seen: int = 0
+    stride: int = 1
+    kept: list[Cloud] = field(default_factory=list)
+
+    def add(self, entry: Entry) -> None:
+        if self.seen % self.stride == 0 and (cloud := cloud_of(entry)):
+            if self.kept and (
+                cloud.points.shape != self.kept[-1].points.shape or cloud.frame_id != self.kept[-1].frame_id
+            ):
+                self.kept.clear()  # the camera was set anew: pixels before and after are not of one place
+            self.kept.append(cloud)
+            if len(self.kept) >= 2 * self.limit:
+                del self.kept[1::2]
+                self.stride *= 2
+        self.seen += 1
+
+    @property
+    def rank(self) -> tuple[bool, int]:
+        """Pictures before lists, the larger before the smaller."""
+        height, width, _ = self.kept[-1].points.shape if self.kept else (0, 0, 0)
+        return height > 1 and width > 1, height * width
+
+
+class Material:
+    """Feed it the entries of a session with ``take``, then ask.
+
+    Args:
+        plan: topic of the plan; "" = found.
+        cloud: topic of the clouds; "" = found.
+        tool: topic or frame id of the tool; "" = found.
+        clouds: how many clouds to use, at most.
+
+    Attributes:
+        frames: all poses.
+        notes: what a reader should know.
+    """
+
+    def __init__(self, plan: str = "", cloud: str = "", tool: str = "", clouds: int = CLOUDS) -> None:
+        self.frames = Frames()
+        self.notes: list[str] = []
+        self._plan, self._cloud, self._tool = plan, cloud, tool
+        self._limit = clouds
+        self._clouds: dict[str, _Clouds] = {}
+        self._plans: dict[str, list[Drawn]] = {}
+        self._bad: dict[str, str] = {}
+
+    def take(self, entry: Entry) -> None:
+        """An entry of any kind; only ROS messages are looked at."""
+        if entry.kind is not Kind.ROS_IN and entry.kind is not Kind.ROS_OUT:
+            return
+        try:
+            self._read(entry)
+        except ConversionError as error:
+            if entry.channel not in self._bad:
+                self._bad[entry.channel] = str(error)
+                self.notes.append(f"{entry.channel}: a message was left out: {error}")
+
+    def _read(self, entry: Entry) -> None:
+        if entry.type in POSES:
+            for parent, child, pose, stamp_ns in poses_of(entry):
+                self.frames.add(parent, child, pose, stamp_ns, entry.stamp_ns, entry.channel)
+        elif entry.type == PointCloud2.TYPE and is_cloud(entry.data()):
+            if not self._cloud or entry.channel == self._cloud:
+                self._clouds.setdefault(entry.channel, _Clouds(self._limit)).add(entry)
+        elif entry.type in PLANS and (not self._plan or entry.channel == self._plan):
+            versions = self._plans.setdefault(entry.channel, [])
+            if len(versions) < _MAX_VERSIONS and (drawn := plan_of(entry)):
+                if not versions or not drawn.equals(versions[-1]):
+                    versions.append(drawn)
+
+    def scene(self) -> tuple[Scene, str]:
+        """The clouds as one, and their topic.  Raises ConfigError or GatewayError where there are none."""
+        streams = {topic: stream for topic, stream in self._clouds.items() if stream.kept}
+        if not streams:
+            if self._cloud:
+                raise ConfigError(f"--cloud {self._cloud}: found no sensor_msgs/PointCloud2 of x, y, z on this topic")
+            raise GatewayError("found no point cloud, expected a sensor_msgs/PointCloud2 stream: see `info`, --cloud")
+        topic = max(streams, key=lambda name: streams[name].rank)
+        stream = streams[topic]
+        clouds = stream.kept
+        if len(clouds) > self._limit:
+            clouds = clouds[::2]
+        if len(clouds) < stream.seen:
+            self.notes.append(f"{len(clouds)} of {stream.seen:,} clouds of {topic} are used, evenly spread")
+        return Scene.of(clouds), topic
+
+    def versions(self, scene: Scene) -> list[Drawn]:
+        """Every version of the plan in order of time, in the frame of the clouds.
+
+        Raises ConfigError or GatewayError where there is none.
+        """
+        base = scene.clouds[-1].frame_id
+        streams = {topic: [self._placed(plan, base) for plan in plans] for topic, plans in self._plans.items() if plans}
+        if not self._plan:
+            streams = {topic: plans for topic, plans in streams.items() if _on_tissue(plans[0], scene)}
+            if any(plans[0].lines for plans in streams.values()):
+                streams = {topic: plans for topic, plans in streams.items() if plans[0].lines}
+        if not streams:
+            if self._plan:
+                raise ConfigError(f"--plan {self._plan}: found no pairs of points on this topic")
+            raise GatewayError(
+                "found no suture plan, expected pairs of points on the tissue (Marker LINE_LIST, TrajectoryList, "
+                "PolyData, PointList, small PointCloud2): see `info`, --plan"
+            )
+        # a plan is drawn once and mended now and then; what changes with every message is no plan
+        topic = min(streams, key=lambda name: len(streams[name]))
+        versions = list(streams.pop(topic))
+        for other in sorted((plan for plans in streams.values() for plan in plans), key=lambda plan: plan.stamp_ns):
+            if any(other.corrects(version) for version in versions):
+                versions.append(other)
+        versions.sort(key=lambda plan: plan.stamp_ns)
+        kept = versions[:1]
+        kept += [plan for before, plan in pairwise(versions) if not plan.equals(before)]
+        return kept
+
+    def tools(self, base: str) -> list[str]:
+        """Frames that may be the tool: they move, their pose in ``base`` is known, and ``base`` hangs on none of them.
+
+        Raises ConfigError if the one that was asked for is not there.
+        """
+        above = self.frames.above(base)
+        found = {
+            child: topic
+            for child, topic in self.frames.moving().items()
+            if child not in above and self.frames.connected(child, base)
+        }
+        if not self._tool:
+            return list(found)
+        named = [child for child, topic in found.items() if self._tool == topic or frame_id(self._tool) == child]
+        if not named:
+            known = ", ".join(f"{topic} ({child})" for child, topic in found.items()) or "none that moves"
+            raise ConfigError(f"--tool {self._tool}: found no such moving frame seen from {base!r}, expected {known}")
+        return named
+
+    def _placed(self, plan: Drawn, base: str) -> Drawn:
+        """In the frame of the clouds; as it stands where nothing connects its own frame with that."""
+        if frame_id(plan.frame_id) == frame_id(base):
+            return plan
+        stamps = np.full(len(plan.entry), plan.source_ns or plan.stamp_ns)
+        try:
+            entry, leave = (self.frames.moved(ends, plan.frame_id, base, stamps) for ends in (plan.entry, plan.exit))
+        except ConversionError as error:
+            note = f"{plan.topic}: taken as if in the frame of the cloud: {error}"
+            if note not in self.notes:
+                self.notes.append(note)
+            return plan
+        return Drawn(
+            plan.topic, plan.type, plan.frame_id, plan.stamp_ns, plan.source_ns, entry, leave, plan.labels, plan.lines
+        )
+
+
+def _on_tissue(plan: Drawn, scene: Scene) -> bool:
+    """Whether most of the points lie about where the camera sees something."""
+    hits = 0
+    for point in plan.ends():
+        if point[2] > 0:
+            depth = scene.depth[scene.around(point[:2] / point[2], _HIT_RADIUS)]
+            depth = depth[np.isfinite(depth)]
+            hits += bool(depth.size) and bool(abs(np.median(depth) - point[2]) < _NEAR_M)
+    return hits > len(plan.entry)

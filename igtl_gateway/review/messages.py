@@ -1,0 +1,242 @@
+"""ROS messages → what a review is made of: clouds, plans and poses, whatever their topics are called."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.convert.common_msgs import PoseStamped, TFMessage
+from igtl_gateway.convert.igtl_msgs import PointList, PolyData, Pose, TrajectoryList
+from igtl_gateway.convert.poses import matrix_of, unit
+from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, Marker, PointCloud2, TransformStamped
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.review.scene import Cloud
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET
+
+Array = npt.NDArray[Any]
+
+#: A plan has no more points; what has more is a cloud.
+MAX_PLAN_POINTS = 400
+_EQUAL_M = 2e-5  # a plan that went through float32 millimetres is the same plan
+_SAME_SHARE = 0.5  # of the ends, that a correction leaves where they are
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A plan as a message has it.
+
+    Attributes:
+        topic, type, frame_id: of the message.
+        stamp_ns: gateway time.
+        source_ns: stamp in the message; 0 = unset.
+        entry, exit: (stitches, 3) metres.
+        labels: of the stitches; empty where the message names none.
+        lines: whether the message says itself which points belong together.
+    """
+
+    topic: str
+    type: str
+    frame_id: str
+    stamp_ns: int
+    source_ns: int
+    entry: Array
+    exit: Array
+    labels: tuple[str, ...] = ()
+    lines: bool = True
+
+    def ends(self) -> Array:
+        """(2 · stitches, 3): all entry points, then all exit points."""
+        return np.concatenate([self.entry, self.exit])
+
+    def equals(self, other: Drawn) -> bool:
+        """Whether it is the same plan, up to rounding."""
+        return self._agreeing(other) == 1.0
+
+    def corrects(self, other: Drawn) -> bool:
+        """Whether it is a version of the same plan: most of its points are where they were."""
+        return self._agreeing(other) >= _SAME_SHARE
+
+    def _agreeing(self, other: Drawn) -> float:
+        if len(self.entry) != len(other.entry):
+            return 0.0
+        near = np.abs(self.ends() - other.ends()).max(axis=1) <= _EQUAL_M
+        return float(near.mean())
+
+
+def cloud_of(entry: Entry) -> Cloud | None:
+    """The positions of a sensor_msgs/PointCloud2; None where it has no x, y, z in floating point."""
+    message = PointCloud2.unpack(entry.data())
+    points = _positions(message)
+    if points is None:
+        return None
+    return Cloud(entry.channel, message.header.frame_id, entry.stamp_ns, message.header.stamp_ns, points)
+
+
+def plan_of(entry: Entry) -> Drawn | None:
+    """The plan that a message may be; None where it cannot be one."""
+    read = _PLANS.get(entry.type)
+    drawn = read(entry) if read else None
+    if drawn is None or not 0 < len(drawn.entry) <= MAX_PLAN_POINTS // 2 or not np.isfinite(drawn.ends()).all():
+        return None
+    return drawn
+
+
+def poses_of(entry: Entry) -> Iterator[tuple[str, str, Pose, int]]:
+    """(parent, child, pose, stamp in UTC ns) of all that a message tells; a PoseStamped is called by its topic."""
+    data = entry.data()
+    if entry.type == TransformStamped.TYPE:
+        one = TransformStamped.unpack(data)
+        x, y, z = one.translation
+        yield one.header.frame_id, one.child_frame_id, (x, y, z, *one.rotation), one.header.stamp_ns
+    elif entry.type == TFMessage.TYPE:
+        for each in TFMessage.unpack(data).transforms:
+            yield each.header.frame_id, each.child_frame_id, each.pose, each.header.stamp_ns
+    elif entry.type == PoseStamped.TYPE:
+        posed = PoseStamped.unpack(data)
+        yield posed.header.frame_id, entry.channel, posed.pose, posed.header.stamp_ns
+
+
+#: Types that ``poses_of`` reads.
+POSES = frozenset({TransformStamped.TYPE, TFMessage.TYPE, PoseStamped.TYPE})
+
+
+def is_cloud(data: Buffer) -> bool:
+    """Whether a PointCloud2 has more points than a plan may have."""
+    message = PointCloud2.unpack(data)
+    return message.width * message.height > MAX_PLAN_POINTS
+
+
+def _positions(message: PointCloud2) -> Array | None:
+    """(height, width, 3) float32 or float64; holes as NaN."""
+    places: dict[str, np.dtype[Any]] = {}
+    offsets = []
+    for item in message.fields:
+        kind = POINT_FIELD_DTYPES.get(item.datatype, "")
+        if item.name in ("x", "y", "z") and item.name not in places and kind in ("f4", "f8") and item.count <= 1:
+            places[item.name] = np.dtype((">" if message.is_bigendian else "<") + kind)
+            offsets.append(item.offset)
+    height, width, step = message.height, message.width, message.point_step
+    data = memoryview(message.data)
+    if sorted(places) != ["x", "y", "z"] or not height * width:
+        return None
+    ends = [offset + kind.itemsize for offset, kind in zip(offsets, places.values(), strict=True)]
+    if max(ends) > step or message.row_step * (height - 1) + width * step > data.nbytes:
+        raise ConversionError(
+            f"{message.TYPE}: found {data.nbytes} bytes, expected {height} rows of {width} points of {step} bytes"
+        )
+    layout = np.dtype({"names": list(places), "formats": list(places.values()), "offsets": offsets, "itemsize": step})
+    points = np.ndarray((height, width), layout, data, 0, (message.row_step, step))
+    found = np.stack([points[name] for name in ("x", "y", "z")], axis=-1).astype(np.float32)
+    found[~np.isfinite(found).all(axis=-1)] = np.nan
+    return found
+
+
+def _of_marker(entry: Entry) -> Drawn | None:
+    """The segments of a LINE_LIST."""
+    message = Marker.unpack(entry.data())
+    if message.type != Marker.LINE_LIST or message.action != 0 or len(message.points) % 2:
+        return None
+    points = np.asarray(message.points, np.float64)
+    if any(message.orientation[:3]):
+        rows = matrix_of(unit(message.orientation))
+        points = np.stack([a * points[:, 0] + b * points[:, 1] + c * points[:, 2] for a, b, c in rows], axis=1)
+    points = points + np.array(message.position)
+    return _drawn(entry, message, points[0::2], points[1::2])
+
+
+def _of_trajectories(entry: Entry) -> Drawn | None:
+    message = TrajectoryList.unpack(entry.data())
+    both = [row for row in message.trajectories if row.type == ENTRY_AND_TARGET]
+    if not both:
+        return None
+    ends = np.array([(row.entry, row.target) for row in both], np.float64)
+    return _drawn(entry, message, ends[:, 0], ends[:, 1], tuple(row.name for row in both))
+
+
+def _of_polydata(entry: Entry) -> Drawn | None:
+    """First and last point of each line; without lines the points, as of a cloud."""
+    message = PolyData.unpack(entry.data())
+    points, cells = np.asarray(message.points, np.float64), message.lines
+    if len(message.polygons) or len(message.triangle_strips):
+        return None
+    ends, at = [], 0
+    while at < len(cells):
+        size = int(cells[at])
+        if size < 2 or at + size >= len(cells):  # a line has two ends
+            return None
+        ends.append((int(cells[at + 1]), int(cells[at + size])))
+        at += size + 1
+    if not ends:
+        return _halves(entry, message, points)
+    indices = np.array(ends)
+    if indices.max() >= len(points):
+        return None
+    return _drawn(entry, message, points[indices[:, 0]], points[indices[:, 1]])
+
+
+def _of_point_list(entry: Entry) -> Drawn | None:
+    """By groups called entry and exit (or target), else all entry points first."""
+    message = PointList.unpack(entry.data())
+    positions = np.array([point.position for point in message.points], np.float64).reshape(-1, 3)
+    groups = np.array([point.group.strip().lower() for point in message.points])
+    first, last = np.flatnonzero(groups == "entry"), np.flatnonzero((groups == "exit") | (groups == "target"))
+    if len(first) + len(last) != len(positions) or len(first) != len(last):
+        half = len(positions) // 2
+        first, last = np.arange(half), np.arange(half, len(positions))
+    if len(first) != len(last):
+        return None
+    labels = tuple(message.points[int(i)].name for i in first)
+    return _drawn(entry, message, positions[first], positions[last], labels, lines=False)
+
+
+def _of_cloud(entry: Entry) -> Drawn | None:
+    message = PointCloud2.unpack(entry.data())
+    if message.width * message.height > MAX_PLAN_POINTS:
+        return None
+    points = _positions(message)
+    return None if points is None else _halves(entry, message, points.reshape(-1, 3).astype(np.float64))
+
+
+def _halves(entry: Entry, message: PointCloud2 | PolyData, points: Array) -> Drawn | None:
+    """Points without more: all entry points, then all exit points."""
+    half, odd = divmod(len(points), 2)
+    return None if odd else _drawn(entry, message, points[:half], points[half:], lines=False)
+
+
+def _drawn(
+    entry: Entry,
+    message: Marker | TrajectoryList | PolyData | PointList | PointCloud2,
+    first: Array,
+    last: Array,
+    labels: tuple[str, ...] = (),
+    lines: bool = True,
+) -> Drawn:
+    header = message.header
+    return Drawn(
+        entry.channel,
+        entry.type,
+        header.frame_id,
+        entry.stamp_ns,
+        header.stamp_ns,
+        first,
+        last,
+        labels if all(labels) else (),
+        lines,
+    )
+
+
+_PLANS: dict[str, Callable[[Entry], Drawn | None]] = {
+    Marker.TYPE: _of_marker,
+    TrajectoryList.TYPE: _of_trajectories,
+    PolyData.TYPE: _of_polydata,
+    PointList.TYPE: _of_point_list,
+    PointCloud2.TYPE: _of_cloud,
+}
+#: Types that ``plan_of`` reads.
+PLANS = frozenset(_PLANS)
