@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.review import noise
-from igtl_gateway.review.linear import least_squares
+from igtl_gateway.review.linear import least_squares, times
 
 Array = npt.NDArray[Any]
 
@@ -118,13 +118,14 @@ def _mean_ray(slopes: Array) -> Array:
     """(height, width) mean over the clouds; where no cloud knows, what a pinhole camera would have there."""
     known = np.isfinite(slopes)
     number = known.sum(axis=0)
-    mean = np.where(known, slopes, 0.0).sum(axis=0) / np.maximum(number, 1)
+    mean: Array = np.where(known, slopes, 0.0).sum(axis=0) / np.maximum(number, 1)
+    mean[number == 0] = np.nan
     height, width = mean.shape
     if height == 1 or number.all():
-        return np.where(number > 0, mean, np.nan)
+        return mean
     row, column = np.mgrid[0:height, 0:width]
     design = np.stack([np.ones(mean.size), column.reshape(-1) / width, row.reshape(-1) / height], axis=1)
-    line = least_squares(design, mean.reshape(-1), (number > 0).reshape(-1).astype(np.float64))
-    if line is None:
-        return np.where(number > 0, mean, np.nan)
-    return np.where(number > 0, mean, (design * line).sum(axis=1).reshape(height, width))
+    line = least_squares(design, np.nan_to_num(mean.reshape(-1)), (number > 0).reshape(-1).astype(np.float64))
+    if line is not None:
+        mean[number == 0] = times(design, line).reshape(height, width)[number == 0]
+    return mean

@@ -26,6 +26,8 @@ _FIRST_ROUNDS = 4
 _MIN_POINTS = 24
 _PLANE, _QUADRIC = 3, 6  # unknowns
 _LEAST_SCALE_M = 1e-5  # a scatter below the steps of any sensor
+_MISFIT_SHARE = 0.5  # of what the surface leaves all over the window, as error in the middle; docs/review.md
+_MEDIAN_VARIES = np.pi / 2  # by so much more than a mean
 _GROSS = 5.0  # deviations; what is beyond in one cloud says nothing of the surface
 
 
@@ -37,15 +39,13 @@ class Surface:
         ray: (x / z, y / z) of the middle.
         radius: of the window, as x / z.
         coefficients: (6,) metres.
-        error: standard error of the depth in the middle, metres.
-        scatter: standard deviation of the pixels of one cloud about the surface, metres.
+        error: standard error of the depth in the middle, metres: by chance, and by what a quadric cannot follow.
     """
 
     ray: Array
     radius: float
     coefficients: Array
     error: float
-    scatter: float
 
     def depth(self, rays: Array) -> Array:
         """(n,) z of the surface on (n, 2) rays."""
@@ -94,17 +94,30 @@ def fit(scene: Scene, point: Array, window: float) -> Surface | None:
     spread = influence(_design(places), weights)
     if spread is None:
         return None
-    residuals = scene.depths[:, around] - times(_design(places), coefficients)
     counted = weights > 0
+    fitted = times(_design(places), coefficients)
+    residuals = scene.depths[:, around] - fitted
     scatter = max(noise.deviation(residuals[:, counted]), _LEAST_SCALE_M)
     residuals = np.where(np.abs(residuals) < _GROSS * scatter, residuals, 0.0)
     # the depth in the middle as each cloud alone would have it
     single = times(residuals, spread[0])
-    if len(single) >= SEVERAL:
-        error = _error_of_mean(single)
+    clouds = len(single)
+    if clouds >= SEVERAL:
+        chance = _error_of_mean(single)
     else:
-        error = scatter * float(np.sqrt((spread[0] ** 2).sum() / len(single)))
-    return Surface(ray, radius, coefficients, error, scatter)
+        chance = scatter * float(np.sqrt((spread[0] ** 2).sum() / clouds))
+    misfit = _misfit(scene, around[counted], (z - fitted)[counted])
+    return Surface(ray, radius, coefficients, float(np.hypot(chance, _MISFIT_SHARE * misfit)))
+
+
+def _misfit(scene: Scene, pixels: Array, residuals: Array) -> float:
+    """What the surface leaves of the tissue's shape: the scatter of the median picture beyond that of its noise."""
+    clouds = len(scene.depths)
+    sigma = scene.noise[pixels]
+    sigma = sigma[np.isfinite(sigma)]
+    variance = float((sigma**2).mean()) if sigma.size else 0.0
+    variance *= (_MEDIAN_VARIES if clouds > 2 else 1.0) / clouds  # of two the median is the mean
+    return float(np.sqrt(max(noise.deviation(residuals) ** 2 - variance, 0.0)))
 
 
 def _error_of_mean(values: Array) -> float:
