@@ -1,19 +1,36 @@
-"""The scene that the STAR tests measure: made once for each module."""
+"""What the STAR tests measure: the scene, its clouds, and the session as it was recorded."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.simulate.star_arm import held
 from igtl_gateway.simulate.star_camera import CloudFrame
 from igtl_gateway.simulate.star_scene import Scene
-from tests.simulate.star_truth import SECONDS
+from tests.simulate.star_truth import BEGIN_S, SECONDS
+
+STAR = Path(__file__).parents[2] / "fixtures" / "star.mcap"
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def scene() -> Scene:
     return Scene()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def frames(scene: Scene) -> list[CloudFrame]:
-    return [scene.cloud(number, 0.1 + number) for number in range(SECONDS)]
+    path = scene.tool(0.1 + np.arange(SECONDS), scene.measured_plan, BEGIN_S)
+    poses = zip(map(tuple, path.position), map(tuple, path.rotation), strict=True)
+    return [scene.cloud(number, *held(*pose)) for number, pose in enumerate(poses)]  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="session")
+def star_session() -> list[Entry]:
+    """What ``simulate star`` makes; that it does is tested in ``test_star``."""
+    with SessionFile.open(STAR) as file:
+        return list(file.entries())

@@ -9,6 +9,8 @@ import numpy as np
 from igtl_gateway.simulate.star_numbers import Array
 
 SECONDS = 12
+#: When the arm sets off in a session, about.
+BEGIN_S = 1.8
 
 
 def length(vectors: Array) -> Array:

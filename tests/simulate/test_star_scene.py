@@ -5,12 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.simulate.star_arm import CYCLE_S, IDLE_S, RETRACT_M, to_camera
+from igtl_gateway.simulate.star_arm import CYCLE_S, RETRACT_M, SHAFT, held, to_camera
 from igtl_gateway.simulate.star_camera import IMAGE_CAMERA, CloudFrame, View, noise_sigma
 from igtl_gateway.simulate.star_numbers import Array, Mask
 from igtl_gateway.simulate.star_scene import Scene
-from igtl_gateway.simulate.star_tissue import FOCUS_M, STITCHES, WET_RADIUS_M, WET_STITCH, surface_distance
-from tests.simulate.star_truth import length
+from igtl_gateway.simulate.star_tissue import (
+    FOCUS_M,
+    GLINT_ERROR_M,
+    GLINT_STITCH,
+    PLANTED,
+    SPOT_RADIUS_M,
+    STITCHES,
+    WET_ERROR_M,
+    WET_STITCH,
+    surface_distance,
+)
+from tests.simulate.star_truth import BEGIN_S, length
 
 
 def test_another_seed_gives_other_noise() -> None:
@@ -26,21 +36,34 @@ def test_views_lie_on_the_true_surface(scene: Scene, camera: str) -> None:
     assert width * FOCUS_M == pytest.approx(0.070, rel=0.01)
 
 
-def test_measured_plan_misses_at_the_wet_spot_and_the_corrected_one_does_not(scene: Scene) -> None:
-    miss = length(scene.measured_plan.exit - scene.plan.exit)
-    assert 0.0015 < miss[WET_STITCH] < 0.0025
-    assert np.delete(miss, WET_STITCH).max() < 0.0005
-    assert length(scene.measured_plan.entry - scene.plan.entry).max() < 0.0005
-    assert length(scene.corrected_plan.exit - scene.plan.exit).max() < 0.0005
+def test_the_measured_plan_misses_the_tissue_at_the_planted_stitches_and_nowhere_else(scene: Scene) -> None:
+    plan = scene.measured_plan
+    miss = np.maximum(length(plan.entry - scene.plan.entry), length(plan.exit - scene.plan.exit))
+    assert [int(number) + 1 for number in np.flatnonzero(miss > 0.0005)] == list(PLANTED)
+    deeper = (plan.entry - scene.plan.entry)[GLINT_STITCH, 2], (plan.exit - scene.plan.exit)[WET_STITCH, 2]
+    np.testing.assert_allclose(deeper, (GLINT_ERROR_M, WET_ERROR_M), atol=0.0003)
     # drawn in the picture: the miss is along the ray, where the picture cannot show it
-    np.testing.assert_allclose(
-        IMAGE_CAMERA.project(scene.measured_plan.exit), IMAGE_CAMERA.project(scene.plan.exit), atol=0.05
-    )
+    for row, truth in ((plan.entry, scene.plan.entry), (plan.exit, scene.plan.exit)):
+        np.testing.assert_allclose(IMAGE_CAMERA.project(row), IMAGE_CAMERA.project(truth), atol=0.05)
+
+
+def test_the_glint_is_in_the_first_shot_alone_and_the_wet_spot_in_all(scene: Scene) -> None:
+    spots = (scene.plan.entry[GLINT_STITCH], scene.plan.exit[WET_STITCH])
+    found = []
+    for number in range(3):
+        frame = scene.cloud(number, scene.rest, SHAFT)
+        error = frame.points[..., 2] - frame.truth[..., 2]
+        found.append([float(np.nanmedian(error[length(frame.truth - spot) < SPOT_RADIUS_M])) for spot in spots])
+    np.testing.assert_allclose(found, [[-0.002, 0.002], [0, 0.002], [0, 0.002]], atol=0.0002)
+    first, later = (scene.image(number, scene.rest, SHAFT).astype(int) for number in (0, 1))
+    column, row = np.rint(IMAGE_CAMERA.project(spots[0])).astype(int)
+    assert (first - later)[row, column, 1:].min() > 40  # it shines white on red
 
 
 def dry(scene: Scene, frame: CloudFrame) -> Mask:
-    """All but the wet spot, which reads too deep on purpose."""
-    return np.asarray(length(frame.truth - scene.plan.exit[WET_STITCH]) > WET_RADIUS_M)
+    """All but the two spots, which read wrong on purpose."""
+    spots = (scene.plan.exit[WET_STITCH], scene.plan.entry[GLINT_STITCH])
+    return np.all([length(frame.truth - spot) > SPOT_RADIUS_M for spot in spots], axis=0)
 
 
 @pytest.fixture(scope="module")
@@ -102,13 +125,21 @@ def test_what_the_camera_loses(scene: Scene, frames: list[CloudFrame]) -> None:
 
 def test_tool_covers_part_of_the_later_clouds_only(frames: list[CloudFrame]) -> None:
     assert not frames[0].tool.any()  # at rest outside the picture
-    assert frames[2].tool.sum() > 500
-    shown = frames[2].tool & np.isfinite(frames[2].points[..., 2]) & ~frames[2].outlier
-    np.testing.assert_allclose(frames[2].points[shown][:, 2], frames[2].truth[shown][:, 2], atol=0.002)
+    assert frames[3].tool.sum() > 500
+    shown = frames[3].tool & np.isfinite(frames[3].points[..., 2]) & ~frames[3].outlier
+    np.testing.assert_allclose(frames[3].points[shown][:, 2], frames[3].truth[shown][:, 2], atol=0.002)
 
 
 def test_pulled_needle_leaves_the_tissue(scene: Scene) -> None:
-    ends = np.array([IDLE_S + CYCLE_S * (stitch + 1) for stitch in range(STITCHES)])
-    tips = to_camera(scene.tool(ends).position)
-    np.testing.assert_allclose(length(tips - scene.corrected_plan.exit), RETRACT_M, atol=1e-4)
+    ends = np.array([BEGIN_S + CYCLE_S * (stitch + 1) for stitch in range(STITCHES)])
+    tips = to_camera(scene.tool(ends, scene.plan, BEGIN_S).position)
+    np.testing.assert_allclose(length(tips - scene.plan.exit), RETRACT_M, atol=1e-4)
     assert surface_distance(tips).min() > 0.005
+
+
+def test_the_pose_of_the_tool_tells_where_the_needle_is_and_points(scene: Scene) -> None:
+    path = scene.tool(np.array([0.0]), scene.plan)
+    tip, shaft = held(tuple(path.position[0]), tuple(path.rotation[0]))
+    np.testing.assert_allclose(tip, scene.rest, atol=5e-5)
+    np.testing.assert_allclose(shaft, SHAFT, atol=1e-3)
+    assert length(shaft) == pytest.approx(1)
