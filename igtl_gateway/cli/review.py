@@ -1,0 +1,331 @@
+"""``igtl-gateway review``: is every stitch of the plan on the tissue, and what is the camera's depth worth there."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from igtl_gateway.cli.common import count, print_json
+from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.review import EndReview, Level, Material, PlanReview, Review, StitchReview, Thresholds, review_of
+from igtl_gateway.review.material import CLOUDS
+
+EXAMPLES = """\
+  igtl-gateway review out.mcap                        each stitch of the first and the last plan, with reasons
+  igtl-gateway review out.mcap --csv stitches.csv     every version, one row for each stitch
+  igtl-gateway review out.mcap --json | jq '.plans[-1].stitches[] | select(.level == "wrong")'
+  igtl-gateway review out.mcap --plan /star/plan --cloud /star/cloud --tool suture_tool
+  igtl-gateway review out.mcap --wrong-mm 0.8 --look-mm 0.4
+
+exit code 0: no stitch of the last plan is wrong; 1: some are.  Method and formulae: docs/review.md"""
+
+#: Option of each threshold: what it does, and why its default.
+_THRESHOLDS = {
+    "wrong_mm": "a point so far off the tissue is wrong; two fifths of the needle's bite of 2.5 mm",
+    "look_mm": "a point so far off is looked at; what lifting a point from one cloud may cost",
+    "sure": "standard errors that a distance must exceed to be wrong; once in 400 by chance",
+    "noise_mm": "depth noise from which a point is looked at; 2.5 of them are wrong-mm",
+    "reading_mm": "how far the camera's reading here may be off the tissue around; wet spots, glints, folds",
+    "density_mm2": "points/mm² below which a point is looked at; a hundred in the window for six unknowns",
+    "missing": "share of pixels without depth above which a point is looked at",
+    "spacing": "share of the plan's usual spacing that a stitch may differ by",
+    "bite": "share of the plan's usual bite length that a stitch may differ by",
+    "reach_mm": "the tool was meant for a point that it came so near to",
+    "window_mm": "radius of the tissue that is fitted; a quadric follows it so far",
+    "place_mm": "radius that noise, density and missing pixels are taken in",
+    "core_mm": "radius that the camera's reading is taken in",
+}
+_COLOURS = {Level.OK: "32", Level.LOOK: "33", Level.WRONG: "1;31"}
+_MARKS = {Level.OK: " ", Level.LOOK: "?", Level.WRONG: "!"}
+_NS_PER_S = 1e9
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or a rosbag2 MCAP file")
+    parser.add_argument("--plan", default="", metavar="TOPIC", help="the plan (default: pairs of points on the tissue)")
+    parser.add_argument("--cloud", default="", metavar="TOPIC", help="the point cloud (default: the largest)")
+    parser.add_argument(
+        "--tool", default="", metavar="TOPIC", help="topic or frame of the tool (default: the one that comes nearest)"
+    )
+    parser.add_argument(
+        "--clouds",
+        type=int,
+        default=CLOUDS,
+        metavar="N",
+        help=f"use at most so many clouds, evenly spread (default: {CLOUDS})",
+    )
+    parser.add_argument("--csv", type=Path, metavar="OUT", help="write a table with a row for each stitch and version")
+    parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
+    group = parser.add_argument_group("thresholds")
+    for threshold in fields(Thresholds):
+        group.add_argument(
+            f"--{threshold.name.replace('_', '-')}",
+            type=float,
+            default=threshold.default,
+            metavar="X",
+            help=f"{_THRESHOLDS[threshold.name]} (default: {threshold.default:g})",
+        )
+
+
+def run(options: argparse.Namespace) -> int:
+    limits = _limits(options)
+    material = Material(options.plan, options.cloud, options.tool, options.clouds)
+    with SessionFile.open(options.file) as file:
+        start_ns = file.start_ns
+        for entry in file.entries():
+            material.take(entry)
+    try:
+        review = review_of(material, limits)
+    except ConfigError:
+        raise
+    except GatewayError as error:
+        raise GatewayError(f"{options.file}: {error}") from None
+    if options.csv:
+        _write_csv(options.csv, review)
+    if options.json:
+        print_json(_told(options.file, review))
+    else:
+        _print(options.file, review, start_ns)
+    return 1 if review.last.wrong else 0
+
+
+def _limits(options: argparse.Namespace) -> Thresholds:
+    values = {threshold.name: getattr(options, threshold.name) for threshold in fields(Thresholds)}
+    for name, value in values.items():
+        if not 0 < value < math.inf:
+            raise ConfigError(f"--{name.replace('_', '-')}: found {value}, expected a number above 0")
+    if options.clouds < 1:
+        raise ConfigError(f"--clouds: found {options.clouds}, expected 1 or more")
+    if values["look_mm"] > values["wrong_mm"]:
+        raise ConfigError(f"--look-mm: found {values['look_mm']}, expected at most --wrong-mm, {values['wrong_mm']}")
+    return Thresholds(**values)
+
+
+# -- for programs --------------------------------------------------------------------------------------------------
+
+
+def _told(path: Path, review: Review) -> dict[str, Any]:
+    cloud = review.cloud
+    return {
+        "file": str(path),
+        "good": not review.last.wrong,
+        "cloud": {
+            "topic": cloud.topic,
+            "frame_id": cloud.frame_id,
+            "clouds": cloud.clouds,
+            "height": cloud.height,
+            "width": cloud.width,
+            "points": len(cloud.positions),
+            "noise": "temporal" if cloud.temporal else "spatial",
+            "noise_mm": dict(zip(("p10", "median", "p90"), _noise(review), strict=True)),
+        },
+        "tool": review.tool,
+        "thresholds": asdict(review.thresholds),
+        "plans": [_plain(asdict(plan)) for plan in review.plans],
+        "changes": [_plain(asdict(change)) for change in review.changes],
+        "notes": review.notes,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Levels as words; micrometres are enough."""
+    match value:
+        case Level():
+            return value.value
+        case dict():
+            return {key: _plain(part) if key != "position" else part for key, part in value.items()}
+        case list() | tuple():
+            return [_plain(part) for part in value]
+        case float():
+            return round(value, 4)
+        case _:
+            return value
+
+
+def _noise(review: Review) -> tuple[float | None, ...]:
+    """10 %, 50 % and 90 % of the points have less, mm."""
+    known = np.sort(review.cloud.noise_mm[np.isfinite(review.cloud.noise_mm)])
+    if not known.size:
+        return None, None, None
+    return tuple(round(float(known[int(share * (known.size - 1))]), 4) for share in (0.1, 0.5, 0.9))
+
+
+_END_COLUMNS = (
+    *("distance_mm", "error_mm", "noise_mm", "temporal_mm", "spatial_mm", "reading_mm", "density_mm2"),
+    *("missing", "spacing_mm"),
+)
+
+
+def _write_csv(path: Path, review: Review) -> None:
+    try:
+        with path.open("w", newline="", encoding="utf-8") as out:
+            rows = list(_csv_rows(review))
+            writer = csv.DictWriter(out, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+    except OSError as error:
+        raise GatewayError(f"cannot write to {path}: {error.strerror or error}") from None
+
+
+def _csv_rows(review: Review) -> Iterable[dict[str, Any]]:
+    for version, plan in enumerate(review.plans, 1):
+        for stitch in plan.stitches:
+            row: dict[str, Any] = {
+                "version": version,
+                "topic": plan.topic,
+                "stamp_ns": plan.stamp_ns,
+                "stitch": stitch.number,
+                "label": stitch.label,
+                "level": stitch.level.value,
+            }
+            for name, end in (("entry", stitch.entry), ("exit", stitch.exit)):
+                row |= {f"{name}_{axis}_m": f"{value:.6f}" for axis, value in zip("xyz", end.position, strict=True)}
+                row |= {f"{name}_{column}": _number(getattr(end, column)) for column in _END_COLUMNS}
+                row[f"{name}_tool_mm"] = _number(end.executed.distance_mm if end.executed else None)
+                row[f"{name}_reached"] = int(end.executed.reached) if end.executed else ""
+            row |= {
+                column: _number(getattr(stitch, column))
+                for column in ("bite_length_mm", "bite_depth_mm", "driven_depth_mm")
+            }
+            yield row | {"reasons": "; ".join(stitch.reasons)}
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.4f}"
+
+
+# -- for people ----------------------------------------------------------------------------------------------------
+
+
+def _print(path: Path, review: Review, start_ns: int) -> None:
+    colour = sys.stdout.isatty()
+    cloud, plans = review.cloud, review.plans
+    print(
+        f"{path}: {count(len(review.last.stitches), 'stitch', 'stitches')}, {count(len(plans), 'version')} of the plan"
+    )
+    size = f"{cloud.width} × {cloud.height}" if cloud.height > 1 else f"{cloud.width:,} points, not organised"
+    print(f"  cloud  {cloud.topic}, {count(cloud.clouds, 'cloud')} of {size}, frame {cloud.frame_id}")
+    low, middle, high = _noise(review)
+    if middle is not None:
+        how = "from cloud to cloud" if cloud.temporal else "from pixel to pixel, a lower bound"
+        print(f"  noise  {middle:.2f} mm in depth ({low:.2f} … {high:.2f}), {how}")
+    if review.tool:
+        print(f"  tool   {review.tool}")
+    for note in review.notes:
+        print(f"  note   {note}")
+    for version, plan in enumerate(plans, 1):
+        when = f"{(plan.stamp_ns - start_ns) / _NS_PER_S:.3f} s"
+        print(f"\nplan {version} of {len(plans)}: {plan.topic} at {when}, {_levels(plan)}")
+        if plan is review.first or plan is review.last:
+            _print_plan(plan, colour, with_tool=bool(review.tool) and plan is review.last)
+    _print_changes(review, colour)
+    wrong = [stitch.label for stitch in review.last.wrong]
+    verdict = f"WRONG: {', '.join(wrong)}" if wrong else "no stitch of the last plan is wrong"
+    print(f"\n{_painted(verdict, Level.WRONG if wrong else Level.OK, colour)}")
+
+
+def _levels(plan: PlanReview) -> str:
+    found = Counter(stitch.level for stitch in plan.stitches)
+    return ", ".join(f"{found[level]} {level.value}" for level in Level if found[level])
+
+
+_TITLES = (
+    ("stitch", ""),
+    ("above tissue, mm", "entry"),
+    ("", "exit"),
+    ("noise, mm", "entry"),
+    ("", "exit"),
+    ("spacing, mm", "entry"),
+    ("", "exit"),
+    ("bite, mm", "length"),
+    ("", "depth"),
+    ("points", "/mm²"),
+    ("no", "depth"),
+)
+_TOOL_TITLES = (("tool, mm", "entry"), ("", "exit"), ("", "depth"))
+
+
+def _print_plan(plan: PlanReview, colour: bool, with_tool: bool) -> None:
+    titles = _TITLES + (_TOOL_TITLES if with_tool else ())
+    table = [tuple(title[line] for title in titles) for line in (0, 1)]
+    table += [_row(stitch, with_tool) for stitch in plan.stitches]
+    # a title in the first line may lie over the columns to its right
+    widths = [max(len(row[column]) for row in table[1:]) for column in range(len(titles))]
+    widths[0] = max(len(row[0]) for row in table)
+    over = ""
+    for column, (title, width) in enumerate(zip(table[0], widths, strict=True)):
+        at = sum(widths[:column]) + 2 * column
+        over = over.ljust(at) + (title if not column else "")
+        if column and title:
+            over += title if len(title) > width else title.rjust(width)
+    print(f"    {over}".rstrip())
+    for number, row in enumerate(table[1:]):
+        cells = [row[0].ljust(widths[0])] + [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
+        line = "  ".join(cells).rstrip()
+        if number == 0:
+            print(f"    {line}")
+            continue
+        stitch = plan.stitches[number - 1]
+        print(f"  {_painted(f'{_MARKS[stitch.level]} {line}', stitch.level, colour and stitch.level is not Level.OK)}")
+        for reason in stitch.reasons:
+            print(f"    {' ' * widths[0]}  {reason}")
+
+
+def _row(stitch: StitchReview, with_tool: bool) -> tuple[str, ...]:
+    ends = (stitch.entry, stitch.exit)
+    density = [end.density_mm2 for end in ends if end.density_mm2 is not None]
+    missing = [end.missing for end in ends if end.missing is not None]
+    row = (
+        stitch.label,
+        *(_off(end) for end in ends),
+        *(_mm(end.noise_mm) for end in ends),
+        *(_mm(end.spacing_mm, 1) for end in ends),
+        _mm(stitch.bite_length_mm, 1),
+        _mm(stitch.bite_depth_mm, 1),
+        f"{min(density):.1f}" if density else "–",
+        f"{max(missing):.0%}" if missing else "–",
+    )
+    if not with_tool:
+        return row
+    tool = (_mm(end.executed.distance_mm) if end.executed and end.executed.reached else "–" for end in ends)
+    return (*row, *tool, _mm(stitch.driven_depth_mm, 1))
+
+
+def _off(end: EndReview) -> str:
+    if end.distance_mm is None or end.error_mm is None:
+        return "–"
+    return f"{end.distance_mm:+.2f} ± {end.error_mm:.2f}"
+
+
+def _mm(value: float | None, digits: int = 2) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def _print_changes(review: Review, colour: bool) -> None:
+    if len(review.plans) == 1:
+        return
+    print("\nfrom the first plan to the last")
+    if not review.changes:
+        print("  nothing changed")
+    for change in review.changes:
+        before, after = (level.value if level else "" for level in (change.before, change.after))
+        if change.moved_mm:
+            entry, leave = change.moved_mm
+            text = f"entry moved by {entry:.2f} mm, exit by {leave:.2f} mm: {before} → {after}"
+        else:
+            text = f"added: {after}" if change.after else f"taken out: was {before}"
+        print(f"  {_painted(f'{change.label}  {text}', change.after or Level.OK, colour)}")
+
+
+def _painted(text: str, level: Level, colour: bool) -> str:
+    return f"\x1b[{_COLOURS[level]}m{text}\x1b[0m" if colour else text
