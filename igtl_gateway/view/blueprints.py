@@ -114,7 +114,9 @@ def _spaces(seen: Seen) -> list[Part]:
     views: list[Part] = []
     for root, tree in seen.trees().items():
         contents = [entity for shown in tree for entity in _solids(shown)]
-        views.append(_space(seen, root, tree, [*contents, *(f"+ /{path}" for path in seen.frames_of(root))]))
+        views.append(
+            _space(seen, f"Space of {root}", tree, [*contents, *(f"+ /{path}" for path in seen.frames_of(root))])
+        )
     return views
 
 
@@ -154,6 +156,7 @@ def _pictures(seen: Seen) -> list[Part]:
             tree = seen.trees().get(root, [])
             contents += [f"+ /{camera.path}" for camera in seen.of(What.CAMERA) if camera.frame == shown.frame]
             contents += [entity for other in _of(tree, *_IN_PICTURE) for entity in _solids(other)]
+            contents += [f"- /{tool.path}/trail" for tool in _of(tree, What.POSE)]  # where it was hides what is
         views.append(
             rrb.Spatial2DView(
                 name=shown.topic, origin=f"/{shown.path}", contents=contents, spatial_information=information
@@ -178,7 +181,11 @@ def _log() -> rrb.TextLogView:
         name="Log",
         origin=f"/{LOG}",
         contents="/session/**",
-        columns=rrb.TextLogColumns(timeline_columns=["entry"], text_log_columns=["loglevel", "body"]),
+        # a column of times is cut after the date, whatever there is of room
+        columns=rrb.TextLogColumns(
+            timeline_columns=[rrb.encodings.TimelineColumn(TIME_LINE, visible=False)],
+            text_log_columns=["loglevel", "body"],
+        ),
     )
 
 

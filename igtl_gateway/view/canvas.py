@@ -67,6 +67,7 @@ class Canvas:
         self._seen = seen
         self._trails: dict[str, _Trail] = {}
         self._axes: set[str] = set()
+        self._stood: set[str] = set()
 
     def frame(self, frame_id: str) -> str:
         """The frame to draw in; the session's base frame where the message names none."""
@@ -80,8 +81,10 @@ class Canvas:
 
     def log(self, *archetypes: Any, child: str = "", frame: str = "") -> None:
         """A row of the topic (or of ``child`` below it), in 3-D in the frame ``frame``."""
+        path = f"{self.shown.path}/{child}" if child else self.shown.path
+        self._stand(path, frame)
         where: tuple[Any, ...] = (rr.CoordinateFrame(frame),) if frame else ()
-        self.pen.log(f"{self.shown.path}/{child}" if child else self.shown.path, *where, *archetypes)
+        self.pen.log(path, *where, *archetypes)
         self.rows += not child
 
     def static(self, archetype: Any, child: str = "") -> None:
@@ -108,7 +111,7 @@ class Canvas:
         path = f"{self.shown.path}/{child}" if child else self.shown.path
         if path not in self._axes:
             self._axes.add(path)
-            self.pen.static(path, rr.TransformAxes3D(self.options.axis_m))
+            self.pen.static(path, rr.TransformAxes3D(self.options.axis_m), _place(pose, frame))
         self.pen.pose(path, frame, pose[:3], pose[3:])
         self.rows += not child
         if self.options.trails:
@@ -137,16 +140,19 @@ class Canvas:
             return
         path = f"{FRAMES}/{escape(child)}"
         if child not in self._seen.parents:
-            self.pen.static(path, rr.CoordinateFrame(child), rr.TransformAxes3D(self.options.axis_m))
+            axes = rr.TransformAxes3D(self.options.axis_m)
+            self.pen.static(path, rr.CoordinateFrame(child), axes, _place(pose, frame, child))
+        elif static:
+            self.pen.static(path, _place(pose, frame, child))
         self._seen.parents[child] = frame
-        if static:
-            x, y, z, w = pose[3:]
-            place = rr.Transform3D(
-                translation=pose[:3], quaternion=rr.Quaternion(xyzw=(x, y, z, w)), parent_frame=frame, child_frame=child
-            )
-            self.pen.static(path, place)
-        else:
+        if not static:
             self.pen.pose(path, frame, pose[:3], pose[3:], child)
+
+    def _stand(self, path: str, frame: str) -> None:
+        """Tell an entity's first frame for all times, too: a view that finds an entity in none reports an error."""
+        if frame and path not in self._stood:
+            self._stood.add(path)
+            self.pen.static(path, rr.CoordinateFrame(frame))
 
     def _trail(self, path: str, frame: str, place: Xyz) -> None:
         trail = self._trails.setdefault(path, _Trail(frame=frame))
@@ -163,4 +169,12 @@ class Canvas:
             trail.drawn_ns = now
             strip = np.array([point for _, point in trail.points], np.float32)
             lines = rr.LineStrips3D([strip], colors=[self.colour], radii=[rr.Radius.ui_points(1.5)])
+            self._stand(f"{path}/trail", frame)
             self.pen.log(f"{path}/trail", rr.CoordinateFrame(frame), lines)
+
+
+def _place(pose: Xyz, parent: str, child: str | None = None) -> rr.Transform3D:
+    """The first place of a frame, told for all times: before it is known nothing is drawn there, nor an error told."""
+    x, y, z, w = pose[3:]
+    rotation = rr.Quaternion(xyzw=(x, y, z, w))
+    return rr.Transform3D(translation=pose[:3], quaternion=rotation, parent_frame=parent, child_frame=child)

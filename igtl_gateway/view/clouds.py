@@ -21,10 +21,12 @@ _XYZ = ("x", "y", "z")
 _WORD = 4
 #: Up to here a cloud is points to be seen one by one: markers, a plan.
 _FEW = 200
+#: So many names can be read beside each other; those of more points are told when one is pointed at.
+_READABLE = 12
 #: Names of fields that colour a cloud which has no colour, in order.
 _SCALARS = ("intensity", "intensities", "i", "noise", "confidence", "curvature", "scalar")
 #: Drawn radius of single points without a size, in metres.
-POINT_M = 0.0015
+POINT_M = 0.0008
 
 
 def draw_cloud(message: PointCloud2, canvas: Canvas) -> None:
@@ -46,7 +48,7 @@ def draw_cloud(message: PointCloud2, canvas: Canvas) -> None:
         canvas.what(What.POINTS)
     radius = canvas.memory.get("radius")
     if radius is None and len(places):
-        radius = canvas.memory["radius"] = POINT_M if few else _radius(message, places)
+        radius = canvas.memory["radius"] = point_size(places) if few else _radius(message, places)
     points = rr.Points3D(
         places,
         colors=[canvas.colour if few else colours.GREY] if words is None else words[kept],
@@ -95,19 +97,25 @@ def draw_point_list(message: PointList, canvas: Canvas) -> None:
     points = message.points
     places = np.array([point.position for point in points], np.float32).reshape(-1, 3)
     canvas.box(places)
+    size = point_size(places)
     shown = rr.Points3D(
         places,
-        colors=[_colour(point.rgba, canvas.colour) for point in points],
-        radii=[point.diameter / 2 or POINT_M for point in points],
+        colors=np.array([colours.of(point.rgba, canvas.colour) for point in points], np.uint32),
+        radii=[point.diameter / 2 or size for point in points],
         labels=[point.name for point in points],
-        show_labels=len(points) <= _FEW,
+        show_labels=len(points) <= _READABLE,
     )
     canvas.log(shown, frame=frame)
 
 
-def _colour(rgba: tuple[int, int, int, int], unset: int) -> int:
-    red, green, blue, alpha = rgba
-    return red << 24 | green << 16 | blue << 8 | (alpha or 255) if any(rgba) else unset
+def point_size(places: Array) -> float:
+    """Radius in metres of single points: the usual one, less where they are close to each other."""
+    if not 1 < len(places) <= _FEW:
+        return POINT_M
+    gaps = np.linalg.norm(places[:, None].astype(np.float64) - places[None], axis=2)
+    np.fill_diagonal(gaps, np.inf)
+    near = float(np.median(gaps.min(axis=1)))
+    return min(POINT_M, 0.2 * near) if near > 0 else POINT_M
 
 
 def _words(fields: dict[str, Array], canvas: Canvas) -> Array | None:

@@ -159,7 +159,6 @@ def draw_camera(message: CameraInfo, canvas: Canvas) -> None:
     if canvas.pen.owners.setdefault(f"{frame}/image", canvas.shown.topic) != canvas.shown.topic:
         canvas.once(f"frame {frame} has a camera already")
         return
-    canvas.pen.cameras.add(frame)
     pinhole = rr.Pinhole(
         image_from_camera=matrix,
         resolution=(message.width, message.height),
@@ -168,6 +167,9 @@ def draw_camera(message: CameraInfo, canvas: Canvas) -> None:
         parent_frame=frame,
         child_frame=f"{frame}/image",
     )
+    if frame not in canvas.pen.cameras:
+        canvas.pen.cameras.add(frame)
+        canvas.static(pinhole)  # at all times, since a view that has no camera yet reports an error
     canvas.log(pinhole)
 
 
