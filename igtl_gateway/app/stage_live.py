@@ -136,6 +136,7 @@ class Stage:
         self._places: dict[str, Address] = {}
         self._recording: Event | None = None
         self._failed = ""
+        self._ending = False
 
     def run(self) -> Outcome:
         """Play it.  Raises StageError if a program cannot start or dies."""
@@ -190,6 +191,7 @@ class Stage:
 
     def _end(self) -> None:
         """End the actors, take their reports, then end the bridge."""
+        self._ending = True  # that its peers go is no news any more
         bridge = self._programs.get(_BRIDGE)
         actors = {name: program for name, program in self._programs.items() if program is not bridge}
         for program in actors.values():
@@ -258,7 +260,7 @@ class Stage:
                 self._reports[name] = event
             case "stopped":
                 self._recording = event.get("recording", {})
-            case _ if event.get("level") in ("WARN", "ERROR"):
+            case _ if event.get("level") in ("WARN", "ERROR") and not self._ending:
                 self._warnings[f"{name}: {event['text']}"] = None
             case _:
                 return

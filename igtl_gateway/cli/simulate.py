@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _size_help() -> list[str]:
-    return [f"{name}: {unit} (default {usual:,})" for name, (unit, usual, _) in SIZES.items() if unit]
+    return [f"{name}: {unit} (default {usual:,})" for name, (unit, _, usual, _) in SIZES.items() if unit]
 
 
 def run(options: argparse.Namespace) -> int:

@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 from igtl_gateway.config import Config
-from igtl_gateway.simulate import acquisition, brain, every_type, paper_types, star, star_topics
+from igtl_gateway.simulate import (
+    acquisition,
+    brain,
+    dummies,
+    every_type,
+    paper_types,
+    star,
+    star_topics,
+    traffic,
+    ultrasound,
+)
+from igtl_gateway.simulate.load import Load
 from igtl_gateway.simulate.scenario import Scenario
 
 SCENARIOS = {
@@ -23,9 +34,20 @@ SCENARIOS = {
         Config(),
         actors=acquisition.actors,
     ),
+    "test-node": Scenario(
+        "a transform, a point, a cloud, a string and a model, each way (the paper's ROS-IGTL-Test node), synthetic",
+        dummies.CONFIG,
+        actors=dummies.actors,
+    ),
+    "test-server": traffic.scenario(Load()),
     "brain": Scenario(
         "a brain surface of 700,000 points and 240,000 faces there and back; below 5 s a small synthetic one",
         brain.CONFIG,
         actors=brain.actors,
+    ),
+    "ultrasound": Scenario(
+        "a tracked freehand sweep over a phantom of vessel and bone, pieced together on the ROS side, synthetic",
+        ultrasound.CONFIG,
+        actors=ultrasound.actors,
     ),
 }

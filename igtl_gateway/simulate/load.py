@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from igtl_gateway.errors import ConfigError
 
-#: Type → what its size counts, its default and its greatest.
+#: Type → what its size counts, its least, its default and its greatest.
 SIZES = {
-    "TRANSFORM": ("", 1, 1),
-    "STRING": ("bytes", 100, 60_000),
-    "POINT": ("points", 100, 100_000),
-    "POLYDATA": ("points", 1_000, 1_000_000),
-    "IMAGE": ("pixels wide, 3/4 of it high", 640, 4_000),
+    "TRANSFORM": ("", 1, 1, 1),
+    "STRING": ("bytes", 30, 100, 60_000),
+    "POINT": ("points", 1, 100, 100_000),
+    "POLYDATA": ("points", 1, 1_000, 1_000_000),
+    "IMAGE": ("pixels wide, 3/4 of it high, RGB", 8, 640, 4_000),
 }
 SENDERS = ("igtl", "ros", "both")
 
@@ -41,9 +41,10 @@ class Load:
     def __post_init__(self) -> None:
         if self.type not in SIZES:
             raise ConfigError(f"--type: found {self.type!r}, expected one of {', '.join(SIZES)}")
-        unit, _, most = SIZES[self.type]
-        if not 0 <= self.size <= most:
-            raise ConfigError(f"--size: found {self.size:,}, expected 1 to {most:,} {unit} in a {self.type}")
+        unit, least, _, most = SIZES[self.type]
+        if self.size and not least <= self.size <= most:
+            expected = f"{least:,} to {most:,} {unit}" if unit else "none"
+            raise ConfigError(f"--size: found {self.size:,}, expected {expected} for {self.type}")
         if not 0 < self.rate_hz <= _MAX_RATE_HZ:
             raise ConfigError(f"--rate: found {self.rate_hz:g}, expected above 0 and at most {_MAX_RATE_HZ:g} Hz")
         if not 1 <= self.count <= _MAX_COUNT:
@@ -54,7 +55,7 @@ class Load:
     @property
     def length(self) -> int:
         """The size of one message."""
-        return self.size or SIZES[self.type][1]
+        return self.size or SIZES[self.type][2]
 
     def lasting(self, duration_s: float | None) -> int:
         """How many messages fill so many seconds; the count where None."""
