@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.cli.common import count, print_json
+from igtl_gateway.cli.common import count, print_json, recorded_config
+from igtl_gateway.convert.units import UNITS
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.review import EndReview, Level, Material, PlanReview, Review, StitchReview, Thresholds, review_of
@@ -79,8 +80,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     limits = _limits(options)
-    material = Material(options.plan, options.cloud, options.tool, options.clouds)
     with SessionFile.open(options.file) as file:
+        unit_m = UNITS[recorded_config(file.session).ros_unit] / UNITS["m"]
+        material = Material(options.plan, options.cloud, options.tool, options.clouds, unit_m)
         start_ns = file.start_ns
         for entry in file.entries():
             material.take(entry)

@@ -9,7 +9,7 @@ Memory is bounded: of each stream of clouds at most twice ``clouds`` are kept, e
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -38,12 +38,14 @@ class _Clouds:
     """One stream of clouds, thinned: every ``stride``-th is kept."""
 
     limit: int
+    unit_m: float
     seen: int = 0
     stride: int = 1
     kept: list[Cloud] = field(default_factory=list)
 
     def add(self, entry: Entry) -> None:
         if self.seen % self.stride == 0 and (cloud := cloud_of(entry)):
+            cloud = replace(cloud, points=cloud.points * self.unit_m)
             if self.kept and (
                 cloud.points.shape != self.kept[-1].points.shape or cloud.frame_id != self.kept[-1].frame_id
             ):
@@ -69,17 +71,21 @@ class Material:
         cloud: topic of the clouds; "" = found.
         tool: topic or frame id of the tool; "" = found.
         clouds: how many clouds to use, at most.
+        unit_m: the unit of the session's ROS side, metres.
 
     Attributes:
         frames: all poses.
         notes: what a reader should know.
     """
 
-    def __init__(self, plan: str = "", cloud: str = "", tool: str = "", clouds: int = CLOUDS) -> None:
+    def __init__(
+        self, plan: str = "", cloud: str = "", tool: str = "", clouds: int = CLOUDS, unit_m: float = 1.0
+    ) -> None:
         self.frames = Frames()
         self.notes: list[str] = []
         self._plan, self._cloud, self._tool = plan, cloud, tool
         self._limit = clouds
+        self._unit_m = unit_m
         self._clouds: dict[str, _Clouds] = {}
         self._plans: dict[str, list[Drawn]] = {}
         self._bad: dict[str, str] = {}
@@ -98,13 +104,15 @@ class Material:
     def _read(self, entry: Entry) -> None:
         if entry.type in POSES:
             for parent, child, pose, stamp_ns in poses_of(entry):
-                self.frames.add(parent, child, pose, stamp_ns, entry.stamp_ns, entry.channel)
+                x, y, z = (self._unit_m * value for value in pose[:3])
+                self.frames.add(parent, child, (x, y, z, *pose[3:]), stamp_ns, entry.stamp_ns, entry.channel)
         elif entry.type == PointCloud2.TYPE and is_cloud(entry.data()):
             if not self._cloud or entry.channel == self._cloud:
-                self._clouds.setdefault(entry.channel, _Clouds(self._limit)).add(entry)
+                self._clouds.setdefault(entry.channel, _Clouds(self._limit, self._unit_m)).add(entry)
         elif entry.type in PLANS and (not self._plan or entry.channel == self._plan):
             versions = self._plans.setdefault(entry.channel, [])
             if len(versions) < _MAX_VERSIONS and (drawn := plan_of(entry)):
+                drawn = replace(drawn, entry=drawn.entry * self._unit_m, exit=drawn.exit * self._unit_m)
                 if not versions or not drawn.equals(versions[-1]):
                     versions.append(drawn)
 
@@ -119,7 +127,7 @@ class Material:
         stream = streams[topic]
         clouds = stream.kept
         if len(clouds) > self._limit:
-            clouds = clouds[::2]
+            clouds = [clouds[number * len(clouds) // self._limit] for number in range(self._limit)]
         if len(clouds) < stream.seen:
             self.notes.append(f"{len(clouds)} of {stream.seen:,} clouds of {topic} are used, evenly spread")
         return Scene.of(clouds), topic
@@ -184,9 +192,7 @@ class Material:
             if note not in self.notes:
                 self.notes.append(note)
             return plan
-        return Drawn(
-            plan.topic, plan.type, plan.frame_id, plan.stamp_ns, plan.source_ns, entry, leave, plan.labels, plan.lines
-        )
+        return replace(plan, entry=entry, exit=leave)
 
 
 def _on_tissue(plan: Drawn, scene: Scene) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -181,18 +182,26 @@ def _of_polydata(entry: Entry) -> Drawn | None:
 
 
 def _of_point_list(entry: Entry) -> Drawn | None:
-    """By groups called entry and exit (or target), else all entry points first."""
+    """Points that say entry or exit (or target) by their group or the first word of their name, in their order.
+
+    Else all entry points first.
+    """
     message = PointList.unpack(entry.data())
+    names = [point.name.strip() for point in message.points]
     positions = np.array([point.position for point in message.points], np.float64).reshape(-1, 3)
-    groups = np.array([point.group.strip().lower() for point in message.points])
-    first, last = np.flatnonzero(groups == "entry"), np.flatnonzero((groups == "exit") | (groups == "target"))
-    if len(first) + len(last) != len(positions) or len(first) != len(last):
-        half = len(positions) // 2
-        first, last = np.arange(half), np.arange(half, len(positions))
-    if len(first) != len(last):
-        return None
-    labels = tuple(message.points[int(i)].name for i in first)
+    told = [_END.match(point.group) or _END.match(name) for point, name in zip(message.points, names, strict=True)]
+    kinds = [match.group(1).lower() if match else "" for match in told]
+    first = [number for number, kind in enumerate(kinds) if kind == "entry"]
+    last = [number for number, kind in enumerate(kinds) if kind in ("exit", "target")]
+    if len(first) + len(last) != len(names) or len(first) != len(last):
+        if len(names) % 2:
+            return None
+        first, last = list(range(len(names) // 2)), list(range(len(names) // 2, len(names)))
+    labels = tuple(_END.sub("", names[number]).strip() for number in first)
     return _drawn(entry, message, positions[first], positions[last], labels, lines=False)
+
+
+_END = re.compile(r"\s*(entry|exit|target)\b", re.IGNORECASE)
 
 
 def _of_cloud(entry: Entry) -> Drawn | None:
