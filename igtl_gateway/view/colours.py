@@ -70,6 +70,12 @@ def one(colour: tuple[float, ...]) -> int:
     return red << 24 | green << 16 | blue << 8 | alpha if alpha else GREY
 
 
+def of(rgba: tuple[int, int, int, int], unset: int) -> int:
+    """Four bytes as OpenIGTLink has them; all zero is unset, and nothing is wholly transparent."""
+    red, green, blue, alpha = rgba
+    return red << 24 | green << 16 | blue << 8 | (alpha or 255) if any(rgba) else unset
+
+
 def _table() -> Array:
     unit = np.linspace(0.0, 1.0, 256)
     columns = [sum(factor * unit**power for power, factor in enumerate(row)) for row in _TURBO]

@@ -14,11 +14,13 @@ from typing import Any
 import rerun as rr
 
 from igtl_gateway.errors import ConversionError
+from igtl_gateway.review import Review
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.view.canvas import Canvas, Options
 from igtl_gateway.view.colours import ERROR, INFO, WARN
+from igtl_gateway.view.judged import draw_review
 from igtl_gateway.view.pen import Pen
 from igtl_gateway.view.seen import DROPS, FRAMES, LATENCIES, LINKS, LOG, RATES, REVIEW, Seen, Shown, What, path_of
 from igtl_gateway.view.table import PICTURES, Picture
@@ -126,6 +128,11 @@ class SessionView:
         """Tell what is left: the last second's rates, what waits in columns."""
         self._rates(self._second + 1)
         self._pen.flush()
+
+    def review(self, review: Review) -> None:
+        """Draw the review of a suture plan."""
+        self.seen.reviewed = True
+        draw_review(review, self._pen)
 
     # Messages
 

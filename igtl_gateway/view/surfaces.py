@@ -120,7 +120,7 @@ def draw_trajectories(message: TrajectoryList, canvas: Canvas) -> None:
     canvas.box(strips.reshape(-1, 3))
     lines = rr.LineStrips3D(
         strips,
-        colors=[_rgba(each.rgba, canvas.colour) for each in listed],
+        colors=np.array([colours.of(each.rgba, canvas.colour) for each in listed], np.uint32),
         radii=[each.diameter / 2 or LINE_M for each in listed],
         labels=[each.name for each in listed],
     )
@@ -269,8 +269,3 @@ _SHAPES: dict[int, Callable[[Marker, Canvas], Any]] = {
     _TEXT: _text,
     Marker.TRIANGLE_LIST: _triangles,
 }
-
-
-def _rgba(rgba: tuple[int, int, int, int], unset: int) -> int:
-    red, green, blue, alpha = rgba
-    return red << 24 | green << 16 | blue << 8 | (alpha or 255) if any(rgba) else unset

@@ -1,0 +1,230 @@
+"""``igtl-gateway view``: a session in rerun: in its window, as a file, as a page, as a picture."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from igtl_gateway.cli.common import count, print_json, recorded_config, size, stop_event
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.config import Config
+from igtl_gateway.errors import ConfigError, GatewayError, ViewerError
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.source import through_gateway
+from igtl_gateway.review import Material, review_of
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.stamp import NS_PER_S
+
+if TYPE_CHECKING:
+    from igtl_gateway.view.session import SessionView
+
+EXAMPLES = """\
+  igtl-gateway view out.mcap                            in rerun's window
+  igtl-gateway view out.mcap --save out.rrd             as a recording of rerun, for later
+  igtl-gateway view out.mcap --web                      as a page for a browser on this machine
+  igtl-gateway view out.mcap --screenshot out.png --at 4.5   a picture, 4.5 s after the start; needs no screen
+  igtl-gateway view out.mcap --blueprint navigation     another arrangement: star, ultrasound, navigation, generic
+  igtl-gateway view out.mcap --colour-by intensity      clouds coloured by one of their fields
+
+Every message of ROS is in it, and what OpenIGTLink peers said as the ROS messages that it became.  Needs the extra
+'view': pip install 'igtl-gateway[view]'"""
+
+_PROGRESS_EVERY = 1000
+_WAIT_S = 0.2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or a rosbag2 MCAP file")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--save", metavar="OUT.rrd", type=Path, help="write a recording of rerun")
+    where.add_argument("--web", action="store_true", help="serve a page on 127.0.0.1, until Ctrl-C")
+    where.add_argument("--screenshot", metavar="OUT.png", type=Path, help="write a picture; needs no screen")
+    parser.add_argument("--port", type=int, metavar="P", help="of the page (default: a free one)")
+    parser.add_argument("--at", type=float, metavar="T", help="seconds from the start, of the picture (default: end)")
+    parser.add_argument("--blueprint", metavar="NAME", default="", help="arrangement of the views (default: chosen)")
+    parser.add_argument("--colour-by", metavar="FIELD", default="", help="field that clouds are coloured by")
+    parser.add_argument("--no-review", action="store_true", help="do not judge the suture plan of the session")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    parser.add_argument("--json", action="store_true", help="print what was drawn as one JSON object")
+
+
+def run(options: argparse.Namespace) -> int:
+    _check(options)
+    if find_spec("rerun") is None:
+        raise ViewerError("found no rerun, expected the extra 'view': pip install 'igtl-gateway[view]'")
+    from igtl_gateway.view.viewer import check_screen
+
+    if not (options.save or options.web or options.screenshot):
+        check_screen(os.environ)  # before the work, not after it
+    clock = SystemClock()
+    started_ns = clock.monotonic_ns()
+    with stop_event() as stop, tempfile.TemporaryDirectory(prefix="igtl-view-") as folder:
+        out = options.save or Path(folder) / f"{options.file.stem}.rrd"
+        partial = out.with_name(out.name + ".part")
+        try:
+            drawn, told = _draw(options, partial, stop.is_set)
+            os.replace(partial, out)
+        except OSError as error:
+            raise GatewayError(f"cannot write to {out}: {error.strerror or error}") from None
+        finally:
+            partial.unlink(missing_ok=True)
+        told["seconds"] = round((clock.monotonic_ns() - started_ns) / NS_PER_S, 3)
+        told["bytes"] = out.stat().st_size
+        if options.json:
+            print_json(told)
+        else:
+            _print(options, drawn, told)
+        if options.screenshot:
+            return _picture(options, out, drawn)
+        if not options.save:
+            _show(options, out, stop.wait)
+    return 0
+
+
+def _check(options: argparse.Namespace) -> None:
+    if options.at is not None and not options.screenshot:
+        raise ConfigError("--at: is the time of a picture, expected --screenshot OUT.png beside it")
+    if options.port is not None and not options.web:
+        raise ConfigError("--port: is that of the page, expected --web beside it")
+    if options.port is not None and not 0 <= options.port < 1 << 16:
+        raise ConfigError(f"--port: found {options.port}, expected 0 to 65535")
+    for path in filter(None, (options.save, options.screenshot)):
+        if path.exists() and not options.overwrite:
+            raise ConfigError(f"{path}: exists already, expected a new file or --overwrite")
+
+
+def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[SessionView, dict[str, Any]]:
+    """The session as a recording of rerun in ``out``."""
+    from igtl_gateway.view import stream
+    from igtl_gateway.view.blueprints import NAMES
+    from igtl_gateway.view.canvas import Options
+    from igtl_gateway.view.session import SessionView
+
+    if options.blueprint and options.blueprint not in NAMES:
+        raise ConfigError(f"--blueprint: found {options.blueprint!r}, expected {', '.join(NAMES)}")
+    with SessionFile.open(options.file) as file:
+        config = recorded_config(file.session)
+        recording = stream.to_file(out, f"{options.file.stem}-{file.start_ns}")
+        view = SessionView(recording, config.base_frame, Options(colour_by=options.colour_by))
+        material = None if options.no_review else Material()
+        progress = _Progress(file.entry_count)
+        for entry in _entries(file, config):
+            if stopped():
+                raise KeyboardInterrupt
+            view.take(entry)
+            if material:
+                material.take(entry)
+            progress.step()
+        progress.end()
+        if material:
+            _review(material, view)
+        view.finish()
+    name = stream.arrange(recording, options.blueprint, view.seen)
+    stream.close(recording)
+    told = view.told
+    return view, {
+        "file": str(options.file),
+        "out": str(options.save or options.screenshot or ""),
+        "blueprint": name,
+        "reviewed": view.seen.reviewed,
+        "seconds_of_session": view.seen.seconds,
+        "messages": sum(told.messages.values()),
+        "topics": [
+            {"topic": shown.topic, "type": shown.ros_type, "picture": shown.what.value, "messages": shown.count}
+            for shown in view.seen.shown.values()
+        ],
+        "without_picture": dict(sorted(told.without_picture.items())),
+        "refused": dict(sorted(told.refused.items())),
+    }
+
+
+def _entries(file: SessionFile, config: Config) -> Iterator[Entry]:
+    """The entries to draw.
+
+    Where OpenIGTLink messages became no ROS messages (a relay's recording, an imported one) today's gateway says what
+    they become.
+    """
+    kinds = {channel.kind for channel in file.channels if channel.count}
+    if Kind.IGTL_IN not in kinds or Kind.ROS_OUT in kinds:
+        yield from file.entries()
+        return
+    converted = through_gateway(file.entries(), replace(config, relay=False), has_links=Kind.LINK in kinds)
+    for number, entry in enumerate(converted, 1):
+        yield replace(entry, seq=number)
+
+
+def _review(material: Material, view: SessionView) -> None:
+    """Judge the plan, where the session has one and what it takes."""
+    try:
+        review = review_of(material)
+    except GatewayError:
+        return
+    view.review(review)
+
+
+class _Progress:
+    """One live line, on a terminal only."""
+
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self._done = 0
+        self._shown = sys.stderr.isatty()
+
+    def step(self) -> None:
+        self._done += 1
+        if self._shown and self._done % _PROGRESS_EVERY == 0:
+            print(f"\r\x1b[Kdrawing {min(self._done / max(self._total, 1), 1.0):4.0%}", end="", file=sys.stderr)
+
+    def end(self) -> None:
+        if self._shown:
+            print("\r\x1b[K", end="", file=sys.stderr)
+
+
+def _print(options: argparse.Namespace, view: SessionView, told: dict[str, Any]) -> None:
+    width = max((len(shown.topic) for shown in view.seen.shown.values()), default=0)
+    for shown in view.seen.shown.values():
+        note = "no picture" if shown.ros_type in view.told.without_picture else shown.what.value
+        print(f"  {shown.topic:<{width}} {shown.count:>8,}  {note:<10} {shown.ros_type}")
+    for topic, number in told["refused"].items():
+        print(f"? {topic}: {count(number, 'message')} could not be shown, the log says why")
+    print(
+        f"{options.file}: {count(told['messages'], 'message')} drawn in {told['seconds']:.1f} s, "
+        f"blueprint {told['blueprint']}" + (", suture plan reviewed" if told["reviewed"] else "")
+    )
+    if options.save:
+        print(f"{options.save}: {size(told['bytes'])}; `rerun {options.save}` shows it")
+
+
+def _picture(options: argparse.Namespace, recording: Path, view: SessionView) -> int:
+    """The picture; exit code 1 where a view complains."""
+    from igtl_gateway.view.shots import take
+
+    at = None if options.at is None else view.seen.first_ns + round(options.at * NS_PER_S)
+    (shot,) = take(recording, [at])
+    try:
+        options.screenshot.write_bytes(shot.png)
+    except OSError as error:
+        raise GatewayError(f"cannot write to {options.screenshot}: {error.strerror or error}") from None
+    for complaint in shot.complaints:
+        print(f"? {complaint}", file=sys.stderr)
+    if not options.json:
+        print(f"{options.screenshot}: {size(len(shot.png))}")
+    return 1 if shot.complaints else 0
+
+
+def _show(options: argparse.Namespace, recording: Path, wait: Any) -> None:
+    """The window or the page, until it is closed or Ctrl-C comes."""
+    from igtl_gateway.view.viewer import Viewer
+
+    with Viewer.page(recording, options.port or 0) if options.web else Viewer.window(recording) as viewer:
+        if options.web:
+            print(f"{viewer.url}\nCtrl-C stops.", flush=True)
+        while viewer.running and not wait(_WAIT_S):
+            pass

@@ -1,0 +1,85 @@
+"""The review of a suture plan as pictures: the cloud by its depth noise, the stitches by their level, a table."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from igtl_gateway.review import Level, PlanReview, Review, StitchReview
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.view import colours
+from igtl_gateway.view.pen import Pen
+from igtl_gateway.view.seen import REVIEW_CLOUD, REVIEW_STITCHES, REVIEW_TABLE
+
+_COLOURS = {Level.OK: 0x66BB6AFF, Level.LOOK: 0xFFB300FF, Level.WRONG: 0xFF1744FF}
+_MARKS = {Level.OK: "ok", Level.LOOK: "look", Level.WRONG: "**wrong**"}
+_LINE_M = 0.0005
+#: Noise of the colour scale's red end, as multiple of the limit from which a place is to be looked at.
+_RED = 2.0
+
+
+def draw_review(review: Review, pen: Pen) -> None:
+    """Static cloud; stitches and table at the time of each version of the plan."""
+    cloud = review.cloud
+    red_mm = review.thresholds.noise_mm * _RED
+    points = rr.Points3D(
+        cloud.positions,
+        colors=colours.scale(cloud.noise_mm, 0.0, red_mm),
+        radii=[rr.Radius.ui_points(2.0)],
+    )
+    pen.static(REVIEW_CLOUD, rr.CoordinateFrame(cloud.frame_id), points)
+    for number, plan in enumerate(review.plans, 1):
+        pen.at(Entry(0, plan.stamp_ns, Kind.NOTE, source_ns=plan.source_ns))
+        pen.log(REVIEW_STITCHES, rr.CoordinateFrame(cloud.frame_id), _stitches(plan))
+        pen.log(REVIEW_TABLE, rr.TextDocument(_table(review, plan, number, red_mm), media_type="text/markdown"))
+
+
+def _stitches(plan: PlanReview) -> rr.LineStrips3D:
+    strips = np.array([(stitch.entry.position, stitch.exit.position) for stitch in plan.stitches], np.float32)
+    return rr.LineStrips3D(
+        strips.reshape(-1, 2, 3),
+        colors=np.array([_COLOURS[stitch.level] for stitch in plan.stitches], np.uint32),
+        radii=[_LINE_M],
+        labels=[_label(stitch) for stitch in plan.stitches],
+        show_labels=True,
+    )
+
+
+def _label(stitch: StitchReview) -> str:
+    """The number, and of what is not good how far it is off the tissue."""
+    if stitch.level is Level.OK:
+        return stitch.label
+    distances = [end.distance_mm for end in (stitch.entry, stitch.exit) if end.distance_mm is not None]
+    worst = max(distances, key=abs, default=None)
+    return f"{stitch.label}: {stitch.level.value}" + (f" {worst:+.1f} mm" if worst is not None else "")
+
+
+def _table(review: Review, plan: PlanReview, number: int, red_mm: float) -> str:
+    """The stitches for a surgeon: millimetres."""
+    lines = [
+        f"**Plan {number} of {len(review.plans)}**, {plan.topic}: {len(plan.wrong)} of {len(plan.stitches)} stitches "
+        "are wrong.",
+        "",
+        "| stitch | judged | entry off tissue | exit off tissue | depth noise | spacing | bite | why |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for stitch in plan.stitches:
+        ends = (stitch.entry, stitch.exit)
+        noise = max((end.noise_mm for end in ends if end.noise_mm is not None), default=None)
+        spacing = min((end.spacing_mm for end in ends if end.spacing_mm is not None), default=None)
+        cells = [
+            stitch.label,
+            _MARKS[stitch.level],
+            *(_mm(end.distance_mm, sign=True) for end in ends),
+            *(_mm(noise), _mm(spacing), _mm(stitch.bite_length_mm)),
+            "; ".join(stitch.reasons),
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", f"Colours of the cloud: depth noise, blue 0 … red {red_mm:g} mm. All lengths in mm."]
+    return "\n".join([*lines, *(f"\n{note}" for note in review.notes)])
+
+
+def _mm(value: float | None, *, sign: bool = False) -> str:
+    if value is None:
+        return "-"
+    return f"{value:+.2f}" if sign else f"{value:.2f}"

@@ -1,0 +1,131 @@
+"""The viewer as a process of its own: a window, or a page for a browser; on loopback, and gone when we are."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Self
+from urllib.parse import quote
+
+from igtl_gateway.errors import ViewerError
+from igtl_gateway.view.shots import binary
+
+HOST = "127.0.0.1"
+_LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
+_HOSTS = re.compile(r"Hosting a web-viewer at http://127\.0\.0\.1:(\d+)")
+_START_S = 30.0
+_WORDS = 4000
+
+
+class Viewer:
+    """A running viewer; a context manager.
+
+    Attributes:
+        url: where a recording stream can connect (and, of the page, where a browser can).
+    """
+
+    def __init__(self, arguments: Sequence[str], expected: Sequence[re.Pattern[str]]) -> None:
+        self.url = ""
+        self._expected = tuple(expected)
+        self._found: list[str] = [""] * len(self._expected)
+        self._text = ""
+        self._ready = threading.Event()
+        self._ended = threading.Event()
+        self._process = _start(arguments)
+        self._reader = threading.Thread(target=self._read, name="igtl-viewer", daemon=True)
+        self._reader.start()
+        if not self._ready.wait(_START_S) or not all(self._found):
+            self.close()
+            raise ViewerError(f"the viewer did not start: {self._last_words()}")
+
+    @classmethod
+    def window(cls, recording: Path | None = None) -> Self:
+        """A window, with a recording or waiting for a stream.  Raises ViewerError, also where there is no screen."""
+        check_screen(os.environ)
+        what = [str(recording)] if recording else ["--expect-data-soon"]
+        viewer = cls([*what, "--bind", HOST, "--port", "auto", "--hide-welcome-screen"], [_LISTENS])
+        viewer.url = f"rerun+http://{HOST}:{viewer._found[0]}/proxy"
+        return viewer
+
+    @classmethod
+    def page(cls, recording: Path, port: int = 0) -> Self:
+        """A page at ``port`` (0: a free one), for browsers on this machine.  Raises ViewerError."""
+        arguments = [str(recording), "--serve-web", "--bind", HOST, "--port", "auto", "--web-viewer-port", str(port)]
+        viewer = cls(arguments, [_LISTENS, _HOSTS])
+        stream = quote(f"rerun+http://{HOST}:{viewer._found[0]}/proxy", safe="")
+        viewer.url = f"http://{HOST}:{viewer._found[1]}/?url={stream}"
+        return viewer
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def running(self) -> bool:
+        """Whether the user has not closed it."""
+        return self._process.poll() is None
+
+    def wait(self, seconds: float) -> bool:
+        """Wait so long for its end; whether it has ended."""
+        return self._ended.wait(seconds)
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        self._process.terminate()
+        try:
+            self._process.wait(5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._reader.join()
+
+    def _read(self) -> None:
+        assert self._process.stderr is not None
+        with self._process.stderr as lines:
+            for line in lines:
+                self._text = (self._text + line)[-_WORDS:]
+                for place, pattern in enumerate(self._expected):
+                    if said := pattern.search(line):
+                        self._found[place] = said[1]
+                if all(self._found):
+                    self._ready.set()
+        self._ended.set()
+        self._ready.set()
+
+    def _last_words(self) -> str:
+        lines = [line.strip() for line in self._text.splitlines() if line.strip()]
+        return " | ".join(lines[-3:]) or "it said nothing"
+
+
+def check_screen(environment: Mapping[str, str]) -> None:
+    """Raises ViewerError where a window could not be shown."""
+    if sys.platform == "linux" and not any(environment.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        raise ViewerError(
+            "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set), expected one for the viewer's window; "
+            "without: --save out.rrd, --web, or --screenshot out.png"
+        )
+
+
+def _start(arguments: Sequence[str]) -> subprocess.Popen[str]:
+    command = [str(binary()), *arguments]
+    if guard := shutil.which("setpriv"):  # the kernel ends the viewer should this process be killed
+        command = [guard, "--pdeathsig", "TERM", "--", *command]
+    log = "error,re_grpc_server=info,re_sdk::web_viewer=info"
+    return subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        env={**os.environ, "RERUN_ANALYTICS": "0", "NO_COLOR": "1", "RUST_LOG": log},
+        start_new_session=True,  # Ctrl-C at the terminal is for us; we end the viewer
+    )
