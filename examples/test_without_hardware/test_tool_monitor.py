@@ -19,8 +19,8 @@ def test_the_path_of_a_whole_session(igtl_replay):
         robot.play()  # twelve seconds of robot, as fast as the module reads
         robot.wait_done()
     program.join()  # the server has closed
-    assert monitor.path_mm == pytest.approx(262.868, abs=0.01)
-    assert monitor.lowest_mm == pytest.approx(179.073, abs=0.01)
+    assert monitor.path_mm == pytest.approx(285.789, abs=0.01)
+    assert monitor.lowest_mm == pytest.approx(179.060, abs=0.01)
     assert robot.received == [], "nothing to warn of"
 
 

@@ -24,9 +24,9 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="session")
 def frames(scene: Scene) -> list[CloudFrame]:
-    path = scene.tool(0.1 + np.arange(SECONDS), scene.measured_plan, BEGIN_S)
+    path = scene.tool(np.arange(SECONDS) + np.float64(0.1), scene.measured_plan, BEGIN_S)
     poses = zip(map(tuple, path.position), map(tuple, path.rotation), strict=True)
-    return [scene.cloud(number, *held(*pose)) for number, pose in enumerate(poses)]  # type: ignore[arg-type]
+    return [scene.cloud(number, *held(*pose)) for number, pose in enumerate(poses)]
 
 
 @pytest.fixture(scope="session")

@@ -63,7 +63,7 @@ def test_the_glint_is_in_the_first_shot_alone_and_the_wet_spot_in_all(scene: Sce
 def dry(scene: Scene, frame: CloudFrame) -> Mask:
     """All but the two spots, which read wrong on purpose."""
     spots = (scene.plan.exit[WET_STITCH], scene.plan.entry[GLINT_STITCH])
-    return np.all([length(frame.truth - spot) > SPOT_RADIUS_M for spot in spots], axis=0)
+    return np.asarray(np.all([length(frame.truth - spot) > SPOT_RADIUS_M for spot in spots], axis=0))
 
 
 @pytest.fixture(scope="module")

@@ -86,7 +86,7 @@ def test_streams_are_chosen_whatever_the_rate(program: Any) -> None:
     with ReplayPeer(STAR, streams=("TRANSFORM/CameraToBase", "StarStatus"), rate=100.0) as peer:
         client = program(peer)
         peer.play()
-        found = client.messages(25)
+        found = client.messages(26)
         peer.wait_done()
     assert found == sent_that_day(STAR, "TRANSFORM/CameraToBase", "STRING/StarStatus")
 
