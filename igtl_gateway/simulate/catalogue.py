@@ -8,6 +8,7 @@ from igtl_gateway.simulate import (
     brain,
     dummies,
     every_type,
+    lego,
     paper_types,
     star,
     star_topics,
@@ -28,6 +29,11 @@ SCENARIOS = {
         "every row of the conversion table, every query, commands, tf chains, metadata and kinds of peers, synthetic",
         every_type.CONFIG,
         lambda _duration_s: every_type.inputs(),
+    ),
+    "lego": Scenario(
+        "a toy arm touches crosses, is registered to an MR head, and draws a line planned on it (the paper's 4.1)",
+        lego.CONFIG,
+        actors=lego.actors,
     ),
     "acquisition": Scenario(
         "a planner has a robot initialised, moved to a point and acquire an image (the paper's Figure 9), synthetic",
