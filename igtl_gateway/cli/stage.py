@@ -39,6 +39,7 @@ LOAD_OPTIONS = {"type": "type", "size": "size", "rate": "rate_hz", "count": "cou
 _SIDES = {Side.ROS: "ROS 2 node", Side.IGTL: "OpenIGTLink program"}
 #: So long after the stage's own limit a bridge ends that nobody has ended, be it that the stage was killed.
 _BRIDGE_S = 60.0
+_PATIENCE_S = 3600.0
 
 
 def play(options: argparse.Namespace, scenario: Scenario) -> int:
@@ -85,7 +86,10 @@ def _check(options: argparse.Namespace, side: Side | None, own_bridge: bool, act
 
 
 def _limit_s(options: argparse.Namespace, scenario: Scenario) -> float:
-    return float(options.timeout or scenario.limit_s + (options.duration or 0.0))
+    if options.timeout:
+        return float(options.timeout)
+    # of one side alone: a person has yet to start the other one
+    return (_PATIENCE_S if options.side else 0.0) + scenario.limit_s + (options.duration or 0.0)
 
 
 def _bridge(options: argparse.Namespace, scenario: Scenario, folder: Path, record: Path) -> list[str]:
@@ -142,12 +146,15 @@ class _Output:
         self._scenario = scenario
         self._sides = {actor.name: actor.side for actor in actors}
         self._json = as_json
+        self._alone = False
+        self._begun = False
         self._terminal = sys.stdout.isatty() and not as_json
         self._state = {actor.name: "starts" for actor in actors}
 
     def started(self, plan: Plan, options: argparse.Namespace) -> None:
         if self._json:
             return
+        self._alone = bool(options.side)
         print(f"{self._name}: {self._scenario.title}")
         if plan.bridge is None and options.side == "ros":
             print("             waits for a bridge of yours in this ROS 2 domain, and an OpenIGTLink peer of its")
@@ -173,12 +180,15 @@ class _Output:
                 self._line(name, f"{_SIDES[self._sides[name]]}, ready")
             case "waiting":
                 self._state[name] = f"waits for {event['for']}"
+                if self._alone and not self._terminal:
+                    self._line(name, self._state[name])
             case "done":
                 self._state[name] = "done"
             case "warning":
                 self._line(name, f"? {event['text']}")
             case "begun":
                 self._state = dict.fromkeys(self._state, "plays")
+                self._begun = True
                 self._line("", "begun; Ctrl-C ends")
         self._status()
 
@@ -187,7 +197,7 @@ class _Output:
             print_json(_facts(self._name, outcome, verification, good))
             return
         self._clear()
-        for name, part in outcome.parts.items():
+        for name, part in outcome.parts.items() if self._begun else ():
             sent, received = sum(part.sent.values()), sum(part.received.values())
             what = f"  {_SIDES[part.side]}: {sent:,} sent, {received:,} received"
             print("\n".join(report_lines(name, what, part.done, part.report)))
