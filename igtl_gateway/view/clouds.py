@@ -150,4 +150,4 @@ def _radius(message: PointCloud2, places: Array) -> float:
         steps = np.linalg.norm(np.diff(places.astype(np.float64), axis=0), axis=1)
         if len(steps):
             return float(np.median(steps)) * 0.6
-    return float(rr.Radius.ui_points(1.5).value)
+    return float(rr.Radius.ui_points(1.5))
