@@ -34,7 +34,7 @@ from igtl_gateway.wire.query import QUERIES
 from igtl_gateway.wire.registry import BODIES
 
 FIXTURES = Path(__file__).parent.parent / "fixtures"
-NAMES = ("star", "paper-types", "every-type")
+NAMES = ("star", "paper-types", "every-type", "acquisition")
 
 
 def entries(name: str) -> list[Entry]:
@@ -90,7 +90,7 @@ def test_they_are_labelled_synthetic(name: str) -> None:
         assert "no robot" in file.session["synthetic"]
 
 
-@pytest.mark.parametrize("name", ["paper-types", "every-type"])
+@pytest.mark.parametrize("name", ["paper-types", "every-type", "acquisition"])
 def test_they_are_what_the_scenario_makes(name: str) -> None:
     made = list(SCENARIOS[name].entries())
     assert [(e.seq, e.kind, e.channel, e.links, e.data()) for e in entries(name)] == [
