@@ -17,6 +17,7 @@ from typing import Any
 import rerun.blueprint as rrb
 
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.session.entry import Kind
 from igtl_gateway.view.seen import (
     LATENCIES,
     LOG,
@@ -34,7 +35,11 @@ DARK = (18, 20, 24)  #: behind 3-D: lets dark tissue and black tools be told fro
 
 #: What the subject of a 3-D view can be, the likeliest first: the eye is set to it.
 _SUBJECTS = (What.CLOUD, What.VOLUME, What.MESH, What.PLANE, What.LINES, What.POINTS, What.MARKERS, What.POSE)
-_HALF_VIEW = math.radians(25)  #: half of the angle that a 3-D view of rerun takes in
+_TOOLS = (What.POSE, What.POSES)
+_HALF_HEIGHT, _HALF_WIDTH = math.radians(25), math.radians(33)  #: what a 3-D view of rerun takes in, half of it
+_ROOM = 1.15  #: around the subject
+_LEAST_M = 0.02  #: a single tool is not looked at from nearer than that gives
+_FROM_CAMERA, _FROM_ABOVE = (0.2, 0.5, -0.85), (0.55, -0.65, 0.52)  #: from the subject to the eye
 _IN_PICTURE = (What.LINES, What.POINTS, What.MARKERS, What.POSE)  #: of space, what is drawn over a camera's picture
 
 Xyz = tuple[float, float, float]
@@ -130,7 +135,7 @@ def _space(seen: Seen, name: str, tree: list[Shown], contents: list[str]) -> rrb
         background=DARK,
         line_grid=False,
         spatial_information=rrb.SpatialInformation(target_frame=frame),
-        eye_controls=_eye(subject, frame in _cameras(seen)),
+        eye_controls=_eye(tree, subject, frame in _cameras(seen)),
     )
 
 
@@ -180,7 +185,6 @@ def _log() -> rrb.TextLogView:
     return rrb.TextLogView(
         name="Log",
         origin=f"/{LOG}",
-        contents="/session/**",
         # a column of times is cut after the date, whatever there is of room
         columns=rrb.TextLogColumns(
             timeline_columns=[rrb.encodings.TimelineColumn(TIME_LINE, visible=False)],
@@ -196,11 +200,12 @@ def _words_and_numbers(seen: Seen) -> Part:
 def _plots(seen: Seen) -> Part:
     """Sensors first, then how the gateway did."""
     plots = [_plot(shown.topic, f"/{shown.path}") for shown in seen.of(What.PLOT)]
-    return _tabs([*plots, _plot("Latency (ms)", f"/{LATENCIES}"), _plot("Rate (Hz)", f"/{RATES}")])
+    inputs = [f"+ $origin/{kind.value}/**" for kind in (Kind.ROS_IN, Kind.IGTL_IN)]  # the outputs follow them
+    return _tabs([*plots, _plot("Rate (Hz)", f"/{RATES}", inputs), _plot("Latency (ms)", f"/{LATENCIES}")])
 
 
-def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(name=name, origin=origin, plot_legend=rrb.Corner2D.RightTop)
+def _plot(name: str, origin: str, contents: list[str] | str = "$origin/**") -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(name=name, origin=origin, contents=contents, plot_legend=rrb.Corner2D.LeftTop)
 
 
 # What stands in them
@@ -227,22 +232,35 @@ def _subject(tree: list[Shown]) -> Shown:
     return min(tree, key=lambda shown: (_SUBJECTS.index(shown.what) if shown.what in _SUBJECTS else 99, -shown.count))
 
 
-def _eye(subject: Shown, camera: bool) -> rrb.EyeControls3D | None:
+def _eye(tree: list[Shown], subject: Shown, camera: bool) -> rrb.EyeControls3D | None:
     """Such that the subject fills the view; None leaves it to the viewer.
 
     In a camera's frame (REP 103: x right, y down, z forward) seen from beside the camera, else from the front right
     above, with z up.
     """
-    if subject.low is None or subject.high is None:
+    box = _box(tree, subject)
+    if box is None:
         return None
-    centre = tuple((low + high) / 2 for low, high in zip(subject.low, subject.high, strict=True))
-    spread = math.dist(subject.low, subject.high) / 2
-    distance = max(spread, 1e-3) / math.tan(_HALF_VIEW)
+    centre = tuple((low + high) / 2 for low, high in zip(*box, strict=True))
+    deep, high, wide = sorted(high - low for low, high in zip(*box, strict=True))
+    # The view is wider than high, and the nearer half of the subject looks larger.
+    distance = max(high / math.tan(_HALF_HEIGHT), wide / math.tan(_HALF_WIDTH), _LEAST_M) / 2 + deep / 2
     optical = camera or "optical" in subject.frame
-    way, up = ((0.25, 0.55, -0.8), (0.0, -1.0, 0.0)) if optical else ((0.55, -0.65, 0.52), (0.0, 0.0, 1.0))
-    length = math.hypot(*way)
-    place = tuple(at + distance * step / length for at, step in zip(centre, way, strict=True))
+    way, up = (_FROM_CAMERA, (0.0, -1.0, 0.0)) if optical else (_FROM_ABOVE, (0.0, 0.0, 1.0))
+    place = tuple(at + _ROOM * distance * step / math.hypot(*way) for at, step in zip(centre, way, strict=True))
     return rrb.EyeControls3D(position=place, look_target=centre, eye_up=up)
+
+
+def _box(tree: list[Shown], subject: Shown) -> tuple[Xyz, Xyz] | None:
+    """Around the subject and all that is in its frame; tools only count where there is nothing else."""
+    told = [shown for shown in tree if shown.frame == subject.frame]
+    still = [shown for shown in told if shown.what not in _TOOLS] or told
+    boxes = [(shown.low, shown.high) for shown in still if shown.low is not None and shown.high is not None]
+    if not boxes:
+        return None
+    lows, highs = zip(*boxes, strict=True)
+    (x, y, z), (u, v, w) = map(min, *lows, lows[0]), map(max, *highs, highs[0])
+    return (x, y, z), (u, v, w)
 
 
 # How they stand to each other; where nothing is (None), nothing takes its place

@@ -33,8 +33,10 @@ TRIES = 20  #: pictures until two in a row are equal
 
 #: What the viewer says when there is nothing to draw with: no Vulkan driver, or one that cannot.
 _NO_DRIVER = re.compile(r"No graphics adapter|Failed to get render context|Failed to create render context")
+#: A viewer without a screen has one font, and ends at a letter that is not in it (egui_kittest's policy).
+_NO_LETTER = re.compile(r"No glyph for (\S+ \(U\+[0-9A-F]+\))")
 _LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
-_SAID = 4000  #: characters of the viewer's last words that are kept
+_SAID = 20_000  #: characters of the viewer's last words that are kept
 
 #: Everything but the views and the time is taken away from a picture.
 _PANELS = {"top_panel": "Hidden", "blueprint_panel": "Hidden", "selection_panel": "Hidden"}
@@ -194,6 +196,11 @@ class HeadlessViewer:
             return ViewerError(
                 "found no Vulkan driver that the viewer can draw with; expected that of a graphics card, or one by "
                 "software: sudo apt-get install -y --no-install-recommends mesa-vulkan-drivers"
+            )
+        if letter := _NO_LETTER.search(self._words.text):
+            return ViewerError(
+                f"found the letter {letter[1]} in a text, which a viewer without a screen has no font for "
+                "and ends at; a viewer with a window draws a box"
             )
         return ViewerError(f"the viewer ended by itself; its last words: {self._words.last()}")
 
