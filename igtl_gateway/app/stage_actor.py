@@ -27,7 +27,7 @@ from igtl_gateway.errors import WireError
 from igtl_gateway.gateway import LINKS_TOPIC, Gateway
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.simulate.actor import Actor, Heard, RosHeard, RosSaid, Said, Side
+from igtl_gateway.simulate.actor import Actor, Heard, Prepares, RosHeard, RosSaid, Said, Side
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import Message, decode, encode
 
@@ -109,6 +109,8 @@ class ActorProgram:
 
     def run(self) -> None:
         """Connect, play until the end, report.  Raises ConfigError or RosError if it cannot connect."""
+        if isinstance(self._actor, Prepares):
+            self._actor.prepare()
         if told := self._voice.open():
             self._tell({"event": "listening", **told})
         try:

@@ -57,9 +57,8 @@ def play(options: argparse.Namespace, scenario: Scenario) -> int:
     out = _Output(options.name, scenario, actors, options.json)
     with tempfile.TemporaryDirectory(prefix="igtl-gateway-simulate-") as folder, stop_event() as stop:
         record = options.record or Path(folder) / f"{options.name}.mcap"
-        plan = _plan(
-            options, scenario, actors, _bridge(options, scenario, Path(folder), record) if own_bridge else None
-        )
+        bridge = _bridge(options, scenario, actors, Path(folder), record) if own_bridge else None
+        plan = _plan(options, scenario, actors, bridge)
         out.started(plan, options)
         outcome = Stage(plan, SystemClock(), stop, out.event).run()
         verification = _verified(record) if outcome.recording else None
@@ -92,13 +91,17 @@ def _limit_s(options: argparse.Namespace, scenario: Scenario) -> float:
     return (_PATIENCE_S if options.side else 0.0) + scenario.limit_s + (options.duration or 0.0)
 
 
-def _bridge(options: argparse.Namespace, scenario: Scenario, folder: Path, record: Path) -> list[str]:
+def _bridge(
+    options: argparse.Namespace, scenario: Scenario, actors: Sequence[Actor], folder: Path, record: Path
+) -> list[str]:
     """Arguments of a bridge with the scenario's configuration."""
     config = folder / "config.toml"
     config.write_text(scenario.config.to_toml(), "utf-8")
     overwrite = ["--overwrite"] if options.overwrite else []
     seconds = str(_limit_s(options, scenario) + _BRIDGE_S)
-    return ["--config", str(config), "--record", str(record), *overwrite, "--duration", seconds]
+    beside = sorted({topic for actor in actors for topic, says in actor.says.items() if says.recorded})
+    topics = ["--record-topics", *beside] if beside else []
+    return ["--config", str(config), "--record", str(record), *overwrite, "--duration", seconds, *topics]
 
 
 def _plan(options: argparse.Namespace, scenario: Scenario, actors: Sequence[Actor], bridge: list[str] | None) -> Plan:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.wire import Message
@@ -74,6 +74,14 @@ class Report:
     good: bool
     lines: tuple[str, ...] = ()
     facts: dict[str, Any] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Prepares(Protocol):
+    """An actor that has something to compute first; live, before anybody is told to begin."""
+
+    def prepare(self) -> None:
+        """Compute it, once; without it, it is computed when it is needed."""
 
 
 class Actor(Protocol):

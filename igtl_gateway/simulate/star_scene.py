@@ -78,6 +78,11 @@ class Scene:
         """The undisturbed scene in the pixels of the colour camera."""
         return _undisturbed(IMAGE_CAMERA)
 
+    def look(self) -> None:
+        """Have both views ready: seconds of work, once."""
+        for camera in (CLOUD_CAMERA, IMAGE_CAMERA):
+            _undisturbed(camera)
+
     def cloud(self, number: int, tip: Array, shaft: Array) -> CloudFrame:
         """Shot ``number`` of the depth camera, with the tool where it is (tip, direction up the shaft)."""
         view = self.cloud_view

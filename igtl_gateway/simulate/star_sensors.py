@@ -79,6 +79,10 @@ class Sensors:
             )
         )
 
+    def prepare(self) -> None:
+        """What the undisturbed scene looks like: seconds of work."""
+        self._scene.look()
+
     def begin(self, now_ns: int) -> None:
         self._start_ns = now_ns
         for stream in self._streams:
