@@ -7,11 +7,12 @@ import sys
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway import __version__
-from igtl_gateway.app.bridge import Address, Bridge, BridgeOptions
+from igtl_gateway.app.bridge import Address, Bridge, BridgeOptions, OnEntry
 from igtl_gateway.cli import recording
 from igtl_gateway.cli.common import (
     DEFAULT_HOST,
@@ -33,10 +34,13 @@ from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role, RosRow
 from igtl_gateway.edges.ros_env import keep_large_blocks, prepare_environment
 from igtl_gateway.edges.tcp import Limits
 from igtl_gateway.edges.video import CODECS, VideoOptions
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, ViewerError
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
+
+if TYPE_CHECKING:
+    from igtl_gateway.view.live import Window
 
 EXAMPLES = """\
   igtl-gateway bridge                                    server on 127.0.0.1:18944, ROS 2 node /igtl_gateway
@@ -46,6 +50,7 @@ EXAMPLES = """\
   igtl-gateway bridge --send /camera/image_raw=Camera    a ROS topic goes out as device Camera
   igtl-gateway bridge --tf-out tool0:base_link           the tool of a robot goes out as tool0Tobase_link
   igtl-gateway bridge --video-codec h264                 images go out as encoded VIDEO
+  igtl-gateway bridge --view                             … and is seen in rerun's window, live
   igtl-gateway bridge --no-ros --record slicer.mcap      flight recorder without ROS
   igtl-gateway bridge --record long.mcap --split-size 1024   a new file after each GiB, in the folder long
   igtl-gateway bridge --record last.mcap --snapshot 30   the last 30 s, whenever key s is pressed
@@ -81,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="man in the middle: each client of --listen talks to the server of --connect, bytes unchanged; no ROS",
     )
+    parser.add_argument("--view", action="store_true", help="show everything in rerun's window, live")
     parser.add_argument("--node-name", default="igtl_gateway", metavar="NAME", help="of the ROS node (%(default)s)")
     parser.add_argument("--queue-mib", type=int, default=64, metavar="MIB", help="send queue of a peer (%(default)s)")
     parser.add_argument("--max-clients", type=int, default=32, metavar="N", help="peers at once (%(default)s)")
@@ -115,6 +121,7 @@ def run(options: argparse.Namespace) -> int:
     clock = SystemClock()
     with stop_event() as stop:
         notes = [keep_large_blocks()] if options.no_ros else prepare_environment()
+        window = _window(config) if options.view else None
         bridge = Bridge(
             config,
             BridgeOptions(
@@ -136,9 +143,14 @@ def run(options: argparse.Namespace) -> int:
                 video=_video(options),
             ),
             clock,
-            watch,
+            _both(watch, window) if window else watch,
         )
-        bridge.start()
+        try:
+            bridge.start()
+        except Exception:
+            if window:
+                window.close()
+            raise
         out: _Output = _JsonOutput() if options.json else _TextOutput(sys.stdout.isatty())
         started_ns = clock.monotonic_ns()
         try:
@@ -152,8 +164,11 @@ def run(options: argparse.Namespace) -> int:
                         break
         finally:
             bridge.stop()
+            unseen = window.close() if window else ""
         out.events(watch.take())
         out.stopped(bridge, watch)
+        if unseen:
+            print(f"igtl-gateway bridge: --view: {unseen}", file=sys.stderr)
     return 1 if bridge.summary and bridge.summary.failure else 0
 
 
@@ -172,6 +187,24 @@ def _video(options: argparse.Namespace) -> VideoOptions | None:
     if options.no_ros:
         raise ConfigError("--video-codec encodes images of ROS: it cannot be used with --no-ros")
     return VideoOptions(options.video_codec, options.video_bit_rate * 1000, options.video_key_interval)
+
+
+def _window(config: Config) -> Window:
+    if find_spec("rerun") is None:
+        raise ViewerError("--view: found no rerun, expected the extra 'view': pip install 'igtl-gateway[view]'")
+    from igtl_gateway.view.live import Window
+
+    return Window(config)
+
+
+def _both(first: OnEntry, second: OnEntry) -> OnEntry:
+    """Two who watch, as one."""
+
+    def told(entry: Entry) -> None:
+        first(entry)
+        second(entry)
+
+    return told
 
 
 class _Watch:

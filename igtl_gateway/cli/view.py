@@ -226,5 +226,5 @@ def _show(options: argparse.Namespace, recording: Path, wait: Any) -> None:
     with Viewer.page(recording, options.port or 0) if options.web else Viewer.window(recording) as viewer:
         if options.web:
             print(f"{viewer.url}\nCtrl-C stops.", flush=True)
-        while viewer.running and not wait(_WAIT_S):
+        while not viewer.ended and not wait(_WAIT_S):
             pass

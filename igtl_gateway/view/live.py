@@ -8,17 +8,24 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from dataclasses import replace
 
 import rerun as rr
 
-from igtl_gateway.session.entry import Entry
+from igtl_gateway.config import Config
+from igtl_gateway.gateway import gateway_of
+from igtl_gateway.gateway.core import Gateway
+from igtl_gateway.gateway.relay import RelayGateway
+from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.view.canvas import Options
 from igtl_gateway.view.session import SessionView
-from igtl_gateway.view.stream import arrange
+from igtl_gateway.view.stream import arrange, to_viewer
+from igtl_gateway.view.viewer import Viewer
 
 MAX_ENTRIES, MAX_BYTES = 20_000, 256 << 20
 _FLUSH_S = 0.1
 _BLUEPRINT_S = 2.0
+_LAST_S = 5.0
 
 
 class LiveView:
@@ -28,6 +35,7 @@ class LiveView:
         recording: the stream to draw into; its sink is the caller's.
         base_frame: of the session.
         options: how to draw.
+        through: a gateway that says what OpenIGTLink messages become, where the session's own does not (a relay's).
         name: of the blueprint; "" = chosen by what is there, anew as more appears.
         max_entries, max_bytes: bounds of the queue.
 
@@ -41,6 +49,7 @@ class LiveView:
         recording: rr.RecordingStream,
         base_frame: str,
         options: Options | None = None,
+        through: Gateway | RelayGateway | None = None,
         name: str = "",
         *,
         max_entries: int = MAX_ENTRIES,
@@ -50,6 +59,7 @@ class LiveView:
         self.failure = ""
         self._recording = recording
         self._view = SessionView(recording, base_frame, options)
+        self._through = through
         self._name = name
         self._max_entries, self._max_bytes = max_entries, max_bytes
         self._queue: deque[Entry] = deque()
@@ -93,7 +103,7 @@ class LiveView:
                 if stopping:
                     self._view.finish()
                     self._arrange()
-                    self._recording.flush()
+                    self._recording.flush(timeout_sec=_LAST_S)  # a viewer that was closed takes nothing any more
             except Exception as error:  # a defect of ours must not cost the bridge more than its picture
                 with self._wake:
                     self.failure = f"{type(error).__name__}: {error}"
@@ -113,6 +123,10 @@ class LiveView:
                 entry = self._queue.popleft()
                 self._bytes -= entry.size
             self._view.take(entry)
+            if self._through and entry.kind.is_input:
+                for output in self._through.handle(entry):
+                    if output.kind is Kind.ROS_OUT:
+                        self._view.take(output)
         self._view.flush()
 
     def _arrange(self) -> None:
@@ -121,3 +135,35 @@ class LiveView:
         if len(seen.shown) > self._arranged:
             self._arranged = len(seen.shown)
             arrange(self._recording, self._name, seen)
+
+
+class Window:
+    """A viewer's window on a running session: a sink that opens it and ends with it.
+
+    Raises ViewerError where there is no screen or no viewer.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._viewer = Viewer.window()
+        try:
+            self._recording = to_viewer(self._viewer.url)
+        except Exception:
+            self._viewer.close()
+            raise
+        through = gateway_of(replace(config, relay=False)) if config.relay else None
+        self._view = LiveView(self._recording, config.base_frame, through=through)
+
+    def __call__(self, entry: Entry) -> None:
+        """Take an entry; does nothing once the user has closed the window."""
+        if not self._viewer.ended:
+            self._view(entry)
+
+    def close(self) -> str:
+        """End the drawing and close the window.  What went wrong, "" if nothing."""
+        closed = self._viewer.ended  # by the user: nothing is wrong, and nobody reads what is sent
+        self._view.close()
+        told = [self._view.failure] if self._view.failure and not closed else []
+        if self._view.dropped:
+            told.append(f"{self._view.dropped:,} entries were too many to be drawn")
+        self._viewer.close()
+        return "; ".join(told)

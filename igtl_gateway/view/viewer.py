@@ -69,13 +69,9 @@ class Viewer:
         self.close()
 
     @property
-    def running(self) -> bool:
-        """Whether the user has not closed it."""
-        return self._process.poll() is None
-
-    def wait(self, seconds: float) -> bool:
-        """Wait so long for its end; whether it has ended."""
-        return self._ended.wait(seconds)
+    def ended(self) -> bool:
+        """Whether it has gone; costs nothing to ask."""
+        return self._ended.is_set()
 
     def close(self) -> None:
         """End it; may be called twice."""
