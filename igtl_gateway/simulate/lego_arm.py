@@ -142,8 +142,7 @@ class Drives:
         self._joints = a, b, c
 
     def jog(self, angles: Angles) -> None:
-        """What an operator does who looks at the pen: turn the motors until the joints themselves are at ``angles``."""
-        self.go(angles)
+        """One look of an operator: turn the motors by as much as the joints are off; the play may swallow it."""
         a, b, c = (motor + wanted - now for motor, wanted, now in zip(self.encoders, angles, self._joints, strict=True))
         self.go((a, b, c))
 

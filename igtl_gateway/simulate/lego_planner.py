@@ -9,6 +9,7 @@ programs do that stream a transform: a ROS reader may come late.  Lengths are mi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -17,11 +18,21 @@ import numpy as np
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.simulate import lego_terms as terms
 from igtl_gateway.simulate.actor import Heard, Report, Says, Side
-from igtl_gateway.simulate.lego_sheet import CHECKS, HEIGHT_MM, LANDMARKS, LineError, line_error, on_sheet, strokes
+from igtl_gateway.simulate.lego_sheet import (
+    AT_LESION,
+    CHECKS,
+    HEIGHT_MM,
+    LANDMARKS,
+    LineError,
+    line_error,
+    on_sheet,
+    strokes,
+)
 from igtl_gateway.simulate.registration import (
     Registration,
     Rigid,
     distances,
+    expected_fle,
     expected_tre,
     register,
     register_in_order,
@@ -134,20 +145,24 @@ class Planner:
             found, checked = self._registration, self._checked
             residuals = dict(zip(LANDMARKS, np.round(found.residuals, 2).tolist(), strict=True))
             worst = max(residuals, key=lambda name: residuals[name])
-            expected = expected_tre(self._crosses[: len(LANDMARKS)], found.fre, self._crosses[-2])
+            lesion = self._crosses[list(LANDMARKS | CHECKS).index(AT_LESION)]
+            expected = expected_tre(self._crosses[: len(LANDMARKS)], found.fre, lesion)
+            # a check point is touched no better than a landmark
+            told = math.hypot(expected, expected_fle(len(LANDMARKS), found.fre))
             facts |= {
                 "fre_mm": round(found.fre, 3),
                 "residuals_mm": residuals,
                 "tre_mm": round(rms(checked), 3),
                 "checks_mm": dict(zip(CHECKS, np.round(checked, 2).tolist(), strict=True)),
                 "expected_tre_mm": round(expected, 3),
+                "expected_check_mm": round(told, 3),
                 "transform": [[round(value, 4) for value in row] for row in found.transform.rows],
             }
             lines += [
                 f"registration: {len(LANDMARKS)} landmarks, FRE {found.fre:.2f} mm, "
                 f"worst {worst} {residuals[worst]:.2f} mm",
-                f"TRE at {len(CHECKS)} check points {rms(checked):.2f} mm (rms), largest {checked.max():.2f} mm; "
-                f"{expected:.2f} mm expected at the lesion",
+                f"TRE at {len(CHECKS)} check points {rms(checked):.2f} mm (rms), largest {checked.max():.2f} mm",
+                f"expected at the lesion: TRE {expected:.2f} mm, and {told:.2f} mm with the error of touching it",
             ]
         if self._line:
             line = self._line
@@ -197,11 +212,14 @@ class Planner:
             places = np.array([stop.position for stop in found]).reshape(-1, 3)
             _, first = register_in_order(self._crosses, places)
             touched, count = places[first : first + len(self._crosses)], len(LANDMARKS)
-            self._registration = register(self._crosses[:count], touched[:count])
+            registration = register(self._crosses[:count], touched[:count])
+            if registration.transform.rotation[2, 2] < 0:
+                # of crosses in one plane a mirror image fits as well as they do, turned over: the FRE cannot tell
+                raise ConfigError("registration: found the sheet face down, expected face up; left taken for right?")
         except ConfigError as error:
             yield from self._conclude(str(error), now_ns)
             return
-        self._transform = self._registration.transform
+        self._registration, self._transform = registration, registration.transform
         off = distances(self._transform.apply(self._crosses), touched)
         self._checked = off[count:]
         colours = [_GREEN if error <= 1 else _ORANGE if error <= MAX_FRE_MM else _RED for error in off.tolist()]
@@ -211,7 +229,7 @@ class Planner:
         yield self._message(
             "POINT", terms.TOUCHED, _points(back, names, ["touched"] * len(names), colours, _DOT_MM), now_ns
         )
-        text = f"registered: FRE {self._registration.fre:.2f} mm, TRE {rms(self._checked):.2f} mm"
+        text = f"registered: FRE {registration.fre:.2f} mm, TRE {rms(self._checked):.2f} mm"
         yield self._message("STRING", terms.SAYS, String.of(text), now_ns)
 
     def _measured(self, now_ns: int) -> Iterator[Message]:

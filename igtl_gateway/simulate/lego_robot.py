@@ -61,7 +61,7 @@ class _Step:
     """What the brick does in one tick: the tip to ``target`` (base, mm)."""
 
     target: Array
-    by_eye: bool = False  #: the operator looks, and turns the motors until the pen itself is there
+    by_eye: bool = False  #: the operator looks, and turns the motors so that the pen itself gets there
     pressing: bool = False  #: the pen is down: it should draw
 
 

@@ -175,16 +175,20 @@ def stops(times_s: Array, positions: Array, *, slowest: float, shortest_s: float
     return found
 
 
+def expected_fle(count: int, fre: float) -> float:
+    """The error of touching one landmark that an FRE over ``count`` of them lets expect (root mean square)."""
+    if count < MIN_PAIRS:
+        raise ConfigError(f"expected FLE: found {count} landmarks, expected {MIN_PAIRS} or more")
+    return fre * math.sqrt(count / (count - 2))
+
+
 def expected_tre(landmarks: Array, fre: float, target: Array) -> float:
     """The TRE at ``target`` (3,) that landmarks with this FRE let expect (root mean square).
 
     TRE² = FLE²/N · (1 + ⅓ Σ d²/f²) over the three principal axes of the landmarks; d is the distance of the target
     from an axis, f the root mean square of that of the landmarks.
     """
-    count = len(landmarks)
-    if count < MIN_PAIRS:
-        raise ConfigError(f"expected TRE: found {count} landmarks, expected {MIN_PAIRS} or more")
-    fle_squared = fre * fre * count / (count - 2)
+    fle = expected_fle(len(landmarks), fre)
     _, axes = eigen(_scatter(landmarks, landmarks))
     middle = centre(landmarks)
     total = 0.0
@@ -192,8 +196,8 @@ def expected_tre(landmarks: Array, fre: float, target: Array) -> float:
         along = np.array(axis)
         away = _beside(np.asarray(target) - middle, along)
         spread = _beside(np.asarray(landmarks) - middle, along)
-        total += float(dot(away, away)) / (math.fsum(dot(spread, spread).tolist()) / count)
-    return math.sqrt(fle_squared / count * (1.0 + total / 3.0))
+        total += float(dot(away, away)) / rms(np.sqrt(dot(spread, spread))) ** 2
+    return fle * math.sqrt((1.0 + total / 3.0) / len(landmarks))
 
 
 def distances(points: Array, others: Array) -> Array:

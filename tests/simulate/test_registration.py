@@ -19,6 +19,7 @@ from igtl_gateway.simulate.registration import (
     Rigid,
     distances,
     eigen,
+    expected_fle,
     expected_tre,
     register,
     register_in_order,
@@ -114,7 +115,7 @@ def test_expected_errors_are_those_of_many_trials() -> None:
         found = register(FLAT + random.normal(0, fle / math.sqrt(3), FLAT.shape), FLAT)
         fres.append(found.fre)
         tres.append(float(distances(found.transform.apply(target[None]), target[None])[0]))
-    assert rms(np.array(fres)) == pytest.approx(fle * math.sqrt(1 - 2 / len(FLAT)), rel=0.05)
+    assert expected_fle(len(FLAT), rms(np.array(fres))) == pytest.approx(fle, rel=0.05)
     assert rms(np.array(tres)) == pytest.approx(expected_tre(FLAT, rms(np.array(fres)), target), rel=0.07)
     with pytest.raises(ConfigError, match="found 2 landmarks"):
         expected_tre(FLAT[:2], 1.0, target)
