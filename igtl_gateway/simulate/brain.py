@@ -44,6 +44,7 @@ FINE_MM, SMALL_MM = 1.2, 5.0  #: voxels of the synthetic brain
 _SURFACE, _CAPTION = "/igtl/in/BrainSurface/mesh", "/igtl/in/BrainCaption/string"
 _MODEL, _VERDICT, _READY = "/brain/model", "/brain/verdict", "/brain/ready"
 _AGAIN_NS = 500 * NS_PER_MS
+_PAUSE_NS = 2 * NS_PER_S  # between rounds: 67 MB each, which a disk has to take that may be slow
 
 CONFIG = Config(
     base_frame="RAS",
@@ -132,6 +133,7 @@ class Planner:
     def __init__(self, make: Callable[[], tuple[Surface, str]], rounds: int) -> None:
         self._make = make
         self._rounds = rounds
+        self._due_ns: int | None = None
         self._sent_ns = 0
         self._round = 0
         self._verdict: Caption | None = None
@@ -148,22 +150,25 @@ class Planner:
 
     @property
     def due_ns(self) -> int | None:
-        return None  # it answers: to the node that is ready, and to what comes back
+        return self._due_ns
 
     def act(self, now_ns: int) -> Iterable[Said]:
-        return ()
+        """The next round."""
+        return self._send(now_ns)
 
     def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
         match heard:
             case Message(type="STRING", device_name="Ready") if self._round == 0:
-                return self._send(now_ns)
+                self._due_ns = now_ns
             case Message(type="STRING", device_name="Verdict", content=String() as text):
                 self._verdict = Caption.unpack(text.text)
             case Message(type="POLYDATA", device_name="BrainModel", content=PolyData() as model):
                 self._model = now_ns, Sum.of(model.points, model.polygons.data.reshape(-1, 4)[:, 1:])
-        return self._compared(now_ns)
+        self._compare(now_ns)
+        return ()
 
     def _send(self, now_ns: int) -> Iterable[Said]:
+        self._due_ns = None
         self._round += 1
         self._sent_ns = now_ns
         caption = String.of(Caption(self._sum, self._round, now_ns).pack())
@@ -173,17 +178,18 @@ class Planner:
             Message("POLYDATA", "BrainSurface", self._content, ticks),
         )
 
-    def _compared(self, now_ns: int) -> Iterable[Said]:
-        """Once both have come: take them, and send the next."""
+    def _compare(self, now_ns: int) -> None:
+        """Once both have come: take them, and send the next one in a while."""
         if self._verdict is None or self._model is None:
-            return ()
+            return
         arrived_ns, found = self._model
         self._equal += found == self._sum == self._verdict.sum
         self._told_equal += self._verdict.equal
         self._to_igtl_s.append((arrived_ns - self._verdict.sent_ns) / NS_PER_S)
         self._both_s.append((arrived_ns - self._sent_ns) / NS_PER_S)
         self._verdict = self._model = None
-        return self._send(now_ns) if self._round < self._rounds else ()
+        if self._round < self._rounds:
+            self._due_ns = now_ns + _PAUSE_NS
 
     @property
     def done(self) -> bool:
