@@ -34,7 +34,7 @@ from igtl_gateway.wire.query import QUERIES
 from igtl_gateway.wire.registry import BODIES
 
 FIXTURES = Path(__file__).parent.parent / "fixtures"
-NAMES = ("star", "paper-types", "every-type", "acquisition")
+NAMES = ("star", "paper-types", "every-type", "acquisition", "lego")
 
 
 def entries(name: str) -> list[Entry]:
