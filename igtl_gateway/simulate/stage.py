@@ -25,7 +25,7 @@ LIMIT_S = 600.0  #: a story that has not ended by then is stuck
 IGTL_NS, ROS_NS = 400_000, 300_000  #: how long a message travels
 _SETTLED_NS = 10 * NS_PER_MS  # from the first entry to ``begin``
 _FIRST_PORT = 53000
-_SAME_TIME = 100_000  # an actor that acts so often at one time will never let it pass
+_SAME_TIME = 10_000  # an actor that acts so often at one time will never let it pass
 
 
 def play(

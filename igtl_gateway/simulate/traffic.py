@@ -149,14 +149,14 @@ class _Tester:
         facts: dict[str, Any] = {}
         if self._to_send:
             rate = _rate(self._sent, self._sent_ns - self._begun_ns)
-            lines.append(f"sent {self._sent:,} {self._load.type} of {self._size()}{rate and f' at {rate:.1f}/s'}")
+            lines.append(f"sent {self._sent:,} {self._load.type} of {self._size()}{_at(rate)}")
             facts = {"sent": self._sent, "sent_hz": rate}
         lost = self._to_hear - len(set(self._heard))
         swapped = sum(after <= before for before, after in zip(self._heard, self._heard[1:], strict=False))
         if self._to_hear:
             rate = _rate(len(self._heard), self._last_ns - self._first_ns)
             lines.append(
-                f"received {len(self._heard):,} of {self._to_hear:,}{rate and f' at {rate:.1f}/s'}: "
+                f"received {len(self._heard):,} of {self._to_hear:,}{_at(rate)}: "
                 f"{lost:,} lost, {swapped:,} out of order, {self._changed:,} changed"
             )
             facts |= {"received": len(self._heard), "lost": lost, "out_of_order": swapped, "changed": self._changed}
@@ -221,6 +221,10 @@ class TestNode(_Tester):
 def _rate(count: int, span_ns: int) -> float:
     """Messages a second; 0 where one cannot tell."""
     return round((count - 1) * NS_PER_S / span_ns, 3) if count > 1 and span_ns > 0 else 0.0
+
+
+def _at(rate: float) -> str:
+    return f" at {rate:.1f}/s" if rate else ""
 
 
 # -- the forms ------------------------------------------------------------------------------------------------------
