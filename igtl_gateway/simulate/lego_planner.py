@@ -223,13 +223,14 @@ class Planner:
         off = distances(self._transform.apply(self._crosses), touched)
         self._checked = off[count:]
         colours = [_GREEN if error <= 1 else _ORANGE if error <= MAX_FRE_MM else _RED for error in off.tolist()]
-        names = [f"{name}: {error:.1f} mm" for name, error in zip(LANDMARKS | CHECKS, off.tolist(), strict=True)]
+        names = [""] * len(off)  # the crosses beside them have names
         back = self._transform.inverse().apply(touched)
         yield self._message("TRANSFORM", terms.REGISTRATION, Transform.from_rows(self._transform.rows), now_ns)
         yield self._message(
             "POINT", terms.TOUCHED, _points(back, names, ["touched"] * len(names), colours, _DOT_MM), now_ns
         )
-        text = f"registered: FRE {registration.fre:.2f} mm, TRE {rms(self._checked):.2f} mm"
+        each = ", ".join(f"{name} {error:.1f}" for name, error in zip(LANDMARKS | CHECKS, off.tolist(), strict=True))
+        text = f"registered: FRE {registration.fre:.2f} mm, TRE {rms(self._checked):.2f} mm ({each})"
         yield self._message("STRING", terms.SAYS, String.of(text), now_ns)
 
     def _measured(self, now_ns: int) -> Iterator[Message]:

@@ -27,7 +27,7 @@ LANDMARKS = {
     "left front": (-58.0, 46.0),
 }
 AT_LESION = "check lesion"
-CHECKS = {"check centre": (0.0, -20.0), AT_LESION: (34.0, 6.0), "check left": (-40.0, -48.0)}
+CHECKS = {"check centre": (0.0, -20.0), AT_LESION: (36.0, -48.0), "check left": (-40.0, -48.0)}
 
 _STEP_MM = 1.5  #: between points of a plan
 _MARGIN_MM = 19.0  #: from the middle of the lesion to the line around it
@@ -43,7 +43,7 @@ def strokes() -> dict[str, Array]:
     """What is to be drawn, name → (n, 3) points: a straight way in from the skin, and the margin around the lesion."""
     turns = np.linspace(0.0, 2 * np.pi, round(2 * np.pi * _MARGIN_MM / _STEP_MM) + 1)
     radius = _MARGIN_MM * (1.0 + 0.10 * np.cos(3 * turns) + 0.05 * np.sin(2 * turns))
-    turns += math.radians(40)  # it begins where the way in ends
+    turns -= math.radians(40)  # it begins where the way in ends
     margin = np.stack([radius * np.cos(turns), radius * np.sin(turns), np.zeros(len(turns))], -1) + LESION
     outside = margin[0] + 0.85 * (margin[0] - LESION)
     steps = np.linspace(0.0, 1.0, 13)[:, None]

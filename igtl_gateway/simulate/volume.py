@@ -204,7 +204,7 @@ _EDGE_MM = 1.2  #: half width of the borders between tissues: a voxel that lies 
 #: What a T1 picture shows of each.
 _FAT, _BONE, _CSF, _GREY, _WHITE = 190.0, 22.0, 34.0, 112.0, 158.0
 _LESION_VALUE = 226.0
-LESION = np.array([34.0, 6.0, 20.0])  #: centre of the lesion that the plans are drawn around
+LESION = np.array([36.0, -48.0, 20.0])  #: centre of the lesion that the plans are drawn around
 _LESION_MM = 11.0
 _VENTRICLES = ((11.0, -12.0, 18.0), (6.0, 28.0, 9.0))  #: centre (of the right one) and half axes
 _EYES = ((31.0, 58.0, -34.0), 12.0)

@@ -119,7 +119,7 @@ def test_the_synthetic_head_has_its_layers_where_they_belong() -> None:
     assert head.size == (64, 77, 64) and head.voxels.nbytes < 400_000
     right, left = value_at(head, LESION), value_at(head, LESION * (-1, 1, 1))
     assert right > 220 and left < 165, "the lesion is on the right"
-    assert value_at(head, (11, -12, 18)) < 50 < value_at(head, (25, -40, 20)), "ventricle, white matter"
+    assert value_at(head, (11, -12, 18)) < 50 < value_at(head, (30, 10, 20)), "ventricle, white matter"
     assert value_at(head, (0, 78, 6)) > 150 and value_at(brain, (0, 78, 6)) == 0, "scalp"
     assert value_at(head, (0, 72, 6)) < 60, "skull"
     assert 0.1 < (brain.voxels > 60).mean() < 0.3
@@ -127,7 +127,7 @@ def test_the_synthetic_head_has_its_layers_where_they_belong() -> None:
 
 def test_the_synthetic_head_is_the_same_everywhere() -> None:
     digest = hashlib.sha256(synthetic_head(4.0).voxels.tobytes()).hexdigest()
-    assert digest == "fbe6109194371de75cb7f121cd0be675fba5bc0d3ebd468ebc9a08999cb4caf2"
+    assert digest == "379f5df27766631a4d0453dba0cc8d8ded6b1f0b88151d834a9a6946d0a0a3af"
 
 
 @pytest.mark.parametrize("spacing", [0.0, float("nan"), 1e-3, 50])
