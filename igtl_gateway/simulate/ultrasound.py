@@ -5,9 +5,9 @@ A scanner with a tracker, as PLUS is one, sends for each picture ``ProbeToTracke
 the picture was taken.  For a while the reference is out of sight; then its transform is left out, as PLUS does.
 
 A navigator on the ROS side asks for the sweep, pairs pictures and poses by their stamps, finds vessel and bone in the
-pictures, and puts them together in the frame of the reference: it answers with the surface of the bone, the place for
-a needle, and its status.  The scanner holds both against the phantom, whose truth is known: only where calibration,
-poses, units, directions and pairing are all right do the slices stack up to it.
+pictures, and puts them together in the frame of the reference: it answers with the surfaces of both, which grow as
+the sweep goes on, the place for a needle, and its status.  The scanner holds them against the phantom, whose truth
+is known: only where calibration, poses, units, directions and pairing are all right do the slices stack up to it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
@@ -27,8 +28,8 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.simulate.actor import Actor, Heard, Report, RosHeard, RosSaid, Said, Says, Side
 from igtl_gateway.simulate.registration import Rigid, rms
 from igtl_gateway.simulate.star_numbers import Array, dot, rounded
-from igtl_gateway.simulate.ultrasound_finder import bone, lumen
-from igtl_gateway.simulate.ultrasound_phantom import HEIGHT, PIXEL_MM, WIDTH, bone_depth, phantom, vessel
+from igtl_gateway.simulate.ultrasound_finder import bone, dark, middle, walls
+from igtl_gateway.simulate.ultrasound_phantom import HEIGHT, PIXEL_MM, WIDTH, bone_depth, phantom, vessels
 from igtl_gateway.simulate.ultrasound_probe import IMAGE_TO_PROBE, Hand, composed
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message
@@ -43,6 +44,7 @@ _DELAY_NS = 30 * NS_PER_MS  # from the moment that a picture shows to the moment
 _AGAIN_NS = 500 * NS_PER_MS
 _PATIENCE_NS = NS_PER_S
 _FEWEST = 10  # pictures of the shortest sweep
+_SHOWN_PICTURES = 20  # after so many new ones the navigator shows what it has so far
 
 #: While the sweep is in this part of its length, something is between tracker and reference.
 _HIDDEN = (0.58, 0.63)
@@ -51,12 +53,15 @@ _NEEDLE_PART, _NEEDLE_MM = 0.35, 1.5
 #: What the answers may be off by.
 GOOD_MM = 0.5
 _GOOD_PAIRS = 0.9
+_OK = 1  # code of STATUS
+#: Key of a fact → the surface that comes back, and what it is of.
+_SHAPES = {"bone": ("BoneSurface", "bone"), "wall": ("VesselWall", "wall of the vessel")}
 
 _PICTURE = "/igtl/in/Image_Probe/volume"
 _PROBE, _REFERENCE = "/igtl/in/ProbeToTracker/transform", "/igtl/in/ReferenceToTracker/transform"
 _SWEEP = "/igtl/in/Sweep/string"
 _REQUEST, _STATUS = "/ultrasound/request", "/ultrasound/status"
-_NEEDLE, _BONE = "/ultrasound/needle", "/ultrasound/bone"
+_NEEDLE, _BONE, _VESSEL = "/ultrasound/needle", "/ultrasound/bone", "/ultrasound/vessel"
 
 CONFIG = Config(
     base_frame="Tracker",
@@ -68,6 +73,7 @@ CONFIG = Config(
         ToIgtlRow(topic=_REQUEST, device="Request", type="STRING"),
         ToIgtlRow(topic=_NEEDLE, device="NeedleToReference", type="TRANSFORM"),
         ToIgtlRow(topic=_BONE, device="BoneSurface", type="POLYDATA"),
+        ToIgtlRow(topic=_VESSEL, device="VesselWall", type="POLYDATA"),
         ToIgtlRow(topic=_STATUS, device="Navigator", type="STATUS"),
     ),
 )
@@ -95,8 +101,8 @@ class Scanner:
         self._sent = 0
         self._due_ns: int | None = None
         self._needle_off: float | None = None
-        self._bone_off: float | None = None
-        self._bone_points = 0
+        self._needle_ticks = 0
+        self._shapes: dict[str, _Shape] = {}
         self._status: Status | None = None
 
     def begin(self, now_ns: int) -> None:
@@ -137,13 +143,14 @@ class Scanner:
                 self._start_ns = now_ns
                 self._due_ns = now_ns + _DELAY_NS
             case Message(type="TRANSFORM", device_name="NeedleToReference", content=Transform() as needle):
-                u, v, w = needle.wire_matrix[9:]
-                middle_u, middle_w, _ = vessel(np.array(v))
-                self._needle_off = math.sqrt((u - float(middle_u)) ** 2 + (w - float(middle_w)) ** 2)
-            case Message(type="POLYDATA", device_name="BoneSurface", content=PolyData() as surface):
-                self._bone_points = len(surface.points)
-                if self._bone_points:
-                    self._bone_off = rms(_off_bone(surface.points.astype(np.float64)))
+                self._needle_ticks = heard.ticks
+                place = np.array([needle.wire_matrix[9:]])
+                self._needle_off = float(off_middle(place)[0])
+            case Message(
+                type="POLYDATA", device_name="BoneSurface" | "VesselWall" as name, content=PolyData() as shape
+            ):
+                off = (off_bone if name == "BoneSurface" else off_wall)(shape.points.astype(np.float64))
+                self._shapes[name] = _Shape(heard.ticks, len(off), rms(off) if len(off) else math.inf)
             case Message(type="STATUS", device_name="Navigator", content=Status() as status):
                 self._status = status
         if self.done:
@@ -152,37 +159,43 @@ class Scanner:
 
     @property
     def done(self) -> bool:
-        return self._status is not None and (
-            self._status.code != 1 or (self._needle_off is not None and self._bone_off is not None)
-        )
+        """Whether there is an answer, and its parts, which have one stamp, are here."""
+        if self._status is None:
+            return False
+        last = {shape.ticks for shape in self._shapes.values()}
+        return self._status.code != _OK or (len(self._shapes) == len(_SHAPES) and last == {self._needle_ticks})
 
     def report(self) -> Report:
         lines = [
             f"sent {self._sent} pictures of {WIDTH} × {HEIGHT} in {self._sent * FRAME_NS / NS_PER_S:.1f} s, "
             f"{len(self._hidden)} while the reference was out of sight"
         ]
-        if self._bone_off is not None:
-            lines.append(f"bone: {self._bone_points:,} points came back, {self._bone_off:.2f} mm rms off the phantom's")
+        facts: dict[str, Any] = {"pictures": self._sent, "hidden": len(self._hidden)}
+        for key, (device, name) in _SHAPES.items():
+            if shape := self._shapes.get(device):
+                lines.append(f"{name}: {shape.points:,} points came back, {shape.rms_mm:.2f} mm rms off the phantom's")
+                facts |= {f"{key}_points": shape.points, f"{key}_rms_mm": shape.rms_mm}
         if self._needle_off is not None:
             lines.append(f"needle: {self._needle_off:.2f} mm beside the middle of the vessel")
+            facts["needle_off_mm"] = self._needle_off
         if self._status is not None:
             lines.append(f"the navigator says: {self._status.message}")
-        good = all(off is not None and off < GOOD_MM for off in (self._bone_off, self._needle_off))
-        return Report(
-            good and self._sent == self._count,
-            tuple(lines),
-            {
-                "pictures": self._sent,
-                "hidden": len(self._hidden),
-                "bone_points": self._bone_points,
-                "bone_rms_mm": self._bone_off,
-                "needle_off_mm": self._needle_off,
-            },
-        )
+        offs = [*(shape.rms_mm for shape in self._shapes.values()), self._needle_off]
+        good = len(offs) > len(_SHAPES) and all(off is not None and off < GOOD_MM for off in offs)
+        return Report(good and self._sent == self._count, tuple(lines), facts)
 
 
-def _off_bone(points: Array) -> Array:
-    """Distances (mm) of points of the reference's frame from the true surface, nearly."""
+@dataclass(frozen=True, slots=True)
+class _Shape:
+    """What came back of a surface: when (ticks), how many points, and how far off."""
+
+    ticks: int
+    points: int
+    rms_mm: float
+
+
+def off_bone(points: Array) -> Array:
+    """Distances (mm) of points of the reference's frame from the bone's true surface, nearly."""
     u, v, w = points.T
     step = 0.01
     here = bone_depth(u, v)
@@ -191,13 +204,32 @@ def _off_bone(points: Array) -> Array:
     return np.asarray(np.abs(w - here) / np.sqrt(1 + slope_u * slope_u + slope_v * slope_v))
 
 
+def off_wall(points: Array) -> Array:
+    """The same for the wall of the vessel, or of its branch where that is nearer."""
+    u, v, w = points.T
+    off = [np.abs(np.sqrt((u - a) ** 2 + (w - b) ** 2) - radius) for a, b, radius in vessels(v)]
+    return np.asarray(np.minimum(*off))
+
+
+def off_middle(points: Array) -> Array:
+    """The same for the middle line of the vessel before its branch."""
+    u, v, w = points.T
+    (a, b, _), _ = vessels(v)
+    return np.asarray(np.sqrt((u - a) ** 2 + (w - b) ** 2))
+
+
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """What a picture shows, in the frame of the probe (mm): its middle, vessel (or None) and bone."""
+    """What a picture shows, as (n, 3) places in millimetres: its middle, that of the vessel (or none), and surfaces."""
 
     middle: Array
-    vessel: Array | None
+    vessel: Array
+    wall: Array
     bone: Array
+
+    def placed(self, place: Rigid) -> Self:
+        """The same in another frame."""
+        return type(self)(*(place.apply(points) for points in (self.middle, self.vessel, self.wall, self.bone)))
 
 
 class Navigator:
@@ -217,6 +249,7 @@ class Navigator:
             _REQUEST: Says(RosString.TYPE),
             _NEEDLE: Says(TransformStamped.TYPE, latched=True),
             _BONE: Says(PointCloud2.TYPE, latched=True),
+            _VESSEL: Says(PointCloud2.TYPE, latched=True),
             _STATUS: Says(DiagnosticStatus.TYPE),
         }
         self._due_ns: int | None = None
@@ -225,8 +258,8 @@ class Navigator:
         self._found: dict[int, _Found] = {}
         self._probe: dict[int, Rigid] = {}
         self._reference: dict[int, Rigid] = {}
+        self._placed: dict[int, _Found] = {}  # in the frame of the reference
         self._answer: tuple[Said, ...] = ()
-        self._paired = 0
         self._swept_mm = self._path_mm = 0.0
         self._bone_points = 0
 
@@ -257,7 +290,17 @@ class Navigator:
             pose = TransformStamped.unpack(heard.cdr)
             poses = self._probe if heard.topic == _PROBE else self._reference
             poses[pose.header.stamp_ns] = _rigid(pose)
-        return self._answered(now_ns) if self._complete and not self._answer else ()
+        if self._complete and not self._answer:
+            return self._answered(now_ns)
+        return self._grown(now_ns) if self._pair() and len(self._placed) % _SHOWN_PICTURES == 0 else ()
+
+    def _pair(self) -> bool:
+        """Put the pictures in their places whose poses have come by now; whether there were any."""
+        stamps = self._found.keys() & self._probe.keys() & self._reference.keys() - self._placed.keys()
+        for stamp in sorted(stamps):
+            place = composed(self._reference[stamp].inverse(), self._probe[stamp])
+            self._placed[stamp] = self._found[stamp].placed(place)
+        return bool(stamps)
 
     def _finished(self, now_ns: int, text: str) -> Iterable[Said]:
         """The scanner says how many pictures there were, and says it again where it has no answer."""
@@ -278,32 +321,36 @@ class Navigator:
         self._answer = self._answer or tuple(self._stacked(now_ns))
         return self._answer
 
+    def _stack(self) -> list[_Found]:
+        """The slices in the order in which they were taken."""
+        return [self._placed[stamp] for stamp in sorted(self._placed)]
+
+    def _grown(self, now_ns: int) -> Iterable[Said]:
+        """The surfaces as far as they are known."""
+        stack, header = self._stack(), Header(now_ns, "Reference")
+        yield RosSaid(_BONE, _cloud(header, np.concatenate([one.bone for one in stack])))
+        yield RosSaid(_VESSEL, _cloud(header, np.concatenate([one.wall for one in stack])))
+
     def _stacked(self, now_ns: int) -> Iterable[Said]:
         """The slices in the frame of the reference, and what follows from them."""
-        stamps = sorted(self._found.keys() & self._probe.keys() & self._reference.keys())
-        places = [composed(self._reference[stamp].inverse(), self._probe[stamp]) for stamp in stamps]
-        self._paired = len(stamps)
-        seen = [self._found[stamp] for stamp in stamps]
-        middles = np.array([place.apply(one.middle) for place, one in zip(places, seen, strict=True)]).reshape(-1, 3)
+        self._pair()
+        stack = self._stack()
+        target = _target(stack)
+        self._bone_points = sum(len(one.bone) for one in stack)
+        if target is None or not self._bone_points:
+            yield RosSaid(_STATUS, DiagnosticStatus(2, "Navigator", f"nothing found in {len(stack)} pictures"))
+            return
+        middles = np.concatenate([one.middle for one in stack])
         way = np.diff(middles, axis=0)
         self._path_mm = float(np.sqrt(dot(way, way)).sum())
-        whole = middles[-1] - middles[0] if len(middles) else np.zeros(3)
+        whole = middles[-1] - middles[0]
         self._swept_mm = math.sqrt(float(dot(whole, whole)))
-        surface = [place.apply(one.bone) for place, one in zip(places, seen, strict=True) if len(one.bone)]
-        target = _target(middles, places, seen)
-        if not surface or target is None:
-            yield RosSaid(_STATUS, DiagnosticStatus(2, "Navigator", f"nothing found in {self._paired} pictures"))
-            return
-        header = Header(now_ns, "Reference")
-        points = rounded(np.concatenate(surface) / 1000, 1e-6).astype("<f4")
-        self._bone_points = len(points)
-        fields = tuple(PointField(axis, 4 * index, 7) for index, axis in enumerate("xyz"))
-        cloud = PointCloud2(header, 1, len(points), fields, False, 12, 12 * len(points), points.tobytes(), True)
-        yield RosSaid(_BONE, cloud)
+        yield from self._grown(now_ns)
         x, y, z = (float(value) for value in rounded(target / 1000, 1e-6))
         # down into the arm, leaning by 40° along it
+        header = Header(now_ns, "Reference")
         yield RosSaid(_NEEDLE, TransformStamped(header, "Needle", (x, y, z), (0.342, 0.0, 0.0, 0.94)))
-        told = f"{self._paired} of {len(self._found)} pictures have a pose; swept {self._swept_mm:.1f} mm"
+        told = f"{len(stack)} of {len(self._found)} pictures have a pose; swept {self._swept_mm:.1f} mm"
         yield RosSaid(_STATUS, DiagnosticStatus(0, "Navigator", told))
 
     @property
@@ -314,17 +361,17 @@ class Navigator:
         came, announced = len(self._found), self._announced
         lost = (announced or came) - came
         return Report(
-            bool(announced and self._bone_points and self._paired >= _GOOD_PAIRS * announced),
+            bool(announced and self._bone_points and len(self._placed) >= _GOOD_PAIRS * announced),
             (
                 f"received {came} pictures" + (f" of {announced}" if lost else ""),
-                f"{self._paired} paired with a pose by stamp, {came - self._paired} without",
+                f"{len(self._placed)} paired with a pose by stamp, {came - len(self._placed)} without",
                 f"swept {self._swept_mm:.1f} mm ({self._path_mm:.1f} mm along the hand's path), "
                 f"{self._bone_points:,} points of bone",
             ),
             {
                 "pictures": came,
                 "announced": announced,
-                "paired": self._paired,
+                "paired": len(self._placed),
                 "swept_mm": round(self._swept_mm, 3),
                 "path_mm": round(self._path_mm, 3),
                 "bone_points": self._bone_points,
@@ -344,23 +391,27 @@ def _found_in(picture: Volume) -> _Found:
     step_x, step_y, _ = (1000 * step for step in picture.spacing)
     first = np.array(picture.origin) * 1000
 
-    def placed(rows: Array, columns: Array) -> Array:
-        return np.asarray(first + columns[:, None] * (step_x * across) + rows[:, None] * (step_y * down))
+    def placed(pixels: Array) -> Array:
+        rows, columns = pixels[:, :1], pixels[:, 1:]
+        return np.asarray(first + columns * (step_x * across) + rows * (step_y * down))
 
-    def one(row: float, column: float) -> Array:
-        return np.asarray(placed(np.array([row]), np.array([column]))[0])
-
-    middle, edge = lumen(grey), bone(grey)
-    return _Found(
-        one((height - 1) / 2, (width - 1) / 2), one(*middle) if middle else None, placed(edge[:, 0], edge[:, 1])
-    )
+    blood = dark(grey)
+    vessel_at = middle(blood)
+    shown = ([((height - 1) / 2, (width - 1) / 2)], [vessel_at] if vessel_at else [], walls(blood), bone(grey))
+    return _Found(*(placed(np.asarray(pixels, float).reshape(-1, 2)) for pixels in shown))
 
 
-def _target(middles: Array, places: list[Rigid], seen: list[_Found]) -> Array | None:
+def _cloud(header: Header, points_mm: Array) -> PointCloud2:
+    points = rounded(points_mm / 1000, 1e-6).astype("<f4")
+    fields = tuple(PointField(axis, 4 * index, 7) for index, axis in enumerate("xyz"))
+    return PointCloud2(header, 1, len(points), fields, False, 12, 12 * len(points), points.tobytes(), True)
+
+
+def _target(stack: list[_Found]) -> Array | None:
     """Where the vessel is at a part of the sweep: the mean of the pictures there."""
-    if not len(middles):
+    if not stack:
         return None
-    away = middles - middles[round(_NEEDLE_PART * (len(middles) - 1))]
-    near = np.flatnonzero(dot(away, away) <= _NEEDLE_MM * _NEEDLE_MM).tolist()
-    found = [places[index].apply(vessel) for index in near if (vessel := seen[index].vessel) is not None]
-    return np.asarray(sum(found, np.zeros(3)) / len(found)) if found else None
+    here = stack[round(_NEEDLE_PART * (len(stack) - 1))].middle
+    near = [one.vessel for one in stack if float(dot(one.middle - here, one.middle - here)[0]) <= _NEEDLE_MM**2]
+    found = np.concatenate(near)
+    return np.asarray(found.sum(axis=0) / len(found)) if len(found) else None

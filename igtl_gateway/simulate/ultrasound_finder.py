@@ -7,6 +7,7 @@ where bone may begin, the bone is the brightest spot of a column with a shadow b
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from igtl_gateway.simulate.star_numbers import Array
 from igtl_gateway.simulate.ultrasound_phantom import PIXEL_MM, Grey
@@ -14,6 +15,7 @@ from igtl_gateway.simulate.ultrasound_phantom import PIXEL_MM, Grey
 _LUMEN_ROWS = slice(round(5.0 / PIXEL_MM), round(16.0 / PIXEL_MM))
 _BOX = 9  # pixels: a dot of speckle is smaller, a vessel is not
 _DARK = 30
+_LIGHT = 1.5  # pixels of a box beyond the border, beside a dark one
 _LEAST_PIXELS = 150
 
 _BONE_FROM = round(13.0 / PIXEL_MM)
@@ -24,16 +26,32 @@ _SHADOW_FROM, _SHADOW_ROWS = 8, 16
 _STEP_ROWS = 10  # between neighbours on one surface
 
 
-def lumen(picture: Grey) -> tuple[float, float] | None:
-    """Middle of the dark (row, column); None where there is none of a vessel's size."""
+def dark(picture: Grey) -> NDArray[np.bool_]:
+    """Where a box of pixels, named by its first one, is dark; nowhere if that is less than a vessel."""
     part = picture[_LUMEN_ROWS].astype(np.int64)
     sums = np.pad(part, ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
     boxes = sums[_BOX:, _BOX:] - sums[:-_BOX, _BOX:] - sums[_BOX:, :-_BOX] + sums[:-_BOX, :-_BOX]
-    rows, columns = np.nonzero(boxes < _DARK * _BOX * _BOX)
-    if len(rows) < _LEAST_PIXELS:
+    found = boxes < _DARK * _BOX * _BOX
+    return np.asarray(found if int(found.sum()) >= _LEAST_PIXELS else np.zeros_like(found))
+
+
+def middle(found: NDArray[np.bool_]) -> tuple[float, float] | None:
+    """Middle (row, column) of what is dark; None where nothing is."""
+    rows, columns = np.nonzero(found)
+    if not len(rows):
         return None
-    middle = _BOX // 2
-    return int(rows.sum()) / len(rows) + middle + _LUMEN_ROWS.start, int(columns.sum()) / len(columns) + middle
+    half = (_BOX - 1) / 2
+    return int(rows.sum()) / len(rows) + half + _LUMEN_ROWS.start, int(columns.sum()) / len(columns) + half
+
+
+def walls(found: NDArray[np.bool_]) -> Array:
+    """(n, 2) points around what is dark: where it begins and ends in every second row."""
+    change = np.diff(np.pad(found[::2], ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    rows, columns = np.nonzero(change)
+    # a box is dark where most of it is: the border is nearly half a box further out
+    out = np.where(change[rows, columns] > 0, _LIGHT, _BOX - 1 - _LIGHT)
+    half = (_BOX - 1) / 2
+    return np.stack([2 * rows + half + _LUMEN_ROWS.start, columns + out - 0.5], axis=1).astype(float)
 
 
 def bone(picture: Grey) -> Array:

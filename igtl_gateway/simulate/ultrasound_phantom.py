@@ -39,11 +39,6 @@ _LOUD = 0.1  # brings the mean of the speckle to 1
 _FAR_MM = 200.0  # added to every place, so that none is negative
 
 
-def vessel(v: Real) -> tuple[Real, Real, Real]:
-    """(u, w, radius) of the vessel's middle line at ``v``."""
-    return _vessel(v)[0]
-
-
 def bone_depth(u: Real, v: Real) -> Real:
     """w of the bone's surface."""
     off = u - (4.0 - 0.06 * (v - 30.0))
@@ -52,8 +47,11 @@ def bone_depth(u: Real, v: Real) -> Real:
     return np.asarray(20.5 + 0.022 * square + 0.0007 * square * square - ridge)
 
 
-def _vessel(v: Real) -> tuple[tuple[Real, Real, Real], tuple[Real, Real, Real]]:
-    """Trunk and branch; the branch leaves the trunk at FORK_MM, and before it has no width."""
+def vessels(v: Real) -> tuple[tuple[Real, Real, Real], tuple[Real, Real, Real]]:
+    """Trunk and branch, each as (u, w, radius) of its middle line at ``v``.
+
+    The branch leaves the trunk at FORK_MM, and before it has no width.
+    """
     t = v - 30.0
     u, w = -6.0 + 0.05 * t + 0.004 * t * t, 11.5 + 0.03 * t
     past = np.clip(v - FORK_MM, 0, None)
@@ -143,7 +141,7 @@ def _vessels(u: Single, v: Single, w: Single, tissue: Single, mirrors: Single) -
     """Blood scatters next to nothing, the wall mirrors where the beam meets it squarely; behind it is louder."""
     inside = np.zeros(u.shape, bool)
     wall = np.zeros_like(u)
-    for middle_u, middle_w, radius in _vessel(v):
+    for middle_u, middle_w, radius in vessels(v):
         across, down = u - middle_u, w - middle_w
         reach = np.sqrt(across * across + down * down) + np.float32(1e-6)
         square = np.abs(down) / reach

@@ -39,7 +39,8 @@ def turned(x: float, y: float, z: float, w: float, translation: Sequence[float])
 IMAGE_TO_PROBE = turned(0.004, -0.007, -0.70, 0.71, (12.74, 50.76, -0.5))
 #: How the picture lies on the arm when the probe stands upright: rows across it, columns into it.
 _UPRIGHT = (1.0, 0.0, 0.0, 1.0)
-_ARM_TO_TRACKER = (0.13, -0.62, 0.09, 0.77, -208.6, -115.5, -992.7)
+#: How the arm lies: the tracker looks down on it, its z up, as viewers have it.
+_ARM_TO_TRACKER = (0.96, 0.25, 0.05, 0.09, -208.6, -115.5, -992.7)
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,7 @@ def test_the_slices_stack_up_to_the_phantom(sweep: tuple[Scanner, Navigator, lis
     judged, found = sweep[0].report().facts, sweep[1].report().facts
     assert judged["bone_points"] == found["bone_points"] > 10 * PICTURES
     assert judged["bone_rms_mm"] < 0.3
+    assert judged["wall_points"] > 20 * PICTURES and judged["wall_rms_mm"] < 0.3
     assert judged["needle_off_mm"] < 0.3
     assert found["swept_mm"] == pytest.approx(60, abs=2) and found["path_mm"] > found["swept_mm"]
 
@@ -150,6 +151,7 @@ def test_the_answer_goes_out_as_openigtlink(sweep: tuple[Scanner, Navigator, lis
     assert set(out) == {
         "STRING/Request",
         "POLYDATA/BoneSurface",
+        "POLYDATA/VesselWall",
         "TRANSFORM/NeedleToReference",
         "STATUS/Navigator",
     }

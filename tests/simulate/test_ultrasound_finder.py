@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.simulate.ultrasound_finder import bone, lumen
+from igtl_gateway.simulate.ultrasound_finder import bone, dark, middle, walls
 from igtl_gateway.simulate.ultrasound_phantom import (
     HEIGHT,
     PIXEL_MM,
@@ -13,7 +13,7 @@ from igtl_gateway.simulate.ultrasound_phantom import (
     Grey,
     bone_depth,
     phantom,
-    vessel,
+    vessels,
 )
 
 V = 20.0
@@ -25,11 +25,21 @@ def picture() -> Grey:
 
 
 def test_the_vessel_is_found(picture: Grey) -> None:
-    found = lumen(picture)
+    found = middle(dark(picture))
     assert found is not None
-    u, w, _ = vessel(np.array(V))
+    u, w, _ = vessels(np.array(V))[0]
     assert found[0] * PIXEL_MM == pytest.approx(float(w), abs=0.15)
     assert found[1] * PIXEL_MM - 20 == pytest.approx(float(u), abs=0.15)
+
+
+def test_its_wall_is_found_all_around(picture: Grey) -> None:
+    row, column = (walls(dark(picture)) * PIXEL_MM).T
+    u, w, radius = (float(value) for value in vessels(np.array(V))[0])
+    across, down = column - 20 - u, row - w
+    assert len(row) > 20
+    assert np.abs(np.sqrt(across**2 + down**2) - radius).max() < 0.5
+    assert np.abs(np.sqrt(across**2 + down**2) - radius).mean() < 0.15
+    assert across.min() < -0.9 * radius and across.max() > 0.9 * radius
 
 
 def test_the_surface_of_the_bone_is_found_where_the_beam_meets_it_squarely(picture: Grey) -> None:
@@ -45,7 +55,7 @@ def test_nothing_is_found_in_nothing(grey: int) -> None:
     blank = np.full((HEIGHT, WIDTH), grey, np.uint8)
     assert len(bone(blank)) == 0
     if grey:
-        assert lumen(blank) is None
+        assert middle(dark(blank)) is None and len(walls(dark(blank))) == 0
 
 
 def test_a_bright_line_without_a_shadow_is_no_bone() -> None:

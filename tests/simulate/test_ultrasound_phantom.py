@@ -16,7 +16,7 @@ from igtl_gateway.simulate.ultrasound_phantom import (
     Grey,
     Phantom,
     bone_depth,
-    vessel,
+    vessels,
 )
 
 LEFT_MM = -20.0
@@ -52,14 +52,14 @@ def test_pictures_are_the_same_bytes_on_every_machine(phantom: Phantom) -> None:
 @pytest.mark.parametrize("v", [3.0, 20.0, 33.0])
 def test_the_vessel_is_dark_where_it_is_and_bright_around(phantom: Phantom, v: float) -> None:
     picture = across(phantom, v)
-    u, w, radius = (float(value) for value in vessel(np.array(v)))
+    u, w, radius = (float(value) for value in vessels(np.array(v))[0])
     assert around(picture, u, w) < 25
     assert around(picture, u - radius - 1.5, w) > 40 and around(picture, u + radius + 1.5, w) > 40
 
 
 def test_the_vessel_forks(phantom: Phantom) -> None:
     def lumens(v: float) -> int:
-        _, w, _ = vessel(np.array(v))
+        _, w, _ = vessels(np.array(v))[0]
         dark = across(phantom, v)[round(float(w) / PIXEL_MM) - 8] < 20
         runs = np.diff(np.flatnonzero(np.diff(dark.astype(int), prepend=0, append=0)))[::2]
         return int((runs > 10).sum())
