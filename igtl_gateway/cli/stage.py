@@ -173,7 +173,7 @@ class _Output:
         match event["event"]:
             case "started":
                 places = [f"{one['host']}:{one['port']}" for one in event["listen"]]
-                clients = [f"{one[0]}:{one[1]}" for one in event["connect"]]
+                clients = [f"{one['host']}:{one['port']}" for one in event["connect"]]
                 where = f"server on {places[0]}" if places else f"client of {', '.join(clients)}"
                 self._line(name, f"OpenIGTLink {where}; ROS 2 domain {os.environ.get('ROS_DOMAIN_ID', '0')}")
             case "listening":
