@@ -148,6 +148,18 @@ def edge(peer: Peer, heard: Heard) -> Iterator[RosEdge]:
     edge.stop()
 
 
+def test_who_subscribes_beforehand_gets_the_first_message(peer: Peer, edge: RosEdge, heard: Heard) -> None:
+    topic = "/beforehand/string"
+    assert edge.subscribe(topic, STRING, Qos()) and edge.subscribe(topic, STRING, Qos())
+    assert (topic, STRING) in edge.subscriptions()
+    assert not edge.subscribe("/beforehand/none", "no_package/msg/None", Qos())
+    peer.publisher(topic, STRING, {})
+    assert peer.readers(topic, 1)
+    peer.publish(topic, {"data": "first"})
+    assert heard.until(lambda: heard.count(topic) == 1)
+    assert heard.of(topic) == strings("first")
+
+
 def test_first_message_of_a_publisher_reaches_the_subscriber(peer: Peer, edge: RosEdge) -> None:
     """Once just after the start, when the graph is not known yet, and once later."""
     for topic in ("/first/at_start", "/first/later"):

@@ -1,0 +1,80 @@
+"""``simulate`` on the command line: recordings, and what it refuses.  Live: tests/integration/test_simulate.py."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.cli import main
+from igtl_gateway.config import Config
+from igtl_gateway.simulate.catalogue import SCENARIOS
+
+
+def test_a_recording_verifies_and_is_always_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
+    for path in (first, second):
+        assert main(["simulate", "acquisition", "--out", str(path), "--duration", "1.2"]) == 0
+    assert first.read_bytes() == second.read_bytes()
+    assert main(["verify", str(first)]) == 0
+    told = capsys.readouterr().out
+    assert "planner      good" in told and "3. at the target after" in told
+
+
+def test_the_outcome_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "t.mcap"
+    assert main(["simulate", "test-server", "--type", "POINT", "--count", "3", "--out", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["good"] and told["bytes"] == out.stat().st_size
+    assert told["actors"]["test_node"]["facts"]["received"] == 3
+
+
+def test_scenarios_without_actors_are_written_as_ever(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "t.mcap"
+    assert main(["simulate", "paper-types", "--out", str(out), "--json"]) == 0
+    assert set(json.loads(capsys.readouterr().out)) == {"file", "entries", "bytes", "good"}
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_the_configuration_can_be_given_to_a_bridge(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", name, "--print-config"]) == 0
+    path = tmp_path / "its.toml"
+    path.write_text(capsys.readouterr().out, "utf-8")
+    assert Config.from_toml(path) == SCENARIOS[name].config
+
+
+def test_an_existing_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "t.mcap"
+    out.write_bytes(b"precious")
+    assert main(["simulate", "acquisition", "--out", str(out)]) == 1
+    assert "exists already" in capsys.readouterr().err
+    assert out.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("acquisition --out x --duration 0", "--duration: found 0.0, expected more than 0"),
+        ("acquisition --timeout 4000", "--timeout: found 4000.0"),
+        ("acquisition --out x --record y", "--record is for a live scenario"),
+        ("acquisition --out x --side ros", "--side is for a live scenario"),
+        ("acquisition --rate 5", "--rate: acquisition has no load"),
+        ("paper-types", "paper-types has no actors to play live"),
+        ("acquisition --connect :1", "--connect is for --side igtl"),
+        ("acquisition --side igtl --record y", "--record: with --side the bridge is yours"),
+        ("test-server --type STRING --size 3", "--size: found 3, expected 30 to 60,000 bytes for STRING"),
+        ("acquisition --actor nobody", "--actor: found 'nobody', expected one of planner, robot"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(words: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", *words.split()]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_without_ros_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
+    assert main(["simulate", "acquisition"]) == 2
+    assert 'pip install "igtl-gateway[ros]", or play offline with --out' in capsys.readouterr().err
