@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.config import Config, ToIgtlRow, ToRosRow, device_of_topic, matches
+from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow, device_of_topic, matches
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.qos import Qos
 
@@ -174,3 +174,20 @@ def test_patterns(glob: str, name: str, fits: bool) -> None:
 )
 def test_device_of_topic(topic: str, kind: str, device: str) -> None:
     assert device_of_topic(topic, kind) == device
+
+
+def test_what_is_written_as_toml_is_read_as_the_same(config: Config, tmp_path: Path) -> None:
+    odd = Config(
+        stamp="now",
+        command_timeout_s=1.5,
+        relay=True,
+        to_igtl=(ToIgtlRow(topic='/a"b', metadata=(("who", "Zoë \\ \n"), ("a key", "")), qos=Qos(3, False, True)),),
+        to_ros=(ToRosRow(device="*", kinds=("+slices", "image")),),
+        tf_out=(TfOutRow(frames=("Tool", "Probe"), base="Base"),),
+        peers=(PeerRow("10.0.0.*", "slicer"),),
+    )
+    for index, one in enumerate((Config(), config, odd)):
+        path = tmp_path / f"{index}.toml"
+        path.write_text(one.to_toml(), "utf-8")
+        assert Config.from_toml(path) == one
+    assert Config().to_toml() == "[gateway]\n"
