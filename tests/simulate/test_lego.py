@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from igtl_gateway.errors import ConfigError
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.simulate import lego, lego_planner
+from igtl_gateway.simulate import lego, lego_arm, lego_planner, lego_robot
 from igtl_gateway.simulate import lego_terms as terms
 from igtl_gateway.simulate.actor import Actor, Report, RosHeard, RosSaid
 from igtl_gateway.simulate.lego_arm import skeleton_of
@@ -143,6 +144,18 @@ def test_it_can_go_faster() -> None:
     log = list(play(cast, lego.CONFIG))
     assert (log[-1].stamp_ns - log[0].stamp_ns) / NS_PER_S == pytest.approx(29, abs=1.5)
     assert all(actor.report().good for actor in cast)
+
+
+def test_an_arm_without_errors_draws_what_was_planned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So whatever a line is off is the toy's: image, units, frames, wire and registration add nothing."""
+    fine = tuple(replace(joint, gear=10_000, play_deg=0.0) for joint in lego_arm.JOINTS)
+    monkeypatch.setattr(lego_arm, "JOINTS", fine)
+    monkeypatch.setattr(lego_robot, "_EYE_MM", 0.0)
+    cast = lego.actors(None, HEAD)
+    list(play(cast, lego.CONFIG))
+    planner, robot = (actor.report().facts for actor in cast)
+    assert planner["fre_mm"] < 0.03 and planner["tre_mm"] < 0.03 and robot["error_of_registration_mm"] < 0.03
+    assert planner["line_mm"]["hausdorff"] < 0.1, "the camera's tenth of a millimetre"
 
 
 # -- What can go wrong -------------------------------------------------------------------------------------------------
