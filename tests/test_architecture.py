@@ -88,7 +88,14 @@ HOMES: dict[str, tuple[str, ...]] = {
     # Libraries
     "av": ("edges.video",),
     "fastcrc": ("wire",),
-    "mcap": ("exchange", "record.mcap_copy", "record.mcap_writer", "replay.mcap_reader", "replay.salvage"),
+    "mcap": (
+        "exchange",
+        "record.mcap_copy",
+        "record.mcap_writer",
+        "replay.lookup",
+        "replay.mcap_reader",
+        "replay.salvage",
+    ),
     "numpy": (
         "wire",
         "convert",

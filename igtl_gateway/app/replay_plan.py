@@ -11,7 +11,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.qos import Qos
-from igtl_gateway.replay.latched import part
+from igtl_gateway.replay.latched import part, rule
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import once, select, spoken_to, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
@@ -80,18 +80,27 @@ def planned(
 ) -> Iterator[Entry]:
     """The entries of a plan, in order; those that were latched before ``start_ns`` (UTC) first, none after ``end_ns``.
 
-    The gateway is fed from the beginning in any case: what it says depends on all that it was told.
+    What was latched is looked up by the index.  But the gateway is fed from the beginning in any case: what it says
+    depends on all that it was told; and to whom a relay spoke, its links tell.
 
     Args:
         role: whose words of a relay's recording are played: those of the ``"server"`` or of the ``"client"``.
     """
     latched = {(channel.topic, channel.type) for channel in file.channels if channel.qos and channel.qos.latched}
-    entries: Iterable[Entry] = chain(file.prologue(), file.entries())
+
+    def is_latched(topic: str, ros_type: str) -> bool:
+        return (topic, ros_type) in latched
+
+    if start_ns is None or how.recompute or config.relay:
+        found = file.entries()
+    else:
+        found = file.entries_from(start_ns, rule(is_latched))
+    entries: Iterable[Entry] = chain(file.prologue(), found)
     if how.recompute:
         entries = through_gateway(entries, config, has_links=any(c.kind is Kind.LINK for c in file.channels if c.count))
     if config.relay:
         entries = spoken_to(role, entries)
-    entries = part(once(entries), start_ns, end_ns, lambda topic, ros_type: (topic, ros_type) in latched)
+    entries = part(once(entries), start_ns, end_ns, is_latched)
     return select(entries, how.kinds, streams)
 
 

@@ -17,6 +17,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator
 
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.errors import GatewayError
+from igtl_gateway.replay.lookup import StateRule
 from igtl_gateway.session.entry import Entry, Kind
 
 #: Surfaces, plans, annotations, tables, states: sent when they change, and valid until they change again.
@@ -34,7 +35,8 @@ def part(entries: Iterable[Entry], start_ns: int | None, end_ns: int | None, is_
     """The entries from ``start_ns`` to ``end_ns`` (both included; None: no limit), the latched ones before them.
 
     Args:
-        entries: the whole session, inputs too, in order.
+        entries: the whole session, inputs too, in order; of what is before ``start_ns`` at least what :func:`rule`
+            names.
         is_latched: tells it of a topic and its type, as recorded.
     """
     state: dict[Hashable, Entry] | None = {}
@@ -48,7 +50,7 @@ def part(entries: Iterable[Entry], start_ns: int | None, end_ns: int | None, is_
                 state = None
             yield entry
             continue
-        latched = entry.type in STATE_TYPES or (entry.kind in _ROS and is_latched(entry.channel, entry.type))
+        latched = _is_state(entry.kind, entry.channel, entry.type, is_latched)
         if entry.kind.is_input:
             cause_is_latched = latched
         if state is not None and (key := _key(entry, latched or cause_is_latched)):
@@ -56,6 +58,18 @@ def part(entries: Iterable[Entry], start_ns: int | None, end_ns: int | None, is_
             state[key] = entry
     if state:
         yield from _in_order(state)
+
+
+def rule(is_latched: IsLatched) -> StateRule:
+    """What :func:`part` needs to see of the entries before its start."""
+    return StateRule(
+        lambda kind, channel, type_name: _is_state(kind, channel, type_name, is_latched),
+        lambda channel: channel == _STATIC_TF,
+    )
+
+
+def _is_state(kind: Kind, channel: str, type_name: str, is_latched: IsLatched) -> bool:
+    return type_name in STATE_TYPES or (kind in _ROS and is_latched(channel, type_name))
 
 
 def _in_order(state: dict[Hashable, Entry]) -> list[Entry]:

@@ -29,6 +29,7 @@ from mcap.summary import Summary
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.qos import Qos
+from igtl_gateway.replay.lookup import StateRule, look_up
 from igtl_gateway.session import layout, migrations
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.layout import LayoutError
@@ -130,6 +131,8 @@ class SessionFile:
         marked = any(layout.KIND_KEY in channel.metadata for channel in channels.values())
         self.foreign = session is None and not marked
         self._decoders: dict[int, Decode] = {}
+        self._streams: dict[int, tuple[Kind, str, str]] = {}  # kind, channel and type of a channel's entries
+        self._chunks = summary.chunk_indexes
         told: list[ChannelSummary | SkippedChannel] = []
         for channel in channels.values():
             with self._reading(f"channel {channel.topic}"):
@@ -186,6 +189,38 @@ class SessionFile:
         """
         return migrations.entries(self.format_version, self._entries())
 
+    def entries_from(self, start_ns: int, rule: StateRule) -> Iterator[Entry]:
+        """The entries from ``start_ns`` (UTC) on, before them at least those that the latched state there follows from.
+
+        Looked up by the index where there is one that tells; else all entries.  Raises DamagedRecording where what is
+        read turns out to be damaged.
+        """
+        found = None
+        # of streams that share a channel only the messages themselves tell which is which
+        told = all(
+            channel.stream or channel.kind not in layout.WIRE_TOPICS for channel in self.channels if channel.count
+        )
+        if told and self.format_version == layout.FORMAT_VERSION:
+            found = look_up(self._stream, self._chunks, start_ns, self._streams, rule, counted=self.foreign)
+        state: list[Entry] = []
+        try:
+            for message, before in found.messages if found else ():
+                seq = before + 1 if self.foreign else _next(state[-1].seq if state else 0, message.sequence)
+                entry = self._decoders[message.channel_id](message, seq)
+                if entry.channel and self._streams[message.channel_id] != (entry.kind, entry.channel, entry.type):
+                    found = None
+                    break
+                state.append(entry)
+        except LayoutError:
+            found = None
+        if found is None:
+            yield from self.entries()
+            return
+        yield from state
+        if found.rest_ns is not None:
+            seq = found.count if self.foreign else state[-1].seq if state else 0
+            yield from self._numbered(self._messages(found.rest_ns), seq)
+
     def prologue(self) -> list[Entry]:
         """Inputs before the first entry, which the gateway's state follows from; for files that begin midway.
 
@@ -202,36 +237,40 @@ class SessionFile:
             return list(SessionFile(self.path, BytesIO(record.data)).entries())
 
     def _entries(self) -> Iterator[Entry]:
-        decoders, foreign = self._decoders, self.foreign
-        seq = count = 0
-        for message in self._messages():
-            decode = decoders.get(message.channel_id)
-            if decode is None:
-                continue
+        count = 0
+        for entry in self._numbered(self._messages(), 0):
             count += 1
-            if foreign:
-                seq = count
-            else:
-                step = (message.sequence - seq) % SEQUENCES
-                if step == 0 or (seq and step >= SEQUENCES // 2):
-                    raise DamagedRecording(
-                        f"{self.path}: found entry number {message.sequence}, expected one above {seq % SEQUENCES}"
-                        f"{recover_hint(self.path)}"
-                    )
-                seq += step
-            try:
-                entry = decode(message, seq)
-            except LayoutError as error:
-                raise DamagedRecording(f"{self.path}: entry {seq}: {error}{recover_hint(self.path)}") from None
             yield entry
         if count != self.entry_count:
             raise DamagedRecording(
                 f"{self.path}: found {count} entries, expected {self.entry_count}{recover_hint(self.path)}"
             )
 
-    def _messages(self) -> Iterator[Message]:
+    def _numbered(self, messages: Iterator[Message], seq: int) -> Iterator[Entry]:
+        """The entries in messages; ``seq`` is the number of one before them, or 0."""
+        decoders, foreign = self._decoders, self.foreign
+        first = True
+        for message in messages:
+            decode = decoders.get(message.channel_id)
+            if decode is None:
+                continue
+            number = seq + 1 if foreign else _next(seq, message.sequence)
+            # what comes before the first one may have been left out
+            if number == seq or (number - seq >= SEQUENCES // 2 and not first):
+                raise DamagedRecording(
+                    f"{self.path}: found entry number {message.sequence}, expected one above {seq % SEQUENCES}"
+                    f"{recover_hint(self.path)}"
+                )
+            seq, first = number, False
+            try:
+                entry = decode(message, seq)
+            except LayoutError as error:
+                raise DamagedRecording(f"{self.path}: entry {seq}: {error}{recover_hint(self.path)}") from None
+            yield entry
+
+    def _messages(self, from_ns: int | None = None) -> Iterator[Message]:
         try:
-            for _, _, message in self._reader.iter_messages():
+            for _, _, message in self._reader.iter_messages(starting_at=from_ns):
                 yield message
         except Exception as error:  # of the library: whatever it makes of damaged bytes
             raise self._damaged("entries", error) from error
@@ -283,6 +322,8 @@ class SessionFile:
         self._decoders[channel.id] = decoder(kind, channel.topic, ros_type)
         stream = channel.metadata.get(layout.STREAM_KEY, "")
         stream = channel.topic if kind in layout.ROS_KINDS else layout.unescape(stream)
+        entry_type = ros_type if kind in layout.ROS_KINDS else stream.partition("/")[0]
+        self._streams[channel.id] = kind, stream, entry_type
         qos = layout.parse_qos_yaml(channel.metadata.get(layout.QOS_KEY, ""))
         return ChannelSummary(channel.topic, ros_type, kind, stream, count, qos)
 
@@ -336,10 +377,17 @@ class SessionParts(SessionFile):
 
     def entries(self) -> Iterator[Entry]:
         """All entries of all parts; as SessionFile.entries."""
+        return self._of_parts(SessionFile.entries)
+
+    def entries_from(self, start_ns: int, rule: StateRule) -> Iterator[Entry]:
+        """As SessionFile.entries_from."""
+        return self._of_parts(lambda part: part.entries_from(start_ns, rule))
+
+    def _of_parts(self, entries: Callable[[SessionFile], Iterator[Entry]]) -> Iterator[Entry]:
         seq = 0
         for each in self.parts:
             with SessionFile.open(each.path) as part:
-                for entry in part.entries():
+                for entry in entries(part):
                     if entry.seq <= seq:
                         raise DamagedRecording(f"{each.path}: found entry number {entry.seq}, expected one above {seq}")
                     seq = entry.seq
@@ -348,6 +396,11 @@ class SessionParts(SessionFile):
     def prologue(self) -> list[Entry]:
         """Nothing: it begins at the beginning."""
         return []
+
+
+def _next(seq: int, sequence: int) -> int:
+    """The entry number behind ``seq`` that MCAP's ``sequence`` is short for; ``seq`` itself if it repeats."""
+    return seq + (sequence - seq) % SEQUENCES
 
 
 _KINDS = {kind.value: kind for kind in Kind}
