@@ -1,0 +1,44 @@
+"""Names as entity paths, and trees of frames."""
+
+from __future__ import annotations
+
+import pytest
+
+from igtl_gateway.view.seen import Seen, Shown, What, path_of
+
+
+@pytest.mark.parametrize(
+    ("topic", "path"),
+    [
+        ("/star/cloud", "star/cloud"),
+        ("TRANSFORM/ToolToBase", "TRANSFORM/ToolToBase"),
+        ("/a b/ü#", "a_b/__"),
+        ("STATUS/", "STATUS"),
+        ("//", "unnamed"),
+    ],
+)
+def test_paths_need_no_escapes(topic: str, path: str) -> None:
+    assert path_of(topic) == path
+
+
+def test_frames_that_go_in_a_circle_have_a_root_all_the_same() -> None:
+    seen = Seen(parents={"a": "b", "b": "a", "c": "a"})
+    assert seen.root_of("c") in {"a", "b"}
+
+
+def test_the_tree_with_the_most_to_see_comes_first() -> None:
+    seen = Seen(
+        "world",
+        {
+            "/pose": Shown("pose", "/pose", "t", What.POSE, "tracker", count=1),
+            "/cloud": Shown("cloud", "/cloud", "t", What.CLOUD, "camera", count=1),
+            "/text": Shown("text", "/text", "t", What.TEXT, "nowhere", count=1),
+        },
+        {"camera": "base"},
+    )
+    assert {root: [shown.path for shown in tree] for root, tree in seen.trees().items()} == {
+        "base": ["cloud"],
+        "tracker": ["pose"],
+    }
+    assert seen.root == "base"
+    assert seen.frames_of("base") == ["frames/camera"]

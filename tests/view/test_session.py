@@ -1,0 +1,135 @@
+"""What a session's picture tells besides the messages: times, gaps, drops, links, rates, what has no picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
+
+from igtl_gateway.convert.igtl_msgs import PolyData
+from igtl_gateway.convert.rosmsg import Header, Mesh, String
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+
+from .conftest import START_NS, STEP_NS, Draw, messages
+
+SECOND = 1_000_000_000
+
+
+@dataclass
+class Odd:
+    """A type that nobody has heard of."""
+
+    TYPE: ClassVar[str] = "odd_msgs/msg/Odd"
+
+    def pack(self) -> bytes:
+        return b"\0\1\0\0odd"
+
+
+def text(seq: int, stamp_ns: int, said: str = "hello", **more: Any) -> Entry:
+    return Entry(seq, stamp_ns, Kind.ROS_IN, "/text", String.TYPE, (String(said).pack(),), **more)
+
+
+def note(seq: int, kind: Kind, said: Note, links: tuple[int, ...] = ()) -> Entry:
+    return Entry(seq, START_NS + seq * STEP_NS, kind, payload=(said.pack(),), links=links)
+
+
+def test_rows_carry_gateway_time_entry_number_and_the_senders_time_where_set(draw: Draw) -> None:
+    stamped = text(8, START_NS + 8_000, source_ns=START_NS + 1_000)
+    first, second = draw(entries=[text(7, START_NS), stamped]).rows("text")
+    assert (first["entry"], second["entry"]) == (7, 8)
+    assert first["gateway_time"] == START_NS
+    assert second["gateway_time"] == START_NS + 8_000
+    assert "sender_time" not in first
+    assert second["sender_time"] == START_NS + 1_000
+
+
+def test_a_type_without_picture_is_said_once_and_counts(draw: Draw) -> None:
+    drawn = draw(Odd(), Odd(), Odd())
+    assert len(drawn.rows("topic")) == 3
+    assert [line for line in drawn.log() if "no picture" in line] == ["no picture: /topic (odd_msgs/msg/Odd)"]
+    assert drawn.view.told.without_picture == {"odd_msgs/msg/Odd": 3}
+
+
+def test_a_message_that_cannot_be_read_costs_itself(draw: Draw) -> None:
+    broken = Entry(2, START_NS + 2 * STEP_NS, Kind.ROS_IN, "/text", String.TYPE, (b"\0\1\0\0\xff\0\0\0",))
+    drawn = draw(entries=[text(1, START_NS), broken, text(3, START_NS + 3 * STEP_NS)])
+    assert len(drawn.rows("text")) == 3
+    assert drawn.view.told.refused == {"/text": 1}
+    assert sum("/text: cannot be shown" in line for line in drawn.log()) == 1
+
+
+def test_missing_entry_numbers_are_drops(draw: Draw) -> None:
+    drawn = draw(entries=[text(1, START_NS), text(2, START_NS + 1), text(6, START_NS + 2)])
+    assert drawn.one("session/drops")["Scalars:scalars"] == [3.0]
+    assert "3 entries are missing" in drawn.log()
+
+
+def test_notes_links_and_drops_have_their_places(draw: Draw) -> None:
+    drawn = draw(
+        entries=[
+            note(1, Kind.LINK, Note(Level.INFO, "link_up", "10.0.0.7:18944 connected"), (4,)),
+            note(2, Kind.EDGE_NOTE, Note(Level.WARN, "queue_drop", "5 messages dropped", data={"count": 5})),
+            note(3, Kind.NOTE, Note(Level.ERROR, "bad_crc", "refused", "TRANSFORM/Probe")),
+        ]
+    )
+    assert [row["TextLog:text"] for row in drawn.rows("session/links")] == [["10.0.0.7:18944 connected [link 4]"]]
+    assert drawn.one("session/drops")["Scalars:scalars"] == [5.0]
+    levels = [(row["TextLog:level"][0], row["TextLog:text"][0]) for row in drawn.rows("session/log")]
+    assert levels == [
+        ("INFO", "10.0.0.7:18944 connected [link 4]"),
+        ("WARN", "5 messages dropped"),
+        ("ERROR", "TRANSFORM/Probe: refused"),
+    ]
+
+
+def test_rates_are_messages_of_each_second_and_zero_in_a_pause(draw: Draw) -> None:
+    times = [START_NS + k * SECOND // 10 for k in range(20)] + [START_NS + 7 * SECOND]
+    drawn = draw(entries=[text(number, at) for number, at in enumerate(times, 1)])
+    rates = [row["Scalars:scalars"][0] for row in drawn.rows("plots/rate/ros_in/text")]
+    assert rates == [10.0, 10.0, 0.0, 0.0, 1.0]
+
+
+def test_latency_is_gateway_time_minus_the_senders_stamp(draw: Draw) -> None:
+    drawn = draw(entries=[text(1, START_NS, source_ns=START_NS - 2_500_000), text(2, START_NS + 1)])
+    assert drawn.one("plots/latency/text")["Scalars:scalars"] == [2.5]
+
+
+def test_a_stream_that_falls_silent_leaves_a_gap_on_the_time_line(draw: Draw) -> None:
+    times = [START_NS + k * STEP_NS for k in range(30)] + [START_NS + 3 * SECOND]
+    drawn = draw(entries=[text(number, at) for number, at in enumerate(times, 1)])
+    assert [line for line in drawn.log() if "silent" in line] == ["/text: silent for 2.7 s"]
+
+
+def test_of_messages_made_of_one_the_fullest_is_drawn(draw: Draw) -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    mesh = Mesh(np.array([[0, 1, 2]], np.uint32), corners)
+    full = PolyData(Header(0, "f"), corners, polygons=np.array([3, 0, 1, 2], np.uint32))
+    cause = Entry(1, START_NS, Kind.IGTL_IN, "POLYDATA/Skin", "POLYDATA", (b"",))
+    outputs = messages(("/igtl/in/Skin/mesh", mesh), ("/igtl/in/Skin/polydata", full), kind=Kind.ROS_OUT)
+    alone = messages(("/igtl/in/Other/mesh", mesh), kind=Kind.ROS_OUT)
+    shown = draw(entries=[cause, *outputs, *alone]).view.seen.shown
+    assert {topic: each.drawn for topic, each in shown.items()} == {
+        "/igtl/in/Skin/mesh": False,
+        "/igtl/in/Skin/polydata": True,
+        "/igtl/in/Other/mesh": True,
+    }
+
+
+def test_topics_that_would_meet_keep_apart(draw: Draw) -> None:
+    drawn = draw(("/a b", String("x")), ("/a_b", String("y")), ("/session/log", String("z")))
+    assert drawn.one("a_b")["TextDocument:text"] == ["x"]
+    assert drawn.one("a_b_2")["TextDocument:text"] == ["y"]
+    assert drawn.one("topics/session/log")["TextDocument:text"] == ["z"]
+
+
+def test_equal_sessions_give_equal_pictures(draw: Draw) -> None:
+    def rows() -> Any:
+        drawn = draw(*(String(str(number)) for number in range(50)))
+        return {path: drawn.rows(path) for path in drawn.batches}
+
+    assert rows() == rows()
