@@ -44,6 +44,8 @@ _DELAY_NS = 30 * NS_PER_MS  # from the moment that a picture shows to the moment
 _AGAIN_NS = 500 * NS_PER_MS
 _PATIENCE_NS = NS_PER_S
 _FEWEST = 10  # pictures of the shortest sweep
+_IVORY, _RED = 0xF0E2BE, 0xD64242  # of bone and vessel
+_FLOAT32 = 7  # sensor_msgs/PointField
 _SHOWN_PICTURES = 20  # after so many new ones the navigator shows what it has so far
 
 #: While the sweep is in this part of its length, something is between tracker and reference.
@@ -328,8 +330,8 @@ class Navigator:
     def _grown(self, now_ns: int) -> Iterable[Said]:
         """The surfaces as far as they are known."""
         stack, header = self._stack(), Header(now_ns, "Reference")
-        yield RosSaid(_BONE, _cloud(header, np.concatenate([one.bone for one in stack])))
-        yield RosSaid(_VESSEL, _cloud(header, np.concatenate([one.wall for one in stack])))
+        yield RosSaid(_BONE, _cloud(header, np.concatenate([one.bone for one in stack]), _IVORY))
+        yield RosSaid(_VESSEL, _cloud(header, np.concatenate([one.wall for one in stack]), _RED))
 
     def _stacked(self, now_ns: int) -> Iterable[Said]:
         """The slices in the frame of the reference, and what follows from them."""
@@ -401,10 +403,12 @@ def _found_in(picture: Volume) -> _Found:
     return _Found(*(placed(np.asarray(pixels, float).reshape(-1, 2)) for pixels in shown))
 
 
-def _cloud(header: Header, points_mm: Array) -> PointCloud2:
-    points = rounded(points_mm / 1000, 1e-6).astype("<f4")
-    fields = tuple(PointField(axis, 4 * index, 7) for index, axis in enumerate("xyz"))
-    return PointCloud2(header, 1, len(points), fields, False, 12, 12 * len(points), points.tobytes(), True)
+def _cloud(header: Header, points_mm: Array, colour: int) -> PointCloud2:
+    data = np.empty((len(points_mm), 4), "<u4")
+    data[:, :3] = rounded(points_mm / 1000, 1e-6).astype("<f4").view("<u4")
+    data[:, 3] = colour
+    fields = tuple(PointField(name, 4 * index, _FLOAT32) for index, name in enumerate(("x", "y", "z", "rgb")))
+    return PointCloud2(header, 1, len(data), fields, False, 16, 16 * len(data), data.tobytes(), True)
 
 
 def _target(stack: list[_Found]) -> Array | None:

@@ -37,8 +37,9 @@ def turned(x: float, y: float, z: float, w: float, translation: Sequence[float])
 
 #: Where the picture's axes (mm, from its first pixel) are on the probe: what a calibration finds.
 IMAGE_TO_PROBE = turned(0.004, -0.007, -0.70, 0.71, (12.74, 50.76, -0.5))
-#: How the picture lies on the arm when the probe stands upright: rows across it, columns into it.
-_UPRIGHT = (1.0, 0.0, 0.0, 1.0)
+#: How the picture lies on the arm when the probe stands upright: rows across it (against u), columns into it.  So who
+#: looks at the picture from its front sees the sweep go away from him, and what was swept before it.
+_UPRIGHT = (0.0, 1.0, 1.0, 0.0)
 #: How the arm lies: the tracker looks down on it, its z up, as viewers have it.
 _ARM_TO_TRACKER = (0.96, 0.25, 0.05, 0.09, -208.6, -115.5, -992.7)
 
@@ -72,7 +73,7 @@ class Hand:
         part = frame / max(self._frames - 1, 1)
         dx, dy, dz, rx, ry, rz = _wander(self._shake, part)
         x, y, z, w = _product(_UPRIGHT, (0.03 * rx, 0.02 * ry, 0.02 * rz, 1.0))
-        start = (-WIDTH * PIXEL_MM / 2 + 0.6 * dx, LENGTH_MM * part + 0.4 * dy, 0.12 * dz)
+        start = (WIDTH * PIXEL_MM / 2 + 0.6 * dx, LENGTH_MM * part + 0.4 * dy, 0.12 * dz)
         image = turned(x, y, z, w, start)
         dx, dy, dz, rx, ry, rz = _wander(self._breath, part)
         x, y, z, w, *place = _ARM_TO_TRACKER
