@@ -172,7 +172,7 @@ class _Assessor:
         place = scene.around(ray, limits.place_mm / MM / z)
         if not len(place):
             return end
-        temporal, spatial = (_root_mean_square_mm(found, place) for found in (scene.temporal, scene.spatial))
+        temporal, spatial = (_usual_mm(found, place) for found in (scene.temporal, scene.spatial))
         known = np.isfinite(scene.depths[:, place])
         end = replace(
             end,
@@ -226,13 +226,13 @@ def _chord_depth_mm(entry: Array, leave: Array, surface: Surface) -> float:
     return -MM * float(surface.distance(entry + shares * (leave - entry)).min())
 
 
-def _root_mean_square_mm(noise: Array | None, place: Array) -> float | None:
-    """Of the known ones; None where there is none."""
+def _usual_mm(noise: Array | None, place: Array) -> float | None:
+    """The median of the known ones, in mm; None where there is none."""
     if noise is None:
         return None
     found = noise[place]
     found = found[np.isfinite(found)]
-    return float(np.sqrt((found**2).mean())) * MM if found.size else None
+    return float(np.median(found)) * MM if found.size else None
 
 
 def _changes(first: PlanReview, last: PlanReview) -> list[Change]:

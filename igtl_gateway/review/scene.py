@@ -21,6 +21,7 @@ Array = npt.NDArray[Any]
 
 #: Clouds from which on scatter between them tells more than a formula.
 SEVERAL = 4
+_SPATIAL_CLOUDS = 6  # a few tell what differs between neighbours
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,7 @@ class Scene:
         z[behind] = np.nan
         rays = np.stack([_mean_ray(x / z), _mean_ray(y / z)], axis=-1)
         temporal = noise.between_clouds(z).reshape(-1) if len(used) > 1 else None
-        spatial = noise.within_clouds(z).reshape(-1) if organised else None
+        spatial = noise.within_clouds(z[:_SPATIAL_CLOUDS]).reshape(-1) if organised else None
         return cls(
             used,
             rays.reshape(-1, 2),

@@ -1,0 +1,236 @@
+"""The review as a whole: planted errors are found, and no others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from igtl_gateway.review import Level, Material, Review, Thresholds, review_of
+from igtl_gateway.review.model import Array
+from igtl_gateway.review.scene import Cloud, Scene
+from igtl_gateway.simulate import star_scene
+from igtl_gateway.simulate.star_camera import noise_sigma
+from igtl_gateway.simulate.star_tissue import PLANTED
+from tests.review.conftest import SEEDS
+from tests.review.sessions import (
+    SECOND,
+    cloud_message,
+    dome_clouds,
+    entry,
+    on_dome,
+    plan_message,
+    pose_message,
+)
+
+_FIRST = np.stack([on_dome(x, -3.5) for x in (-3, 0, 3)])
+_LAST = np.stack([on_dome(x, 3.5) for x in (-3, 0, 3)])
+
+
+def _of(clouds: list[Cloud], *plans: tuple[Array, Array], limits: Thresholds | None = None) -> Review:
+    material = Material()
+    for cloud in clouds:
+        material.take(entry("/cloud", cloud_message(cloud.points, cloud.stamp_ns), cloud.stamp_ns))
+    for number, (first, last) in enumerate(plans, 1):
+        material.take(entry("/plan", plan_message(first, last, number * SECOND), number * SECOND))
+    return review_of(material, limits)
+
+
+def _levels(review: Review) -> list[str]:
+    return [stitch.level.value for stitch in review.last.stitches]
+
+
+@pytest.fixture(scope="module")
+def reviews(scenes: dict[int, Scene], stars: dict[int, star_scene.Scene]) -> dict[int, Review]:
+    """By seed: the plan as it was measured, then the true one."""
+    return {
+        seed: _of(
+            list(scenes[seed].clouds),
+            (star.measured_plan.entry, star.measured_plan.exit),
+            (star.plan.entry, star.plan.exit),
+        )
+        for seed, star in stars.items()
+    }
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_planted_stitches_are_wrong_and_no_others(seed: int, reviews: dict[int, Review]) -> None:
+    stitches = reviews[seed].first.stitches
+    assert tuple(stitch.number for stitch in stitches if stitch.level is Level.WRONG) == tuple(PLANTED)
+    others = [stitch for stitch in stitches if stitch.number not in PLANTED]
+    assert [stitch.reasons for stitch in others if stitch.level is not Level.OK] == []
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_distances_are_those_of_the_true_tissue(
+    seed: int, reviews: dict[int, Review], stars: dict[int, star_scene.Scene]
+) -> None:
+    """docs/review.md: whatever the stitches' own error, the distance is right to 0.25 mm."""
+    star = stars[seed]
+    for stitch, *truth in zip(reviews[seed].first.stitches, star.plan.entry, star.plan.exit, strict=True):
+        for end, true in zip((stitch.entry, stitch.exit), truth, strict=True):
+            assert end.distance_mm == pytest.approx((true[2] - end.position[2]) * 1000, abs=0.25)
+    assert reviews[seed].last.wrong == ()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_noise_at_the_stitches_is_the_cameras(
+    seed: int, reviews: dict[int, Review], scenes: dict[int, Scene], stars: dict[int, star_scene.Scene]
+) -> None:
+    """docs/review.md: within 20 %."""
+    view = stars[seed].cloud_view
+    truth = noise_sigma(view.depth, view.facing).reshape(-1)
+    for stitch in reviews[seed].last.stitches:
+        for end in (stitch.entry, stitch.exit):
+            x, y, z = end.position
+            true_mm = 1000 * np.median(truth[scenes[seed].around(np.array([x, y]) / z, 0.0025 / z)])
+            assert end.noise_mm == end.temporal_mm == pytest.approx(true_mm, rel=0.2)
+            assert end.spatial_mm is not None
+            if stitch.number not in PLANTED:  # the edge of a wet spot is no noise, but is counted from pixel to pixel
+                assert 0.7 * true_mm < end.spatial_mm < true_mm
+
+
+@pytest.mark.parametrize("which", [0, 1, 2])
+@pytest.mark.parametrize("off_mm", [-1.5, 1.5])
+def test_any_stitch_that_is_moved_off_the_tissue_is_found(which: int, off_mm: float) -> None:
+    moved = _LAST.copy()
+    moved[which] *= 1 - off_mm / 1000 / moved[which, 2]
+    review = _of(dome_clouds(6), (_FIRST, _LAST), (_FIRST, moved))
+    assert [stitch.number for stitch in review.first.wrong] == []
+    assert [stitch.number for stitch in review.last.wrong] == [which + 1]
+    distance_mm = review.last.stitches[which].exit.distance_mm
+    assert distance_mm == pytest.approx(off_mm, abs=0.15)
+    assert [(change.number, change.before, change.after) for change in review.changes] == [
+        (which + 1, Level.OK, Level.WRONG)
+    ]
+    assert review.changes[0].moved_mm == pytest.approx((0, 1.5), abs=0.05)
+
+
+def test_a_spot_that_always_reads_wrong_is_looked_at_and_the_point_on_the_tissue_is_not_wrong() -> None:
+    clouds = dome_clouds(6)
+    for cloud in clouds:
+        cloud.points[((cloud.points[..., :2] - _LAST[1, :2]) ** 2).sum(axis=-1) < 0.0016**2] *= 1.008
+    review = _of(clouds, (_FIRST, _LAST))
+    assert _levels(review) == ["ok", "look", "ok"]
+    reading_mm = review.last.stitches[1].exit.reading_mm
+    assert reading_mm == pytest.approx(-2.0, abs=0.2)
+
+
+def test_the_figures_of_a_stitch_on_a_sphere() -> None:
+    review = _of(dome_clouds(6), (_FIRST, _LAST))
+    stitch = review.last.stitches[1]
+    assert stitch.bite_length_mm == pytest.approx(7.0)
+    sagitta_mm = 20 - np.sqrt(20**2 - 3.5**2)
+    assert stitch.bite_depth_mm == pytest.approx(sagitta_mm, abs=0.05)
+    assert stitch.entry.spacing_mm == pytest.approx(1000 * np.linalg.norm(_FIRST[1] - _FIRST[0]))
+    pixels_mm2 = (700 / stitch.entry.position[2] / 1000) ** 2
+    cosine = np.sqrt(20**2 - 3.5**2) / 20
+    assert stitch.entry.density_mm2 == pytest.approx(pixels_mm2 * cosine, rel=0.05)
+    assert stitch.entry.missing == 0.0
+    assert review.tool == ""
+    assert any("not compared with executed" in note for note in review.notes)
+
+
+def test_the_cloud_for_the_viewer() -> None:
+    clouds = dome_clouds(4)
+    for cloud in clouds:
+        cloud.points[:2] = np.nan
+    found = _of(clouds, (_FIRST, _LAST)).cloud
+    assert (found.topic, found.frame_id, found.clouds, found.temporal) == ("/cloud", "camera", 4, True)
+    assert found.stamps_ns == found.source_stamps_ns == (SECOND, 4 * SECOND)
+    assert found.positions.shape == (58 * 80, 3)
+    assert found.noise_mm.shape == (58 * 80,)
+    assert found.positions.dtype == found.noise_mm.dtype == np.float32
+    np.testing.assert_allclose(found.positions.reshape(58, 80, 3), clouds[0].points[2:], atol=0.001)
+    assert np.nanmedian(found.noise_mm) == pytest.approx(0.2, rel=0.1)
+
+
+def test_missing_pixels_and_thin_clouds_are_looked_at() -> None:
+    clouds = dome_clouds(6)
+    random = np.random.default_rng(5)
+    for cloud in clouds:
+        near = np.abs(cloud.points[..., 1] - _LAST[1, 1]) < 0.003
+        cloud.points[near & (random.random(near.shape) < 0.8)] = np.nan
+    stitch = _of(clouds, (_FIRST, _LAST)).last.stitches[1]
+    assert stitch.level is Level.LOOK
+    assert stitch.exit.missing == pytest.approx(0.8, abs=0.1)
+    assert any("have no depth" in reason for reason in stitch.reasons)
+    assert any("points/mm²" in reason for reason in stitch.reasons)
+
+
+def test_a_stitch_outside_the_picture_cannot_be_judged() -> None:
+    far = _FIRST.copy()
+    far[2, 0] = 0.1
+    review = _of(dome_clouds(3), (far, _LAST), limits=replace(Thresholds(), spacing=1e6, bite=1e6))
+    assert _levels(review) == ["ok", "ok", "look"]
+    assert review.last.stitches[2].entry.distance_mm is None
+    assert review.last.stitches[2].reasons == ("entry: too few points of tissue around it to compare with",)
+
+
+def test_crowded_and_long_stitches_are_looked_at() -> None:
+    first = np.stack([on_dome(x, -3.5) for x in (-6, -3, 0, 0.8, 4)])
+    last = np.stack([on_dome(x, y) for x, y in ((-6, 3.5), (-3, 3.5), (0, 3.5), (3, 3.5), (5.5, 8))])
+    reasons = [stitch.reasons for stitch in _of(dome_clouds(4), (first, last)).last.stitches]
+    assert not reasons[0]
+    assert any("entry: spacing 0.8 mm" in text for text in reasons[3])
+    assert any(text.startswith("bite 11") for text in reasons[4])
+
+
+def test_stitches_that_were_added_and_taken_out_are_told() -> None:
+    review = _of(dome_clouds(3), (_FIRST, _LAST), (_FIRST[1:], _LAST[1:]))
+    assert [(change.number, change.before, change.after) for change in review.changes] == [(1, Level.OK, None)]
+    back = _of(dome_clouds(3), (_FIRST[1:], _LAST[1:]), (_FIRST, _LAST))
+    assert [(change.number, change.before, change.after) for change in back.changes] == [(1, None, Level.OK)]
+
+
+def test_planned_is_compared_with_executed_in_the_frame_of_the_plan() -> None:
+    """The tool is told in the base, the camera hangs in the base; a second frame moves, too, but far away."""
+    material = Material()
+    for cloud in dome_clouds(4):
+        material.take(entry("/cloud", cloud_message(cloud.points, cloud.stamp_ns), cloud.stamp_ns))
+    material.take(entry("/plan", plan_message(_FIRST, _LAST, SECOND), SECOND))
+    shift = np.array([0.5, 0.0, 0.4])
+    material.take(entry("/camera_pose", pose_message("base", "camera", tuple(shift), SECOND), SECOND))
+    above, deep = np.array([0, 0, -0.03]), np.array([0, 0, 0.0025])
+    ways = np.stack([_FIRST[0] + above, _FIRST[0], on_dome(-3, 0) + deep, _LAST[0]])
+    ways[2:, 0] += 0.0003
+    for number, place in enumerate(ways, 1):
+        stamp_ns = number * SECOND
+        material.take(entry("/tool", pose_message("base", "needle", tuple(place + shift), stamp_ns), stamp_ns))
+        material.take(entry("/elbow", pose_message("base", "elbow", (number, 0, 0), stamp_ns), stamp_ns))
+    review = review_of(material)
+    assert review.tool == "needle"
+    entered, left = (end.executed for end in (review.last.stitches[0].entry, review.last.stitches[0].exit))
+    assert entered is not None
+    assert left is not None
+    assert entered.distance_mm == pytest.approx(0, abs=1e-6)
+    assert left.distance_mm == pytest.approx(0.3, abs=0.02)
+    assert (entered.reached, left.reached) == (True, True)
+    assert entered.stamp_ns == 2 * SECOND
+    assert review.last.stitches[0].driven_depth_mm == pytest.approx(2.5, abs=0.15)
+    other = review.last.stitches[1]
+    assert other.entry.executed is not None
+    assert not other.entry.executed.reached
+    assert other.driven_depth_mm is None
+
+
+def test_what_makes_figures_doubtful_is_noted() -> None:
+    assert any("only 1 cloud:" in note for note in _of(dome_clouds(1), (_FIRST, _LAST)).notes)
+    clouds = dome_clouds(4)
+    for number, cloud in enumerate(clouds):
+        cloud.points[...] *= 1 + 0.004 * number / 0.25
+    assert any("moved by +12" in note for note in _of(clouds, (_FIRST, _LAST)).notes)
+    assert not any("moved" in note or "only" in note for note in _of(dome_clouds(4), (_FIRST, _LAST)).notes)
+
+
+def test_a_list_of_points_is_reviewed_without_what_needs_a_picture() -> None:
+    points = dome_clouds(1)[0].points.reshape(1, -1, 3)
+    moved = _LAST.copy()
+    moved[1, 2] += 0.002
+    review = _of([Cloud("/cloud", "camera", 1, 1, points)], (_FIRST, moved))
+    assert [stitch.number for stitch in review.last.wrong] == [2]
+    end = review.last.stitches[0].entry
+    assert (end.noise_mm, end.missing) == (None, None)
+    assert end.density_mm2 is not None
+    assert not review.cloud.temporal
