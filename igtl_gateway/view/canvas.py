@@ -145,6 +145,7 @@ class Canvas:
         elif static:
             self.pen.static(path, _place(pose, frame, child))
         self._seen.parents[child] = frame
+        self._seen.places[child] = tuple(pose)
         if not static:
             self.pen.pose(path, frame, pose[:3], pose[3:], child)
 

@@ -13,6 +13,7 @@ from igtl_gateway.view.seen import REVIEW_CLOUD, REVIEW_STITCHES, REVIEW_TABLE
 
 _COLOURS = {Level.OK: 0x66BB6AFF, Level.LOOK: 0xFFB300FF, Level.WRONG: 0xFF1744FF}
 _MARKS = {Level.OK: "ok", Level.LOOK: "look", Level.WRONG: "**wrong**"}
+_NAMES = f"{REVIEW_STITCHES}/names"
 _LINE_M = 0.0005
 #: Noise of the colour scale's red end, as multiple of the limit from which a place is to be looked at.
 _RED = 2.0
@@ -28,9 +29,12 @@ def draw_review(review: Review, pen: Pen) -> None:
         radii=[rr.Radius.ui_points(2.0)],
     )
     pen.static(REVIEW_CLOUD, rr.CoordinateFrame(cloud.frame_id), points)
+    for path in (REVIEW_STITCHES, _NAMES):
+        pen.static(path, rr.CoordinateFrame(cloud.frame_id))
     for number, plan in enumerate(review.plans, 1):
         pen.at(Entry(0, plan.stamp_ns, Kind.NOTE, source_ns=plan.source_ns))
         pen.log(REVIEW_STITCHES, rr.CoordinateFrame(cloud.frame_id), _stitches(plan))
+        pen.log(_NAMES, rr.CoordinateFrame(cloud.frame_id), _names(plan))
         pen.log(REVIEW_TABLE, rr.TextDocument(_table(review, plan, number, red_mm), media_type="text/markdown"))
 
 
@@ -41,6 +45,19 @@ def _stitches(plan: PlanReview) -> rr.LineStrips3D:
         colors=np.array([_COLOURS[stitch.level] for stitch in plan.stitches], np.uint32),
         radii=[_LINE_M],
         labels=[_label(stitch) for stitch in plan.stitches],
+        show_labels=False,  # of all they would hide each other: when pointed at
+    )
+
+
+def _names(plan: PlanReview) -> rr.Points3D:
+    """Labels of what is not good, at the end of it that is further off."""
+    named = [stitch for stitch in plan.stitches if stitch.level is not Level.OK]
+    ends = [max((each.entry, each.exit), key=lambda end: abs(end.distance_mm or 0.0)) for each in named]
+    return rr.Points3D(
+        np.array([end.position for end in ends], np.float32).reshape(-1, 3),
+        colors=np.array([_COLOURS[stitch.level] for stitch in named], np.uint32),
+        radii=[2 * _LINE_M],
+        labels=[_label(stitch) for stitch in named],
         show_labels=True,
     )
 

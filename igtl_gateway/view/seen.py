@@ -68,6 +68,7 @@ class Shown:
         coloured: whether a cloud has colours of its own.
         low, high: corners of the box around most of what was drawn (of a cloud without its outliers), metres in
             ``frame``; None while there is none.  The eye of a 3-D view is set by it.
+        right, up: directions to the right and to the top of a picture with a place, in ``frame``; None for others.
     """
 
     path: str
@@ -84,6 +85,8 @@ class Shown:
     coloured: bool = False
     low: tuple[float, float, float] | None = None
     high: tuple[float, float, float] | None = None
+    right: tuple[float, float, float] | None = None
+    up: tuple[float, float, float] | None = None
 
     @property
     def drawn(self) -> bool:
@@ -99,6 +102,7 @@ class Seen:
         base_frame: the session's base frame (of its configuration): what has no frame is drawn there.
         shown: topic → what there is of it, in the order of appearance.
         parents: child frame → parent frame, last told.
+        places: child frame → its place in the parent frame, last told: x, y, z in metres, quaternion x, y, z, w.
         first_ns, last_ns: gateway time of the first and last entry, UTC ns; 0 = none.
         reviewed: whether a review of the suture plan was drawn.
     """
@@ -106,6 +110,7 @@ class Seen:
     base_frame: str = "world"
     shown: dict[str, Shown] = field(default_factory=dict)
     parents: dict[str, str] = field(default_factory=dict)
+    places: dict[str, tuple[float, ...]] = field(default_factory=dict)
     first_ns: int = 0
     last_ns: int = 0
     reviewed: bool = False
@@ -121,6 +126,17 @@ class Seen:
             frame = parent
             passed.add(frame)
         return frame
+
+    def way_to_root(self, frame: str) -> list[tuple[float, ...]]:
+        """The places of ``frame`` in its parent, of that in its own, and so on up to the root."""
+        steps, passed = [], {frame}
+        while frame in self.places and (parent := self.parents.get(frame)) is not None:
+            steps.append(self.places[frame])
+            if parent in passed:
+                break
+            passed.add(parent)
+            frame = parent
+        return steps
 
     def trees(self) -> dict[str, list[Shown]]:
         """Root frame → what is drawn in 3-D below it, the fullest first.

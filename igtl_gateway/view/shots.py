@@ -265,6 +265,7 @@ def _start(recording: Path, size: tuple[int, int]) -> subprocess.Popen[str]:
         text=True,
         errors="replace",
         env=environment,
+        start_new_session=True,  # Ctrl-C at the terminal is for us; we end the viewer
     )
 
 

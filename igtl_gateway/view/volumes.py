@@ -35,6 +35,8 @@ def draw_volume(message: Volume, canvas: Canvas) -> None:
     canvas.shown.width, canvas.shown.height = message.size[0], message.size[1]
     if len(voxels) == 1:
         canvas.what(What.PLANE)
+        x, y, z, u, v, w = message.direction[:6]
+        canvas.shown.right, canvas.shown.up = (x, y, z), (-u, -v, -w)
         canvas.log(_picture(voxels[0]))
         canvas.log(_plane(message, voxels, 2, 0, None), child="plane", frame=frame)
         return
