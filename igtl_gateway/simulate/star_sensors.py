@@ -108,7 +108,8 @@ class Sensors:
     def report(self) -> Report:
         clouds, pictures, _, markers = (self._counts[topic] for topic in _SAID)
         facts = {"clouds": clouds, "pictures": pictures, "markers": markers}
-        return Report(bool(clouds), (f"{clouds} clouds, {pictures} pictures, {markers} times the markers",), facts)
+        line = f"clouds taken: {clouds}; pictures: {pictures}; looks at the markers: {markers}"
+        return Report(bool(clouds), (line,), facts)
 
     def _note(self, stream: _Stream, look: int, number: int) -> None:
         """Note the look after ``look - 1`` others that were possible and ``number`` that happened."""
