@@ -55,6 +55,7 @@ _IMAGE_NS, _LANDMARKS_NS, _PLAN_NS = 100 * NS_PER_MS, 700 * NS_PER_MS, 900 * NS_
 
 #: Slower than this for so long is a stop at a cross.
 _SLOWEST_MM_S, _SHORTEST_S = 20.0, 0.5
+_WINDOW_S = 0.25  #: no multiple of the robot's 50 ms, so that no sample is on its edge
 #: Within these the toy has done its work.
 MAX_FRE_MM, MAX_TRE_MM, MAX_LINE_MM = 2.0, 3.0, 4.0
 
@@ -79,7 +80,7 @@ class Planner:
         self._agenda: list[tuple[int, Message]] = []  # in order of time
         self._repeat_ns: int | None = None
         self._transform = _GUESS
-        self._pen_s: list[float] = []
+        self._pen_ns: list[int] = []
         self._pen: list[tuple[float, ...]] = []
         self._registration: Registration | None = None
         self._checked: Array = np.empty(0)
@@ -129,7 +130,7 @@ class Planner:
             return
         match heard.device_name, heard.content:
             case terms.PEN_DEVICE, Transform() as pose:
-                self._pen_s.append(ticks_to_ns(heard.ticks) / NS_PER_S)
+                self._pen_ns.append(ticks_to_ns(heard.ticks))
                 self._pen.append(pose.wire_matrix[9:])
             case terms.INK_DEVICE, PolyData() as ink:
                 cells = np.array(ink.lines.lists())
@@ -205,8 +206,10 @@ class Planner:
 
     def _register(self, now_ns: int) -> Iterator[Message]:
         """From where the pen has stood to the crosses; those of the checks take no part."""
-        path = np.array(self._pen)
-        found = stops(np.array(self._pen_s), path, slowest=_SLOWEST_MM_S, shortest_s=_SHORTEST_S)
+        times_s = [(stamp_ns - self._pen_ns[0]) / NS_PER_S for stamp_ns in self._pen_ns]
+        found = stops(
+            np.array(times_s), np.array(self._pen), slowest=_SLOWEST_MM_S, shortest_s=_SHORTEST_S, window_s=_WINDOW_S
+        )
         self._stops = len(found)
         try:
             places = np.array([stop.position for stop in found]).reshape(-1, 3)
