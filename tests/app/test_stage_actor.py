@@ -33,8 +33,13 @@ class Echo:
         self.due_ns: int | None = None
         self.done = False
         self.began_ns = 0
+        self.prepared = False
+
+    def prepare(self) -> None:
+        self.prepared = True
 
     def begin(self, now_ns: int) -> None:
+        assert self.prepared
         self.began_ns = now_ns
         self.due_ns = now_ns + 20 * NS_PER_MS
 

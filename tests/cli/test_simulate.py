@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from igtl_gateway.cli import main
+from igtl_gateway.app.stage_live import End, Outcome, Plan
+from igtl_gateway.cli import main, stage
 from igtl_gateway.config import Config
 from igtl_gateway.simulate.catalogue import SCENARIOS
+from igtl_gateway.simulate.star_topics import CAMERA_INFO
 
 
 def test_a_recording_verifies_and_is_always_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,6 +75,26 @@ def test_an_existing_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_what_does_not_fit_together_is_refused(words: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", *words.split()]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_the_live_bridge_records_what_is_for_the_recording_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    bridges: list[Sequence[str] | None] = []
+
+    class Nobody:
+        """In place of the programs: only how the bridge was to be started is of interest."""
+
+        def __init__(self, plan: Plan, *_: object) -> None:
+            bridges.append(plan.bridge)
+
+        def run(self) -> Outcome:
+            return Outcome(End.INTERRUPTED, {}, {}, 0.0, (), None)
+
+    monkeypatch.setattr(stage, "Stage", Nobody)
+    for name in ("star", "acquisition"):
+        assert main(["simulate", name]) == 1
+    star, acquisition = (list(words or ()) for words in bridges)
+    assert star[star.index("--record-topics") + 1 :] == [CAMERA_INFO]
+    assert acquisition and "--record-topics" not in acquisition
 
 
 def test_without_ros_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

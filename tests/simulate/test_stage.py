@@ -177,6 +177,14 @@ def test_the_gateway_gets_its_ticks() -> None:
     assert ticks and planner.heard[0][1] == "GET_STATUS"
 
 
+def test_a_topic_that_nobody_bridges_is_in_the_recording_where_the_actor_wants_it() -> None:
+    robot = Teller("robot", Side.ROS, ["calibration"], topic=ASIDE)
+    assert [entry for entry in played(robot) if entry.kind is Kind.ROS_IN] == []
+    robot = Teller("robot", Side.ROS, ["calibration"], topic=ASIDE)
+    robot.says = {ASIDE: Says(String.TYPE, recorded=True)}
+    assert [entry.channel for entry in played(robot) if entry.kind is Kind.ROS_IN] == [ASIDE]
+
+
 def test_a_topic_that_an_actor_did_not_name_is_refused() -> None:
     robot = Teller("robot", Side.ROS, ["word"])
     robot.says = {"/other": Says(String.TYPE)}
