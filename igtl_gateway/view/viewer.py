@@ -105,8 +105,8 @@ def check_screen(environment: Mapping[str, str]) -> None:
     """Raises ViewerError where a window could not be shown."""
     if sys.platform == "linux" and not any(environment.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         raise ViewerError(
-            "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set), expected one for the viewer's window; "
-            "without: --save out.rrd, --web, or --screenshot out.png"
+            "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set), expected one for the viewer's window: "
+            "without a screen there are `igtl-gateway view` --save, --web and --screenshot"
         )
 
 

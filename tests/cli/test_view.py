@@ -1,0 +1,102 @@
+"""``igtl-gateway view``: files, facts, errors."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
+
+from igtl_gateway.cli import main
+from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.text import String
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+START_NS = 1_767_225_600_000_000_000
+
+
+@pytest.fixture(autouse=True)
+def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def counts(path: Path) -> dict[str, int]:
+    """Rows of each entity of a recording of rerun."""
+    from rerun.chunk import RrdReader
+
+    rows: dict[str, int] = {}
+    for chunk in RrdReader(str(path)).store().stream():
+        if not chunk.is_static:
+            rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + chunk.num_rows
+    return rows
+
+
+def test_a_suturing_session_is_saved_with_its_review(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "star.rrd"
+    assert main(["view", str(FIXTURES / "star.mcap"), "--save", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    rows = counts(out)
+    assert told["blueprint"] == "star"
+    assert told["reviewed"]
+    assert rows["/review/stitches"] == rows["/review/table"] > 0
+    assert all(rows[topic["topic"]] == topic["messages"] for topic in told["topics"])
+    assert {topic["picture"] for topic in told["topics"]} >= {"cloud", "pose", "image", "lines", "text"}
+    assert [*tmp_path.iterdir()] == [out]
+
+
+def test_what_is_drawn_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.rrd"
+    arguments = ["view", str(FIXTURES / "paper-types.mcap"), "--save", str(out), "--blueprint", "generic"]
+    assert main(arguments) == 0
+    told = capsys.readouterr().out
+    assert "/igtl/in/Surface/mesh" in told
+    assert "shape_msgs/msg/Mesh" in told
+    assert "blueprint generic" in told
+
+
+def test_a_recording_that_became_no_ros_messages_is_drawn_by_what_they_would_be(tmp_path: Path) -> None:
+    path, out = tmp_path / "imported.mcap", tmp_path / "out.rrd"
+    writer = SessionWriter(path, {})
+    for number in (1, 2, 3):
+        data = b"".join(bytes(part) for part in encode(Message("STRING", "Greeting", String.of(f"hello {number}"))))
+        stamp_ns = START_NS + number * 1000
+        writer.write(Entry(number, stamp_ns, Kind.IGTL_IN, "STRING/Greeting", "STRING", (data,), (1,)))
+    writer.close({})
+    assert main(["view", str(path), "--save", str(out)]) == 0
+    assert counts(out)["/igtl/in/Greeting/string"] == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "sentence"),
+    [
+        (["--at", "3"], 2, "--at: is the time of a picture, expected --screenshot OUT.png beside it"),
+        (["--port", "80"], 2, "--port: is that of the page, expected --web beside it"),
+        (["--web", "--port", "70000"], 2, "--port: found 70000, expected 0 to 65535"),
+        (["--save", "{folder}/x.rrd", "--blueprint", "stars"], 2, "--blueprint: found 'stars', expected star, "),
+        (["--save", "{folder}/taken"], 2, "taken: exists already, expected a new file or --overwrite"),
+        (["--save", "{folder}/none/x.rrd"], 1, "cannot write to {folder}/none/x.rrd: No such file or directory"),
+        ([], 1, "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set)"),
+    ],
+)
+def test_errors_are_one_sentence(
+    arguments: list[str], code: int, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "taken").touch()
+    given = [each.format(folder=tmp_path) for each in arguments]
+    assert main(["view", str(FIXTURES / "paper-types.mcap"), *given]) == code
+    said = capsys.readouterr().err
+    assert sentence.format(folder=tmp_path) in said
+    assert said.count("\n") == 1
+    assert [each.name for each in tmp_path.iterdir()] == ["taken"]
+
+
+def test_an_existing_file_is_replaced_where_asked_for(tmp_path: Path) -> None:
+    out = tmp_path / "out.rrd"
+    out.write_bytes(b"old")
+    assert main(["view", str(FIXTURES / "paper-types.mcap"), "--save", str(out), "--overwrite"]) == 0
+    assert counts(out)["/tf"] == 2
