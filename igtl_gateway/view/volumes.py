@@ -19,10 +19,12 @@ from igtl_gateway.wire.image import SCALARS
 Array = npt.NDArray[Any]
 
 _COLOUR = (3, 4)
+_AIR = 12  #: up to this brightness of 255 a volume is empty
+_TILES = 64  #: a slice of a volume is drawn in so many pieces each way, those that are empty are left out
 _QUAD = np.array([(0, 1, 2), (0, 2, 3)], np.uint32)
-_TEXTURE = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float32)
+_CORNERS = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
 #: Axis of the volume → the other two, in the order across, down.
-_ACROSS = {0: (1, 2), 1: (0, 2), 2: (0, 1)}
+_ACROSS = {0: [1, 2], 1: [0, 2], 2: [0, 1]}
 _NAMES = "ijk"
 
 
@@ -47,7 +49,7 @@ def draw_volume(message: Volume, canvas: Canvas) -> None:
     upright = voxels[middle][:: _turn(message, 1), :: _turn(message, 0)]
     canvas.log(_picture(np.ascontiguousarray(upright)), child="slice")
     for axis in range(3):
-        plane = _plane(message, voxels, axis, message.size[axis] // 2, window)
+        plane = _plane(message, voxels, axis, message.size[axis] // 2, window, air=True)
         canvas.log(plane, child=f"plane/{_NAMES[axis]}", frame=frame)
 
 
@@ -103,22 +105,46 @@ def _corner(message: Volume, indices: Array) -> Array:
     return places
 
 
-def _plane(message: Volume, voxels: Array, axis: int, index: int, window: tuple[float, float] | None) -> rr.Mesh3D:
-    """The slice ``index`` across ``axis`` (0 i, 1 j, 2 k) where it lies, as a textured rectangle."""
+def _plane(
+    message: Volume, voxels: Array, axis: int, index: int, window: tuple[float, float] | None, *, air: bool = False
+) -> rr.Mesh3D:
+    """The slice ``index`` across ``axis`` (0 i, 1 j, 2 k) where it lies, as a textured surface.
+
+    Args:
+        air: leave out what is black, so that slices do not hide each other.
+    """
     pixels = np.take(voxels, index, axis=2 - axis)  # rows are the slower of the other axes
-    across, down = _ACROSS[axis]
-    corners = np.zeros((4, 3))
-    corners[:, axis] = index + 0.5
-    corners[[1, 2], across] = message.size[across]
-    corners[[2, 3], down] = message.size[down]
     if voxels.dtype == np.uint8 and voxels.shape[3] not in _COLOUR:
         window = None
+    texture = eight_bits(pixels, window)
+    size = np.array([message.size[each] for each in _ACROSS[axis]])
+    tiles = _tiles(texture.max(axis=2) > _AIR) if air else np.empty((0, 4, 2), np.int64)
+    if not len(tiles):
+        tiles = _CORNERS[None] * size
+    corners = np.full((len(tiles) * 4, 3), index + 0.5)
+    corners[:, _ACROSS[axis]] = tiles.reshape(-1, 2)
     return rr.Mesh3D(
         vertex_positions=_corner(message, corners).astype(np.float32),
-        triangle_indices=_QUAD,
-        vertex_texcoords=_TEXTURE,
-        albedo_texture=eight_bits(pixels, window),
+        triangle_indices=(np.arange(len(tiles))[:, None, None] * 4 + _QUAD).reshape(-1, 3).astype(np.uint32),
+        vertex_texcoords=(tiles.reshape(-1, 2) / size).astype(np.float32),
+        albedo_texture=texture,
     )
+
+
+def _tiles(seen: Array) -> Array:
+    """(n, 4, 2) corners, column and row, of those tiles of a picture that have something to see.
+
+    The viewer draws no transparent textures, so what is empty is left out of the surface.
+    """
+    rows, columns = (
+        np.unique(np.linspace(0, length, min(length, _TILES) + 1).astype(np.int64)) for length in seen.shape
+    )
+    there = np.add.reduceat(np.add.reduceat(seen, rows[:-1], axis=0, dtype=np.int64), columns[:-1], axis=1) > 0
+    row, column = np.nonzero(there)
+    left, right, top, bottom = columns[column], columns[column + 1], rows[row], rows[row + 1]
+    corners = ((left, top), (right, top), (right, bottom), (left, bottom))
+    tiles: Array = np.stack([np.stack(corner, axis=-1) for corner in corners], axis=1)
+    return tiles
 
 
 def _turn(message: Volume, axis: int) -> int:
