@@ -34,7 +34,7 @@ from igtl_gateway.wire.query import QUERIES
 from igtl_gateway.wire.registry import BODIES
 
 FIXTURES = Path(__file__).parent.parent / "fixtures"
-NAMES = ("star", "paper-types", "every-type", "acquisition", "lego")
+NAMES = ("star", "paper-types", "every-type", "acquisition", "lego", "ultrasound", "brain")
 
 
 def entries(name: str) -> list[Entry]:
@@ -95,6 +95,13 @@ def test_they_are_what_the_scenario_makes(name: str) -> None:
     made = list(SCENARIOS[name].entries())
     assert [(e.seq, e.kind, e.channel, e.links, e.data()) for e in entries(name)] == [
         (e.seq, e.kind, e.channel, e.links, e.data()) for e in made
+    ]
+
+
+@pytest.mark.parametrize(("name", "seconds"), [("ultrasound", 3.0), ("brain", 1.0)])
+def test_short_ones_are_what_the_short_scenario_makes(name: str, seconds: float) -> None:
+    assert [(e.kind, e.channel, e.data()) for e in entries(name)] == [
+        (e.kind, e.channel, e.data()) for e in SCENARIOS[name].entries(seconds)
     ]
 
 

@@ -204,8 +204,7 @@ class Planner:
             good,
             (
                 f"{self._source}: {self._sum}, {size / 1e6:.1f} MB as POLYDATA",
-                f"sent {self._round} times; {self._told_equal} arrived at ROS and {self._equal} came back, equal to "
-                "the last bit",
+                f"{self._round} sent, {self._told_equal} arrived at ROS and {self._equal} came back equal, bit by bit",
                 f"ROS → OpenIGTLink {_seconds(self._to_igtl_s)}, there and back {_seconds(self._both_s)}",
             ),
             {
@@ -284,8 +283,8 @@ class Model:
         return Report(
             self._equal == self._rounds,
             (
-                f"received {len(self._to_ros_s)} times {self._last}, {self._size / 1e6:.1f} MB as Mesh; "
-                f"{self._equal} equal to the last bit",
+                f"{len(self._to_ros_s)} received, {self._equal} equal to the last bit: {self._last}, "
+                f"{self._size / 1e6:.1f} MB as Mesh",
                 f"OpenIGTLink → ROS {_seconds(self._to_ros_s)}",
             ),
             {
