@@ -40,6 +40,7 @@ _SIDES = {Side.ROS: "ROS 2 node", Side.IGTL: "OpenIGTLink program"}
 #: So long after the stage's own limit a bridge ends that nobody has ended, be it that the stage was killed.
 _BRIDGE_S = 60.0
 _PATIENCE_S = 3600.0
+_WARNINGS = 5
 
 
 def play(options: argparse.Namespace, scenario: Scenario) -> int:
@@ -206,8 +207,10 @@ class _Output:
             print("\n".join(report_lines(name, what, part.done, part.report)))
         for name, what in outcome.waiting.items():
             print(f"{name:<12} waited for {what}")
-        for text in outcome.warnings:
+        for text in outcome.warnings[:_WARNINGS]:
             print(f"?            {text}")
+        if len(outcome.warnings) > _WARNINGS:
+            print(f"?            and {count(len(outcome.warnings) - _WARNINGS, 'more warning')}: --json shows all")
         if outcome.recording and verification:
             where = f"{outcome.recording['path']}: " if kept else ""
             entries = count(outcome.recording["entries"], "entry", "entries")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -205,3 +207,13 @@ def test_ros_hears_who_is_connected() -> None:
     planner, robot = pair()
     log = played(planner, robot)
     assert next(entry.kind for entry in log if entry.channel == LINKS_TOPIC) is Kind.ROS_OUT
+
+
+def test_the_example_of_the_page_plays() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "scenarios.md").read_text("utf-8")
+    names: dict[str, Any] = {}
+    exec(page.partition("```python\n")[2].partition("```")[0], names)
+    cast = names["QUESTION"].cast()
+    log = list(names["QUESTION"].entries(cast=cast))
+    assert cast[0].report() == Report(True, ("the robot says: ready",))
+    assert verify(log, Config()).good
