@@ -31,7 +31,7 @@ SCENARIOS = {
         lambda _duration_s: every_type.inputs(),
     ),
     "lego": Scenario(
-        "a toy arm touches crosses, is registered to an MR head, and draws a line planned on it (the paper's 4.1)",
+        "a toy arm is registered to an MR head by touch and draws a line planned on it (the paper's 4.1), synthetic",
         lego.CONFIG,
         actors=lego.actors,
     ),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -129,12 +130,12 @@ class Planner:
         if not isinstance(heard, Message):
             return
         match heard.device_name, heard.content:
-            case terms.PEN_DEVICE, Transform() as pose:
+            case terms.PEN_DEVICE, Transform() as pose if not self._registration:
                 self._pen_ns.append(ticks_to_ns(heard.ticks))
                 self._pen.append(pose.wire_matrix[9:])
             case terms.INK_DEVICE, PolyData() as ink:
-                cells = np.array(ink.lines.lists())
-                self._segments = np.asarray(ink.points, np.float64)[cells]
+                pairs = [pair for line in ink.lines.lists() for pair in pairwise(line)]
+                self._segments = np.asarray(ink.points, np.float64)[np.array(pairs, np.int64).reshape(-1, 2)]
                 yield from self._measured(now_ns)
             case terms.STATUS_DEVICE, String() as words:
                 yield from self._on_words(words.text, now_ns)

@@ -29,6 +29,8 @@ from igtl_gateway.simulate.registration import Rigid
 from igtl_gateway.simulate.stage import play
 from igtl_gateway.simulate.volume import LESION, synthetic_head
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.wire import Message, text
+from igtl_gateway.wire.polydata import Cells, PolyData
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 HEAD = synthetic_head(8.0)
@@ -139,23 +141,28 @@ def test_a_length_that_cannot_be(seconds: float) -> None:
         lego.actors(seconds, HEAD)
 
 
-def test_it_can_go_faster() -> None:
-    cast = lego.actors(29.0, HEAD)
-    log = list(play(cast, lego.CONFIG))
-    assert (log[-1].stamp_ns - log[0].stamp_ns) / NS_PER_S == pytest.approx(29, abs=1.5)
-    assert all(actor.report().good for actor in cast)
-
-
 def test_an_arm_without_errors_draws_what_was_planned(monkeypatch: pytest.MonkeyPatch) -> None:
     """So whatever a line is off is the toy's: image, units, frames, wire and registration add nothing."""
     fine = tuple(replace(joint, gear=10_000, play_deg=0.0) for joint in lego_arm.JOINTS)
     monkeypatch.setattr(lego_arm, "JOINTS", fine)
     monkeypatch.setattr(lego_robot, "_EYE_MM", 0.0)
-    cast = lego.actors(None, HEAD)
-    list(play(cast, lego.CONFIG))
+    cast = lego.actors(29.0, HEAD)
+    log = list(play(cast, lego.CONFIG))
+    assert (log[-1].stamp_ns - log[0].stamp_ns) / NS_PER_S == pytest.approx(29, abs=1.5), "and it can go faster"
     planner, robot = (actor.report().facts for actor in cast)
     assert planner["fre_mm"] < 0.03 and planner["tre_mm"] < 0.03 and robot["error_of_registration_mm"] < 0.03
     assert planner["line_mm"]["hausdorff"] < 0.1, "the camera's tenth of a millimetre"
+
+
+def test_ink_of_any_form_is_understood() -> None:
+    planner = Planner(HEAD)
+    planner.begin(0)
+    points = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], ">f4")
+    none, strip = PolyData(points), PolyData(points, lines=Cells.of([[0, 1, 2]]))
+    for content in (none, strip):
+        assert list(planner.hear(1, Message("POLYDATA", terms.INK_DEVICE, content))) == []
+    (words,) = planner.hear(2, Message("STRING", terms.STATUS_DEVICE, text.String.of("drawn 2 segments")))
+    assert isinstance(words.content, text.String) and words.content.text.startswith("result: line off by")
 
 
 # -- What can go wrong -------------------------------------------------------------------------------------------------
