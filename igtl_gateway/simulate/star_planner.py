@@ -47,7 +47,7 @@ class Planner:
         self.says: dict[str, Says] = {}
         self._duration_ns = duration_ns
         self._agenda = Agenda()
-        self._over = False
+        self._heard = self._over = False
         self._clouds = 0
         self._plan: Message | None = None  # waits for a newer cloud
         self._wanted: Array | None = None  # the corrected plan, until the robot repeats it
@@ -56,7 +56,6 @@ class Planner:
 
     def begin(self, now_ns: int) -> None:
         self._agenda.add(now_ns, lambda at_ns: [_message("STATUS", Status(1, 0, "", "ready"), at_ns)])
-        self._agenda.add(now_ns + self._duration_ns, self._end)
 
     @property
     def due_ns(self) -> int | None:
@@ -66,6 +65,9 @@ class Planner:
         return self._agenda.act(now_ns)
 
     def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+        if not self._heard:  # the session begins; until then a planner that was started alone waits
+            self._heard = True
+            self._agenda.add(now_ns + self._duration_ns, self._end)
         if not isinstance(heard, Message) or self._approved:
             return ()
         match heard.content:

@@ -117,11 +117,15 @@ def test_a_cloud_that_is_no_newer_than_the_plan_tells_nothing_of_it() -> None:
     assert (play.texts, play.corrections) == ([], [])
 
 
-def test_a_planner_that_heard_nothing_ends_with_its_time_and_says_so() -> None:
+def test_a_planner_waits_for_the_session_and_ends_with_it() -> None:
     planner = Planner(NS_PER_S)
     planner.begin(START_NS)
     list(planner.act(START_NS))
-    waiting = (planner.done, planner.due_ns)
-    assert list(planner.act(START_NS + NS_PER_S)) == []
-    assert [waiting, (planner.done, planner.due_ns)] == [(False, START_NS + NS_PER_S), (True, None)]
+    states = [(planner.done, planner.due_ns)]
+    later_ns = START_NS + 500 * NS_PER_S
+    planner.hear(later_ns, Message("STRING", "StarStatus", String.of("session: SYNTHETIC"), 1))
+    states.append((planner.done, planner.due_ns))
+    assert list(planner.act(later_ns + NS_PER_S)) == []
+    states.append((planner.done, planner.due_ns))
+    assert states == [(False, None), (False, later_ns + NS_PER_S), (True, None)]
     assert not planner.report().good and "not approved" in planner.report().lines[1]
