@@ -45,11 +45,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from string import Formatter
 from typing import Any, TypeVar
@@ -58,6 +56,7 @@ from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, Lengths
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 
 #: Which time an outgoing message tells.  An output leaves with its cause, so that ``now`` is the time of receipt.
@@ -275,17 +274,6 @@ def _toml(name: str, value: Any) -> str:
 
 _DEFAULT_TO_IGTL = ToIgtlRow()
 _DEFAULT_TO_ROS = ToRosRow()
-
-
-@lru_cache(maxsize=1024)
-def _pattern(glob: str) -> re.Pattern[str]:
-    parts = (re.escape(part).replace(r"\*", "[^/]*").replace(r"\?", "[^/]") for part in glob.split("**"))
-    return re.compile(".*".join(parts), re.DOTALL)
-
-
-def matches(glob: str, name: str) -> bool:
-    """Whether ``name`` fits ``glob``: ``*`` and ``?`` within one level, ``**`` across levels."""
-    return _pattern(glob).fullmatch(name) is not None
 
 
 def device_of_topic(topic: str, kind: str = "") -> str:

@@ -26,6 +26,7 @@ LEVELS = {
     "buffers": 0,
     "clock": 0,
     "errors": 0,
+    "globs": 0,
     "qos": 0,
     "stamp": 0,
     "session": 1,

@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow, device_of_topic, matches
+from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow, device_of_topic
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 
 EXAMPLE = """

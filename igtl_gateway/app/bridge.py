@@ -19,7 +19,7 @@ from igtl_gateway.app.hub import Hub
 from igtl_gateway.app.recording import offer
 from igtl_gateway.app.video import Video
 from igtl_gateway.clock import Clock
-from igtl_gateway.config import Config, matches
+from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList, MetadataItem
 from igtl_gateway.edges.ros import RosEdge
@@ -28,10 +28,12 @@ from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError
 from igtl_gateway.gateway import LINKS_TOPIC, Session, gateway_of
 from igtl_gateway.gateway.tf_out import TF_QOS
+from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.options import RecordOptions
-from igtl_gateway.record.recorder import Recorder, RecordingSummary
+from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateRule
+from igtl_gateway.record.worker import RecordingSummary
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 
@@ -98,7 +100,7 @@ class Bridge:
         self._timer = threading.Thread(target=self._tick, name="igtl-timer", daemon=True)
         self.commands: CommandService | None = None
         self.video: Video | None = None
-        sinks = (self._record, self._dispatch)
+        sinks = (self._dispatch, self._record)
         self.hub = Hub(Session(self.gateway), clock, (*sinks, on_entry) if on_entry else sinks)
         self.tcp = TcpEdge(
             on_frame=self.hub.igtl,

@@ -96,8 +96,8 @@ class Hub:
             links=given.links,
             source_ns=given.source_ns,
         )
-        for entry in entries:
-            for sink in self._sinks:
+        for sink in self._sinks:  # one after the other: what goes out does not wait for the record of what came in
+            for entry in entries:
                 try:
                     sink(entry)
                 except Exception as error:  # a defect of ours: the other sinks, and the session, go on

@@ -342,6 +342,8 @@ def _losses(ledger: dict[str, Any] | None) -> list[str]:
     if ledger is None:
         return ["   unknown: the recording has no ledger"]
     lines = []
+    if layout.CUT_OFF_KEY in ledger:
+        lines.append("   unknown: the bridge was killed; its recorder wrote all that it was given, and closed the file")
     recovered = ledger.get("recovered")
     if recovered:
         places = len(recovered["lost"]) + recovered["more_lost"]

@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=given.flush_s,
         metavar="S",
-        help="what a crash of this process may cost (%(default)s s)",
+        help="what a loss of power may cost (%(default)s s); a crash of the bridge alone costs nothing",
     )
     globs(
         "--fsync",

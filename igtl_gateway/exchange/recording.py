@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.config import matches
 from igtl_gateway.errors import ConversionError, GatewayError, UnsupportedRecording, WireError
 from igtl_gateway.exchange.source import Row
+from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 

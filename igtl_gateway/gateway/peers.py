@@ -6,9 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.config import Config, matches
+from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatus
 from igtl_gateway.gateway.profiles import AUTO, BY_NAME, DEFAULT, Profile, shown_by
+from igtl_gateway.globs import matches
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire import Message
 

@@ -10,6 +10,8 @@ from igtl_gateway.record.selection import Selection
 #: Bounds of the queue: a second of Full HD video at 40 Hz, and ten seconds of small messages at 20 kHz.
 QUEUE_BYTES = 256 << 20
 QUEUE_ENTRIES = 200_000
+#: The largest entry that finds a place in an empty queue: four times the largest body that is received by default.
+LARGEST_BYTES = 1 << 30
 #: Bound of what is kept in memory for a snapshot.
 SNAPSHOT_BYTES = 512 << 20
 #: Interval at which the file is flushed: what a kill −9 may cost.

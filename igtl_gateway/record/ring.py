@@ -67,7 +67,7 @@ class Ring:
             self._prologue.see(gone)
         return following > 0
 
-    def take(self, counters: dict[str, Any], utc_ns: int) -> Path:
+    def take(self, ledger: dict[str, Any], utc_ns: int) -> Path:
         """Write what there is into a file named by the time.  Raises RecordingError; the ring goes on in any case."""
         entries = list(self._entries)
         path = self._path(utc_ns)
@@ -75,7 +75,7 @@ class Ring:
         for entry in entries:
             with suppress(LayoutError):  # what the format cannot hold costs only itself
                 writer.write(entry)
-        writer.close({"recorder": counters | {"written_entries": writer.entries}})
+        writer.close({**ledger, "recorder": ledger["recorder"] | {"written_entries": writer.entries}})
         self.files.append(path)
         self.entries += writer.entries
         self.undefined += [name for name in writer.undefined if name not in self.undefined]

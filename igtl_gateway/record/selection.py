@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from igtl_gateway.config import matches
+from igtl_gateway.globs import matches
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from igtl_gateway.config import Config, matches
+from igtl_gateway.config import Config
 from igtl_gateway.gateway import LINK_UP, gateway_of
+from igtl_gateway.globs import matches
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 

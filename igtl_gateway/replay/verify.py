@@ -80,7 +80,7 @@ class Losses:
     Attributes:
         entries: how many entries.
         streams: of these, how many of each stream.
-        uncounted: more may be lost, and its end: a recovered file, or one without a ledger.
+        uncounted: more may be lost, and its end: a recovered file, one without a ledger, one of a killed bridge.
         midway: it begins in the middle of a session.
     """
 
@@ -99,7 +99,8 @@ class Losses:
         streams = Counter(recorder.get("dropped", {}))
         streams.update(recorder.get("left_out", {}))
         entries = recorder.get("dropped_entries", 0) + recorder.get("left_out_entries", 0)
-        return cls(entries, dict(streams), not recovered.get("whole"), midway)
+        uncounted = not recovered.get("whole") or layout.CUT_OFF_KEY in ledger
+        return cls(entries, dict(streams), uncounted, midway)
 
 
 @dataclass(slots=True)

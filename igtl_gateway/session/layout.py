@@ -52,6 +52,8 @@ FORMAT_VERSION_KEY = "format_version"
 #: Metadata records have no CRC in MCAP, so each of ours carries one over its other items.
 CHECKSUM_KEY = "crc32"
 LEDGER_KEY = "ledger"
+#: Key of the ledger of a recording that was closed because the bridge was gone: its last outputs may be missing.
+CUT_OFF_KEY = "cut_off"
 
 #: Keys of the channel metadata.  The first two are rosbag2's.
 QOS_KEY = "offered_qos_profiles"

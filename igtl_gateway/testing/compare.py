@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.config import Config, matches
+from igtl_gateway.config import Config
 from igtl_gateway.convert.units import Lengths
+from igtl_gateway.globs import matches
 from igtl_gateway.record.rostypes import RosTypes
 from igtl_gateway.replay.compare import Decoder, Tolerance, Undecodable, compare_values
 from igtl_gateway.replay.mcap_reader import SessionFile

@@ -14,9 +14,10 @@ from typing import Any
 
 from igtl_gateway import __version__
 from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.config import Config, matches
+from igtl_gateway.config import Config
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Session, gateway_of
+from igtl_gateway.globs import matches
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import select

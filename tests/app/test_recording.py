@@ -11,6 +11,7 @@ import pytest
 
 from igtl_gateway.app import recording
 from igtl_gateway.clock import ManualClock
+from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.replay.mcap_reader import SessionFile
@@ -48,6 +49,7 @@ def start(recorders: list[Recorder], path: Path, **options: Any) -> tuple[Record
         qos_of=lambda _topic, _type: None,
         on_note=lambda _note: None,
         clock=ManualClock(),
+        host=in_thread,
         options=RecordOptions(**options),
     )
     recorders.append(recorder)

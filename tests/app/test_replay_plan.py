@@ -13,6 +13,7 @@ from igtl_gateway.clock import ManualClock
 from igtl_gateway.config import Config
 from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Gateway, Session
 from igtl_gateway.qos import Qos
+from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateRule
@@ -88,6 +89,7 @@ def split(folder: Path) -> list[Path]:
         qos_of=lambda topic, _: Qos(latched=topic == PLAN),
         on_note=lambda note: pytest.fail(note.text),
         clock=ManualClock(),
+        host=in_thread,
         options=RecordOptions(split_s=2.0),
         rule=StateRule(frozenset({LINKS_TOPIC, PLAN})),
     )

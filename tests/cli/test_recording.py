@@ -14,9 +14,11 @@ import pytest
 from igtl_gateway.cli import recording
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
-from igtl_gateway.record.recorder import PAUSED, RESUMED, SNAPSHOT, Recorder
+from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
+from igtl_gateway.record.worker import PAUSED, RESUMED, SNAPSHOT
 from igtl_gateway.session.note import Note
 from tests.record import samples
 
@@ -80,6 +82,7 @@ class Bench:
             qos_of=lambda _topic, _type: None,
             on_note=self._on_note,
             clock=ManualClock(),
+            host=in_thread,
             options=RecordOptions(**options),
         )
 

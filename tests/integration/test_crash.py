@@ -1,6 +1,8 @@
 """A recording bridge that dies: killed under load at any moment, or on a full disk.  What was said before is there.
 
-``CRASH_KILLS=50`` kills that many times instead of three; ``--log-cli-level=INFO`` tells what each of them cost.
+Killed alone, the bridge loses nothing: its recorder lives on and closes the file.  Killed together with its recorder,
+as by a loss of power, it loses what was not flushed.  ``CRASH_KILLS=50`` kills that many times instead of four;
+``--log-cli-level=INFO`` tells what each of them cost.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ import logging
 import os
 import random
 import resource
+import select
 import signal
 import struct
 import subprocess
@@ -26,8 +29,8 @@ from tests.integration.bridge import Bridge, RawPeer, gateway, message, string
 
 _log = logging.getLogger(__name__)
 
-KILLS = int(os.environ.get("CRASH_KILLS", "3"))
-#: What the recorder's thread may take on top of its interval on a busy machine, until the bytes are with the system.
+KILLS = int(os.environ.get("CRASH_KILLS", "4"))
+#: What the recorder may take on top of its interval on a busy machine, until the bytes are with the system.
 SLACK_S = float(os.environ.get("CRASH_SLACK_S", "2.0"))
 BATCH = 50
 IMAGE_SIDE = 64
@@ -104,6 +107,24 @@ def recover(path: Path, out: Path) -> list[Entry]:
         return list(file.entries())
 
 
+def children(process: int) -> list[int]:
+    """The processes that it has started."""
+    tasks = Path(f"/proc/{process}/task").iterdir()
+    return [int(word) for task in tasks for word in (task / "children").read_text().split()]
+
+
+def wait_gone(process: int) -> None:
+    """Wait for the end of a process that is not ours."""
+    try:
+        handle = os.pidfd_open(process)
+    except ProcessLookupError:
+        return
+    try:
+        assert select.select([handle], [], [], 30)[0]
+    finally:
+        os.close(handle)
+
+
 def counted(entries: list[Entry]) -> int:
     """The last number that came in; all before it have to be there, and so has what was made of them."""
     numbers = [int(entry.data()[62:]) for entry in entries if entry.channel == "STRING/Count"]
@@ -115,8 +136,39 @@ def counted(entries: list[Entry]) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kill", range(KILLS))
-def test_after_kill_9_everything_older_than_the_flush_interval_is_there(tmp_path: Path, kill: int) -> None:
+@pytest.mark.parametrize("kill", range((KILLS + 1) // 2))
+def test_after_kill_9_of_the_bridge_everything_is_there_and_the_file_is_closed(tmp_path: Path, kill: int) -> None:
+    path = tmp_path / "out.mcap"
+    moment = random.Random(-kill - 1).uniform(0, 2 * FLUSH_S)
+    bridge = Bridge("--no-ros", "--record", str(path), "--compression", ("lz4", "none", "zstd")[kill % 3])
+    load = Load(bridge.port)
+    try:
+        load.wait_answers(5)
+        time.sleep(moment)  # not to wait for anything: to kill at any moment of an interval
+        (recorder,) = children(bridge.process.pid)
+        killed = time.monotonic()
+        bridge.process.send_signal(signal.SIGKILL)
+        assert bridge.process.wait(10) == -signal.SIGKILL
+        wait_gone(recorder)
+    finally:
+        load.close()
+        bridge.close()
+    verified = gateway("verify", str(path))
+    try:
+        result = verified.end(None)
+    finally:
+        verified.close()
+    assert result.code == 0, result
+    with SessionFile.open(path) as file:
+        assert file.ledger is not None and file.ledger["cut_off"] is True
+        number = counted(list(file.entries()))
+    assert number >= load.answered_before(killed) > 0
+    assert number <= load.sent
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kill", range(KILLS // 2))
+def test_after_kill_9_of_both_everything_older_than_the_flush_interval_is_there(tmp_path: Path, kill: int) -> None:
     path = tmp_path / "out.mcap"
     moment = random.Random(kill).uniform(0, 2 * FLUSH_S)
     bridge = Bridge("--no-ros", "--record", str(path), "--compression", ("lz4", "none", "zstd")[kill % 3])
@@ -124,7 +176,9 @@ def test_after_kill_9_everything_older_than_the_flush_interval_is_there(tmp_path
     try:
         load.wait_answers(5)
         time.sleep(FLUSH_S + SLACK_S + 0.5 + moment)  # not to wait for anything: to kill at any moment of an interval
+        (recorder,) = children(bridge.process.pid)
         killed = time.monotonic()
+        os.kill(recorder, signal.SIGKILL)
         bridge.process.send_signal(signal.SIGKILL)
         assert bridge.process.wait(10) == -signal.SIGKILL
     finally:
@@ -160,7 +214,8 @@ def test_on_a_full_file_system_the_bridge_goes_on_and_what_was_flushed_is_there(
 def test_at_a_limit_of_file_size_the_bridge_goes_on_and_what_was_flushed_is_there(tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
     bridge = Bridge("--no-ros", "--record", str(path), "--flush-interval", "0.1")
-    resource.prlimit(bridge.process.pid, resource.RLIMIT_FSIZE, (DISK_BYTES, DISK_BYTES))
+    (recorder,) = children(bridge.process.pid)
+    resource.prlimit(recorder, resource.RLIMIT_FSIZE, (DISK_BYTES, DISK_BYTES))
     _fill(bridge, path, tmp_path / "whole.mcap", "File too large")
 
 

@@ -16,9 +16,11 @@ from igtl_gateway.clock import ManualClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import DamagedRecording, RecordingError, UnsupportedRecording
 from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Gateway, Session
+from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
-from igtl_gateway.record.recorder import Recorder, RecordingSummary
+from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateRule
+from igtl_gateway.record.worker import RecordingSummary
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.session.entry import Entry, Kind
@@ -55,6 +57,7 @@ def record(path: Path, entries: list[Entry], **options: Any) -> RecordingSummary
         qos_of=lambda _topic, _type: None,
         on_note=lambda note: pytest.fail(note.text),
         clock=ManualClock(),
+        host=in_thread,
         options=RecordOptions(**options),
         rule=RULE,
     )

@@ -6,8 +6,8 @@ Waiting is on conditions, with a deadline that only a failure reaches.
 from __future__ import annotations
 
 import json
+import os
 import random
-import resource
 import shutil
 import signal
 import subprocess
@@ -26,6 +26,8 @@ from igtl_gateway.errors import DamagedRecording, RecordingError
 from igtl_gateway.qos import Qos
 from igtl_gateway.record import mcap_writer
 from igtl_gateway.record import recorder as recorder_module
+from igtl_gateway.record import worker as worker_module
+from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.mcap_writer import Compression, SessionWriter
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
@@ -56,6 +58,7 @@ class Bench:
             qos_of=self._qos_of,
             on_note=self._on_note,
             clock=self.clock,
+            host=in_thread,
             options=RecordOptions(**options),  # type: ignore[arg-type]
         )
 
@@ -228,7 +231,7 @@ def test_beyond_the_bound_entries_are_dropped_counted_and_noted(path: Path) -> N
     bench.go_on.set()
     bench.wait_notes(1)
     (note,) = bench.notes
-    assert (note.level, note.code, note.data) == (Level.WARN, recorder_module.DROPPED, {"dropped": dropped})
+    assert (note.level, note.code, note.data) == (Level.WARN, worker_module.DROPPED, {"dropped": dropped})
     told = Entry(40, samples.START_NS + 40, Kind.EDGE_NOTE, payload=(note.pack(),))
     bench.recorder(told)
     summary = bench.recorder.close({})
@@ -305,7 +308,7 @@ def test_an_entry_that_the_format_cannot_hold_costs_only_itself(path: Path, bad:
     summary = bench.recorder.close({})
     assert summary.dropped == {bad.channel: 2}
     assert [(note.level, note.code, note.stream) for note in bench.notes] == [
-        (Level.ERROR, recorder_module.REFUSED, bad.channel)
+        (Level.ERROR, worker_module.REFUSED, bad.channel)
     ]
     assert read(path) == [samples.ros(1), samples.ros(3)]
 
@@ -316,7 +319,7 @@ def test_a_type_without_definition_is_recorded_and_noted_once(path: Path) -> Non
     for entry in entries:
         bench.recorder(entry)
     bench.recorder.close({})
-    assert [note.code for note in bench.notes] == [recorder_module.UNDEFINED]
+    assert [note.code for note in bench.notes] == [worker_module.UNDEFINED]
     assert read(path) == entries
 
 
@@ -358,8 +361,64 @@ def scanned(path: Path) -> Iterator[Entry]:
             return
 
 
+def workers(process: int) -> list[int]:
+    """The processes of its recorders."""
+    tasks = Path(f"/proc/{process}/task").iterdir()
+    return [int(word) for task in tasks for word in (task / "children").read_text().split()]
+
+
+def closed(path: Path) -> SessionFile:
+    """The recording, as soon as its worker has closed it."""
+    clock, tick = SystemClock(), threading.Event()
+    deadline_ns = clock.monotonic_ns() + int(DEADLINE_S * 1e9)
+    while True:
+        try:
+            return SessionFile.open(path)
+        except DamagedRecording:
+            assert clock.monotonic_ns() < deadline_ns
+            tick.wait(0.01)
+
+
+def test_when_the_process_is_killed_all_that_it_gave_is_there(path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", RECORDING_CHILD, str(path), "busy"], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "given\n"
+        child.kill()
+        assert child.wait() == -signal.SIGKILL
+    with closed(path) as file:
+        entries = list(file.entries())
+        assert file.ledger is not None and file.ledger["cut_off"] is True
+        assert file.ledger["recorder"]["written_entries"] == len(entries) >= 1000
+        assert entries == [samples.flat(samples.igtl(seq)) for seq in range(1, len(entries) + 1)]
+
+
+def test_when_the_worker_is_killed_it_is_told_and_the_process_goes_on(path: Path) -> None:
+    notes: list[Note] = []
+    told = threading.Event()
+
+    def on_note(note: Note) -> None:
+        notes.append(note)
+        told.set()
+
+    recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=on_note, clock=SystemClock())
+    recorder(samples.igtl(1))
+    (worker,) = workers(os.getpid())
+    os.kill(worker, signal.SIGKILL)
+    assert told.wait(DEADLINE_S)
+    recorder(samples.igtl(2))
+    assert [note.code for note in notes] == [worker_module.FAILED]
+    assert "the recorder's process has ended: killed by signal 9; the bridge goes on" in notes[0].text
+    summary = recorder.close({})
+    assert "killed by signal 9" in summary.failure
+    assert (summary.files, summary.entries + sum(summary.dropped.values())) == ((path,), 2)
+    with pytest.raises(RecordingError, match="has ended"):
+        recorder.snapshot().result(DEADLINE_S)
+
+
 @pytest.mark.parametrize("work", ["idle", "busy"])
-def test_after_kill_9_everything_flushed_is_there(path: Path, work: str) -> None:
+def test_after_kill_9_of_both_everything_flushed_is_there(path: Path, work: str) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", RECORDING_CHILD, str(path), work], cwd=ROOT, stdout=subprocess.PIPE, text=True
     ) as child:
@@ -373,7 +432,8 @@ def test_after_kill_9_everything_flushed_is_there(path: Path, work: str) -> None
                 assert clock.monotonic_ns() < deadline_ns
                 tick.wait(0.05)
         finally:
-            child.kill()
+            for process in (*workers(child.pid), child.pid):
+                os.kill(process, signal.SIGKILL)
         assert child.wait() == -signal.SIGKILL
     entries = list(scanned(path))
     assert len(entries) >= 1000
@@ -392,19 +452,21 @@ def test_after_kill_9_everything_flushed_is_there(path: Path, work: str) -> None
 # --- disk full -------------------------------------------------------------------------------------------------
 
 FULL_DISK_CHILD = """
-import json, sys, threading
+import json, os, resource, sys, threading
 from pathlib import Path
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
 from tests.record import samples
-from tests.record.test_recorder import noise
+from tests.record.test_recorder import noise, workers
 notes, failed = [], threading.Event()
 def on_note(note):
     notes.append(note.code)
     failed.set()
 path, clock = Path(sys.argv[1]), SystemClock()
 recorder = Recorder(path, samples.SESSION, qos_of=lambda topic, type: None, on_note=on_note, clock=clock)
+(worker,) = workers(os.getpid())
+resource.prlimit(worker, resource.RLIMIT_FSIZE, (4_000_000, 4_000_000))
 seq = 0
 while not failed.is_set():
     seq += 1
@@ -422,18 +484,13 @@ def noise(seed: int) -> bytes:
 
 
 def test_when_the_disk_is_full_the_recording_ends_and_the_process_goes_on(path: Path) -> None:
-    limit = 4_000_000
-
-    def limited() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK_CHILD, str(path)],
-        cwd=ROOT, capture_output=True, text=True, check=True, timeout=120, preexec_fn=limited,
+        cwd=ROOT, capture_output=True, text=True, check=True, timeout=120,
     )  # fmt: skip
     assert done.stderr == ""
     told = json.loads(done.stdout)
-    assert told["notes"] == [recorder_module.FAILED]
+    assert told["notes"] == [worker_module.FAILED]
     assert str(path) in told["failure"]
     assert sum(told["dropped"].values()) + told["entries"] == told["given"]
     entries = list(scanned(path))
@@ -486,7 +543,7 @@ def test_a_defect_in_the_thread_ends_the_recording_not_the_process(path: Path) -
         recorder(samples.ros(seq))
     summary = recorder.close({})
     assert "KeyError" in summary.failure
-    assert [note.code for note in notes] == [recorder_module.FAILED]
+    assert [note.code for note in notes] == [worker_module.FAILED]
     assert summary.entries + sum(summary.dropped.values()) == 5
     assert len(read(path)) == summary.entries  # closed all the same
 
@@ -525,7 +582,7 @@ def test_a_file_that_is_taken_away_is_told_at_the_next_flush(
     bench.recorder(samples.ros(2))
     bench.wait_notes(1)
     (note,) = bench.notes
-    assert (note.level, note.code) == (Level.ERROR, recorder_module.FAILED)
+    assert (note.level, note.code) == (Level.ERROR, worker_module.FAILED)
     assert words in note.text and then in note.text
     assert words in bench.recorder.failure
     assert words in bench.recorder.close({}).failure
@@ -583,9 +640,9 @@ def test_a_pause_leaves_out_and_says_how_much(path: Path) -> None:
     assert states == [False, True]
     summary = bench.recorder.close({})
     assert [(note.code, note.data) for note in bench.notes] == [
-        (recorder_module.PAUSED, {}),
-        (recorder_module.RESUMED, {"left_out": 5}),
-        (recorder_module.PAUSED, {}),
+        (worker_module.PAUSED, {}),
+        (worker_module.RESUMED, {"left_out": 5}),
+        (worker_module.PAUSED, {}),
     ]
     assert [entry.seq for entry in read(path)] == [1, 7, 8]
     assert (summary.dropped, summary.left_out) == ({}, {"/chatter": 5})

@@ -11,8 +11,10 @@ import pytest
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import RecordingError
+from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
-from igtl_gateway.record.recorder import FAILED, SNAPSHOT, Recorder
+from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.worker import FAILED, SNAPSHOT
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.session.entry import Entry
@@ -34,6 +36,7 @@ class Bench:
             qos_of=lambda _topic, _type: None,
             on_note=self.notes.append,
             clock=ManualClock(samples.START_NS),
+            host=in_thread,
             options=RecordOptions(**{"snapshot_s": 2.0, **options}),
             rule=RULE,
         )

@@ -1,0 +1,421 @@
+"""The worker: takes what the recorder was given out of the queue and writes it.
+
+What is recorded is chosen by a gate (``selection``) and goes into one file, into parts (``parts``) or into a ring in
+memory that is written when asked to (``ring``).  The worker looks twenty times a second, or when it is woken because
+much waits.
+
+If the bridge is gone without having said that the recording ends, the worker writes what waits and closes the file, or
+writes what the ring holds; the ledger says that it was so.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.clock import Clock
+from igtl_gateway.errors import RecordingError
+from igtl_gateway.qos import Qos
+from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.parts import PartsWriter
+from igtl_gateway.record.prologue import Prologue
+from igtl_gateway.record.ring import Ring
+from igtl_gateway.record.rostypes import RosTypes
+from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, Gate, StateRule
+from igtl_gateway.record.shared_queue import Getter
+from igtl_gateway.session import layout
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.session.layout import LayoutError
+from igtl_gateway.session.note import Level, Note
+
+#: Codes of the recorder's notes.
+DROPPED, FAILED, REFUSED, UNDEFINED = "record_drop", "record_failed", "record_refused", "record_undefined"
+PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
+
+_LOOK_S = 0.05
+_NOTE_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSummary:
+    """How a recording ended.
+
+    Attributes:
+        path: the file; the folder of a split recording; the name that snapshots are called after.
+        size: size of all files, in bytes.
+        entries: entries in them.
+        dropped: entries that are not there though they should be, by stream.
+        left_out: entries that were not to be there, by stream.
+        files: what was written.
+        failure: why it ended before its time, or ``""``.
+    """
+
+    path: Path
+    size: int
+    entries: int
+    dropped: dict[str, int]
+    left_out: dict[str, int]
+    files: tuple[Path, ...]
+    failure: str = ""
+
+    def discard(self) -> None:
+        """Remove what was written."""
+        for path in self.files:
+            path.unlink(missing_ok=True)
+        if self.path.is_dir():
+            with suppress(OSError):  # something else is in it
+                self.path.rmdir()
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the worker is told at the beginning; fields as the arguments of ``Recorder``."""
+
+    path: Path
+    session: dict[str, str]
+    options: RecordOptions
+    rule: StateRule
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What the worker tells of itself.
+
+    Attributes:
+        written_entries: entries in the file.
+        dropped: entries that the file could not take, by stream.
+        left_out: entries that are not to be there, by stream.
+        failure: why the recording ended before its time, or ``""``.
+        paused: whether it is.
+    """
+
+    written_entries: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
+    left_out: dict[str, int] = field(default_factory=dict)
+    failure: str = ""
+    paused: bool = False
+
+    def counters(self, not_queued: Counter[str]) -> dict[str, Any]:
+        """As they go into the ledger, with what the queue did not take."""
+        dropped = not_queued + Counter(self.dropped)
+        return {
+            "written_entries": self.written_entries,
+            "dropped_entries": dropped.total(),
+            "dropped": dict(sorted(dropped.items())),
+            "left_out_entries": sum(self.left_out.values()),
+            "left_out": dict(sorted(self.left_out.items())),
+            "failure": self.failure,
+        }
+
+
+def work(settings: Settings, queue: Getter, pipe: Connection, clock: Clock) -> None:
+    """Record until the other end says so or is gone.  Says first whether the file could be created."""
+    try:
+        worker = _Worker(settings, queue, pipe, clock)
+    except RecordingError as error:
+        pipe.send(str(error))
+        return
+    pipe.send("")
+    worker.run()
+
+
+class _Gone(Exception):
+    """The bridge is no longer there to be asked."""
+
+
+class _Worker:
+    def __init__(self, settings: Settings, queue: Getter, pipe: Connection, clock: Clock) -> None:
+        self._settings = settings
+        self.options = settings.options
+        self._session = dict(settings.session) | settings.options.selection.facts()
+        self._queue = queue
+        self._pipe = pipe
+        self._clock = clock
+        self._flush_ns = int(self.options.flush_s * 1_000_000_000)
+        self._types = RosTypes()
+        self._gate = Gate(self.options.selection, settings.rule)
+        self._dropped: Counter[str] = Counter()  # by the file; what the queue did not take is known to the recorder
+        self._not_queued: Counter[str] = Counter()  # when it was last asked
+        self._failure = ""
+        self._gone = False
+        self._ledger: dict[str, Any] | None = None  # from the moment on at which the recording is to end
+        self._told_ns: int | None = None
+        self._told_undefined: set[str] = set()
+        self._told_refused: set[str] = set()
+        self._told_state = State()
+        self._left_out_before = 0  # of the pause that is on
+        self._flushed_ns = 0
+        self._writer = self._open(settings.path, settings.rule)
+
+    def _open(self, path: Path, rule: StateRule) -> SessionWriter | PartsWriter | Ring:
+        """What writes, as the options say."""
+        options = self.options
+        if options.snapshot_s:
+            return Ring(
+                path,
+                self._open_file,
+                Prologue(rule),
+                seconds=options.snapshot_s,
+                max_bytes=options.snapshot_bytes,
+            )
+        if options.split_bytes or options.split_s:
+            return PartsWriter(
+                path,
+                self._open_file,
+                Prologue(rule),
+                max_bytes=options.split_bytes,
+                max_s=options.split_s,
+                overwrite=options.overwrite,
+                counters=self._counters,
+            )
+        return self._open_file(path, {}, ())
+
+    def _open_file(self, path: Path, facts: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
+        return SessionWriter(
+            path,
+            self._session | facts,
+            qos_of=self._qos_of,
+            compression=self.options.compression,
+            chunk_bytes=self.options.chunk_bytes,
+            fsync=self.options.fsync,
+            overwrite=self.options.overwrite,
+            prologue=prologue,
+            types=self._types,
+        )
+
+    def run(self) -> None:
+        """Write what comes, until the end."""
+        self._flushed_ns = self._clock.monotonic_ns()
+        while self._ledger is None and not self._gone:
+            self._guarded(self._round)
+        if self._ledger is None:  # what it left behind
+            self._guarded(self._drain)
+        self._finish()
+
+    def _guarded(self, step: Callable[[], None]) -> None:
+        """A defect here must not end the recording without a word."""
+        try:
+            step()
+        except Exception as error:
+            self._fail(f"recording to {self._writer.path} failed: {type(error).__name__}: {error}")
+
+    # -- the bridge -------------------------------------------------------------------------------------------
+
+    def _wait(self) -> None:
+        """Until it is time to look, or the bridge wants it."""
+        try:
+            if self._pipe.poll(_LOOK_S):
+                self._pipe.recv()
+        except (EOFError, OSError):
+            self._gone = True
+        self._queue.answer_bell()
+
+    def _tell(self, *words: Any) -> None:
+        try:
+            self._pipe.send(words)
+        except OSError:
+            self._gone = True
+
+    def _ask(self, *words: Any) -> Any:
+        """Ask something and wait for the answer.  Raises _Gone."""
+        self._tell(*words)
+        try:
+            while True:
+                answer = self._pipe.recv()
+                if answer != "wake":
+                    return answer
+        except (EOFError, OSError):
+            self._gone = True
+            raise _Gone from None
+
+    def _note(self, note: Note) -> None:
+        self._tell_state()
+        self._tell("note", note)
+
+    def _tell_state(self) -> None:
+        state = self._state()
+        if state != self._told_state:
+            self._told_state = state
+            self._tell("state", state)
+
+    def _state(self) -> State:
+        return State(
+            self._writer.entries, dict(self._dropped), dict(self._gate.left_out), self._failure, self._gate.paused
+        )
+
+    def _qos_of(self, topic: str, ros_type: str) -> Qos | None:
+        try:
+            answer: Qos | str | None = self._ask("qos", topic, ros_type)
+        except _Gone:
+            return None
+        if isinstance(answer, str):
+            raise RuntimeError(answer)
+        return answer
+
+    def _counters(self) -> dict[str, Any]:
+        with suppress(_Gone):
+            self._not_queued = Counter(self._ask("drops"))
+        return self._state().counters(self._not_queued)
+
+    # -- the work ---------------------------------------------------------------------------------------------
+
+    def _round(self) -> None:
+        self._wait()
+        self._drain()
+        self._flush_if_due()
+        self._tell_drops()
+        self._tell_state()
+
+    def _drain(self) -> None:
+        """All that waits, up to the end of the recording: what comes behind that is not of it."""
+        while self._ledger is None and (item := self._queue.get()) is not None:
+            try:
+                if isinstance(item, Entry):
+                    for passed in self._gate.take(item):
+                        self._write(passed)
+                else:
+                    self._obey(*item)
+            finally:
+                self._queue.done()
+            self._flush_if_due()
+
+    def _obey(self, command: str, *words: Any) -> None:
+        match command:
+            case "pause":
+                self._set_paused(True)
+            case "resume":
+                self._set_paused(False)
+            case "snapshot":
+                self._take(*words)
+            case "fail":
+                self._fail(*words)
+            case "close":
+                self._ledger = json.loads(*words)
+
+    def _write(self, entry: Entry) -> None:
+        written = False
+        try:
+            if not self._failure:
+                self._writer.write(entry)
+                written = True
+        except LayoutError as error:
+            self._refused(entry, error)
+        except RecordingError as error:
+            self._fail(str(error))
+        finally:
+            if not written:
+                self._count_drop(entry)
+        if self._writer.undefined and entry.type in self._writer.undefined and entry.type not in self._told_undefined:
+            self._told_undefined.add(entry.type)
+            text = f"no definition of {entry.type} found: {entry.channel} is recorded, but other tools cannot decode it"
+            self._note(Note(Level.WARN, UNDEFINED, text, entry.channel))
+
+    def _count_drop(self, entry: Entry) -> None:
+        stream = entry.channel or entry.kind.value
+        if stream not in self._dropped and len(self._dropped) >= MAX_STREAMS:
+            stream = OTHERS
+        self._dropped[stream] += 1
+
+    def _set_paused(self, paused: bool) -> None:
+        if paused == self._gate.paused:
+            return
+        self._gate.paused = paused
+        left_out = self._gate.left_out.total()
+        if paused:
+            self._left_out_before = left_out
+            self._note(Note(Level.INFO, PAUSED, "the recording is paused"))
+            return
+        missed = left_out - self._left_out_before
+        text = f"the recording goes on; {missed:,} entries were left out"
+        self._note(Note(Level.INFO, RESUMED, text, data={"left_out": missed}))
+
+    def _take(self, number: int) -> None:
+        """Write a snapshot.  That one fails does not end the recording: the ring is still there."""
+        try:
+            if not isinstance(self._writer, Ring):
+                raise RecordingError("no snapshots: everything is recorded (--snapshot SECONDS keeps the last ones)")
+            path = self._writer.take({"recorder": self._counters()}, self._clock.utc_ns())
+        except (RecordingError, OSError) as error:
+            self._note(Note(Level.ERROR, FAILED, f"no snapshot: {error}"))
+            self._tell("snapshot", number, None, str(error))
+            return
+        seconds = f"{self.options.snapshot_s:g}"
+        self._note(Note(Level.INFO, SNAPSHOT, f"the last {seconds} s are in {path}", data={"path": str(path)}))
+        self._tell("snapshot", number, path, "")
+
+    def _refused(self, entry: Entry, error: LayoutError) -> None:
+        """Tell once per stream of entries that the format cannot hold."""
+        stream = entry.channel or entry.kind.value
+        if stream not in self._told_refused and len(self._told_refused) < MAX_STREAMS:
+            self._told_refused.add(stream)
+            self._note(Note(Level.ERROR, REFUSED, f"not recorded: {error}", stream))
+
+    def _flush_if_due(self) -> None:
+        now_ns = self._clock.monotonic_ns()
+        if now_ns - self._flushed_ns < self._flush_ns or self._failure:
+            return
+        self._flushed_ns = now_ns
+        try:
+            self._writer.flush()
+        except RecordingError as error:
+            self._fail(str(error))
+
+    def _tell_drops(self) -> None:
+        """At most once a second, of what the queue did not take since the last time."""
+        now_ns = self._clock.monotonic_ns()
+        if self._failure or (self._told_ns is not None and now_ns - self._told_ns < _NOTE_NS):
+            return
+        if self._queue.refused == self._not_queued.total():
+            return
+        before = self._not_queued
+        with suppress(_Gone):
+            self._not_queued = Counter(self._ask("drops"))
+        untold = self._not_queued - before
+        self._told_ns = now_ns
+        text = f"the disk is too slow: {untold.total()} entries of {len(untold)} streams are not in the recording"
+        self._note(Note(Level.WARN, DROPPED, text, data={"dropped": dict(sorted(untold.items()))}))
+
+    def _fail(self, text: str) -> None:
+        """The end of the recording, not of the bridge."""
+        if not self._failure:
+            self._failure = text
+            then = "the bridge stops" if self.options.stop_on_failure else "the bridge goes on without recording"
+            self._note(Note(Level.ERROR, FAILED, f"{text}; {then}"))
+
+    # -- the end ----------------------------------------------------------------------------------------------
+
+    def _finish(self) -> None:
+        self._gate.end()
+        counters = self._counters()
+        ledger = {**({layout.CUT_OFF_KEY: True} if self._ledger is None else self._ledger), "recorder": counters}
+        try:
+            if self._ledger is None and isinstance(self._writer, Ring):
+                self._writer.take(ledger, self._clock.utc_ns())
+            self._writer.close(ledger)
+        except (RecordingError, OSError) as error:
+            self._fail(str(error))
+        files = self._writer.files
+        summary = RecordingSummary(
+            self._writer.path,
+            sum(map(_size, files)),
+            self._writer.entries,
+            counters["dropped"],
+            counters["left_out"],
+            tuple(files),
+            self._failure,
+        )
+        self._tell("closed", self._state(), summary)
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0  # somebody took the file away

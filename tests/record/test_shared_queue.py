@@ -1,0 +1,115 @@
+"""The queue between two processes: order, bounds, the end of the ring, memory that goes back, and what is random."""
+
+from __future__ import annotations
+
+import os
+import random
+from collections import deque
+from collections.abc import Iterator
+
+import pytest
+
+from igtl_gateway.record import shared_queue
+from igtl_gateway.record.shared_queue import ENTRY_BYTES, Getter, Putter, reserve
+from igtl_gateway.session.entry import Entry, Kind
+from tests.record import samples
+
+
+class Pair:
+    """Both ends, in one process."""
+
+    def __init__(self, max_entries: int = 1000, max_bytes: int = 1 << 20, largest: int = 1 << 20) -> None:
+        self.memory = reserve(max_bytes, largest)
+        self.putter, self.getter = Putter(self.memory, max_entries, max_bytes), Getter(self.memory)
+
+    def get(self) -> Entry | tuple[object, ...] | None:
+        item = self.getter.get()
+        if item is not None:
+            self.getter.done()
+        return item
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[Pair]:
+    """A ring so small that its end comes soon."""
+    monkeypatch.setattr(shared_queue, "_SLACK_BYTES", 4096)
+    monkeypatch.setattr(shared_queue, "_KEPT_BYTES", 8192)
+    monkeypatch.setattr(shared_queue, "_FREE_BYTES", 5000)
+    pair = Pair(max_bytes=20_000, largest=10_000)
+    yield pair
+    os.close(pair.memory)
+
+
+def test_entries_and_commands_come_in_their_order() -> None:
+    pair = Pair()
+    entries = [*samples.every_kind(20), Entry(-1, -1, Kind.ROS_IN, "/\udc80", "x", (), (), 2**70)]
+    for number, entry in enumerate(entries):
+        assert pair.putter.put(entry)
+        assert pair.putter.command("now", number)
+    for number, entry in enumerate(entries):
+        assert pair.get() == samples.flat(entry)
+        assert pair.get() == ("now", number)
+    assert pair.get() is None
+
+
+def test_what_was_got_counts_until_it_is_done() -> None:
+    pair = Pair(max_entries=2)
+    assert pair.putter.put(samples.igtl(1)) and pair.putter.put(samples.igtl(2))
+    assert not pair.putter.put(samples.igtl(3))
+    assert pair.getter.get() is not None
+    assert not pair.putter.put(samples.igtl(4))
+    assert pair.getter.refused == 2
+    assert pair.putter.command("a command finds room in any case")
+    pair.getter.done()
+    assert pair.putter.waiting == (1, samples.igtl(2).size + ENTRY_BYTES)
+    assert pair.putter.put(samples.igtl(5))
+
+
+def test_one_entry_larger_than_the_bound_but_none_larger_than_the_ring() -> None:
+    pair = Pair(max_bytes=1000, largest=1 << 20)
+    assert pair.putter.put(samples.igtl(1, body=bytes(1 << 20)))
+    assert not pair.putter.put(samples.igtl(2))
+    assert pair.get() is not None
+    assert not pair.putter.put(samples.igtl(3, body=bytes(200 << 20)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_around_the_end_of_the_ring(small: Pair, seed: int) -> None:
+    chance = random.Random(seed)
+    waiting: deque[Entry] = deque()
+    for seq in range(1, 3000):
+        if chance.random() < 0.6:
+            entry = samples.igtl(seq, body=chance.randbytes(chance.choice((0, 7, 500, 3000, 9000))))
+            if small.putter.put(entry):
+                waiting.append(samples.flat(entry))
+        elif waiting:
+            assert small.get() == waiting.popleft()
+        else:
+            assert small.get() is None
+    while waiting:
+        assert small.get() == waiting.popleft()
+    assert small.get() is None
+
+
+def test_what_a_burst_took_goes_back_to_the_system() -> None:
+    pair = Pair(max_bytes=256 << 20)
+    picture = samples.igtl(1, body=bytes(8 << 20))
+
+    def taken() -> int:
+        return os.fstat(pair.memory).st_blocks * 512
+
+    for _ in range(16):
+        assert pair.putter.put(picture)
+    assert taken() > 128 << 20
+    while pair.get():
+        pass
+    for _ in range(100):
+        assert pair.putter.put(picture) and pair.get()
+    assert taken() < 100 << 20
+
+
+def test_the_bell_rings_once() -> None:
+    pair = Pair()
+    assert [pair.putter.ring_bell(), pair.putter.ring_bell()] == [True, False]
+    pair.getter.answer_bell()
+    assert pair.putter.ring_bell()
