@@ -199,6 +199,7 @@ class _Assessor:
             distance_mm=float(surface.distance(point[None])[0]) * MM,
             error_mm=surface.error / slant * MM,
             reading_mm=reading,
+            astray=surface.astray,
             density_mm2=float(known.sum(axis=1).mean() / area_mm2),
         )
 

@@ -1,7 +1,7 @@
 """The tissue around a point: depth as a quadric over the viewing rays, fitted so that gross errors do not count.
 
 The error of a camera lies along its rays, so depth is fitted over the rays and the distance is then taken at a
-right angle to the fitted surface.  The place itself has no say in the first fit (``_OUTSIDE``): whether its
+right angle to the fitted surface.  The place itself has no say in the first rounds (``_SILENT``): whether its
 reading is right is just the question, and a planned point was lifted from that very reading.
 """
 
@@ -20,11 +20,10 @@ from igtl_gateway.review.scene import SEVERAL, Scene
 Array = npt.NDArray[Any]
 
 _TUKEY = 4.685  # deviations; from here on a point has no weight
-_ROUNDS = 12
-_OUTSIDE = 0.5  # share of the radius within which a point has no say in the first rounds
-_FIRST_ROUNDS = 4
+_FIRST_ROUNDS, _ROUNDS = 4, 8
+_SILENT = (0.0, 0.5, 0.7)  # shares of the radius within which points have no say in the first rounds
 _MIN_POINTS = 24
-_PLANE, _QUADRIC = 3, 6  # unknowns
+_ROUGH_M = 1e-4  # tissue that a quadric does not follow: wrinkles
 _LEAST_SCALE_M = 1e-5  # a scatter below the steps of any sensor
 _MISFIT_SHARE = 0.5  # of what the surface leaves all over the window, as error in the middle; docs/review.md
 _MEDIAN_VARIES = np.pi / 2  # by so much more than a mean
@@ -40,12 +39,14 @@ class Surface:
         radius: of the window, as x / z.
         coefficients: (6,) metres.
         error: standard error of the depth in the middle, metres: by chance, and by what a quadric cannot follow.
+        astray: share of the window that does not lie on the surface.
     """
 
     ray: Array
     radius: float
     coefficients: Array
     error: float
+    astray: float
 
     def depth(self, rays: Array) -> Array:
         """(n,) z of the surface on (n, 2) rays."""
@@ -87,7 +88,8 @@ def fit(scene: Scene, point: Array, window: float) -> Surface | None:
         return None
     places = (scene.rays[around] - ray) / radius
     z = scene.depth[around]
-    found = _robust(places, z)
+    sigma = _sigma_of_median(scene, around)
+    found = _robust(places, z, None if sigma is None else float(np.hypot(sigma, _ROUGH_M)))
     if found is None:
         return None
     coefficients, weights = found
@@ -106,18 +108,22 @@ def fit(scene: Scene, point: Array, window: float) -> Surface | None:
         chance = _error_of_mean(single)
     else:
         chance = scatter * float(np.sqrt((spread[0] ** 2).sum() / clouds))
-    misfit = _misfit(scene, around[counted], (z - fitted)[counted])
-    return Surface(ray, radius, coefficients, float(np.hypot(chance, _MISFIT_SHARE * misfit)))
+    # what the surface leaves of the tissue's shape: the scatter of the median picture beyond that of its noise
+    misfit = float(np.sqrt(max(noise.deviation((z - fitted)[counted]) ** 2 - (sigma or 0.0) ** 2, 0.0)))
+    return Surface(
+        ray, radius, coefficients, float(np.hypot(chance, _MISFIT_SHARE * misfit)), float(1 - counted.mean())
+    )
 
 
-def _misfit(scene: Scene, pixels: Array, residuals: Array) -> float:
-    """What the surface leaves of the tissue's shape: the scatter of the median picture beyond that of its noise."""
+def _sigma_of_median(scene: Scene, pixels: Array) -> float | None:
+    """Standard deviation of the median picture at some pixels, by the noise of one cloud; None where unknown."""
     clouds = len(scene.depths)
     sigma = scene.noise[pixels]
     sigma = sigma[np.isfinite(sigma)]
-    variance = float((sigma**2).mean()) if sigma.size else 0.0
-    variance *= (_MEDIAN_VARIES if clouds > 2 else 1.0) / clouds  # of two the median is the mean
-    return float(np.sqrt(max(noise.deviation(residuals) ** 2 - variance, 0.0)))
+    if not sigma.size:
+        return None
+    worse = _MEDIAN_VARIES if clouds > 2 else 1.0  # of two the median is the mean
+    return float(np.sqrt(np.median(sigma) ** 2 * worse / clouds))
 
 
 def _error_of_mean(values: Array) -> float:
@@ -126,27 +132,65 @@ def _error_of_mean(values: Array) -> float:
     return float(np.sqrt((off**2).sum() / (len(values) - 1) / len(values)))
 
 
-def _robust(places: Array, z: Array) -> tuple[Array, Array] | None:
-    """(6,) coefficients and (n,) weights by iterated weighted least squares, Tukey's biweight."""
+def _robust(places: Array, z: Array, scale: float | None) -> tuple[Array, Array] | None:
+    """(6,) coefficients and (n,) weights by iterated weighted least squares, Tukey's biweight.
+
+    A place that reads wrong pulls the surface to itself if it is heard from the beginning.  So the first rounds are
+    made several times, without larger and larger middles; the surface that most of the window lies on wins.
+
+    Args:
+        places: (n, 2) in radii of the window.
+        z: (n,) metres.
+        scale: how far z may be expected off the surface, as standard deviation; None if unknown.
+    """
     square = (places**2).sum(axis=1)
-    outside = (square > _OUTSIDE**2).astype(np.float64)
-    if outside.sum() < _MIN_POINTS:
-        outside = np.ones_like(outside)
-    weights = outside
     design = _design(places)
-    coefficients = np.zeros(_QUADRIC)
-    for number in range(_ROUNDS):
-        terms = _PLANE if number == 0 else _QUADRIC
-        solved = least_squares(design[:, :terms], z, weights)
-        if solved is None:
+    all_heard = np.ones(len(z), np.bool_)
+    starts = []
+    for silent in _SILENT:
+        heard = square >= silent**2
+        if np.count_nonzero(heard) >= _MIN_POINTS:
+            start = _iterated(design, z, heard.astype(np.float64), heard, None, _FIRST_ROUNDS)
+            if start is not None:
+                starts.append(start)
+    if not starts:
+        return None
+    if scale is None:
+        scale = min(_scatter(z - times(design, coefficients)) for coefficients, _ in starts)
+    found = []
+    for coefficients, _ in starts:
+        weights = _weights(z - times(design, coefficients), scale)
+        solved = _iterated(design, z, weights, all_heard, scale, _ROUNDS)
+        if solved is not None:
+            found.append(solved)
+    if not found:
+        return None
+    cut = _TUKEY * scale
+    lost = [float((np.minimum(np.abs(z - times(design, coefficients)), cut) ** 2).sum()) for coefficients, _ in found]
+    return found[lost.index(min(lost))]
+
+
+def _iterated(
+    design: Array, z: Array, weights: Array, heard: Array, scale: float | None, rounds: int
+) -> tuple[Array, Array] | None:
+    """Some rounds of reweighting, by ``scale`` or what the points show; who is not ``heard`` stays without weight."""
+    coefficients = None
+    for _ in range(rounds):
+        coefficients = least_squares(design, z, weights)
+        if coefficients is None:
             return None
-        coefficients = np.zeros(_QUADRIC)
-        coefficients[:terms] = solved
         residuals = z - times(design, coefficients)
-        heard = outside > 0 if number < _FIRST_ROUNDS else np.ones(len(z), np.bool_)
-        scale = max(noise.MAD * float(np.median(np.abs(residuals[heard]))), _LEAST_SCALE_M)
-        weights = np.clip(1 - (residuals / (_TUKEY * scale)) ** 2, 0, None) ** 2 * heard
-    return coefficients, weights
+        weights = _weights(residuals, scale or _scatter(residuals[heard])) * heard
+    return None if coefficients is None else (coefficients, weights)
+
+
+def _scatter(residuals: Array) -> float:
+    return max(noise.MAD * float(np.median(np.abs(residuals))), _LEAST_SCALE_M)
+
+
+def _weights(residuals: Array, scale: float) -> Array:
+    weights: Array = np.clip(1 - (residuals / (_TUKEY * scale)) ** 2, 0, None) ** 2
+    return weights
 
 
 def _design(places: Array) -> Array:

@@ -41,6 +41,8 @@ def _level(change: dict[str, Any]) -> Level:
         ({"noise_mm": 0.41}, Level.LOOK),
         ({"noise_mm": None}, Level.OK),
         ({"reading_mm": -0.8}, Level.LOOK),
+        ({"astray": 0.29}, Level.OK),
+        ({"astray": 0.31}, Level.LOOK),
         ({"density_mm2": 1.9}, Level.LOOK),
         ({"missing": 0.51}, Level.LOOK),
     ],

@@ -42,14 +42,17 @@ def test_slant_is_one_over_the_cosine_to_the_ray() -> None:
 
 
 @pytest.mark.parametrize("shift", [-0.002, 0.002])
-def test_a_spot_that_reads_wrong_does_not_bend_the_tissue(shift: float) -> None:
+@pytest.mark.parametrize("radius_mm", [0.8, 1.6, 2.4])
+def test_a_spot_that_reads_wrong_does_not_bend_the_tissue(shift: float, radius_mm: float) -> None:
+    """Up to the 0.6 of the window's radius of docs/review.md."""
     clouds = dome_clouds(8)
     middle = on_dome(2, 1)
     for cloud in clouds:
-        spot = ((cloud.points[..., :2] - middle[:2]) ** 2).sum(axis=-1) < 0.0016**2
+        spot = ((cloud.points[..., :2] - middle[:2]) ** 2).sum(axis=-1) < (radius_mm / 1000) ** 2
         cloud.points[spot] *= 1 + shift / 0.25
     surface = _fit(Scene.of(clouds), middle)
     assert abs(surface.distance(middle[None])[0]) < 0.0001
+    assert surface.astray == pytest.approx((radius_mm / 4) ** 2, abs=0.05)
 
 
 def test_the_error_says_how_far_off_the_surface_is() -> None:
