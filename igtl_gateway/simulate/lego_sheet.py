@@ -26,8 +26,8 @@ LANDMARKS = {
     "left back": (-62.0, -72.0),
     "left front": (-58.0, 46.0),
 }
-AT_LESION = "check lesion"
-CHECKS = {"check centre": (0.0, -20.0), AT_LESION: (36.0, -48.0), "check left": (-40.0, -48.0)}
+AT_LESION = "lesion"
+CHECKS = {"centre": (0.0, -20.0), AT_LESION: (36.0, -48.0), "left": (-40.0, -48.0)}
 
 _STEP_MM = 1.5  #: between points of a plan
 _MARGIN_MM = 19.0  #: from the middle of the lesion to the line around it
