@@ -93,8 +93,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--restamp",
         choices=MODES,
         default="keep",
-        help="stamps in the messages: as they are (default), the time of sending, or all moved by one constant so "
-        "that the first is now (anew after each jump)",
+        help="all stamps in the messages, at any depth: as they are (default), the time of sending, or all moved by "
+        "one constant so that the first is now (anew after each jump)",
     )
     parser.add_argument(
         "--clock",
@@ -144,7 +144,7 @@ def run(options: argparse.Namespace) -> int:
             loop=options.loop,
             span=(start_ns or file.start_ns, file.end_ns if end_ns is None else end_ns),
             start_ns=start_ns,
-            restamp=_restamper(options),
+            restamp=_restamper(options, file),
             on_jump=lambda jump: _tell_jump(options, file, jump),
         )
         _controls(options, file, player, side, stop, stack)
@@ -194,10 +194,12 @@ def _part(options: argparse.Namespace, file: SessionFile) -> tuple[int | None, i
     return start_ns, end_ns
 
 
-def _restamper(options: argparse.Namespace) -> Restamper | None:
+def _restamper(options: argparse.Namespace, file: SessionFile) -> Restamper | None:
     if options.restamp == "keep":
         return None
-    return Restamper(options.restamp, lambda name: _tell(options, f"! stamps of {name} stay: not known here"))
+    return Restamper(
+        options.restamp, lambda name: _tell(options, f"! stamps of {name} stay: not known here"), file.definitions
+    )
 
 
 def _controls(

@@ -116,7 +116,7 @@ def test_the_clock_follows() -> None:
 @pytest.mark.parametrize(
     ("ros_type", "data"),
     [
-        (String.TYPE, String("x").pack()),
+        ("unheard_of/msg/Thing", String("x").pack()),
         (PointStamped.TYPE, b"\0\1\0\0\1"),
         (TFMessage.TYPE, b"\0\1\0\0\2\0\0\0\0\0\0\0"),
     ],
@@ -127,3 +127,22 @@ def test_what_is_not_known_stays_and_is_told_once(ros_type: str, data: bytes) ->
     for _ in range(2):
         assert restamper.payload(ros(ros_type, data), NOW) == (data,)
     assert told == [ros_type]
+
+
+def test_what_has_no_stamp_stays_and_nothing_is_told() -> None:
+    data = String("x").pack()
+    assert restamped("now", ros(String.TYPE, data)) == [data]
+
+
+def test_the_recordings_own_definition_counts() -> None:
+    """A type of a stranger, and one that had other fields when it was recorded."""
+    text = (
+        "uint8 a\nbuiltin_interfaces/Time stamp\n"
+        + "=" * 80
+        + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
+    )
+    restamper = Restamper("now", pytest.fail, {"lab/msg/Odd": text, PointStamped.TYPE: text})
+    data = b"\0\1\0\0\7\0\0\0" + struct.pack("<iI", 5, 6)
+    for ros_type in ("lab/msg/Odd", PointStamped.TYPE):
+        (found,) = restamper.payload(ros(ros_type, data), NOW)
+        assert found == data[:8] + struct.pack("<iI", NOW // S, NOW % S)

@@ -1,0 +1,192 @@
+"""Where the stamps are in a ROS message, in its CDR bytes as they are: a walk by the definition of its type.
+
+A stamp is a field ``stamp`` or ``timestamp`` of the type ``builtin_interfaces/Time``, at any depth: in headers, in the
+transforms of a TFMessage, the markers of a MarkerArray; and the time of ``/clock``.  Other times, such as that of a
+scan or of a reference clock, are facts and no stamps.
+
+The definition is that of the recording, where it has one; else that of ROS 2 Jazzy or ours.  It is made into a list of
+steps once; steps behind the last stamp are left away, so that of a message with its header in front nothing else is
+looked at.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.base import TypesysError
+
+from igtl_gateway.replay.simclock import CLOCK_TYPE
+from igtl_gateway.ros_interfaces.definitions import SHARES
+
+_TIME = "builtin_interfaces/msg/Time"
+_STAMPS = frozenset({"stamp", "timestamp"})
+_SIZES = {
+    "bool": 1, "byte": 1, "octet": 1, "char": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4,
+    "uint32": 4, "float32": 4, "int64": 8, "uint64": 8, "float64": 8,
+}  # fmt: skip
+_BASE, _NAME, _ARRAY = 1, 2, 3  # rosbags' kinds of field types; the others are sequences
+_ENCAPSULATION = 4  # bytes; alignment counts from behind them
+
+
+@dataclass(frozen=True, slots=True)
+class _Numbers:
+    """So many numbers in a row; ``several``: as the elements of a sequence."""
+
+    size: int
+    count: int
+    several: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Stamp:
+    pass
+
+
+@dataclass(frozen=True, slots=True)
+class _Text:
+    """A string; ``wide``: of wide characters, which rosbags does not read and we do not walk past."""
+
+    wide: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Repeated:
+    """Steps so many times; 0: as the bytes say."""
+
+    steps: tuple[_Step, ...]
+    count: int
+
+
+_Step = _Numbers | _Stamp | _Text | _Repeated
+
+
+class StampPlaces:
+    """Finds the stamps of messages.
+
+    Args:
+        definitions: type → ``ros2msg`` text with all that it needs, of the recording.
+    """
+
+    def __init__(self, definitions: Mapping[str, str]) -> None:
+        self._definitions = definitions
+        self._known: dict[str, Any] = dict(get_typestore(Stores.ROS2_JAZZY).fielddefs)
+        self._steps: dict[str, tuple[_Step, ...] | None] = {}
+
+    def of(self, ros_type: str, data: bytes) -> list[int] | None:
+        """Their offsets, in order; None for a type of which no definition is found, or bytes that are not of it."""
+        if ros_type not in self._steps:
+            self._steps[ros_type] = self._compile(ros_type)
+        steps = self._steps[ros_type]
+        if steps is None or len(data) < _ENCAPSULATION or data[0] != 0 or data[1] not in (0, 1):
+            return None
+        walk = _Walk(data)
+        try:
+            walk.steps(steps)
+        except (struct.error, ValueError):
+            return None
+        return walk.places if walk.at <= len(data) else None
+
+    def _compile(self, ros_type: str) -> tuple[_Step, ...] | None:
+        own: Mapping[str, Any] = {}
+        try:
+            if text := self._definitions.get(ros_type, ""):
+                own = get_types_from_msg(text, ros_type)
+            steps = self._of_struct(ros_type, own)
+        except (TypesysError, OSError, UnicodeDecodeError, KeyError, RecursionError):
+            return None
+        while steps and not _has_stamp(steps[-1]):
+            steps.pop()
+        return tuple(steps)
+
+    def _of_struct(self, name: str, own: Mapping[str, Any]) -> list[_Step]:
+        found = own.get(name) or self._known.get(name) or self._ours(name)
+        steps: list[_Step] = []
+        for field, (kind, inner) in found[1]:
+            is_stamp = field in _STAMPS or name == CLOCK_TYPE
+            added = [_Stamp()] if is_stamp and inner == _TIME else self._of_type(kind, inner, own)
+            for step in added:
+                last = steps[-1] if steps else None
+                if isinstance(step, _Numbers) and isinstance(last, _Numbers) and _joins(last, step):
+                    steps[-1] = _Numbers(step.size, last.count + step.count)
+                else:
+                    steps.append(step)
+        return steps
+
+    def _of_type(self, kind: int, inner: Any, own: Mapping[str, Any]) -> list[_Step]:
+        if kind == _BASE:
+            return [_Text() if inner[0] == "string" else _Numbers(_SIZES[inner[0]], 1)]
+        if kind == _NAME:
+            if inner.endswith("/wstring"):
+                return [_Text(wide=True)]
+            return self._of_struct(inner, own)
+        (kind_of_each, each_type), length = inner
+        steps = self._of_type(kind_of_each, each_type, own)
+        count = length if kind == _ARRAY else 0
+        match steps:
+            case [_Numbers(size, each, False)]:
+                return [_Numbers(size, each * count if count else each, several=not count)]
+            case _:
+                return [_Repeated(tuple(steps), count)]
+
+    def _ours(self, name: str) -> Any:
+        """The definition of one of our types.  Raises KeyError."""
+        package, _, rest = name.partition("/")
+        for share in SHARES:
+            path = share / package / f"{rest}.msg"
+            if path.is_file():
+                self._known |= get_types_from_msg(path.read_text("utf-8"), name)
+        return self._known[name]
+
+
+def _joins(last: _Numbers, step: _Numbers) -> bool:
+    return last.size == step.size and not last.several and not step.several
+
+
+def _has_stamp(step: _Step) -> bool:
+    return isinstance(step, _Stamp) or (isinstance(step, _Repeated) and any(map(_has_stamp, step.steps)))
+
+
+class _Walk:
+    """One walk through a message.  Raises struct.error or ValueError where the bytes are not of the type."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._number = struct.Struct(("<" if data[1] & 1 else ">") + "I")
+        self.at = _ENCAPSULATION
+        self.places: list[int] = []
+
+    def steps(self, steps: tuple[_Step, ...]) -> None:
+        for step in steps:
+            match step:
+                case _Stamp():
+                    self._align(4)
+                    self.places.append(self.at)
+                    self.at += 8
+                case _Numbers(size, count, several):
+                    count *= self._count() if several else 1
+                    if count:
+                        self._align(size)
+                        self.at += size * count
+                case _Text(wide):
+                    if wide:
+                        raise ValueError("a wide string")
+                    length = self._count()
+                    self.at += length
+                case _Repeated(inner, count):
+                    for _ in range(count or self._count()):
+                        self.steps(inner)
+                        if self.at > len(self._data):
+                            raise ValueError("ends too early")
+
+    def _count(self) -> int:
+        self._align(4)
+        (count,) = self._number.unpack_from(self._data, self.at)
+        self.at += 4
+        return int(count)
+
+    def _align(self, size: int) -> None:
+        self.at += -(self.at - _ENCAPSULATION) % size
