@@ -32,11 +32,13 @@ class Options:
         colour_by: field of clouds that gives their colour; "" = their own colours, else intensity, else none.
         axis_m: length of a tool's axes, metres.
         trails: draw where tools have been.
+        plain: escape letters that are not in the viewer's own font: without a screen it ends at one.
     """
 
     colour_by: str = ""
     axis_m: float = 0.02
     trails: bool = True
+    plain: bool = False
 
 
 @dataclass(slots=True)
@@ -67,6 +69,7 @@ class Canvas:
         self._seen = seen
         self._trails: dict[str, _Trail] = {}
         self._axes: set[str] = set()
+        self._frames: dict[str, str] = {}  # frame → its entity
         self._stood: set[str] = set()
 
     def frame(self, frame_id: str) -> str:
@@ -129,6 +132,16 @@ class Canvas:
         (a, b, c), (d, e, f) = low.tolist(), high.tolist()
         self.shown.low, self.shown.high = (a, b, c), (d, e, f)
 
+    def reach(self, place: Xyz) -> None:
+        """As ``box``, for a single place: tools come by the thousand."""
+        low, high = self.shown.low, self.shown.high
+        x, y, z = place
+        if low is None or high is None:
+            self.shown.low = self.shown.high = (x, y, z)
+        elif not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):
+            self.shown.low = (min(low[0], x), min(low[1], y), min(low[2], z))
+            self.shown.high = (max(high[0], x), max(high[1], y), max(high[2], z))
+
     def link(self, child: str, frame: str, pose: Xyz, *, static: bool = False) -> None:
         """One edge of the transform tree: the frame ``child`` in the frame ``frame``.
 
@@ -138,7 +151,9 @@ class Canvas:
         owner = self.pen.owners.setdefault(child, self.shown.topic)
         if not child or child == frame or owner != self.shown.topic:
             return
-        path = f"{FRAMES}/{escape(child)}"
+        path = self._frames.get(child)
+        if path is None:
+            path = self._frames[child] = f"{FRAMES}/{escape(child)}"
         if child not in self._seen.parents:
             axes = rr.TransformAxes3D(self.options.axis_m)
             self.pen.static(path, rr.CoordinateFrame(child), axes, _place(pose, frame, child))
@@ -156,7 +171,9 @@ class Canvas:
             self.pen.static(path, rr.CoordinateFrame(frame))
 
     def _trail(self, path: str, frame: str, place: Xyz) -> None:
-        trail = self._trails.setdefault(path, _Trail(frame=frame))
+        trail = self._trails.get(path)
+        if trail is None:
+            trail = self._trails[path] = _Trail(frame=frame)
         now = self.pen.stamp_ns
         if trail.frame != frame:
             trail.points.clear()

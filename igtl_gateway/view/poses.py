@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped, TFMessage
 from igtl_gateway.convert.igtl_msgs import TrackingData
 from igtl_gateway.convert.rosmsg import TransformStamped
@@ -52,7 +50,7 @@ def _tool(pose: Sequence[float], frame: str, canvas: Canvas, child: str = "", ch
         canvas.once(f"{child or 'the tool'} has no place: found {tuple(pose)}, expected a pose")
         return
     canvas.tool(pose, frame, child)
-    canvas.box(np.array([pose[:3]]))
+    canvas.reach(pose[:3])
     if child_frame:
         canvas.link(child_frame, frame, pose)
 
