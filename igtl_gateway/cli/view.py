@@ -112,7 +112,9 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
     with SessionFile.open(options.file) as file:
         config = recorded_config(file.session)
         recording = stream.to_file(out, f"{options.file.stem}-{file.start_ns}")
-        view = SessionView(recording, config.base_frame, Options(colour_by=options.colour_by))
+        view = SessionView(
+            recording, config.base_frame, Options(colour_by=options.colour_by, plain=bool(options.screenshot))
+        )
         material = None if options.no_review else Material()
         progress = _Progress(file.entry_count)
         for entry in _entries(file, config):

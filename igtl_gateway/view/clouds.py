@@ -102,7 +102,7 @@ def draw_point_list(message: PointList, canvas: Canvas) -> None:
         places,
         colors=np.array([colours.of(point.rgba, canvas.colour) for point in points], np.uint32),
         radii=[point.diameter / 2 or size for point in points],
-        labels=[point.name for point in points],
+        labels=[canvas.pen.letters(point.name) for point in points],
         show_labels=len(points) <= _READABLE,
     )
     canvas.log(shown, frame=frame)

@@ -81,4 +81,4 @@ def _name(canvas: Canvas, child: str, names: Sequence[str]) -> None:
     """Name the curves, once and whenever they change."""
     if canvas.memory.get(f"names {child}") != names and names:
         canvas.memory[f"names {child}"] = names
-        canvas.static(rr.SeriesLines(names=list(names)), child)
+        canvas.static(rr.SeriesLines(names=list(map(canvas.pen.letters, names))), child)

@@ -6,6 +6,7 @@ sent as columns, a hundred times cheaper.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,6 +24,9 @@ _ROWS = 2048
 
 Xyz = Sequence[float]
 
+#: All but the Latin, Greek and Cyrillic letters and the signs of the one font that rerun's viewer brings.
+_STRANGE = re.compile(r"[^\n\t\x20-\u024f\u0370-\u052f\u2010-\u2026\u20ac\u2190-\u2193\u2212\u2260\u2264\u2265]")
+
 
 @dataclass(slots=True)
 class _Column:
@@ -34,8 +38,9 @@ class _Column:
 class Pen:
     """Draws into one recording; every row carries the times of the entry that was last given to ``at``."""
 
-    def __init__(self, recording: rr.RecordingStream) -> None:
+    def __init__(self, recording: rr.RecordingStream, *, plain: bool = False) -> None:
         self.recording = recording
+        self._plain = plain
         recording.set_log_time_enabled(False)
         recording.set_log_tick_enabled(False)
         self.number = self.stamp_ns = self.source_ns = 0
@@ -67,7 +72,11 @@ class Pen:
 
     def text(self, path: str, text: str, level: str, colour: int | None = None) -> None:
         """A line of a log."""
-        self.log(path, rr.TextLog(text, level=level, color=colour))
+        self.log(path, rr.TextLog(self.letters(text), level=level, color=colour))
+
+    def letters(self, text: str) -> str:
+        """A text as it is, or, of a ``plain`` pen, with escapes for letters that not every viewer can draw."""
+        return _STRANGE.sub(lambda found: found[0].encode("unicode_escape").decode(), text) if self._plain else text
 
     def fields(self, path: str, **values: Any) -> None:
         """A row without picture: fields for the selection panel."""

@@ -93,7 +93,7 @@ class SessionView:
         self.seen = Seen(base_frame)
         self.told = Told()
         self._options = options or Options()
-        self._pen = Pen(recording)
+        self._pen = Pen(recording, plain=self._options.plain)
         self._topics: dict[tuple[str, str], _Topic] = {}
         self._paths: set[str] = set()
         self._siblings: list[_Sibling] = []
@@ -203,7 +203,7 @@ class SessionView:
             self._drop(int(note.data.get("count") or note.data.get("dropped") or 1), text, in_log=False)
 
     def _drop(self, number: int, text: str, *, in_log: bool = True) -> None:
-        self._pen.log(DROPS, rr.TextLog(text, level="WARN", color=WARN), rr.Scalars([float(number)]))
+        self._pen.log(DROPS, rr.TextLog(self._pen.letters(text), level="WARN", color=WARN), rr.Scalars([float(number)]))
         if in_log:
             self._pen.text(LOG, text, "WARN", WARN)
 

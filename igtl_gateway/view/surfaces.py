@@ -122,7 +122,7 @@ def draw_trajectories(message: TrajectoryList, canvas: Canvas) -> None:
         strips,
         colors=np.array([colours.of(each.rgba, canvas.colour) for each in listed], np.uint32),
         radii=[each.diameter / 2 or LINE_M for each in listed],
-        labels=[each.name for each in listed],
+        labels=[canvas.pen.letters(each.name) for each in listed],
     )
     canvas.log(lines, frame=frame)
 
@@ -251,7 +251,7 @@ def _solid(marker: Marker, canvas: Canvas) -> Any:
 def _text(marker: Marker, canvas: Canvas) -> rr.Points3D:
     canvas.box(np.array([marker.position]))
     colour = [colours.one(marker.color)]
-    return rr.Points3D([marker.position], labels=[marker.text], colors=colour, radii=[POINT_M / 2])
+    return rr.Points3D([marker.position], labels=[canvas.pen.letters(marker.text)], colors=colour, radii=[POINT_M / 2])
 
 
 _FULL = rr.components.FillMode.Solid

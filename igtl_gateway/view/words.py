@@ -99,12 +99,12 @@ def _size(size: Sequence[int]) -> str:
 
 def _list(canvas: Canvas, title: str, items: Sequence[str]) -> None:
     document = f"**{title}**\n\n" + "\n".join(f"- {item}" for item in items)
-    canvas.log(rr.TextDocument(document, media_type="text/markdown"))
+    canvas.log(rr.TextDocument(canvas.pen.letters(document), media_type="text/markdown"))
     canvas.text(_line(f"{title}: {', '.join(items)}"))
 
 
 def _say(canvas: Canvas, text: str, level: str = "INFO", colour: int | None = None) -> None:
-    canvas.log(rr.TextDocument(text))
+    canvas.log(rr.TextDocument(canvas.pen.letters(text)))
     canvas.text(_line(text), level, colour)
 
 
