@@ -17,22 +17,25 @@ from igtl_gateway.simulate.catalogue import SCENARIOS
 from igtl_gateway.simulate.load import SENDERS, SIZES, Load
 from igtl_gateway.simulate.scenario import Scenario
 
-EXAMPLES = """\
+_WIDTH = max(map(len, SCENARIOS))
+EXAMPLES = f"""\
   igtl-gateway simulate acquisition                   live: a bridge, a ROS 2 node and an OpenIGTLink client
   igtl-gateway simulate acquisition --record a.mcap   and keep what the bridge recorded
   igtl-gateway simulate acquisition --out a.mcap      offline: no ROS, no network, always the same bytes
-  igtl-gateway simulate test-server --type IMAGE --size 1920 --rate 30 --count 300
+  igtl-gateway simulate test-server --type IMAGE --size 640 --rate 30 --count 300
   igtl-gateway simulate test-node --side ros          the ROS node alone, for a bridge of yours
   igtl-gateway simulate test-server --side igtl --connect 127.0.0.1:18944
   igtl-gateway simulate acquisition --side ros --listen :18944
-                                                      robot and bridge; 3D Slicer stands in for the planner"""
+                                                      robot and bridge; 3D Slicer stands in for the planner
+
+scenarios:
+{"\n".join(f"  {name:<{_WIDTH}}  {scenario.title}" for name, scenario in SCENARIOS.items())}"""
 
 _MAX_S = 3600.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    names = "; ".join(f"{name}: {scenario.title}" for name, scenario in SCENARIOS.items())
-    parser.add_argument("name", choices=tuple(SCENARIOS), help=names)
+    parser.add_argument("name", choices=tuple(SCENARIOS), metavar="SCENARIO", help="one of those below")
     parser.add_argument("--out", type=Path, metavar="FILE", help="play offline and write this recording")
     parser.add_argument("--record", type=Path, metavar="FILE", help="live: keep the bridge's recording")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
