@@ -18,6 +18,7 @@ from igtl_gateway.simulate.load import SENDERS, SIZES, Load
 from igtl_gateway.simulate.scenario import Scenario
 
 _WIDTH = max(map(len, SCENARIOS))
+_SCENARIOS = "\n".join(f"  {name:<{_WIDTH}}  {scenario.title}" for name, scenario in SCENARIOS.items())
 EXAMPLES = f"""\
   igtl-gateway simulate acquisition                   live: a bridge, a ROS 2 node and an OpenIGTLink client
   igtl-gateway simulate acquisition --record a.mcap   and keep what the bridge recorded
@@ -29,7 +30,7 @@ EXAMPLES = f"""\
                                                       robot and bridge; 3D Slicer stands in for the planner
 
 scenarios:
-{"\n".join(f"  {name:<{_WIDTH}}  {scenario.title}" for name, scenario in SCENARIOS.items())}"""
+{_SCENARIOS}"""
 
 _MAX_S = 3600.0
 
