@@ -26,17 +26,13 @@ _JOINTS = ("position", "velocity", "effort")
 def draw_joints(message: JointState, canvas: Canvas) -> None:
     """sensor_msgs/JointState: positions at the topic's path, velocities and efforts below it."""
     for what, values in zip(_JOINTS, (message.position, message.velocity, message.effort), strict=True):
-        child = "" if what == "position" else what
-        if len(values):
-            _name(canvas, child, message.name)
-            canvas.numbers(values.tolist(), child)
+        _curves(canvas, values.tolist(), message.name, "" if what == "position" else what)
 
 
 def draw_sensor(message: Sensor, canvas: Canvas) -> None:
     """igtl_msgs/Sensor."""
     unit = f" ({message.unit_text})" if message.unit_text else ""
-    _name(canvas, "", [f"{number}{unit}" for number in range(1, len(message.values) + 1)])
-    canvas.numbers(message.values.tolist())
+    _curves(canvas, message.values.tolist(), [f"{number}{unit}" for number in range(1, len(message.values) + 1)])
 
 
 def draw_number(message: Float64, canvas: Canvas) -> None:
@@ -71,14 +67,19 @@ def _array(values: npt.NDArray[Any], sizes: Sequence[int], canvas: Canvas) -> No
         canvas.log(rr.Tensor(flat.reshape(sizes)))
     elif 0 < len(flat) <= _CURVES:
         canvas.what(What.PLOT)
-        canvas.numbers(flat.astype(np.float64).tolist())
+        _curves(canvas, flat.astype(np.float64).tolist())
     elif len(flat):
         canvas.what(What.BARS)
         canvas.log(rr.BarChart(flat))
 
 
-def _name(canvas: Canvas, child: str, names: Sequence[str]) -> None:
-    """Name the curves, once and whenever they change."""
-    if canvas.memory.get(f"names {child}") != names and names:
+def _curves(canvas: Canvas, values: Sequence[float], names: Sequence[str] = (), child: str = "") -> None:
+    """A curve for each value; messages of other lengths than the first have curves of their own, ``<length>``."""
+    if not values:
+        return
+    if canvas.memory.setdefault(f"curves {child}", len(values)) != len(values):
+        child = f"{child}/{len(values)}" if child else str(len(values))
+    if names and canvas.memory.get(f"names {child}") != names:
         canvas.memory[f"names {child}"] = names
-        canvas.static(rr.SeriesLines(names=list(map(canvas.pen.letters, names))), child)
+        canvas.static(rr.SeriesLines(names=list(names)), child)
+    canvas.numbers(values, child)
