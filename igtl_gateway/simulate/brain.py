@@ -18,6 +18,7 @@ import json
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -39,7 +40,7 @@ ROUNDS = 3
 #: Grey value of ch2bet between brain and what surrounds it, and voxels from a point of its grid to the next: finer
 #: ones give more faces than the paper's model has.
 LEVEL, STEP = 40, 1.2
-FINE_MM, SMALL_MM = 1.2, 5.0  #: voxels of the synthetic brain
+FINE_MM, SMALL_MM = 1.2, 3.5  #: voxels of the synthetic brain
 
 _SURFACE, _CAPTION = "/igtl/in/BrainSurface/mesh", "/igtl/in/BrainCaption/string"
 _MODEL, _VERDICT, _READY = "/brain/model", "/brain/verdict", "/brain/ready"
@@ -117,11 +118,20 @@ class Caption:
         return cls(**values | {"sum": Sum(**values["sum"])})
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cargo:
+    """What is sent, its sum, and where it comes from."""
+
+    content: PolyData
+    sum: Sum
+    source: str
+
+
 class Planner:
     """Sends a surface, and compares what comes back.
 
     Args:
-        make: gives the surface (mm) and its source; called when the planner begins.
+        make: gives the surface (mm) and its source; called once, before the planner begins.
         rounds: how often it is sent.
     """
 
@@ -143,10 +153,18 @@ class Planner:
         self._to_igtl_s: list[float] = []
         self._both_s: list[float] = []
 
+    @cached_property
+    def _cargo(self) -> _Cargo:
+        surface, source = self._make()
+        content = PolyData(surface.points.astype(">f4"), polygons=Cells.of(surface.faces))
+        return _Cargo(content, Sum.of(content.points, surface.faces), source)
+
+    def prepare(self) -> None:
+        """The surface takes a second or two."""
+        _ = self._cargo
+
     def begin(self, now_ns: int) -> None:
-        surface, self._source = self._make()
-        self._content = PolyData(surface.points.astype(">f4"), polygons=Cells.of(surface.faces))
-        self._sum = Sum.of(self._content.points, surface.faces)
+        self.prepare()  # before anything is timed
 
     @property
     def due_ns(self) -> int | None:
@@ -171,11 +189,11 @@ class Planner:
         self._due_ns = None
         self._round += 1
         self._sent_ns = now_ns
-        caption = String.of(Caption(self._sum, self._round, now_ns).pack())
+        caption = String.of(Caption(self._cargo.sum, self._round, now_ns).pack())
         ticks = ns_to_ticks(now_ns)
         return (
             Message("STRING", "BrainCaption", caption, ticks),
-            Message("POLYDATA", "BrainSurface", self._content, ticks),
+            Message("POLYDATA", "BrainSurface", self._cargo.content, ticks),
         )
 
     def _compare(self, now_ns: int) -> None:
@@ -183,7 +201,7 @@ class Planner:
         if self._verdict is None or self._model is None:
             return
         arrived_ns, found = self._model
-        self._equal += found == self._sum == self._verdict.sum
+        self._equal += found == self._cargo.sum == self._verdict.sum
         self._told_equal += self._verdict.equal
         self._to_igtl_s.append((arrived_ns - self._verdict.sent_ns) / NS_PER_S)
         self._both_s.append((arrived_ns - self._sent_ns) / NS_PER_S)
@@ -198,19 +216,20 @@ class Planner:
     def report(self) -> Report:
         if not self._round:
             return Report(False, ("no node of ROS was ready",), {"sent": 0})
-        size = sum(memoryview(part).nbytes for part in self._content.pack())
+        cargo = self._cargo
+        size = sum(memoryview(part).nbytes for part in cargo.content.pack())
         good = self._equal == self._told_equal == self._rounds
         return Report(
             good,
             (
-                f"{self._source}: {self._sum}, {size / 1e6:.1f} MB as POLYDATA",
+                f"{cargo.source}: {cargo.sum}, {size / 1e6:.1f} MB as POLYDATA",
                 f"{self._round} sent, {self._told_equal} arrived at ROS and {self._equal} came back equal, bit by bit",
                 f"ROS → OpenIGTLink {_seconds(self._to_igtl_s)}, there and back {_seconds(self._both_s)}",
             ),
             {
-                "source": self._source,
-                "points": self._sum.points,
-                "faces": self._sum.faces,
+                "source": cargo.source,
+                "points": cargo.sum.points,
+                "faces": cargo.sum.faces,
                 "polydata_bytes": size,
                 "sent": self._round,
                 "equal_at_ros": self._told_equal,

@@ -107,8 +107,12 @@ class Scanner:
         self._shapes: dict[str, _Shape] = {}
         self._status: Status | None = None
 
+    def prepare(self) -> None:
+        """The phantom takes a moment."""
+        phantom()
+
     def begin(self, now_ns: int) -> None:
-        self._phantom = phantom()
+        pass  # it waits to be asked
 
     @property
     def due_ns(self) -> int | None:
@@ -133,9 +137,7 @@ class Scanner:
         place = look.image_to_reference
         across, down, beside = IMAGE_TO_PROBE.rotation.T * PIXEL_MM
         middle = IMAGE_TO_PROBE.apply(PIXEL_MM / 2 * np.array([WIDTH - 1.0, HEIGHT - 1.0, 0.0]))
-        pixels = self._phantom.image(
-            place.translation, PIXEL_MM * place.rotation[:, 0], PIXEL_MM * place.rotation[:, 1]
-        )
+        pixels = phantom().image(place.translation, PIXEL_MM * place.rotation[:, 0], PIXEL_MM * place.rotation[:, 1])
         matrix = tuple(float(value) for axis in (across, down, beside, middle) for value in axis)
         yield Message("IMAGE", "Image_Probe", Image((WIDTH, HEIGHT, 1), 3, pixels.data, wire_matrix=matrix), ticks)
 

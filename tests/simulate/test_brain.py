@@ -79,8 +79,8 @@ def test_a_short_session_is_the_small_one_on_every_machine() -> None:
     actors = brain.actors(1.0)
     played(actors)
     small = actors[0].report()
-    assert small.good and small.facts["points"] == 33_360 and small.facts["source"] == "synthetic brain, 5 mm"
-    assert small.lines[0].split("CRC ")[1].startswith("59fab16b"), "the same bytes everywhere"
+    assert small.good and small.facts["points"] == 74_772 and small.facts["source"] == "synthetic brain, 3.5 mm"
+    assert small.lines[0].split("CRC ")[1].startswith("5b94bfa1"), "the same bytes everywhere"
 
 
 def test_the_large_one_exceeds_the_papers(monkeypatch: pytest.MonkeyPatch) -> None:
