@@ -37,6 +37,7 @@ DARK = (18, 20, 24)  #: behind 3-D: lets dark tissue and black tools be told fro
 #: What the subject of a 3-D view can be, the likeliest first: the eye is set to it.
 _SUBJECTS = (What.CLOUD, What.VOLUME, What.MESH, What.PLANE, What.LINES, What.POINTS, What.MARKERS, What.POSE)
 _TOOLS = (What.POSE, What.POSES)
+_CELLS = 6  #: of a grid
 _HALF_HEIGHT, _HALF_WIDTH = math.radians(25), math.radians(33)  #: what a 3-D view of rerun takes in, half of it
 _ROOM = 0.95  #: a box is seldom filled to its corners
 _LEAST_M = 0.02  #: a single tool is not looked at from nearer than that gives
@@ -83,25 +84,26 @@ def _star(seen: Seen) -> Part:
     if seen.reviewed:
         words.insert(0, rrb.TextDocumentView(name="Stitches", origin=f"/{REVIEW_TABLE}"))
     side = _stack([*_pictures(seen)[:1], *_noise(seen), *_pictures(seen)[1:]])
-    return _column((_row((_tabs(_spaces(seen)), 3), (side, 2)), 3), (_row((_tabs(words), 3), (_plots(seen), 2)), 1))
+    below = _row((_tabs(words), 3), (_plots(seen), 2))
+    return _page(_row((_tabs(_spaces(seen)), 3), (side, 2)), below)
 
 
 def _ultrasound(seen: Seen) -> Part:
     """Picture and space side by side."""
     top = _row((_tabs(_pictures(seen)), 1), (_tabs(_spaces(seen)), 1))
-    return _column((top, 3), (_words_and_numbers(seen), 1))
+    return _page(top, _words_and_numbers(seen))
 
 
 def _navigation(seen: Seen) -> Part:
     """Space large; slices and pictures beside it."""
     top = _row((_tabs(_spaces(seen)), 2), (_stack([*_slices(seen), *_pictures(seen)]), 1))
-    return _column((top, 3), (_words_and_numbers(seen), 1))
+    return _page(top, _words_and_numbers(seen))
 
 
 def _generic(seen: Seen) -> Part:
     """A view of everything, as many as there are."""
     everything = _grid([*_slices(seen), *_pictures(seen), *_tables(seen)])
-    return _column((_row((_tabs(_spaces(seen)), 1), (everything, 1)), 3), (_words_and_numbers(seen), 1))
+    return _page(_row((_tabs(_spaces(seen)), 1), (everything, 1)), _words_and_numbers(seen))
 
 
 _BLUEPRINTS: dict[str, Callable[[Seen], Part]] = {
@@ -331,6 +333,10 @@ def _cross(a: Xyz, b: Xyz) -> Xyz:
 # How they stand to each other; where nothing is (None), nothing takes its place
 
 
+def _page(top: Part, below: Part) -> Part:
+    return _column((top, 5), (below, 2))
+
+
 def _tabs(parts: list[Part]) -> Part:
     """One view as it is, several as tabs of which the first is on top."""
     if len(parts) < 2:
@@ -344,7 +350,9 @@ def _stack(parts: list[Part]) -> Part:
 
 
 def _grid(parts: list[Part]) -> Part:
-    return _tabs(parts) if len(parts) < 2 else rrb.Grid(*parts)
+    """As many beside and above each other as can be looked at; more of them as tabs of the last."""
+    shown = [*parts[: _CELLS - 1], *filter(None, [_tabs(parts[_CELLS - 1 :])])]
+    return _tabs(shown) if len(shown) < 2 else rrb.Grid(*shown, grid_columns=2)
 
 
 def _row(*parts: tuple[Part, int]) -> Part:

@@ -15,6 +15,7 @@ import numpy as np
 import rerun as rr
 
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.view.colours import INFO
 
 #: The time lines: gateway time, the sender's own stamp (where it set one), and the entry number.
 GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"
@@ -72,7 +73,8 @@ class Pen:
 
     def text(self, path: str, text: str, level: str, colour: int | None = None) -> None:
         """A line of a log."""
-        self.log(path, rr.TextLog(self.letters(text), level=level, color=colour))
+        # a line without a colour would be shown in that of the line before
+        self.log(path, rr.TextLog(self.letters(text), level=level, color=INFO if colour is None else colour))
 
     def letters(self, text: str) -> str:
         """A text as it is, or, of a ``plain`` pen, with escapes for letters that not every viewer can draw."""
