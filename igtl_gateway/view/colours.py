@@ -11,7 +11,7 @@ Array = npt.NDArray[Any]
 
 #: One colour for each device that has none of its own, in turn: distinct, and none is tissue.
 SERIES = (0x4FC3F7FF, 0xFFB74DFF, 0x81C784FF, 0xE57373FF, 0xBA68C8FF, 0xFFF176FF, 0x4DD0E1FF, 0xA1887FFF)
-GREY = 0xC8C8C8FF
+GREY, BONE = 0xC8C8C8FF, 0xDDD0C0FF  # points and surfaces without a colour
 INFO, WARN, ERROR = 0xB0BEC5FF, 0xFFB300FF, 0xFF5252FF
 
 #: Turbo (A. Mikhailov, Google, 2019) as polynomials of degree 5 in 0 … 1, red, green, blue.

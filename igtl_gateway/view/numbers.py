@@ -14,6 +14,7 @@ from igtl_gateway.convert.common_msgs import JointState, MultiArray
 from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.view.canvas import Canvas
+from igtl_gateway.view.colours import SERIES
 from igtl_gateway.view.other_msgs import Float64
 from igtl_gateway.view.seen import What
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS
@@ -81,5 +82,6 @@ def _curves(canvas: Canvas, values: Sequence[float], names: Sequence[str] = (), 
         child = f"{child}/{len(values)}" if child else str(len(values))
     if names and canvas.memory.get(f"names {child}") != names:
         canvas.memory[f"names {child}"] = names
-        canvas.static(rr.SeriesLines(names=list(names)), child)
+        shades = [SERIES[place % len(SERIES)] for place in range(len(names))]
+        canvas.static(rr.SeriesLines(names=list(names), colors=np.array(shades, np.uint32)), child)
     canvas.numbers(values, child)

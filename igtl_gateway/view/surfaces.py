@@ -45,7 +45,7 @@ def draw_mesh(message: Mesh, canvas: Canvas) -> None:
     """shape_msgs/Mesh; it has no frame of its own."""
     frame = canvas.frame("")
     canvas.box(message.vertices)
-    canvas.log(surface(message.vertices, message.triangles, canvas.colour), frame=frame)
+    canvas.log(surface(message.vertices, message.triangles, colours.BONE), frame=frame)
 
 
 def surface(vertices: Array, triangles: Array, colour: int, vertex_colours: Array | None = None) -> rr.Mesh3D:
@@ -86,7 +86,7 @@ def draw_polydata(message: PolyData, canvas: Canvas) -> None:
     if faces:
         canvas.what(What.MESH)
         mesh = surfaces.polydata_to_mesh(content, to)  # type: ignore[arg-type]
-        canvas.log(surface(mesh.vertices, mesh.triangles, canvas.colour, words), frame=frame)
+        canvas.log(surface(mesh.vertices, mesh.triangles, colours.BONE, words), frame=frame)
         if lines:
             canvas.log(strips, child="lines", frame=frame)
     elif lines:

@@ -34,7 +34,7 @@ class Picture:
         message: class of the message.
         what: kind of picture; some functions refine it by the first message.
         draw: draws a message.
-        fullness: of several messages made of one OpenIGTLink message the one with the highest is drawn in 3-D.
+        fullness: of several messages made of one OpenIGTLink message the one with the highest is drawn.
     """
 
     message: Any
@@ -52,12 +52,12 @@ _ROWS = (
     Picture(common_msgs.PoseArray, What.POSES, poses.draw_poses, 1),
     Picture(igtl_msgs.TrackingData, What.POSES, poses.draw_tracking, 3),
     Picture(common_msgs.TFMessage, What.FRAMES, poses.draw_tf),
-    Picture(rosmsg.Image, What.IMAGE, pictures2d.draw_image),
-    Picture(common_msgs.CompressedImage, What.VIDEO, pictures2d.draw_compressed_image),
-    Picture(common_msgs.CompressedVideo, What.VIDEO, pictures2d.draw_compressed_video),
-    Picture(igtl_msgs.VideoFrame, What.VIDEO, pictures2d.draw_video_frame),
+    Picture(rosmsg.Image, What.IMAGE, pictures2d.draw_image, 1),
+    Picture(common_msgs.CompressedImage, What.VIDEO, pictures2d.draw_compressed_image, 1),
+    Picture(common_msgs.CompressedVideo, What.VIDEO, pictures2d.draw_compressed_video, 2),
+    Picture(igtl_msgs.VideoFrame, What.VIDEO, pictures2d.draw_video_frame, 3),
     Picture(other_msgs.CameraInfo, What.CAMERA, pictures2d.draw_camera),
-    Picture(igtl_msgs.Volume, What.VOLUME, volumes.draw_volume),
+    Picture(igtl_msgs.Volume, What.VOLUME, volumes.draw_volume, 2),
     Picture(igtl_msgs.ColorTable, What.IMAGE, pictures2d.draw_color_table),
     Picture(rosmsg.Mesh, What.MESH, surfaces.draw_mesh, 2),
     Picture(rosmsg.Marker, What.MARKERS, surfaces.draw_marker, 1),

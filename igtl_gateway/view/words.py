@@ -65,7 +65,7 @@ def draw_links(message: igtl_msgs.LinkStatusList, canvas: Canvas) -> None:
         f"header version {link.header_version}"
         for link in message.links
     ]
-    _list(canvas, "links", rows)
+    _list(canvas, "peers", rows)
 
 
 def draw_bind(message: igtl_msgs.Bind, canvas: Canvas) -> None:
@@ -98,6 +98,7 @@ def _size(size: Sequence[int]) -> str:
 
 
 def _list(canvas: Canvas, title: str, items: Sequence[str]) -> None:
+    items = items or ("none",)
     document = f"**{title}**\n\n" + "\n".join(f"- {item}" for item in items)
     canvas.log(rr.TextDocument(canvas.pen.letters(document), media_type="text/markdown"))
     canvas.text(_line(f"{title}: {', '.join(items)}"))
