@@ -1,9 +1,8 @@
-"""The robot of the LEGO scenario: the arm, the brick that drives it, the sheet in front of it, and a camera above.
+"""The robot of the LEGO scenario: the arm, and the brick that drives it.
 
 An actor of ROS.  It touches the crosses of the sheet when it hears of landmarks, and follows the points that it is
-sent, by the registration that it has heard last.  In it is the world, too: where the sheet really lies, and what the
-pen really draws.  Of that only two get to know anything: the operator, who brings the pen to the crosses by eye, and
-the camera, which sees the ink on the printed sheet and so in coordinates of the image.
+sent, by the registration that it has heard last.  The world that it stands in is ``lego_world``: the operator who
+touches the crosses and the camera that sees the ink look at that, the brick does not.
 
 All of it goes in steps of 50 ms, counted and not measured: the arm moves on the same path however late it is called.
 Lengths are millimetres until they leave.
@@ -26,9 +25,9 @@ from igtl_gateway.errors import ConfigError
 from igtl_gateway.simulate import lego_terms as terms
 from igtl_gateway.simulate.actor import Heard, Report, RosHeard, RosSaid, Says, Side
 from igtl_gateway.simulate.lego_arm import JOINTS, Drives, Point, angles_of, skeleton_of, tip_of
-from igtl_gateway.simulate.lego_sheet import CHECKS, HEIGHT_MM, LANDMARKS, on_sheet
-from igtl_gateway.simulate.registration import Rigid, distances, rms
-from igtl_gateway.simulate.star_numbers import SEED, Array, Noise, rounded
+from igtl_gateway.simulate.lego_world import World
+from igtl_gateway.simulate.registration import Rigid, distances
+from igtl_gateway.simulate.star_numbers import SEED, Array, rounded
 from igtl_gateway.stamp import NS_PER_MS
 
 TICK_NS = 50 * NS_PER_MS
@@ -39,21 +38,10 @@ _HOME = (200.0, -20.0, 60.0)
 _HOVER_MM = 18.0
 _TRAVEL_MM_S, _LOWER_MM_S, _DRAW_MM_S = 130.0, 45.0, 15.0
 _SHORTEST_MOVE_S, _TOUCH_S = 0.35, 0.8
-_EYE_MM = 0.3  #: how well an operator sees whether the pen is on a cross, each way
 _PRESS_MM = 1.5  #: the pen sits on a spring: so far below the paper it is sent, so that it draws where the paper dips
-_CAMERA_MM = 0.1
 
 _METRE = 1000.0
 _STEP_M, _TURN_STEP = 1e-6, 1e-9
-
-
-def _sheet() -> Rigid:
-    """Where the sheet really lies: image → base, mm.  Turned by 8°, and the table is not quite level."""
-    w, x, y, z = math.cos(math.radians(4)), 0.0044, -0.0035, math.sin(math.radians(4))
-    length = math.sqrt(w * w + x * x + y * y + z * z)
-    rotation: Array = np.array(matrix_of((x / length, y / length, z / length, w / length)))
-    middle = Rigid(rotation, np.zeros(3)).apply(np.array([0.0, -18.0, HEIGHT_MM]))
-    return Rigid(rotation, np.array([215.0, 0.0, 0.0]) - middle)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +69,7 @@ class Robot:
             terms.STATUS_TOPIC: Says(String.TYPE, latched=True),
         }
         self._pace = pace
-        self._eye = Noise(seed, 41).normal(len(LANDMARKS) + len(CHECKS), 2) * _EYE_MM
-        self._sheet = _sheet()
+        self._world = World(seed)
         self._drives = Drives(angles_of(_metres(np.array(_HOME))))
         self._at = np.array(_HOME)  # where the tip was sent last
         self._program: Iterator[_Step] | None = None
@@ -94,9 +81,6 @@ class Robot:
         self._registration: Rigid | None = None
         self._registrations = 0
         self._touched = 0
-        self._pen: Array | None = None  # where on the sheet it has just drawn
-        self._ink: list[tuple[Array, Array]] = []
-        self._skipped = 0  # ticks in which it should have drawn and did not
         self._fault = ""
         self._done = False
 
@@ -122,11 +106,11 @@ class Robot:
         yield from self._state(stamp_ns)
         if self._ticks % _ARM_EVERY == 0:
             yield RosSaid(terms.ARM_TOPIC, self._skeleton(stamp_ns))
-        if self._ink and (finished or (self._pen is not None and self._ticks % _INK_EVERY == 0)):
+        if self._world.ink and (finished or (self._world.drawing and self._ticks % _INK_EVERY == 0)):
             yield RosSaid(terms.INK_TOPIC, self._drawn(stamp_ns))
         if finished:
             self._program = None
-            self._words.append(self._then.format(segments=len(self._ink)))
+            self._words.append(self._then.format(segments=len(self._world.ink)))
         self._ticks += 1
 
     def hear(self, now_ns: int, heard: Heard) -> Iterable[RosSaid]:
@@ -136,22 +120,19 @@ class Robot:
         yield from self._spoken()
 
     def report(self) -> Report:
-        facts = {
-            "volume": list(self._voxels),
-            "touched": self._touched,
-            "segments": len(self._ink),
-            "gaps": self._skipped,
-            "error_of_registration_mm": self._true_error(),
-        }
+        segments, gaps = len(self._world.ink), self._world.skipped
+        facts = {"volume": list(self._voxels), "touched": self._touched, "segments": segments, "gaps": gaps}
         lines = [
             f"planning volume of {' × '.join(map(str, self._voxels)) or 'no'} voxels heard",
-            f"{self._touched} crosses touched, {len(self._ink)} segments drawn, {self._skipped} left out",
+            f"{self._touched} crosses touched, {segments} segments drawn, {gaps} left out",
         ]
         if self._registration:
-            lines.append(f"registration against where the sheet really lies: {self._true_error():.2f} mm (rms)")
+            error = self._world.error_of(self._registration)
+            facts["error_of_registration_mm"] = round(error, 3)
+            lines.append(f"registration against where the sheet really lies: {error:.2f} mm (rms)")
         if self._fault:
             lines.append(self._fault)
-        return Report(self._done and not self._fault and bool(self._ink) and not self._skipped, tuple(lines), facts)
+        return Report(self._done and not self._fault and segments > 0 and gaps == 0, tuple(lines), facts)
 
     # -- What it hears ------------------------------------------------------------------------------------------------
 
@@ -170,17 +151,13 @@ class Robot:
 
     def _on_landmarks(self, message: PointList) -> None:
         """The operator finds the crosses on the sheet by their names."""
-        if self._touched or self._program:
+        if self._touched or self._program or not message.points:
             return
-        crosses = dict(zip((*LANDMARKS, *CHECKS), on_sheet(LANDMARKS | CHECKS), strict=True))
-        missing = [point.name for point in message.points if point.name not in crosses]
-        if missing:
-            self._refuse(f"there is no cross {missing[0]!r} on the sheet")
+        try:
+            seen = self._world.crosses([point.name for point in message.points])
+        except KeyError as error:
+            self._refuse(f"there is no cross {error} on the sheet")
             return
-        eye = np.concatenate([self._eye, np.zeros((len(self._eye), 1))], 1)
-        seen = self._sheet.apply(
-            np.array([crosses[point.name] for point in message.points]) + eye[: len(message.points)]
-        )
         self._touched = len(seen)
         self._program = self._touching(seen)
         self._then = f"{terms.TOUCHED_ALL} {len(seen)} crosses"
@@ -196,7 +173,7 @@ class Robot:
 
     def _on_points(self, message: PointList) -> None:
         """Groups of points are strokes: the pen goes up between them."""
-        if self._ink or self._program:
+        if self._world.ink or self._program or not message.points:
             return
         if self._registration is None:
             self._refuse("points came without a registration")
@@ -211,7 +188,7 @@ class Robot:
         except ConfigError as error:
             self._refuse(str(error))
             return
-        self._words.append(f"drawing {len(lines)} strokes through {len(message.points)} points")
+        self._words.append(f"drawing {len(lines)} stroke{'s' * (len(lines) > 1)} through {len(message.points)} points")
         self._program = self._drawing(lines)
         self._then = terms.DRAWN + " {segments} segments"
 
@@ -271,33 +248,15 @@ class Robot:
         """One tick of it; false at its end."""
         step = next(program, None)
         if step is None:
-            self._pen = None
             return False
         self._at = step.target
         go = self._drives.jog if step.by_eye else self._drives.go
         go(angles_of(_metres(step.target)))
-        self._draw(step.pressing)
+        if step.pressing:
+            self._world.draw(np.array(tip_of(self._drives.joints)) * _METRE)
+        else:
+            self._world.lift()
         return True
-
-    def _draw(self, pressing: bool) -> None:
-        """What the real pen leaves on the real sheet, as the camera sees it."""
-        before, self._pen = self._pen, None
-        if not pressing:
-            return
-        x, y, height = self._sheet.inverse().apply(np.array(tip_of(self._drives.joints)) * _METRE).tolist()
-        if height > HEIGHT_MM:
-            self._skipped += 1
-            return
-        self._pen = rounded(np.array([x, y, HEIGHT_MM]), _CAMERA_MM)
-        if before is not None:
-            self._ink.append((before, self._pen))
-
-    def _true_error(self) -> float | None:
-        """How far the registration puts the crosses from where they are, mm (rms): nobody in the room could tell."""
-        if self._registration is None:
-            return None
-        crosses = on_sheet(LANDMARKS | CHECKS)
-        return round(rms(distances(self._registration.apply(crosses), self._sheet.apply(crosses))), 3)
 
     # -- What it says -------------------------------------------------------------------------------------------------
 
@@ -315,7 +274,7 @@ class Robot:
         return _lines(stamp_ns, terms.BASE, Marker.LINE_STRIP, points, (0.95, 0.75, 0.1, 1.0), 0.008)
 
     def _drawn(self, stamp_ns: int) -> Marker:
-        points = np.array(self._ink).reshape(-1, 3) / _METRE
+        points = np.array(self._world.ink).reshape(-1, 3) / _METRE
         return _lines(stamp_ns, terms.IMAGE, Marker.LINE_LIST, points, (0.1, 0.3, 0.95, 1.0), 0.001)
 
 
@@ -331,8 +290,7 @@ def _along(line: Array, step: float) -> Iterator[Array]:
     """Points of a polyline, ``step`` apart along it, both ends included."""
     lengths = distances(line[1:], line[:-1]).tolist()
     passed, number = 0.0, 0
-    count = max(math.ceil(math.fsum(lengths) / step), 1)
-    for index in range(count):
+    for index in range(math.ceil(math.fsum(lengths) / step)):
         way = index * step
         while way > passed + lengths[number] and number + 1 < len(lengths):
             passed += lengths[number]

@@ -18,7 +18,7 @@ from igtl_gateway.errors import ConfigError
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.simulate import lego, lego_arm, lego_planner, lego_robot
+from igtl_gateway.simulate import lego, lego_arm, lego_planner, lego_world
 from igtl_gateway.simulate import lego_terms as terms
 from igtl_gateway.simulate.actor import Actor, Report, RosHeard, RosSaid
 from igtl_gateway.simulate.lego_arm import skeleton_of
@@ -145,7 +145,7 @@ def test_an_arm_without_errors_draws_what_was_planned(monkeypatch: pytest.Monkey
     """So whatever a line is off is the toy's: image, units, frames, wire and registration add nothing."""
     fine = tuple(replace(joint, gear=10_000, play_deg=0.0) for joint in lego_arm.JOINTS)
     monkeypatch.setattr(lego_arm, "JOINTS", fine)
-    monkeypatch.setattr(lego_robot, "_EYE_MM", 0.0)
+    monkeypatch.setattr(lego_world, "_EYE_MM", 0.0)
     cast = lego.actors(29.0, HEAD)
     log = list(play(cast, lego.CONFIG))
     assert (log[-1].stamp_ns - log[0].stamp_ns) / NS_PER_S == pytest.approx(29, abs=1.5), "and it can go faster"
@@ -229,3 +229,18 @@ def test_a_registration_that_comes_again_is_no_new_one() -> None:
     assert said(robot.hear(2, ros(topic, first))) == []
     other = TransformStamped(Header(), "", (0.22, 0.0, -0.02), (0.0, 0.0, 0.0, 1.0))
     assert said(robot.hear(3, ros(topic, other))) == ["registered 2"]
+
+
+def test_a_list_that_is_empty_asks_for_nothing_and_a_dot_is_a_stroke() -> None:
+    robot = Robot()
+    robot.begin(0)
+    pose = TransformStamped(Header(), "", (0.2126, 0.0183, -0.0198), (0.0, 0.0, 0.0698, 0.9976))
+    assert "registered 1" in said(robot.hear(1, ros("/igtl/in/HeadImageToLegoBase/transform", pose)))
+    for device in ("Landmarks", "DrawingPoints"):
+        assert said(robot.hear(2, ros(f"/igtl/in/{device}/landmarks", PointList(Header(), ())))) == []
+    dot = LabeledPoint("1", "dot", (0, 0, 0, 255), (0.036, -0.048, 0.02), 0.0, "")
+    words = said(robot.hear(3, ros("/igtl/in/DrawingPoints/landmarks", PointList(Header(), (dot, dot, dot)))))
+    assert words == ["drawing 1 stroke through 3 points"]
+    for tick in range(200):
+        words += said(robot.act(tick * TICK_NS))
+    assert words[1:] == ["drawn 0 segments"]
