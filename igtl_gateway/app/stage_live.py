@@ -1,12 +1,13 @@
 """Plays a scenario live: a real bridge, and each actor in a process of its own, told when to begin and when to end.
 
-The programs tell of themselves in JSON lines, and end when their standard input does; so a stage that dies takes
-its actors with it.  They have a process group of their own: a Ctrl-C on the terminal is the stage's, which ends
-them in order, actors before bridge, so that everything said is in the recording.
+The programs tell of themselves in JSON lines.  They have a process group of their own: a Ctrl-C on the terminal is the
+stage's, which ends them in order, actors before bridge, so that everything said is in the recording.  A stage that is
+killed takes them with it: actors end when their standard input does, and on Linux the kernel interrupts every program.
 """
 
 from __future__ import annotations
 
+import ctypes
 import json
 import signal
 import subprocess
@@ -99,12 +100,14 @@ class Plan:
         connect: where the OpenIGTLink actors find the gateway; None: at the bridge of our own.
         listen: where they wait for it, instead.
         serve: where a bridge of our own waits for OpenIGTLink programs that are not ours.
-        limit_s: how long it may take, start included.
+        start_s: how long it may take until everybody is ready.
+        limit_s: how long the story may take from there.
     """
 
     actors: Sequence[Actor]
     command: Callable[[str, Sequence[str]], Sequence[str]]
     bridge: Sequence[str] | None
+    start_s: float
     limit_s: float
     connect: Address | None = None
     listen: Address | None = None
@@ -128,7 +131,7 @@ class Stage:
         self._tell = tell
         self._events: SimpleQueue[tuple[str, Event | None]] = SimpleQueue()
         self._programs: dict[str, _Program] = {}
-        self._deadline_ns = clock.monotonic_ns() + round(plan.limit_s * NS_PER_S)
+        self._deadline_ns = clock.monotonic_ns() + round(plan.start_s * NS_PER_S)
         self._state: dict[str, set[str]] = {"ready": set(), "done": set()}
         self._waiting: dict[str, str] = {}
         self._reports: dict[str, Event] = {}
@@ -145,6 +148,7 @@ class Stage:
             end = self._start()
             if end is None:
                 begun_ns = self._clock.monotonic_ns()
+                self._deadline_ns = begun_ns + round(self._plan.limit_s * NS_PER_S)
                 for actor in self._plan.actors:
                     self._programs[actor.name].write("begin\n")
                 self._tell("", {"event": "begun"})
@@ -288,6 +292,7 @@ class _Program:
             text=True,
             errors="replace",
             start_new_session=True,
+            preexec_fn=_die_with_parent if sys.platform == "linux" else None,  # noqa: PLW1509  # one call of the kernel
         )
         self._threads = [
             threading.Thread(target=read, args=(stream,), name=f"igtl-{name}", daemon=True)
@@ -349,6 +354,15 @@ class _Program:
     def _read_words(self, stream: IO[str]) -> None:
         with stream:
             self._said.extend(line.rstrip("\n") for line in stream)
+
+
+def _die_with_parent() -> None:
+    """In a program before it begins: be interrupted when the thread that started it ends, in whatever way."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
+
+
+_LIBC = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1
 
 
 def _text(address: Address) -> str:

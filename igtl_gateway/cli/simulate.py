@@ -41,7 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--record", type=Path, metavar="FILE", help="live: keep the bridge's recording")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
     parser.add_argument("--duration", type=float, metavar="S", help="seconds of the session")
-    parser.add_argument("--timeout", type=float, metavar="S", help="live: give up after so many seconds")
+    parser.add_argument(
+        "--timeout", type=float, metavar="S", help="live: longest time for the start, and for the story"
+    )
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
     alone = parser.add_argument_group("one side alone")
     alone.add_argument(

@@ -37,9 +37,11 @@ from igtl_gateway.simulate.scenario import Scenario
 LOAD_OPTIONS = {"type": "type", "size": "size", "rate": "rate_hz", "count": "count", "sender": "sender"}
 
 _SIDES = {Side.ROS: "ROS 2 node", Side.IGTL: "OpenIGTLink program"}
-#: So long after the stage's own limit a bridge ends that nobody has ended, be it that the stage was killed.
+#: So long after the stage's own limits a bridge ends that nobody has ended.
 _BRIDGE_S = 60.0
 _PATIENCE_S = 3600.0
+#: A first start compiles igtl_msgs for this environment.
+_START_S = 180.0
 _WARNINGS = 5
 
 
@@ -85,11 +87,13 @@ def _check(options: argparse.Namespace, side: Side | None, own_bridge: bool, act
         )
 
 
-def _limit_s(options: argparse.Namespace, scenario: Scenario) -> float:
+def _limits_s(options: argparse.Namespace, scenario: Scenario) -> tuple[float, float]:
+    """How long the start may take, and the story."""
     if options.timeout:
-        return float(options.timeout)
-    # of one side alone: a person has yet to start the other one
-    return (_PATIENCE_S if options.side else 0.0) + scenario.limit_s + (options.duration or 0.0)
+        return options.timeout, options.timeout
+    if options.side:  # a person has yet to start the other side, and may play it
+        return _PATIENCE_S, _PATIENCE_S
+    return _START_S, scenario.limit_s + (options.duration or 0.0)
 
 
 def _bridge(
@@ -99,7 +103,7 @@ def _bridge(
     config = folder / "config.toml"
     config.write_text(scenario.config.to_toml(), "utf-8")
     overwrite = ["--overwrite"] if options.overwrite else []
-    seconds = str(_limit_s(options, scenario) + _BRIDGE_S)
+    seconds = str(sum(_limits_s(options, scenario)) + _BRIDGE_S)
     beside = sorted({topic for actor in actors for topic, says in actor.says.items() if says.recorded})
     topics = ["--record-topics", *beside] if beside else []
     return ["--config", str(config), "--record", str(record), *overwrite, "--duration", seconds, *topics]
@@ -118,11 +122,11 @@ def _plan(options: argparse.Namespace, scenario: Scenario, actors: Sequence[Acto
     def command(name: str, where: Sequence[str]) -> list[str]:
         return [*words, "--actor", name, *where]
 
-    limit_s = _limit_s(options, scenario)
+    limits_s = _limits_s(options, scenario)
     if options.side == "ros":
-        return Plan(actors, command, bridge, limit_s, serve=options.listen or (DEFAULT_HOST, 0))
+        return Plan(actors, command, bridge, *limits_s, serve=options.listen or (DEFAULT_HOST, 0))
     connect = None if options.listen or bridge else options.connect or (DEFAULT_HOST, DEFAULT_PORT)
-    return Plan(actors, command, bridge, limit_s, connect, options.listen)
+    return Plan(actors, command, bridge, *limits_s, connect, options.listen)
 
 
 def _verified(record: Path) -> Verification:

@@ -216,7 +216,7 @@ class Planner:
         self._pose: tuple[int, tuple[float, ...]] = (0, ())
         self._faults: list[str] = []
         self._lines: list[str] = []
-        self._facts: dict[str, float | int] = {}
+        self._facts: dict[str, float | None] = {}
 
     def begin(self, now_ns: int) -> None:
         self._due_ns = now_ns + _THINK_NS
@@ -284,7 +284,7 @@ class Planner:
 
     def _arrived(self) -> None:
         error_mm = math.dist(self._pose[1], LESION_MM) if self._pose[1] else math.inf
-        self._facts["target_error_mm"] = round(error_mm, 4)
+        self._facts["target_error_mm"] = round(error_mm, 4) if self._pose[1] else None
         self._line(3, f"at the target after {self._poses} poses, {error_mm:.3f} mm off")
         if not error_mm <= _MAX_ERROR_MM:
             self._faults.append(f"step 3: found the probe {error_mm:.3f} mm off, expected at most {_MAX_ERROR_MM:g} mm")
@@ -299,7 +299,7 @@ class Planner:
         off = math.inf
         if len(row):
             off = PIXEL_MM * math.hypot(column.mean() - (WIDTH - 1) / 2, row.mean() - (HEIGHT - 1) / 2)
-        self._facts |= {"lesion_off_centre_mm": round(off, 4), "lesion_pixels": len(row)}
+        self._facts |= {"lesion_off_centre_mm": round(off, 4) if len(row) else None, "lesion_pixels": len(row)}
         self._line(5, f"image {WIDTH} x {HEIGHT}, lesion {off:.2f} mm off its centre, pose with the same stamp")
         if not off <= _MAX_CENTRE_MM:
             self._faults.append(f"step 5: found the lesion {off:.2f} mm off, expected at most {_MAX_CENTRE_MM:g} mm")

@@ -59,7 +59,7 @@ class Scenario:
     config: Config
     inputs: Inputs | None = None
     actors: Cast | None = None
-    limit_s: float = 60.0
+    limit_s: float = 120.0
     loaded: Callable[[Load], Scenario] | None = None
 
     def __post_init__(self) -> None:

@@ -51,7 +51,7 @@ def scenario(load: Load) -> Scenario:
         "messages of one type, size and rate between a ROS node and an OpenIGTLink program, measured, synthetic",
         config,
         actors=lambda duration_s: actors(load, duration_s),
-        limit_s=60.0 + load.count / load.rate_hz,
+        limit_s=120.0 + load.count / load.rate_hz,
         loaded=scenario,
     )
 

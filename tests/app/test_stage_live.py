@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
 import threading
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -82,7 +84,13 @@ class Theatre:
 
     def stage(self, **settings: Any) -> Stage:
         actors = [Named(name, Side.IGTL if name == "planner" else Side.ROS) for name in self.scripts]
-        usual: dict[str, Any] = {"actors": actors, "command": self.command, "bridge": None, "limit_s": LIMIT_S}
+        usual: dict[str, Any] = {
+            "actors": actors,
+            "command": self.command,
+            "bridge": None,
+            "start_s": LIMIT_S,
+            "limit_s": LIMIT_S,
+        }
         plan = Plan(**usual | settings)
         return Stage(plan, SystemClock(), self.stop, self.tell)
 
@@ -120,10 +128,17 @@ def test_one_that_dies_without_a_word_is_named_with_its_code() -> None:
 
 def test_a_limit_before_it_begins_tells_who_waits_for_what() -> None:
     waiting = ({"event": "waiting", "for": "a server"}, "wait", {**REPORT, "good": False})
-    outcome = Theatre(planner=waiting, robot=GOOD).stage(limit_s=0.5, connect=("h", 1)).run()
+    outcome = Theatre(planner=waiting, robot=GOOD).stage(start_s=0.5, connect=("h", 1)).run()
     assert outcome.end is End.TIMEOUT and not outcome.good
     assert outcome.waiting == {"planner": "a server"}
     assert outcome.seconds == 0.0
+
+
+def test_a_story_that_does_not_end_is_ended() -> None:
+    theatre = Theatre(robot=({"event": "ready"}, "wait", "wait", REPORT))
+    outcome = theatre.stage(limit_s=0.3).run()
+    assert outcome.end is End.TIMEOUT and not outcome.good and outcome.waiting == {}
+    assert not outcome.parts["robot"].done and outcome.seconds > 0.3
 
 
 def test_an_interruption_takes_the_reports() -> None:
@@ -175,3 +190,29 @@ def test_a_bridge_that_cannot_start_ends_all(tmp_path: Any) -> None:
     theatre = Theatre(robot=GOOD)
     with pytest.raises(StageError, match=r"bridge: .*absent.toml: cannot be read"):
         theatre.stage(bridge=["--no-ros", "--config", str(tmp_path / "absent.toml")]).run()
+
+
+KILLED = """
+import os, sys
+from queue import SimpleQueue
+from igtl_gateway.app.stage_live import _Program
+
+deaf = "import json, os, threading; print(json.dumps({'pid': os.getpid()}), flush=True); threading.Event().wait()"
+events = SimpleQueue()
+program = _Program("deaf", [sys.executable, "-c", deaf], events)
+print(events.get()[1]["pid"], flush=True)
+os._exit(9)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's doing")
+def test_a_stage_that_is_killed_takes_its_programs_with_it() -> None:
+    told = subprocess.run([sys.executable, "-c", KILLED], capture_output=True, text=True, check=False, timeout=LIMIT_S)
+    assert told.returncode == 9, told.stderr
+    status, pause = Path(f"/proc/{told.stdout.strip()}/stat"), threading.Event()
+    for _ in range(int(LIMIT_S / 0.02)):
+        # nobody may have buried it yet
+        if not status.exists() or status.read_text().rpartition(")")[2].split()[0] == "Z":
+            return
+        pause.wait(0.02)
+    raise AssertionError(f"{status.parent} goes on")
