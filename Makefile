@@ -2,14 +2,15 @@
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help demo test check static peers clean
+.PHONY: help demo test check static peers pictures clean
 .DEFAULT_GOAL := help
 
 help:
-	@echo "make demo    bridge, record, verify and replay on this machine, with real ROS 2"
-	@echo "make test    all tests, after the checks of 'make check': the gate for every change"
-	@echo "make check   format, lint, types, pins, generated documents, architecture"
-	@echo "make clean   remove what make has made, .venv too"
+	@echo "make demo        bridge, record, verify and replay on this machine, with real ROS 2"
+	@echo "make test        all tests, after the checks of 'make check': the gate for every change"
+	@echo "make check       format, lint, types, pins, generated documents, architecture"
+	@echo "make pictures    the pictures in docs/pictures anew, from the recordings in fixtures/"
+	@echo "make clean       remove what make has made, .venv too"
 	@echo
 	@echo "The first run installs what is missing (a few minutes); PYTHON=... chooses the interpreter."
 
@@ -32,6 +33,10 @@ static: $(READY)
 
 peers:
 	@tools/setup.sh peers
+
+pictures: $(READY)
+	@tools/setup.sh pictures
+	@$(BIN)/python tools/pictures.py
 
 $(READY): pyproject.toml constraints.txt igtl_gateway/__init__.py
 	@tools/setup.sh venv

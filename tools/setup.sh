@@ -4,6 +4,7 @@
 #   tools/setup.sh venv     .venv with the package, its extras and the pins of constraints.txt, and in it the ROS
 #                           message packages that no wheel brings, compiled
 #   tools/setup.sh peers    what the C++ reference peer of the tests is built with
+#   tools/setup.sh pictures what the viewer needs to draw pictures on a machine without graphics card
 #   tools/setup.sh mri      the MR head Colin27 for the scenarios lego and brain, out of a package of Debian, which is
 #                           unpacked into the user's cache folder and not installed
 #
@@ -14,6 +15,7 @@ cd "$(dirname "$0")/.."
 
 VENV=.venv
 PEER_PACKAGES=(g++ libopenigtlink-dev)
+PICTURE_PACKAGES=(mesa-vulkan-drivers)
 
 say() { printf '%s\n' "$@" >&2; }
 
@@ -148,9 +150,18 @@ setup_mri() {
     say "$target"
 }
 
+setup_pictures() {
+    local packages
+    mapfile -t packages < <(missing "${PICTURE_PACKAGES[@]}")
+    if [ "${#packages[@]}" -gt 0 ] && ! apt "${packages[@]}"; then
+        say "Going on without: it works where there is a graphics card with a Vulkan driver."
+    fi
+}
+
 case "${1:-}" in
 venv) setup_venv ;;
 peers) setup_peers ;;
+pictures) setup_pictures ;;
 mri) setup_mri ;;
 *)
     say "usage: tools/setup.sh venv|peers|mri"

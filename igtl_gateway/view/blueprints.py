@@ -10,15 +10,14 @@ different trees have no place to each other; a picture shows things of space onl
 
 from __future__ import annotations
 
-import itertools
-import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import rerun.blueprint as rrb
 
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.session.entry import Kind
+from igtl_gateway.view.eye import eye_of
 from igtl_gateway.view.seen import (
     LATENCIES,
     LOG,
@@ -36,16 +35,9 @@ DARK = (18, 20, 24)  #: behind 3-D: lets dark tissue and black tools be told fro
 
 #: What the subject of a 3-D view can be, the likeliest first: the eye is set to it.
 _SUBJECTS = (What.CLOUD, What.VOLUME, What.MESH, What.PLANE, What.LINES, What.POINTS, What.MARKERS, What.POSE)
-_TOOLS = (What.POSE, What.POSES)
 _CELLS = 6  #: of a grid
-_HALF_HEIGHT, _HALF_WIDTH = math.radians(25), math.radians(33)  #: what a 3-D view of rerun takes in, half of it
-_ROOM = 0.95  #: a box is seldom filled to its corners
-_LEAST_M = 0.02  #: a single tool is not looked at from nearer than that gives
-_FROM_CAMERA, _FROM_ABOVE = (0.2, 0.5, -0.85), (0.55, -0.65, 0.52)  #: from the subject to the eye
-_BESIDE, _ABOVE, _BEFORE = 0.7, 0.35, 0.6  #: the same, for pictures with a place
 _IN_PICTURE = (What.LINES, What.POINTS, What.MARKERS, What.POSE)  #: of space, what is drawn over a camera's picture
 
-Xyz = tuple[float, float, float]
 Part = Any  #: a view or a container of rerun, whose types are unknown to the checker; None: nothing to show
 
 
@@ -240,94 +232,9 @@ def _subject(tree: list[Shown]) -> Shown:
 
 
 def _eye(seen: Seen, tree: list[Shown], frame: str) -> rrb.EyeControls3D | None:
-    """Such that what the view shows fills it; None leaves it to the viewer.
-
-    In a camera's frame (REP 103: x right, y down, z forward) seen from beside the camera; where there is a picture with
-    a place, from before it, its top up; else from the front right above, with z up.
-    """
-    box = _box(seen, tree, frame)
-    if box is None:
-        return None
-    way, up = _look(seen, tree, frame)
-    centre = _as_xyz((low + high) / 2 for low, high in zip(*box, strict=True))
-    right, above = _unit(_cross(up, way)), _unit(_cross(way, _cross(up, way)))
-    distance = _LEAST_M
-    for corner in itertools.product(*zip(*box, strict=True)):
-        off = _as_xyz(at - middle for at, middle in zip(corner, centre, strict=True))
-        spread = max(abs(_dot(off, right)) / math.tan(_HALF_WIDTH), abs(_dot(off, above)) / math.tan(_HALF_HEIGHT))
-        distance = max(distance, _dot(off, way) + spread)
-    place = tuple(at + _ROOM * distance * step for at, step in zip(centre, way, strict=True))
-    return rrb.EyeControls3D(position=place, look_target=centre, eye_up=up)
-
-
-def _look(seen: Seen, tree: list[Shown], frame: str) -> tuple[Xyz, Xyz]:
-    """From what is seen to the eye, and what is up there; of length 1."""
-    if frame in _cameras(seen) or "optical" in frame:
-        return _unit(_FROM_CAMERA), (0.0, -1.0, 0.0)
-    for shown in tree:
-        if shown.right and shown.up:
-            right, up = (_moved(seen, shown.frame, frame, axis, turn_only=True) for axis in (shown.right, shown.up))
-            ahead = _cross(right, up)
-            sides = zip(right, up, ahead, strict=True)
-            return _unit(_as_xyz(a * _BESIDE + b * _ABOVE + c * _BEFORE for a, b, c in sides)), up
-    return _unit(_FROM_ABOVE), (0.0, 0.0, 1.0)
-
-
-def _box(seen: Seen, tree: list[Shown], frame: str) -> tuple[Xyz, Xyz] | None:
-    """Around all that is drawn, in that frame; tools count only where there is nothing else."""
-    boxed = [shown for shown in tree if shown.low is not None and shown.high is not None]
-    still = [shown for shown in boxed if shown.what not in _TOOLS] or boxed
-    corners = [
-        _moved(seen, shown.frame, frame, corner)
-        for shown in still
-        for corner in itertools.product(*zip(shown.low or (), shown.high or (), strict=True))
-    ]
-    if not corners:
-        return None
-    xs, ys, zs = zip(*corners, strict=True)
-    return (min(xs), min(ys), min(zs)), (max(xs), max(ys), max(zs))
-
-
-def _moved(seen: Seen, source: str, target: str, point: Sequence[float], *, turn_only: bool = False) -> Xyz:
-    """A point (or a direction) of one frame in another one of the same tree, by the last places of both."""
-    x, y, z = point
-    for place in seen.way_to_root(source):
-        x, y, z = _turned((x, y, z), place[3:])
-        if not turn_only:
-            x, y, z = x + place[0], y + place[1], z + place[2]
-    for place in reversed(seen.way_to_root(target)):
-        if not turn_only:
-            x, y, z = x - place[0], y - place[1], z - place[2]
-        qx, qy, qz, qw = place[3:]
-        x, y, z = _turned((x, y, z), (-qx, -qy, -qz, qw))
-    return x, y, z
-
-
-def _turned(point: Xyz, quaternion: Sequence[float]) -> Xyz:
-    length = math.hypot(*quaternion) or 1.0
-    x, y, z, w = (part / length for part in quaternion)
-    across = _cross((x, y, z), point)
-    twice = _cross((x, y, z), across)
-    a, b, c = (p + 2 * (w * q + r) for p, q, r in zip(point, across, twice, strict=True))
-    return a, b, c
-
-
-def _as_xyz(values: Iterable[float]) -> Xyz:
-    x, y, z = values
-    return x, y, z
-
-
-def _unit(a: Xyz) -> Xyz:
-    length = math.hypot(*a) or 1.0
-    return a[0] / length, a[1] / length, a[2] / length
-
-
-def _dot(a: Xyz, b: Xyz) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Xyz, b: Xyz) -> Xyz:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    """None leaves it to the viewer."""
+    eye = eye_of(seen, tree, frame, camera=frame in _cameras(seen) or "optical" in frame)
+    return eye and rrb.EyeControls3D(position=eye.place, look_target=eye.target, eye_up=eye.up)
 
 
 # How they stand to each other; where nothing is (None), nothing takes its place

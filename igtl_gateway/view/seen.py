@@ -166,7 +166,7 @@ class Seen:
 
 
 #: How much a picture counts where trees compete for the main view.
-_WEIGHTS = {What.CLOUD: 5, What.VOLUME: 5, What.MESH: 4, What.PLANE: 3, What.LINES: 3}
+_WEIGHTS = {What.CLOUD: 5, What.VOLUME: 5, What.MESH: 4, What.PLANE: 3, What.LINES: 3, What.POSE: 2, What.POSES: 2}
 
 #: What stands for itself in one part of an entity path; the rest becomes ``_``, so that no tool needs escapes.
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-.")

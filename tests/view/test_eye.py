@@ -1,0 +1,85 @@
+"""The eye: what is shown is in its view and fills it, wherever its frames are; what is up is up."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+
+from igtl_gateway.view.eye import Eye, eye_of
+from igtl_gateway.view.seen import Seen, Shown, What
+
+BOX = ((-0.035, -0.026, 0.245), (0.035, 0.026, 0.275))
+HALF = math.sqrt(0.5)
+TURNED = (0.0, 0.0, HALF, HALF)  #: a quarter turn about z
+
+
+def shown(what: What, frame: str, low: tuple[float, ...] = BOX[0], high: tuple[float, ...] = BOX[1]) -> Shown:
+    (a, b, c), (d, e, f) = low, high
+    return Shown("path", "/topic", "a/msg/Type", what, frame, count=1, low=(a, b, c), high=(d, e, f))
+
+
+def angle(eye: Eye, point: tuple[float, ...]) -> float:
+    """Degrees between the direction of sight and that of the point."""
+    ahead = [b - a for a, b in zip(eye.place, eye.target, strict=True)]
+    there = [b - a for a, b in zip(eye.place, point, strict=True)]
+    dot = sum(a * b for a, b in zip(ahead, there, strict=True))
+    return math.degrees(math.acos(dot / math.hypot(*ahead) / math.hypot(*there)))
+
+
+@pytest.mark.parametrize("camera", [True, False])
+def test_what_is_shown_fills_the_view(camera: bool) -> None:
+    eye = eye_of(Seen(), [shown(What.CLOUD, "here")], "here", camera=camera)
+    assert eye is not None
+    widest = max(angle(eye, corner) for corner in itertools.product(*zip(*BOX, strict=True)))
+    assert 22 < widest < 40  # a view takes in 25 each way in height, 33 in width and 40 to its corners
+
+
+def test_a_camera_looks_along_z_and_all_others_from_above() -> None:
+    seen, cloud = Seen(), [shown(What.CLOUD, "here")]
+    by_camera = eye_of(seen, cloud, "here", camera=True)
+    other = eye_of(seen, cloud, "here", camera=False)
+    assert by_camera is not None
+    assert other is not None
+    assert by_camera.up == (0, -1, 0)
+    assert by_camera.place[2] < by_camera.target[2]
+    assert other.up == (0, 0, 1)
+    assert other.place[2] > other.target[2]
+
+
+def test_things_of_other_frames_are_looked_at_where_they_are() -> None:
+    seen = Seen(parents={"tip": "arm", "arm": "base"})
+    seen.places = {"tip": (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), "arm": (1.0, 0.0, 0.0, *TURNED)}
+    tip = [shown(What.MESH, "tip", (0.9, 0.0, -0.1), (1.1, 0.0, 0.1))]
+    eye = eye_of(seen, tip, "base", camera=False)
+    assert eye is not None
+    assert eye.target == pytest.approx((1.0, 1.0, 1.0))  # a quarter turn takes x to y
+    back = eye_of(seen, [shown(What.MESH, "base", (1, 1, 0.9), (1, 1, 1.1))], "tip", camera=False)
+    assert back is not None
+    assert back.target == pytest.approx((1.0, 0.0, 0.0))
+
+
+def test_a_picture_is_seen_from_before_it_with_its_top_up() -> None:
+    plane = shown(What.PLANE, "here", (0.0, 0.0, 0.0), (0.04, 0.0, 0.05))
+    plane.right, plane.up = (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)
+    eye = eye_of(Seen(), [plane], "here", camera=False)
+    assert eye is not None
+    assert eye.up == (0.0, 0.0, -1.0)
+    assert eye.place[1] > 0.01  # right × up points along y: from there the picture is not mirrored
+
+
+def test_tools_count_beside_pictures_or_alone_only() -> None:
+    tool = shown(What.POSE, "here", (5.0, 0.0, 0.0), (5.0, 0.0, 0.0))
+    cloud, plane = shown(What.CLOUD, "here"), shown(What.PLANE, "here")
+    targets = []
+    for tree in ([cloud, tool], [plane, tool], [tool]):
+        eye = eye_of(Seen(), tree, "here", camera=False)
+        assert eye is not None
+        targets.append(round(eye.target[0]))
+    assert targets == [0, 2, 5]
+
+
+def test_nothing_to_look_at() -> None:
+    assert eye_of(Seen(), [Shown("path", "/topic", "a/msg/Type", What.CLOUD)], "here", camera=True) is None
+    assert eye_of(Seen(), [], "here", camera=True) is None
