@@ -25,6 +25,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply
 from igtl_gateway.convert.rosmsg import Header, Image, PointStamped, RosMessage, String, TransformStamped
@@ -54,6 +55,10 @@ _GIVE_UP_NS = 5 * NS_PER_S  # without an answer
 
 _MAX_ERROR_MM = 0.01  # the target's coordinates are 32-bit floats of some hundred millimetres
 _MAX_CENTRE_MM = PIXEL_MM
+
+_BASE_FRAME = "base"
+#: Points of planners are in the robot's own frame; nothing else differs from the usual.
+CONFIG = Config(base_frame=_BASE_FRAME)
 
 _TOPIC = {name: f"/igtl/out/{name}" for name in ("Robot/string", "ProbeToBase/transform", "Probe/image")}
 _COMMAND_ID = 1
@@ -190,7 +195,7 @@ class Robot:
 
     def _pose(self, now_ns: int) -> TransformStamped:
         x, y, z = (value / 1000 for value in self._position)
-        return TransformStamped(Header(now_ns, "base"), "probe", (x, y, z), (0.0, 0.0, 0.0, 1.0))
+        return TransformStamped(Header(now_ns, _BASE_FRAME), "probe", (x, y, z), (0.0, 0.0, 0.0, 1.0))
 
     def _status(self, text: str) -> Said:
         self._told.append(text.lower())

@@ -37,7 +37,7 @@ SCENARIOS = {
     ),
     "acquisition": Scenario(
         "a planner has a robot initialised, moved to a point and acquire an image (the paper's Figure 9), synthetic",
-        Config(),
+        acquisition.CONFIG,
         actors=acquisition.actors,
     ),
     "test-node": Scenario(
