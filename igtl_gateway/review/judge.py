@@ -33,7 +33,7 @@ def of_end(name: str, end: EndReview, limits: Thresholds) -> Iterator[Reason]:
             Level.LOOK,
             f"{name}: the camera reads {abs(end.reading_mm):.1f} mm too {where} here, against the tissue around",
         )
-    if end.astray is not None and end.astray > limits.astray:
+    elif end.astray is not None and end.astray > limits.astray:
         yield Level.LOOK, f"{name}: {end.astray:.0%} of what is around lies elsewhere, there may be no one surface here"
     if end.noise_mm is not None and end.noise_mm > limits.noise_mm:
         yield Level.LOOK, f"{name}: depth noise {end.noise_mm:.2f} mm"

@@ -55,7 +55,7 @@ class Thresholds:
     sure: float = 3.0
     noise_mm: float = 0.4
     reading_mm: float = 0.7
-    astray: float = 0.3
+    astray: float = 0.25
     density_mm2: float = 2.0
     missing: float = 0.5
     spacing: float = 0.4

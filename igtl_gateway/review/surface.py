@@ -20,10 +20,10 @@ from igtl_gateway.review.scene import SEVERAL, Scene
 Array = npt.NDArray[Any]
 
 _TUKEY = 4.685  # deviations; from here on a point has no weight
-_FIRST_ROUNDS, _ROUNDS = 4, 8
+_FIRST_ROUNDS, _ROUNDS = 4, 6
 _SILENT = (0.0, 0.5, 0.7)  # shares of the radius within which points have no say in the first rounds
 _MIN_POINTS = 24
-_ROUGH_M = 1e-4  # tissue that a quadric does not follow: wrinkles
+_ROUGH_M = 1.5e-4  # tissue that a quadric does not follow: wrinkles
 _LEAST_SCALE_M = 1e-5  # a scatter below the steps of any sensor
 _MISFIT_SHARE = 0.5  # of what the surface leaves all over the window, as error in the middle; docs/review.md
 _MEDIAN_VARIES = np.pi / 2  # by so much more than a mean
@@ -157,17 +157,10 @@ def _robust(places: Array, z: Array, scale: float | None) -> tuple[Array, Array]
         return None
     if scale is None:
         scale = min(_scatter(z - times(design, coefficients)) for coefficients, _ in starts)
-    found = []
-    for coefficients, _ in starts:
-        weights = _weights(z - times(design, coefficients), scale)
-        solved = _iterated(design, z, weights, all_heard, scale, _ROUNDS)
-        if solved is not None:
-            found.append(solved)
-    if not found:
-        return None
     cut = _TUKEY * scale
-    lost = [float((np.minimum(np.abs(z - times(design, coefficients)), cut) ** 2).sum()) for coefficients, _ in found]
-    return found[lost.index(min(lost))]
+    residuals = [z - times(design, coefficients) for coefficients, _ in starts]
+    lost = [float((np.minimum(np.abs(off), cut) ** 2).sum()) for off in residuals]
+    return _iterated(design, z, _weights(residuals[lost.index(min(lost))], scale), all_heard, scale, _ROUNDS)
 
 
 def _iterated(
