@@ -211,7 +211,7 @@ def test_a_damaged_index_makes_no_difference(tmp_path: Path) -> None:
 def bag(path: Path, times: Sequence[int], index_types: IndexType = IndexType.ALL) -> Path:
     """A recording of another program: a latched plan, then poses."""
     with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=300, compression=CompressionType.NONE, index_types=index_types)
+        writer = Writer(stream, chunk_size=600, compression=CompressionType.NONE, index_types=index_types)
         writer.start("ros2", "rosbag2")
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
         facts = {layout.QOS_KEY: layout.qos_yaml(Qos(latched=True))}
@@ -231,7 +231,7 @@ def bag(path: Path, times: Sequence[int], index_types: IndexType = IndexType.ALL
         (range(1_000, 1_060), True),
         ([1_000 + at // 2 for at in range(60)], False),  # chunks that touch
         ([*range(1_000, 1_030), *range(1_010, 1_040)], False),  # and such that overlap
-        ([1_000, 1_002, 1_001, *range(1_003, 1_060)], False),  # order inside a chunk
+        ([*range(1_000, 1_003), 1_004, 1_003, *range(1_005, 1_060)], False),  # order inside a chunk
     ],
 )
 def test_recordings_of_other_programs(tmp_path: Path, times: Sequence[int], looked_up: bool) -> None:
@@ -283,3 +283,17 @@ def test_each_publisher_of_static_transforms_counts(tmp_path: Path) -> None:
     with SessionFile.open(path) as file:
         assert [entry.seq for entry in found(file, start_ns)[:3]] == [2, 3, 51]
     assert before(path, start_ns) < 12
+
+
+def test_an_output_in_another_chunk_than_its_cause(tmp_path: Path) -> None:
+    """The plan is sent anew because of a pose, first in one version, then in another: the first counts."""
+    entries = long_session(60)
+    at = next(i for i, entry in enumerate(entries) if entry.seq == 30)
+    entries[at + 1] = state(31, Kind.IGTL_OUT, "POLYDATA/Plan", "POLYDATA")
+    entries[1] = state(2, Kind.IGTL_OUT, "POLYDATA/Plan", "POLYDATA")
+    path = write(tmp_path / "a.mcap", entries, 1)
+    start_ns = entries[-1].stamp_ns
+    with SessionFile.open(path) as file:
+        assert [entry.seq for entry in found(file, start_ns)][:3] == [1, 3, 31]
+        assert found(file, start_ns) == scanned(file, start_ns)
+    assert before(path, start_ns) < 10
