@@ -38,13 +38,11 @@ class Picture:
         name: of its file.
         fixture: the recording that it shows.
         part: when, as part of the recording's time, 0 … 1.
-        blueprint: arrangement of the views; "" is the one that fits.
     """
 
     name: str
     fixture: str
     part: float
-    blueprint: str = ""
 
 
 TABLE = (
@@ -54,7 +52,6 @@ TABLE = (
     Picture("ultrasound", "ultrasound", 0.6),
     Picture("brain", "brain", 0.9),
     Picture("acquisition", "acquisition", 0.95),
-    Picture("every-type", "every-type", 0.99, "generic"),
 )
 
 
@@ -80,9 +77,8 @@ def make(picture: Picture) -> bool:
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / f"{picture.fixture}.rrd"
         fixture = ROOT / "fixtures" / f"{picture.fixture}.mcap"
-        chosen = ["--blueprint", picture.blueprint] if picture.blueprint else []
         with redirect_stdout(io.StringIO()):
-            failed = igtl_gateway(["view", str(fixture), "--save", str(recording), *chosen])
+            failed = igtl_gateway(["view", str(fixture), "--save", str(recording)])
         if failed:
             raise GatewayError(f"cannot draw {fixture}")
         with HeadlessViewer(recording, SIZE) as viewer:

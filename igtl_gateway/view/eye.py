@@ -16,8 +16,8 @@ Xyz = tuple[float, float, float]
 
 _TOOLS = (What.POSE, What.POSES)
 _HALF_HEIGHT, _HALF_WIDTH = math.radians(25), math.radians(33)  #: what a 3-D view of rerun takes in, half of it
-_ROOM = 0.95  #: a box is seldom filled to its corners
-_LEAST_M = 0.1  #: a single tool is not looked at from nearer
+_ROOM = 0.85  #: a box is seldom filled to its corners
+_SPOT_M, _FROM_SPOT_M = 0.01, 0.1  #: what is smaller, as a single tool, is looked at from there
 #: From what is seen to the eye: in a camera's frame (REP 103: x right, y down, z forward), and in others (z up).
 _FROM_CAMERA, _FROM_ABOVE = (0.2, 0.5, -0.85), (0.55, -0.65, 0.52)
 _BESIDE, _ABOVE, _BEFORE = 0.7, 0.35, 0.6  #: the same for pictures with a place
@@ -49,11 +49,13 @@ def eye_of(seen: Seen, tree: list[Shown], frame: str, *, camera: bool) -> Eye | 
     axes = (_unit(_cross(up, way)), _unit(_cross(way, _cross(up, way))), way)  # to the right, above, towards the eye
     places = [[_dot(corner, axis) for axis in axes] for corner in corners]
     middle = [(min(along) + max(along)) / 2 for along in zip(*places, strict=True)]
-    distance = _LEAST_M
+    distance = 0.0
     for place in places:
         right, above, near = (abs(place[0] - middle[0]), abs(place[1] - middle[1]), place[2] - middle[2])
         spread = max(right / math.tan(_HALF_WIDTH), above / math.tan(_HALF_HEIGHT))
         distance = max(distance, _ROOM * (near + spread))
+    if distance < _SPOT_M:
+        distance = _FROM_SPOT_M
     target = _xyz(sum(part * axis[i] for part, axis in zip(middle, axes, strict=True)) for i in range(3))
     return Eye(_xyz(at + distance * step for at, step in zip(target, way, strict=True)), target, up)
 
