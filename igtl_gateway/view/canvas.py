@@ -12,7 +12,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.view.colours import SERIES
-from igtl_gateway.view.pen import Pen, Xyz
+from igtl_gateway.view.pen import Pen, Xyz, valid
 from igtl_gateway.view.seen import FRAMES, LOG, Seen, Shown, What, escape
 
 NS_PER_MS = 1_000_000
@@ -74,7 +74,7 @@ class Canvas:
 
     def frame(self, frame_id: str) -> str:
         """The frame to draw in; the session's base frame where the message names none."""
-        self.shown.frame = frame_id.lstrip("/") or self._seen.base_frame
+        self.shown.frame = valid(frame_id.lstrip("/")) or self._seen.base_frame
         return self.shown.frame
 
     def what(self, what: What) -> None:
@@ -147,7 +147,7 @@ class Canvas:
 
         A frame is told at one entity, whatever topics tell it; the topic that told it first is believed.
         """
-        child = child.lstrip("/")
+        child = valid(child.lstrip("/"))
         owner = self.pen.owners.setdefault(child, self.shown.topic)
         if not child or child == frame or owner != self.shown.topic:
             return

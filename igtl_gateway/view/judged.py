@@ -35,7 +35,9 @@ def draw_review(review: Review, pen: Pen) -> None:
         pen.at(Entry(0, plan.stamp_ns, Kind.NOTE, source_ns=plan.source_ns))
         pen.log(REVIEW_STITCHES, rr.CoordinateFrame(cloud.frame_id), _stitches(plan))
         pen.log(_NAMES, rr.CoordinateFrame(cloud.frame_id), _names(plan))
-        pen.log(REVIEW_TABLE, rr.TextDocument(_table(review, plan, number, red_mm), media_type="text/markdown"))
+        pen.log(
+            REVIEW_TABLE, rr.TextDocument(pen.letters(_table(review, plan, number, red_mm)), media_type="text/markdown")
+        )
 
 
 def _stitches(plan: PlanReview) -> rr.LineStrips3D:

@@ -83,5 +83,8 @@ def _curves(canvas: Canvas, values: Sequence[float], names: Sequence[str] = (), 
     if names and canvas.memory.get(f"names {child}") != names:
         canvas.memory[f"names {child}"] = names
         shades = [SERIES[place % len(SERIES)] for place in range(len(names))]
-        canvas.static(rr.SeriesLines(names=list(names), colors=np.array(shades, np.uint32)), child)
+        canvas.static(
+            rr.SeriesLines(names=[canvas.pen.letters(name) for name in names], colors=np.array(shades, np.uint32)),
+            child,
+        )
     canvas.numbers(values, child)

@@ -28,6 +28,9 @@ Xyz = Sequence[float]
 #: All but the Latin, Greek and Cyrillic letters and the signs of the one font that rerun's viewer brings.
 _STRANGE = re.compile(r"[^\n\t\x20-\u024f\u0370-\u052f\u2010-\u2026\u20ac\u2190-\u2193\u2212\u2260\u2264\u2265]")
 
+#: How Python holds a byte that is no UTF-8.
+_NO_TEXT = re.compile("[\ud800-\udfff]")
+
 
 @dataclass(slots=True)
 class _Column:
@@ -78,6 +81,7 @@ class Pen:
 
     def letters(self, text: str) -> str:
         """A text as it is, or, of a ``plain`` pen, with escapes for letters that not every viewer can draw."""
+        text = valid(text)
         return _STRANGE.sub(lambda found: found[0].encode("unicode_escape").decode(), text) if self._plain else text
 
     def fields(self, path: str, **values: Any) -> None:
@@ -119,6 +123,11 @@ class Pen:
         for rows in (stamped, unstamped):
             if rows:
                 self.recording.send_columns(path, _times(rows), make([row[3] for row in rows]))
+
+
+def valid(text: str) -> str:
+    """A text without bytes that are no UTF-8: one of them would cost rerun the whole column that it stands in."""
+    return text if text.isascii() else _NO_TEXT.sub("\ufffd", text)
 
 
 def _times(rows: list[tuple[int, int, int, Any]]) -> list[rr.TimeColumn]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped, TFMessage
@@ -10,6 +9,8 @@ from igtl_gateway.convert.igtl_msgs import TrackingData
 from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.seen import escape
+
+_HUGE = 1e18  #: its square is a float32, too
 
 
 def draw_transform(message: TransformStamped, canvas: Canvas) -> None:
@@ -56,5 +57,5 @@ def _tool(pose: Sequence[float], frame: str, canvas: Canvas, child: str = "", ch
 
 
 def _is_pose(pose: Sequence[float]) -> bool:
-    """Whether the numbers are finite and the quaternion turns."""
-    return all(map(math.isfinite, pose)) and any(pose[3:])
+    """Whether the numbers are finite, in float32 too, and the quaternion turns."""
+    return all(abs(part) < _HUGE for part in pose) and any(pose[3:])

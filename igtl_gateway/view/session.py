@@ -13,6 +13,7 @@ from typing import Any
 
 import rerun as rr
 
+from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.review import Review
 from igtl_gateway.session.entry import Entry, Kind
@@ -102,6 +103,7 @@ class SessionView:
         self._last_number = 0
         self._pen.static(DROPS, rr.SeriesPoints(markers=["cross"], names=["drops and gaps"]))
 
+    @ieee_754
     def take(self, entry: Entry) -> None:
         """Draw one entry; they come in the order of the session."""
         self._pen.at(entry)
@@ -120,10 +122,12 @@ class SessionView:
             if entry.kind in _ROS:
                 self._message(entry)
 
+    @ieee_754
     def flush(self) -> None:
         """Send what waits in columns: a live view does it several times a second."""
         self._pen.flush()
 
+    @ieee_754
     def finish(self) -> None:
         """Tell what is left: the last second's rates, what waits in columns."""
         self._rates(self._second + 1)
@@ -149,7 +153,7 @@ class SessionView:
                 picture.draw(picture.message.unpack(entry.data()), canvas)
             except (ConversionError, ValueError) as error:
                 self.told.refused[entry.channel] += 1
-                summary["error"] = str(error)
+                summary["error"] = self._pen.letters(str(error))
                 self._pen.text(LOG, f"{entry.channel}: cannot be shown: {error}", "WARN", WARN)
         if canvas.rows == rows:  # nothing at the topic's own path: a row that counts
             self._pen.fields(shown.path, **summary)

@@ -16,6 +16,7 @@ from igtl_gateway.convert.polydata import polydata_to_igtl
 from igtl_gateway.convert.poses import matrix_of
 from igtl_gateway.convert.rosmsg import Marker, Mesh
 from igtl_gateway.convert.units import Lengths
+from igtl_gateway.errors import ConversionError
 from igtl_gateway.view import colours
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.clouds import POINT_M
@@ -49,9 +50,11 @@ def draw_mesh(message: Mesh, canvas: Canvas) -> None:
 
 
 def surface(vertices: Array, triangles: Array, colour: int, vertex_colours: Array | None = None) -> rr.Mesh3D:
-    """A surface with light and shade."""
+    """A surface with light and shade.  Raises ConversionError where a triangle has a vertex that is not there."""
     positions = np.asarray(vertices, np.float32)
     indices = np.asarray(triangles, np.uint32)
+    if indices.size and int(indices.max()) >= len(positions):
+        raise ConversionError(f"found a triangle with vertex {indices.max()}, expected below {len(positions)}")
     return rr.Mesh3D(
         vertex_positions=positions,
         triangle_indices=indices,
@@ -67,10 +70,12 @@ def normals(positions: Array, triangles: Array) -> Array:
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = triangles.reshape(-1)
     weights = np.repeat(across, 3, axis=0)
-    total = np.stack([np.bincount(flat, weights[:, axis], len(positions)) for axis in range(3)], axis=1)
+    sums = [np.bincount(flat, weights[:, axis], len(positions)) for axis in range(3)]
+    total = np.stack(sums, axis=1).astype(np.float64)  # of nothing at all numpy makes whole numbers
     length = np.linalg.norm(total, axis=1, keepdims=True)
-    unit: Array = np.divide(total, length, out=np.zeros_like(total), where=length > 0).astype(np.float32)
-    return unit
+    unit = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+    finite: Array = np.nan_to_num(unit).astype(np.float32)
+    return finite
 
 
 def draw_polydata(message: PolyData, canvas: Canvas) -> None:

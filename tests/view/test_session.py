@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,13 +13,15 @@ import pytest
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
 from igtl_gateway.convert.igtl_msgs import PolyData
-from igtl_gateway.convert.rosmsg import Header, Mesh, String
+from igtl_gateway.convert.rosmsg import Header, Mesh, String, TransformStamped
+from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 
 from .conftest import START_NS, STEP_NS, Draw, messages
 
 SECOND = 1_000_000_000
+FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 
 @dataclass
@@ -61,6 +65,37 @@ def test_a_message_that_cannot_be_read_costs_itself(draw: Draw) -> None:
     assert len(drawn.rows("text")) == 3
     assert drawn.view.told.refused == {"/text": 1}
     assert sum("/text: cannot be shown" in line for line in drawn.log()) == 1
+
+
+def test_no_bytes_whatever_end_the_drawing(draw: Draw) -> None:
+    with SessionFile.open(FIXTURES / "every-type.mcap") as file:
+        said = [entry for entry in file.entries() if entry.kind in (Kind.ROS_IN, Kind.ROS_OUT)]
+    generator = np.random.default_rng(7)
+    entries: list[Entry] = []
+    expected = Counter[str]()
+    firsts = {(entry.type, entry.channel): entry for entry in said}
+    for entry in firsts.values():
+        for _ in range(4):
+            data = bytearray(entry.data())
+            for place in generator.integers(4, len(data), 3):
+                data[place] = generator.choice((0, 1, 127, 128, 255))
+            number = len(entries) + 1
+            cut = len(data) if generator.random() < 0.9 else int(generator.integers(4, len(data)))
+            entries.append(replace(entry, seq=number, stamp_ns=START_NS + number, payload=(bytes(data[:cut]),)))
+            expected[entry.channel] += 1
+    drawn = draw(entries=entries)
+    assert sum(drawn.view.told.refused.values()) > 50  # it was worth trying
+    shown = drawn.view.seen.shown.values()
+    assert {each.topic: drawn.count(each.path) for each in shown} == expected
+
+
+def test_a_name_that_is_no_text_costs_no_other_row(draw: Draw) -> None:
+    good = TransformStamped(Header(0, "base"), "tool", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    odd = TransformStamped(Header(0, "b\udcff"), "t\udc80", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    drawn = draw(good, odd, ("/text", String("caf\udce9")))
+    parents = [row["Transform3D:parent_frame"] for row in drawn.rows("topic")]
+    assert parents == [["base"], ["b\ufffd"]]
+    assert drawn.one("text")["TextDocument:text"] == ["caf\ufffd"]
 
 
 def test_missing_entry_numbers_are_drops(draw: Draw) -> None:
