@@ -90,7 +90,7 @@ def lost(said: RosSaid) -> RosSaid | None:
     [
         (off, "step 3: found the probe 1.000 mm off"),
         (shifted, "step 5: found the lesion 2.00 mm off"),
-        (late, "step 5: found an image with a stamp of its own"),
+        (late, "step 5: found no pose with the stamp of the image"),
         (lost, "step 5: no IMAGE within 5 s"),
     ],
 )
@@ -104,6 +104,23 @@ def test_the_planner_finds_what_is_wrong_and_shuts_the_robot_down(
     assert any(line.startswith(fault) for line in report.lines), report.lines
     if change is lost:
         assert robot.done, "it was shut down"
+
+
+class Overtaken(Robot):
+    """Between its poses and whatever belongs to them lies a ROS graph: the poses come last."""
+
+    def act(self, now_ns: int) -> Iterable[Said]:
+        return sorted(
+            super().act(now_ns), key=lambda said: isinstance(getattr(said, "message", None), TransformStamped)
+        )
+
+
+def test_what_overtakes_its_pose_waits_for_it() -> None:
+    planner, robot = Planner(), Overtaken(0.2)
+    log = played(planner, robot)
+    streams = [entry.channel for entry in log if entry.kind is Kind.IGTL_OUT]
+    assert streams.index("IMAGE/Probe") < len(streams) - 1 - streams[::-1].index("TRANSFORM/ProbeToBase")
+    assert planner.report().good, planner.report().lines
 
 
 def test_a_planner_without_a_robot_gives_up() -> None:
