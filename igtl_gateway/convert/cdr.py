@@ -9,6 +9,7 @@ buffers and joined once; the reader gives views on the received bytes.
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,8 @@ class Writer:
         """Zero bytes up to the next multiple of ``to`` (1, 2, 4 or 8)."""
         pad = -self._size % to
         if pad:
-            self._append(bytes(pad), pad)
+            self._parts.append(_ZEROS[pad])
+            self._size += pad
 
     def pack(self, layout: struct.Struct, align: int, *values: Any) -> None:
         """Fixed fields that have no padding between them, the first aligned to ``align``."""
@@ -63,13 +65,13 @@ class Writer:
     def f64s(self, *values: float) -> None:
         """Consecutive float64 fields."""
         self.align(8)
-        self._append(struct.pack(f"<{len(values)}d", *values), 8 * len(values))
+        self._append(_doubles(len(values)).pack(*values), 8 * len(values))
 
     def string(self, text: str) -> None:
         """UTF-8 with its length and a final NUL."""
-        data = text.encode("utf-8", "surrogateescape")
         self.align(4)
-        self._append(_U32.pack(len(data) + 1) + data + b"\x00", 5 + len(data))
+        data = _name(text) if len(text) <= _NAME else _text(text)
+        self._append(data, len(data))
 
     def array(self, values: npt.NDArray[Any], align: int) -> None:
         """The elements of an array, without a length: little-endian, contiguous; not copied if they are already."""
@@ -97,6 +99,23 @@ class Writer:
 
 _U32 = struct.Struct("<I")
 _I32 = struct.Struct("<i")
+_ZEROS = tuple(map(bytes, range(8)))
+
+#: Longest text that is remembered as bytes: frames and names come again and again.
+_NAME = 64
+
+
+@lru_cache(maxsize=64)
+def _doubles(count: int) -> struct.Struct:
+    return struct.Struct(f"<{count}d")
+
+
+def _text(text: str) -> bytes:
+    data = text.encode("utf-8", "surrogateescape")
+    return _U32.pack(len(data) + 1) + data + b"\x00"
+
+
+_name = lru_cache(maxsize=4_096)(_text)
 
 
 class Reader:

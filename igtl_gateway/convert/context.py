@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.units import Lengths
@@ -24,6 +25,7 @@ class ToRos:
         message_id: sender's id of the message (header version 2).
         link: number of the peer that it came from.
         warnings: (code, sentence) pairs that the conversion adds to: converted, but something was bent.
+        made: what other rows have made of the message already, by type; for those that say the same once more.
     """
 
     device_name: str
@@ -36,6 +38,7 @@ class ToRos:
     message_id: int = 0
     link: int = 0
     warnings: list[tuple[str, str]] = field(default_factory=list)
+    made: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

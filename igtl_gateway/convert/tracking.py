@@ -73,12 +73,12 @@ def tracking_to_tf(content: Tracking, to: ToRos) -> TFMessage:
 
 def transform_to_tf(content: Transform, to: ToRos) -> TFMessage:
     """Raises ConversionError as ``transform_to_ros``."""
-    return _one_tf(transform_to_ros(content, to), to)
+    return _one_tf(to.made.get(TransformStamped.TYPE) or transform_to_ros(content, to), to)
 
 
 def position_to_tf(content: Position, to: ToRos) -> TFMessage:
     """Raises ConversionError as ``position_to_ros``."""
-    return _one_tf(position_to_ros(content, to), to)
+    return _one_tf(to.made.get(TransformStamped.TYPE) or position_to_ros(content, to), to)
 
 
 def _one_tf(message: TransformStamped, to: ToRos) -> TFMessage:

@@ -240,6 +240,7 @@ class Gateway:
                 continue
             full = full or row.role is Role.FULL
             for message in converted if isinstance(converted, list) else (converted,):
+                to.made[message.TYPE] = message
                 replies.append(self._published(topic, message, to.stamp_ns))
                 if self._tf and isinstance(message, TFMessage):
                     frames += self._send_frames(entry, message, static=False)

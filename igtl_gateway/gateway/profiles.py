@@ -76,7 +76,7 @@ class Profile:
         takes_empty: whether it survives a version 1 message without content of a type that should have one.
         ping_ns: silence after which it is sent a GET_STATUS; 0 = never.
         adapt: by class of content, how to send what it would misread.
-        shows: whether a message could only come from such a peer.
+        shows: whether a message could only come from such a peer; None where none could.
     """
 
     name: str
@@ -89,7 +89,7 @@ class Profile:
     takes_empty: bool = False
     ping_ns: int = 0
     adapt: Mapping[type, Callable[[Any], Adapted]] = field(default_factory=dict)
-    shows: Callable[[Message], bool] = lambda message: False
+    shows: Callable[[Message], bool] | None = None
 
     def may_send(self, igtl_type: str) -> bool:
         """Whether the peer may be sent a message of this type."""
@@ -109,6 +109,8 @@ def _metadata(message: Message) -> dict[str, str]:
 
 
 def _is_slicer(message: Message) -> bool:
+    if not message.metadata:
+        return False
     items = _metadata(message)
     hello = isinstance(message.content, Status) and not message.device_name and items.get("dummy") == "dummy"
     return hello or "MRMLNodeName" in items
@@ -196,6 +198,9 @@ BY_NAME = {profile.name: profile for profile in PROFILES}
 AUTO = "auto"
 
 
+_SHOWING = tuple((profile, profile.shows) for profile in PROFILES if profile.shows)
+
+
 def shown_by(message: Message) -> Profile | None:
     """The profile that only such a message can come from, None if many could have sent it."""
-    return next((profile for profile in PROFILES if profile.shows(message)), None)
+    return next((profile for profile, shows in _SHOWING if shows(message)), None)

@@ -13,12 +13,16 @@ MAX_STREAMS = 2_000
 OTHERS = "(others)"
 
 
+#: (direction, stream) → fate → number.
+_Book = dict[tuple[str, str], dict[str, int]]
+
+
 class Ledger:
     """Counts by direction, stream and fate."""
 
     def __init__(self) -> None:
-        self._counts: dict[str, dict[str, dict[str, int]]] = {}
-        self._dropped: dict[str, dict[str, dict[str, int]]] = {}
+        self._counts: _Book = {}
+        self._dropped: _Book = {}
         self._streams: dict[str, set[str]] = {}  # of each direction: a stream is the same in both books
 
     def count(self, direction: str, stream: str, fate: str, number: int = 1) -> None:
@@ -29,26 +33,27 @@ class Ledger:
         """Add to ``dropped`` with its reason."""
         self._add(self._dropped, direction, stream, reason, number)
 
-    def _add(
-        self, book: dict[str, dict[str, dict[str, int]]], direction: str, stream: str, word: str, number: int
-    ) -> None:
+    def _add(self, book: _Book, direction: str, stream: str, word: str, number: int) -> None:
+        words = book.get((direction, stream))
+        if words is None:
+            words = self._open(book, direction, stream)
+        words[word] = words.get(word, 0) + number
+
+    def _open(self, book: _Book, direction: str, stream: str) -> dict[str, int]:
         known = self._streams.setdefault(direction, set())
         if stream not in known:
             if len(known) >= MAX_STREAMS:
                 stream = OTHERS
             else:
                 known.add(stream)
-        words = book.setdefault(direction, {}).setdefault(stream, {})
-        words[word] = words.get(word, 0) + number
+        return book.setdefault((direction, stream), {})
 
     def to_dict(self) -> dict[str, Any]:
         """``{direction: {stream: {fate: n, "dropped": {reason: n}}}}``, sorted."""
         told: dict[str, Any] = {}
-        for direction in sorted({*self._counts, *self._dropped}):
-            counts, dropped = self._counts.get(direction, {}), self._dropped.get(direction, {})
-            told[direction] = {
-                stream: dict(sorted(counts.get(stream, {}).items()))
-                | ({"dropped": dict(sorted(dropped[stream].items()))} if stream in dropped else {})
-                for stream in sorted({*counts, *dropped})
-            }
+        for direction, stream in sorted({*self._counts, *self._dropped}):
+            fates: dict[str, Any] = dict(sorted(self._counts.get((direction, stream), {}).items()))
+            if dropped := self._dropped.get((direction, stream)):
+                fates["dropped"] = dict(sorted(dropped.items()))
+            told.setdefault(direction, {})[stream] = fates
         return told

@@ -7,12 +7,26 @@ sloppy sender left behind the first NUL stays in the string, so that encoding gi
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from igtl_gateway.errors import MalformedBody
+
+#: Names come again and again: those of fields in headers are remembered.
+_NAME = 32
+_names = lru_cache(maxsize=4_096)
 
 
 def decode_text(data: bytes | memoryview) -> str:
     """The text of a zero-padded field (or of any text bytes), losslessly."""
-    return bytes(data).rstrip(b"\x00").decode("utf-8", "surrogateescape")
+    data = bytes(data)
+    return _decoded_name(data) if len(data) <= _NAME else _decoded(data)
+
+
+def _decoded(data: bytes) -> str:
+    return data.rstrip(b"\x00").decode("utf-8", "surrogateescape")
+
+
+_decoded_name = _names(_decoded)
 
 
 def encode_text(text: str, width: int, place: str) -> bytes:
@@ -31,4 +45,11 @@ def cut_text(text: str, width: int) -> str:
 
 def visible(text: str) -> str:
     """``text`` up to its first NUL, undecodable bytes replaced: for display, names and conversion."""
+    return _visible_name(text) if len(text) <= _NAME else _visible(text)
+
+
+def _visible(text: str) -> str:
     return text.partition("\x00")[0].encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+_visible_name = _names(_visible)
