@@ -37,7 +37,6 @@ _THRESHOLDS = {
     "sure": "standard errors that a distance must exceed to be wrong; once in 400 by chance",
     "noise_mm": "depth noise from which a point is looked at; 2.5 of them are wrong-mm",
     "reading_mm": "how far the camera's reading here may be off the tissue around; wet spots, glints, folds",
-    "astray": "share of the tissue around that may lie elsewhere than on the fitted surface; a wound takes a fifth",
     "density_mm2": "points/mm² below which a point is looked at; a hundred in the window for six unknowns",
     "missing": "share of pixels without depth above which a point is looked at",
     "spacing": "share of the plan's usual spacing that a stitch may differ by",
@@ -164,7 +163,7 @@ def _noise(review: Review) -> tuple[float | None, ...]:
 
 
 _END_COLUMNS = (
-    *("distance_mm", "error_mm", "noise_mm", "temporal_mm", "spatial_mm", "reading_mm", "astray"),
+    *("distance_mm", "error_mm", "noise_mm", "temporal_mm", "spatial_mm", "reading_mm", "wider_mm"),
     *("density_mm2", "missing", "spacing_mm"),
 )
 

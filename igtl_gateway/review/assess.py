@@ -32,6 +32,7 @@ _FEW_CLOUDS = 3  # below that a single bad shot cannot be outvoted
 _CHORD_STEPS = 33
 _BEYOND_BITE_M = 0.0015  # tissue beside a stitch that its bite is measured from
 _MOVED_MM = 0.5
+_WIDER = 2.0
 _USUAL = 3  # stitches that make a usual length
 
 
@@ -184,6 +185,10 @@ class _Assessor:
         surface = fit(scene, point, limits.window_mm / MM)
         if surface is None:
             return end
+        distance_mm = MM * float(surface.distance(point[None])[0])
+        # a wrong reading that fills the window passes for tissue; a wider one outvotes it
+        wider = fit(scene, point, _WIDER * limits.window_mm / MM)
+        wider_mm = distance_mm - MM * float(wider.distance(point[None])[0]) if wider else None
         slant = float(surface.slant(ray[None])[0])
         core = scene.around(ray, limits.core_mm / MM / z)
         core = core[np.isfinite(scene.depth[core])]
@@ -196,10 +201,10 @@ class _Assessor:
         area_mm2 = np.pi * limits.place_mm**2 * scale**2 * slant
         return replace(
             end,
-            distance_mm=float(surface.distance(point[None])[0]) * MM,
+            distance_mm=distance_mm,
             error_mm=surface.error / slant * MM,
             reading_mm=reading,
-            astray=surface.astray,
+            wider_mm=wider_mm,
             density_mm2=float(known.sum(axis=1).mean() / area_mm2),
         )
 

@@ -33,8 +33,12 @@ def of_end(name: str, end: EndReview, limits: Thresholds) -> Iterator[Reason]:
             Level.LOOK,
             f"{name}: the camera reads {abs(end.reading_mm):.1f} mm too {where} here, against the tissue around",
         )
-    elif end.astray is not None and end.astray > limits.astray:
-        yield Level.LOOK, f"{name}: {end.astray:.0%} of what is around lies elsewhere, there may be no one surface here"
+    if end.wider_mm is not None and abs(end.wider_mm) >= limits.reading_mm:
+        side = "above" if end.wider_mm > 0 else "below"
+        yield (
+            Level.LOOK,
+            f"{name}: seen more widely the tissue lies {abs(end.wider_mm):.1f} mm {side} what is fitted here",
+        )
     if end.noise_mm is not None and end.noise_mm > limits.noise_mm:
         yield Level.LOOK, f"{name}: depth noise {end.noise_mm:.2f} mm"
     if end.density_mm2 is not None and end.density_mm2 < limits.density_mm2:

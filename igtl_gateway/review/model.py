@@ -38,8 +38,8 @@ class Thresholds:
         look_mm: a point so far off is looked at.
         sure: standard errors that a distance must exceed to be wrong.
         noise_mm: depth noise from which on a place is looked at.
-        reading_mm: deviation of the camera's reading at a point from the tissue around it.
-        astray: share of the tissue around that may lie elsewhere than on the fitted surface.
+        reading_mm: deviation of the camera's reading at a point from the tissue around it, and of that from the
+            tissue in a window twice as wide.
         density_mm2: points for each mm² below which a place is looked at.
         missing: share of pixels without depth above which a place is looked at.
         spacing: a distance to the next stitch that differs by more than this share from the plan's median.
@@ -55,7 +55,6 @@ class Thresholds:
     sure: float = 3.0
     noise_mm: float = 0.4
     reading_mm: float = 0.7
-    astray: float = 0.25
     density_mm2: float = 2.0
     missing: float = 0.5
     spacing: float = 0.4
@@ -123,7 +122,7 @@ class EndReview:
         temporal_mm: depth noise from cloud to cloud at the same pixel.
         spatial_mm: depth noise from pixel to pixel within a cloud: a lower bound.
         reading_mm: how far the camera's own reading here is from the tissue around: + towards the camera.
-        astray: share of the tissue around, within the window, that does not lie on the fitted surface.
+        wider_mm: how far the tissue as fitted in a window twice as wide is from this one, here: + towards the camera.
         density_mm2: points with a depth for each mm² of tissue, of one cloud.
         missing: share of the pixels without depth, of one cloud.
         spacing_mm: to the nearer of the neighbours' same ends.
@@ -137,7 +136,7 @@ class EndReview:
     temporal_mm: float | None = None
     spatial_mm: float | None = None
     reading_mm: float | None = None
-    astray: float | None = None
+    wider_mm: float | None = None
     density_mm2: float | None = None
     missing: float | None = None
     spacing_mm: float | None = None

@@ -39,14 +39,12 @@ class Surface:
         radius: of the window, as x / z.
         coefficients: (6,) metres.
         error: standard error of the depth in the middle, metres: by chance, and by what a quadric cannot follow.
-        astray: share of the window that does not lie on the surface.
     """
 
     ray: Array
     radius: float
     coefficients: Array
     error: float
-    astray: float
 
     def depth(self, rays: Array) -> Array:
         """(n,) z of the surface on (n, 2) rays."""
@@ -110,9 +108,7 @@ def fit(scene: Scene, point: Array, window: float) -> Surface | None:
         chance = scatter * float(np.sqrt((spread[0] ** 2).sum() / clouds))
     # what the surface leaves of the tissue's shape: the scatter of the median picture beyond that of its noise
     misfit = float(np.sqrt(max(noise.deviation((z - fitted)[counted]) ** 2 - (sigma or 0.0) ** 2, 0.0)))
-    return Surface(
-        ray, radius, coefficients, float(np.hypot(chance, _MISFIT_SHARE * misfit)), float(1 - counted.mean())
-    )
+    return Surface(ray, radius, coefficients, float(np.hypot(chance, _MISFIT_SHARE * misfit)))
 
 
 def _sigma_of_median(scene: Scene, pixels: Array) -> float | None:

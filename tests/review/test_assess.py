@@ -117,6 +117,20 @@ def test_a_spot_that_always_reads_wrong_is_looked_at_and_the_point_on_the_tissue
     assert reading_mm == pytest.approx(-2.0, abs=0.2)
 
 
+def test_a_wrong_reading_that_fills_the_window_does_not_pass_in_silence() -> None:
+    """The plan was lifted from it, so plan and tissue agree: only a wider look disagrees."""
+    clouds = dome_clouds(6)
+    for cloud in clouds:
+        cloud.points[((cloud.points[..., :2] - _LAST[1, :2]) ** 2).sum(axis=-1) < 0.0035**2] *= 1.008
+    lifted = _LAST.copy()
+    lifted[1] *= 1.008
+    stitch = _of(clouds, (_FIRST, lifted)).last.stitches[1]
+    assert stitch.exit.distance_mm == pytest.approx(0, abs=0.3)
+    assert stitch.exit.wider_mm == pytest.approx(2.0, abs=0.3)
+    assert stitch.level is Level.LOOK
+    assert any("seen more widely the tissue lies" in reason for reason in stitch.reasons)
+
+
 def test_the_figures_of_a_stitch_on_a_sphere() -> None:
     review = _of(dome_clouds(6), (_FIRST, _LAST))
     stitch = review.last.stitches[1]

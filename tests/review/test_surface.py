@@ -52,7 +52,6 @@ def test_a_spot_that_reads_wrong_does_not_bend_the_tissue(shift: float, radius_m
         cloud.points[spot] *= 1 + shift / 0.25
     surface = _fit(Scene.of(clouds), middle)
     assert abs(surface.distance(middle[None])[0]) < 0.0001
-    assert surface.astray == pytest.approx((radius_mm / 4) ** 2, abs=0.05)
 
 
 def test_the_error_says_how_far_off_the_surface_is() -> None:
