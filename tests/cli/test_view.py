@@ -100,3 +100,8 @@ def test_an_existing_file_is_replaced_where_asked_for(tmp_path: Path) -> None:
     out.write_bytes(b"old")
     assert main(["view", str(FIXTURES / "paper-types.mcap"), "--save", str(out), "--overwrite"]) == 0
     assert counts(out)["/tf"] == 2
+
+
+def test_a_live_view_needs_a_screen(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bridge", "--no-ros", "--view", "--listen", "127.0.0.1:0"]) == 1
+    assert "found no screen" in capsys.readouterr().err

@@ -10,14 +10,16 @@ import pytest
 
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
+from igtl_gateway.cli import main
 from igtl_gateway.config import Config
 from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.gateway import LINK_UP, gateway_of
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.view import stream
-from igtl_gateway.view.live import LiveView
+from igtl_gateway.view import stream, viewer
+from igtl_gateway.view.live import LiveView, Window
 from igtl_gateway.view.session import SessionView
+from igtl_gateway.view.viewer import Viewer
 from igtl_gateway.wire import Message, encode
 
 from .conftest import START_NS, Drawn, messages, read_back
@@ -129,3 +131,48 @@ def test_a_relay_is_seen_by_what_its_messages_would_become(tmp_path: Path) -> No
     view(Entry(2, START_NS + 10, Kind.IGTL_IN, "STRING/Greeting", "STRING", (data,), (1,)))
     drawn = ended(view, path)
     assert drawn.one("igtl/in/Greeting/string")["TextDocument:text"] == ["hello"]
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> list[Viewer]:
+    """In place of windows servers without one are opened; they are listed here."""
+    opened = []
+
+    def window() -> Viewer:
+        made = Viewer(["--serve-grpc", "--bind", "127.0.0.1", "--port", "auto"], [viewer._LISTENS])
+        made.url = f"rerun+http://127.0.0.1:{made._found[0]}/proxy"
+        opened.append(made)
+        return made
+
+    monkeypatch.setattr(Viewer, "window", window)
+    return opened
+
+
+def test_the_window_ends_with_the_bridge(server: list[Viewer]) -> None:
+    window = Window(Config())
+    for entry in messages(String("a"), String("b")):
+        window(entry)
+    assert window.close() == ""
+    assert server[0].ended
+
+
+def test_the_bridge_does_not_end_with_the_window(server: list[Viewer]) -> None:
+    window = Window(Config(relay=True))
+    first, *others = messages(*(String("x") for _ in range(50)))
+    window(first)
+    server[0].close()
+    for entry in others:
+        window(entry)
+    assert window.close() == ""
+
+
+def test_bridge_with_a_window(server: list[Viewer], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bridge", "--no-ros", "--view", "--listen", "127.0.0.1:0", "--duration", "0.1"]) == 0
+    assert len(server) == 1
+    assert server[0].ended
+    assert capsys.readouterr().err == ""
+
+
+def test_bridge_with_a_window_that_cannot_start_leaves_none(server: list[Viewer]) -> None:
+    assert main(["bridge", "--no-ros", "--view", "--listen", "203.0.113.1:0", "--allow", "any"]) != 0
+    assert all(each.ended for each in server)
