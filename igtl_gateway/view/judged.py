@@ -74,7 +74,7 @@ def _label(stitch: StitchReview) -> str:
 
 
 def _table(review: Review, plan: PlanReview, number: int, red_mm: float) -> str:
-    """The stitches for a surgeon: millimetres."""
+    """The stitches for a surgeon, the worst first: millimetres."""
     lines = [
         f"**Plan {number} of {len(review.plans)}**, {plan.topic}: {len(plan.wrong)} of {len(plan.stitches)} stitches "
         "are wrong.",
@@ -82,7 +82,7 @@ def _table(review: Review, plan: PlanReview, number: int, red_mm: float) -> str:
         "| stitch | judged | entry off tissue | exit off tissue | depth noise | spacing | bite | why |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for stitch in plan.stitches:
+    for stitch in sorted(plan.stitches, key=lambda each: -each.level.rank):
         ends = (stitch.entry, stitch.exit)
         noise = max((end.noise_mm for end in ends if end.noise_mm is not None), default=None)
         spacing = min((end.spacing_mm for end in ends if end.spacing_mm is not None), default=None)
