@@ -28,7 +28,7 @@ from igtl_gateway.record.host import Host, in_process
 from igtl_gateway.record.mcap_writer import QosOf
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, StateRule
-from igtl_gateway.record.worker import FAILED, RecordingSummary, Settings, State
+from igtl_gateway.record.worker import FAILED, THREAD, RecordingSummary, Settings, State
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level, Note
 
@@ -186,6 +186,8 @@ class Recorder:
 
     def _listen(self) -> None:
         """Answer the worker's questions and pass on what it tells, until its end."""
+        if self._place.warning:
+            self._take("note", [Note(Level.WARN, THREAD, self._place.warning)])
         while not self._ended:
             try:
                 topic, *told = self._pipe.recv()

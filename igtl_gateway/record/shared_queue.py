@@ -48,12 +48,17 @@ _SLACK_BYTES = 64 << 20
 ENTRY_BYTES = 500
 
 
-def reserve(queue_bytes: int, largest: int) -> int:
-    """A file descriptor of memory for a queue of so many bytes, in which the largest entry alone fits, too.
+def memory(queue_bytes: int, largest: int) -> mmap.mmap:
+    """Memory for a queue of so many bytes between threads, in which the largest entry alone fits, too.
 
     Nothing is taken from the system before it is used.  Raises OSError.
     """
-    size = _PAGE + queue_bytes + largest + _SLACK_BYTES
+    return mmap.mmap(-1, _size(queue_bytes, largest))
+
+
+def shared_memory(queue_bytes: int, largest: int) -> int:
+    """The same for processes: a file descriptor to be mapped."""
+    size = _size(queue_bytes, largest)
     if hasattr(os, "memfd_create"):
         handle = os.memfd_create("igtl-gateway recorder")
     else:
@@ -67,11 +72,15 @@ def reserve(queue_bytes: int, largest: int) -> int:
     return handle
 
 
-class _End:
-    """What both ends know."""
+def _size(queue_bytes: int, largest: int) -> int:
+    return _PAGE + queue_bytes + largest + _SLACK_BYTES
 
-    def __init__(self, handle: int) -> None:
-        self._map = mmap.mmap(handle, 0)
+
+class _End:
+    """What both ends know.  Args: ``place``: from ``memory``, or mapped from ``shared_memory``."""
+
+    def __init__(self, place: mmap.mmap) -> None:
+        self._map = place
         self._counters = memoryview(self._map)[:_PAGE].cast("Q")
         self._ring = memoryview(self._map)[_PAGE:]
         self._size = len(self._ring)
@@ -81,12 +90,12 @@ class Putter(_End):
     """The end that puts.  Its caller sees to it that one thread at a time does.
 
     Args:
-        handle: from :func:`reserve`.
+        place: as for both ends.
         max_entries, max_bytes: the bound; one entry alone always fits.
     """
 
-    def __init__(self, handle: int, max_entries: int, max_bytes: int) -> None:
-        super().__init__(handle)
+    def __init__(self, place: mmap.mmap, max_entries: int, max_bytes: int) -> None:
+        super().__init__(place)
         self._max_entries, self._max_bytes = max_entries, max_bytes
         self._entries = self._taken = 0
         self._position = 0
@@ -155,8 +164,8 @@ class Putter(_End):
 class Getter(_End):
     """The end that gets."""
 
-    def __init__(self, handle: int) -> None:
-        super().__init__(handle)
+    def __init__(self, place: mmap.mmap) -> None:
+        super().__init__(place)
         self._position = 0
         self._entries = self._done = 0
         self._free = 0  # position up to which the putter has its room back

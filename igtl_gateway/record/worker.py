@@ -37,6 +37,7 @@ from igtl_gateway.session.note import Level, Note
 
 #: Codes of the recorder's notes.
 DROPPED, FAILED, REFUSED, UNDEFINED = "record_drop", "record_failed", "record_refused", "record_undefined"
+THREAD = "record_thread"
 PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
 
 _LOOK_S = 0.05

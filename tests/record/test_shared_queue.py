@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 import random
 from collections import deque
@@ -10,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from igtl_gateway.record import shared_queue
-from igtl_gateway.record.shared_queue import ENTRY_BYTES, Getter, Putter, reserve
+from igtl_gateway.record.shared_queue import ENTRY_BYTES, Getter, Putter, shared_memory
 from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
 
@@ -19,8 +20,9 @@ class Pair:
     """Both ends, in one process."""
 
     def __init__(self, max_entries: int = 1000, max_bytes: int = 1 << 20, largest: int = 1 << 20) -> None:
-        self.memory = reserve(max_bytes, largest)
-        self.putter, self.getter = Putter(self.memory, max_entries, max_bytes), Getter(self.memory)
+        self.memory = shared_memory(max_bytes, largest)
+        self.putter = Putter(mmap.mmap(self.memory, 0), max_entries, max_bytes)
+        self.getter = Getter(mmap.mmap(self.memory, 0))
 
     def get(self) -> Entry | tuple[object, ...] | None:
         item = self.getter.get()
