@@ -21,6 +21,7 @@ _LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
 _HOSTS = re.compile(r"Hosting a web-viewer at http://127\.0\.0\.1:(\d+)")
 _START_S = 30.0
 _WORDS = 4000
+_LIVE_MEMORY = "25%"  # of the machine: of a long session the window forgets the oldest
 
 
 class Viewer:
@@ -48,7 +49,7 @@ class Viewer:
     def window(cls, recording: Path | None = None) -> Self:
         """A window, with a recording or waiting for a stream.  Raises ViewerError, also where there is no screen."""
         check_screen(os.environ)
-        what = [str(recording)] if recording else ["--expect-data-soon"]
+        what = [str(recording)] if recording else ["--expect-data-soon", "--memory-limit", _LIVE_MEMORY]
         viewer = cls([*what, "--bind", HOST, "--port", "auto", "--hide-welcome-screen"], [_LISTENS])
         viewer.url = f"rerun+http://{HOST}:{viewer._found[0]}/proxy"
         return viewer
