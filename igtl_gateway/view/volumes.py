@@ -19,6 +19,7 @@ from igtl_gateway.wire.image import SCALARS
 Array = npt.NDArray[Any]
 
 _COLOUR = (3, 4)
+_MAX_STRETCH = 16  #: pixels more oblong than this are shown as they are
 _AIR = 12  #: up to this brightness of 255 a volume is empty
 _TILES = 64  #: a slice of a volume is drawn in so many pieces each way, those that are empty are left out
 _QUAD = np.array([(0, 1, 2), (0, 2, 3)], np.uint32)
@@ -47,7 +48,7 @@ def draw_volume(message: Volume, canvas: Canvas) -> None:
     window = None if voxels.shape[3] in _COLOUR else span(_sample(voxels))
     middle = len(voxels) // 2
     upright = voxels[middle][:: _turn(message, 1), :: _turn(message, 0)]
-    canvas.log(_picture(np.ascontiguousarray(upright)), child="slice")
+    canvas.log(_picture(square(upright, message.spacing[0], message.spacing[1])), child="slice")
     for axis in range(3):
         plane = _plane(message, voxels, axis, message.size[axis] // 2, window, air=True)
         canvas.log(plane, child=f"plane/{_NAMES[axis]}", frame=frame)
@@ -91,6 +92,18 @@ def eight_bits(pixels: Array, window: tuple[float, float] | None) -> Array:
     if scaled.shape[2] in _COLOUR:
         return np.ascontiguousarray(scaled[..., :3])
     return np.repeat(scaled[..., :1], 3, axis=2)
+
+
+def square(pixels: Array, across_m: float, down_m: float) -> Array:
+    """Pixels of another width than height repeated until they are square: no more than to the larger of the two."""
+    if across_m > 0 and down_m > 0 and max(across_m, down_m) < _MAX_STRETCH * min(across_m, down_m):
+        step = min(across_m, down_m)
+        rows, columns = (
+            (np.arange(max(round(count * each / step), 1)) * (step / each)).astype(np.intp).clip(max=count - 1)
+            for count, each in zip(pixels.shape[:2], (down_m, across_m), strict=True)
+        )
+        pixels = pixels[rows][:, columns]
+    return np.ascontiguousarray(pixels)
 
 
 def _sample(pixels: Array) -> Array:

@@ -12,6 +12,7 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 from igtl_gateway.convert.igtl_msgs import IDENTITY, Volume
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.view.seen import What
+from igtl_gateway.view.volumes import square
 
 from .conftest import Draw
 
@@ -77,8 +78,9 @@ def test_the_picture_of_a_slice_has_left_at_the_right_and_front_or_head_up(
     direction: tuple[float, ...], turned: Any, draw: Draw
 ) -> None:
     voxels = np.arange(24, dtype=np.uint8).reshape(2, 3, 4, 1)
-    shown = np.array(draw(volume(voxels, direction)).one("topic/slice")["Image:buffer"][0]).reshape(3, 4)
-    np.testing.assert_array_equal(shown, turned(voxels[1, :, :, 0]))
+    row = draw(volume(voxels, direction)).one("topic/slice")
+    shown = np.array(row["Image:buffer"][0]).reshape(6, 4)  # rows are twice as far apart as columns
+    np.testing.assert_array_equal(shown, turned(voxels[1, :, :, 0]).repeat(2, axis=0))
 
 
 def test_colours_of_a_plane(draw: Draw) -> None:
@@ -98,3 +100,15 @@ def test_a_volume_without_its_voxels_costs_itself(draw: Draw) -> None:
     cut = Volume(HEADER, (9, 9, 9), 3, 1, False, 1, IDENTITY, SPACING, ORIGIN, b"xx")
     drawn = draw(whole, cut)
     assert (drawn.count("topic"), drawn.view.told.refused) == (2, {"/topic": 1})
+
+
+@pytest.mark.parametrize(
+    ("across", "down", "shape"),
+    [(1.0, 1.0, (3, 4)), (2.0, 1.0, (3, 8)), (1.0, 1.5, (4, 4)), (1.0, 1000.0, (3, 4)), (0.0, 1.0, (3, 4))],
+)
+def test_pixels_become_square(across: float, down: float, shape: tuple[int, int]) -> None:
+    pixels = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    made = square(pixels, across, down)
+    assert made.shape == shape
+    assert (made[0, 0], made[-1, -1]) == (0, 11)
+    assert set(made.reshape(-1)) == set(range(12))
