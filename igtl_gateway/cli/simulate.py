@@ -22,6 +22,7 @@ _SCENARIOS = "\n".join(f"  {name:<{_WIDTH}}  {scenario.title}" for name, scenari
 EXAMPLES = f"""\
   igtl-gateway simulate acquisition                   live: a bridge, a ROS 2 node and an OpenIGTLink client
   igtl-gateway simulate acquisition --record a.mcap   and keep what the bridge recorded
+  igtl-gateway simulate star --view                   and be seen in rerun's window as it happens
   igtl-gateway simulate acquisition --out a.mcap      offline: no ROS, no network, always the same bytes
   igtl-gateway simulate test-server --type IMAGE --size 640 --rate 30 --count 300
   igtl-gateway simulate test-node --side ros          the ROS node alone, for a bridge of yours
@@ -39,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("name", choices=tuple(SCENARIOS), metavar="SCENARIO", help="one of those below")
     parser.add_argument("--out", type=Path, metavar="FILE", help="play offline and write this recording")
     parser.add_argument("--record", type=Path, metavar="FILE", help="live: keep the bridge's recording")
+    parser.add_argument("--view", action="store_true", help="live: show it in rerun's window, as `bridge --view` does")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
     parser.add_argument("--duration", type=float, metavar="S", help="seconds of the session")
     parser.add_argument(
@@ -94,8 +96,8 @@ def run(options: argparse.Namespace) -> int:
         return 0
     if not options.out:
         return stage.play(options, scenario)
-    for name in ("record", "side", "connect", "listen", "timeout"):
-        if getattr(options, name) is not None:
+    for name in ("record", "view", "side", "connect", "listen", "timeout"):
+        if getattr(options, name):
             raise ConfigError(f"--{name} is for a live scenario: it cannot be used with --out")
     return _write(options, scenario)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
+import shutil
 import sys
 import tempfile
 import threading
@@ -76,6 +77,8 @@ def _check(options: argparse.Namespace, side: Side | None, own_bridge: bool, act
         raise ConfigError("--connect is for --side igtl: otherwise the actors connect to a bridge of their own")
     if options.record and not own_bridge:
         raise ConfigError("--record: with --side the bridge is yours, and records with `igtl-gateway bridge --record`")
+    if options.view and not own_bridge:
+        raise ConfigError("--view: with --side the bridge is yours, and shows itself with `igtl-gateway bridge --view`")
     ours = sum(actor.side is Side.IGTL for actor in actors)
     if options.listen and ours > 1 and options.listen[1]:
         raise ConfigError(f"--listen: found one port, expected port 0 (any) for {ours} OpenIGTLink programs")
@@ -102,11 +105,11 @@ def _bridge(
     """Arguments of a bridge with the scenario's configuration."""
     config = folder / "config.toml"
     config.write_text(scenario.config.to_toml(), "utf-8")
-    overwrite = ["--overwrite"] if options.overwrite else []
+    more = [f"--{name}" for name in ("overwrite", "view") if getattr(options, name)]
     seconds = str(sum(_limits_s(options, scenario)) + _BRIDGE_S)
     beside = sorted({topic for actor in actors for topic, says in actor.says.items() if says.recorded})
     topics = ["--record-topics", *beside] if beside else []
-    return ["--config", str(config), "--record", str(record), *overwrite, "--duration", seconds, *topics]
+    return ["--config", str(config), "--record", str(record), *more, "--duration", seconds, *topics]
 
 
 def _plan(options: argparse.Namespace, scenario: Scenario, actors: Sequence[Actor], bridge: list[str] | None) -> Plan:
@@ -237,7 +240,8 @@ class _Output:
 
     def _status(self) -> None:
         if self._terminal:
-            print(f"\r\x1b[K{' | '.join(f'{name} {state}' for name, state in self._state.items())}", end="", flush=True)
+            told = " | ".join(f"{name} {state}" for name, state in self._state.items())
+            print(f"\r\x1b[K{told[: shutil.get_terminal_size().columns - 1]}", end="", flush=True)
 
 
 def _facts(name: str, outcome: Outcome, verification: Verification | None, good: bool) -> dict[str, Any]:

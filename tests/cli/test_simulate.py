@@ -63,6 +63,8 @@ def test_an_existing_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[
         ("acquisition --out x --duration 0", "--duration: found 0.0, expected more than 0"),
         ("acquisition --timeout 4000", "--timeout: found 4000.0"),
         ("acquisition --out x --record y", "--record is for a live scenario"),
+        ("acquisition --out x --view", "--view is for a live scenario"),
+        ("acquisition --side igtl --view", "--view: with --side the bridge is yours"),
         ("acquisition --out x --side ros", "--side is for a live scenario"),
         ("acquisition --rate 5", "--rate: acquisition has no load"),
         ("paper-types", "paper-types has no actors to play live"),
