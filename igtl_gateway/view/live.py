@@ -162,6 +162,8 @@ class Window:
         """End the drawing and close the window.  What went wrong, "" if nothing."""
         closed = self._viewer.ended  # by the user: nothing is wrong, and nobody reads what is sent
         self._view.close()
+        if not closed:
+            self._recording.disconnect()  # before the viewer goes, or rerun complains of it
         told = [self._view.failure] if self._view.failure and not closed else []
         if self._view.dropped:
             told.append(f"{self._view.dropped:,} entries were too many to be drawn")

@@ -166,11 +166,11 @@ def test_the_bridge_does_not_end_with_the_window(server: list[Viewer]) -> None:
     assert window.close() == ""
 
 
-def test_bridge_with_a_window(server: list[Viewer], capsys: pytest.CaptureFixture[str]) -> None:
+def test_bridge_with_a_window(server: list[Viewer], capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["bridge", "--no-ros", "--view", "--listen", "127.0.0.1:0", "--duration", "0.1"]) == 0
     assert len(server) == 1
     assert server[0].ended
-    assert capsys.readouterr().err == ""
+    assert capfd.readouterr().err == ""
 
 
 def test_bridge_with_a_window_that_cannot_start_leaves_none(server: list[Viewer]) -> None:
