@@ -69,7 +69,7 @@ def test_a_picture_is_seen_from_before_it_with_its_top_up() -> None:
     assert eye.place[1] > 0.01  # right × up points along y: from there the picture is not mirrored
 
 
-def test_tools_count_beside_pictures_or_alone_only() -> None:
+def test_tools_do_not_count_where_there_is_a_body_to_look_at() -> None:
     tool = shown(What.POSE, "here", (5.0, 0.0, 0.0), (5.0, 0.0, 0.0))
     cloud, plane = shown(What.CLOUD, "here"), shown(What.PLANE, "here")
     targets = []
