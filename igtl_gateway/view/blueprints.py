@@ -151,6 +151,8 @@ def _pictures(seen: Seen) -> list[Part]:
     """A 2-D view for each stream of pictures, with the plan and the tool on it where its camera is known."""
     views: list[Part] = []
     for shown in seen.of(What.IMAGE, What.PLANE, What.VIDEO):
+        if shown.superseded:
+            continue
         contents = [f"+ /{shown.path}"]
         frame = f"{shown.frame}/image"
         information = None

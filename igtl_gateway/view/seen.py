@@ -91,7 +91,12 @@ class Shown:
     @property
     def drawn(self) -> bool:
         """Whether to draw it in 3-D: it has something there that no fuller message has, too."""
-        return self.what in IN_3D and self.outdone < self.count
+        return self.what in IN_3D and not self.superseded
+
+    @property
+    def superseded(self) -> bool:
+        """Whether every message of it came with a fuller one."""
+        return self.outdone >= self.count
 
 
 @dataclass(slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from igtl_gateway.convert.rosmsg import Header, Mesh, String, TransformStamped
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.view.blueprints import blueprint
 
 from .conftest import START_NS, STEP_NS, Draw, messages
 
@@ -153,6 +155,21 @@ def test_of_messages_made_of_one_the_fullest_is_drawn(draw: Draw) -> None:
         "/igtl/in/Skin/polydata": True,
         "/igtl/in/Other/mesh": True,
     }
+
+
+def test_a_picture_that_its_volume_holds_too_has_no_view_of_its_own(draw: Draw) -> None:
+    with SessionFile.open(FIXTURES / "ultrasound.mcap") as file:
+        seen = draw(entries=file.entries()).view.seen
+    flat, placed = (seen.shown[f"/igtl/in/Image_Probe/{kind}"] for kind in ("image", "volume"))
+    assert (flat.superseded, placed.superseded) == (True, False)
+    names = re.findall(r"/igtl/in/Image_Probe/\w+", str([view.name for view in views(blueprint("ultrasound", seen))]))
+    assert names == ["/igtl/in/Image_Probe/volume"]
+
+
+def views(part: Any) -> list[Any]:
+    """All views of a blueprint."""
+    part = getattr(part, "root_container", part)
+    return [part] if hasattr(part, "class_identifier") else [view for each in part.contents for view in views(each)]
 
 
 def test_topics_that_would_meet_keep_apart(draw: Draw) -> None:
