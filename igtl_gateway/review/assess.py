@@ -30,6 +30,7 @@ Array = npt.NDArray[Any]
 MM = 1000.0
 _FEW_CLOUDS = 3  # below that a single bad shot cannot be outvoted
 _CHORD_STEPS = 33
+_LONGEST_BITE_M = 0.1  # whatever is longer is no stitch
 _BEYOND_BITE_M = 0.0015  # tissue beside a stitch that its bite is measured from
 _MOVED_MM = 0.5
 _WIDER = 2.0
@@ -214,7 +215,8 @@ class _Assessor:
         if key not in self._bites:
             half = float(np.sqrt(((leave - entry) ** 2).sum())) / 2
             window = max(self._limits.window_mm / MM, half + _BEYOND_BITE_M)
-            self._bites[key] = fit(self._scene, (entry + leave) / 2, window)
+            sane = min(entry[2], leave[2]) > 0 and half < _LONGEST_BITE_M / 2
+            self._bites[key] = fit(self._scene, (entry + leave) / 2, window) if sane else None
         return self._bites[key]
 
 

@@ -53,6 +53,7 @@ def driven_depth_mm(path: Path, entry: Executed, leave: Executed, surface: Surfa
     if not (entry.reached and leave.reached and entry.stamp_ns < leave.stamp_ns):
         return None
     on_the_way = (path.stamps_ns >= entry.stamp_ns) & (path.stamps_ns <= leave.stamp_ns)
+    on_the_way &= path.positions[:, 2] > 0  # in front of the camera, where there are rays
     if not on_the_way.any():
         return None
     return -MM * float(surface.distance(path.positions[on_the_way]).min())

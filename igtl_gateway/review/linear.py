@@ -16,28 +16,39 @@ Array = npt.NDArray[Any]
 _SINGULAR = 1e-9
 
 
-def influence(design: Array, weights: Array) -> Array | None:
-    """(k, n): the matrix that gives the weighted least squares solution, ``influence @ values``.
-
-    None where the points do not determine it.
+class Design:
+    """The columns of a linear model, ready to be solved many times with other weights.
 
     Args:
-        design: (n, k).
-        weights: (n,), none below 0.
+        columns: (k, n): what each of k unknowns is multiplied with in each of n equations.
     """
-    weighted = design * weights[:, None]
-    factor = _cholesky(_gram(weighted, design))
-    return None if factor is None else _solve(factor, weighted.T)
 
+    def __init__(self, columns: Array) -> None:
+        self.columns = columns
+        self._rows, self._others = np.tril_indices(len(columns))
+        self._products = columns[self._rows] * columns[self._others]
 
-def least_squares(design: Array, values: Array, weights: Array) -> Array | None:
-    """(k,) coefficients that minimise the weighted squares; None where the points do not determine them."""
-    weighted = design * weights[:, None]
-    factor = _cholesky(_gram(weighted, design))
-    if factor is None:
-        return None
-    right = (weighted * values[:, None]).sum(axis=0)
-    return _solve(factor, right[:, None])[:, 0]
+    def solve(self, values: Array, weights: Array) -> Array | None:
+        """(k,) unknowns that minimise the weighted squares; None where the equations do not determine them."""
+        factor = self._factor(weights)
+        if factor is None:
+            return None
+        return _solve(factor, times(self.columns, values * weights)[:, None])[:, 0]
+
+    def influence(self, weights: Array) -> Array | None:
+        """(k, n): the matrix that gives the solution, ``times(influence, values)``."""
+        factor = self._factor(weights)
+        return None if factor is None else _solve(factor, self.columns * weights)
+
+    def values(self, unknowns: Array) -> Array:
+        """(n,) what the model gives."""
+        values: Array = (self.columns * unknowns[:, None]).sum(axis=0)
+        return values
+
+    def _factor(self, weights: Array) -> Array | None:
+        gram = np.zeros((len(self.columns), len(self.columns)))
+        gram[self._rows, self._others] = times(self._products, weights)
+        return _cholesky(gram)
 
 
 def times(matrix: Array, vector: Array) -> Array:
@@ -46,14 +57,8 @@ def times(matrix: Array, vector: Array) -> Array:
     return product
 
 
-def _gram(a: Array, b: Array) -> Array:
-    """aᵀ b."""
-    gram: Array = (a[:, :, None] * b[:, None, :]).sum(axis=0)
-    return gram
-
-
 def _cholesky(matrix: Array) -> Array | None:
-    """The lower factor of a positive definite matrix."""
+    """The lower factor of a positive definite matrix, of which the lower half is read."""
     factor = np.zeros_like(matrix)
     for j in range(len(matrix)):
         pivot = matrix[j, j] - (factor[j, :j] ** 2).sum()

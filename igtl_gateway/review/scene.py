@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.review import noise
-from igtl_gateway.review.linear import least_squares, times
+from igtl_gateway.review.linear import Design
 
 Array = npt.NDArray[Any]
 
@@ -79,7 +79,7 @@ class Scene:
                 "expected a cloud in the optical frame of its camera (z forward)"
             )
         z[behind] = np.nan
-        rays = np.stack([_mean_ray(x / z), _mean_ray(y / z)], axis=-1)
+        rays = np.stack([_usual_ray(x / z), _usual_ray(y / z)], axis=-1)
         temporal = noise.between_clouds(z).reshape(-1) if len(used) > 1 else None
         spatial = noise.within_clouds(z[:_SPATIAL_CLOUDS]).reshape(-1) if organised else None
         return cls(
@@ -115,18 +115,16 @@ def _median(values: Array) -> Array:
     return median
 
 
-def _mean_ray(slopes: Array) -> Array:
-    """(height, width) mean over the clouds; where no cloud knows, what a pinhole camera would have there."""
-    known = np.isfinite(slopes)
-    number = known.sum(axis=0)
-    mean: Array = np.where(known, slopes, 0.0).sum(axis=0) / np.maximum(number, 1)
-    mean[number == 0] = np.nan
-    height, width = mean.shape
-    if height == 1 or number.all():
-        return mean
+def _usual_ray(slopes: Array) -> Array:
+    """(height, width) median over the clouds; where no cloud knows, what a pinhole camera would have there."""
+    usual = _median(slopes)
+    known = np.isfinite(usual)
+    height, width = usual.shape
+    if height == 1 or known.all():
+        return usual
     row, column = np.mgrid[0:height, 0:width]
-    design = np.stack([np.ones(mean.size), column.reshape(-1) / width, row.reshape(-1) / height], axis=1)
-    line = least_squares(design, np.nan_to_num(mean.reshape(-1)), (number > 0).reshape(-1).astype(np.float64))
+    pinhole = Design(np.stack([np.ones(usual.size), column.reshape(-1) / width, row.reshape(-1) / height]))
+    line = pinhole.solve(np.nan_to_num(usual.reshape(-1)), known.reshape(-1).astype(np.float64))
     if line is not None:
-        mean[number == 0] = times(design, line).reshape(height, width)[number == 0]
-    return mean
+        usual[~known] = pinhole.values(line).reshape(height, width)[~known]
+    return usual

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.review import noise
-from igtl_gateway.review.linear import influence, least_squares, times
+from igtl_gateway.review.linear import Design, times
 from igtl_gateway.review.scene import SEVERAL, Scene
 
 Array = npt.NDArray[Any]
@@ -48,7 +48,7 @@ class Surface:
 
     def depth(self, rays: Array) -> Array:
         """(n,) z of the surface on (n, 2) rays."""
-        return times(_design((rays - self.ray) / self.radius), self.coefficients)
+        return _design((rays - self.ray) / self.radius).values(self.coefficients)
 
     def slant(self, rays: Array) -> Array:
         """(n,) length on the ray's own z for each unit at a right angle to the surface: 1 where it is looked at
@@ -87,15 +87,16 @@ def fit(scene: Scene, point: Array, window: float) -> Surface | None:
     places = (scene.rays[around] - ray) / radius
     z = scene.depth[around]
     sigma = _sigma_of_median(scene, around)
-    found = _robust(places, z, None if sigma is None else float(np.hypot(sigma, _ROUGH_M)))
+    design = _design(places)
+    found = _robust(design, places, z, None if sigma is None else float(np.hypot(sigma, _ROUGH_M)))
     if found is None:
         return None
     coefficients, weights = found
-    spread = influence(_design(places), weights)
+    spread = design.influence(weights)
     if spread is None:
         return None
     counted = weights > 0
-    fitted = times(_design(places), coefficients)
+    fitted = design.values(coefficients)
     residuals = scene.depths[:, around] - fitted
     scatter = max(noise.deviation(residuals[:, counted]), _LEAST_SCALE_M)
     residuals = np.where(np.abs(residuals) < _GROSS * scatter, residuals, 0.0)
@@ -128,19 +129,19 @@ def _error_of_mean(values: Array) -> float:
     return float(np.sqrt((off**2).sum() / (len(values) - 1) / len(values)))
 
 
-def _robust(places: Array, z: Array, scale: float | None) -> tuple[Array, Array] | None:
+def _robust(design: Design, places: Array, z: Array, scale: float | None) -> tuple[Array, Array] | None:
     """(6,) coefficients and (n,) weights by iterated weighted least squares, Tukey's biweight.
 
     A place that reads wrong pulls the surface to itself if it is heard from the beginning.  So the first rounds are
     made several times, without larger and larger middles; the surface that most of the window lies on wins.
 
     Args:
+        design: of the quadric at the places.
         places: (n, 2) in radii of the window.
         z: (n,) metres.
         scale: how far z may be expected off the surface, as standard deviation; None if unknown.
     """
     square = (places**2).sum(axis=1)
-    design = _design(places)
     all_heard = np.ones(len(z), np.bool_)
     starts = []
     for silent in _SILENT:
@@ -152,23 +153,23 @@ def _robust(places: Array, z: Array, scale: float | None) -> tuple[Array, Array]
     if not starts:
         return None
     if scale is None:
-        scale = min(_scatter(z - times(design, coefficients)) for coefficients, _ in starts)
+        scale = min(_scatter(z - design.values(coefficients)) for coefficients, _ in starts)
     cut = _TUKEY * scale
-    residuals = [z - times(design, coefficients) for coefficients, _ in starts]
+    residuals = [z - design.values(coefficients) for coefficients, _ in starts]
     lost = [float((np.minimum(np.abs(off), cut) ** 2).sum()) for off in residuals]
     return _iterated(design, z, _weights(residuals[lost.index(min(lost))], scale), all_heard, scale, _ROUNDS)
 
 
 def _iterated(
-    design: Array, z: Array, weights: Array, heard: Array, scale: float | None, rounds: int
+    design: Design, z: Array, weights: Array, heard: Array, scale: float | None, rounds: int
 ) -> tuple[Array, Array] | None:
     """Some rounds of reweighting, by ``scale`` or what the points show; who is not ``heard`` stays without weight."""
     coefficients = None
     for _ in range(rounds):
-        coefficients = least_squares(design, z, weights)
+        coefficients = design.solve(z, weights)
         if coefficients is None:
             return None
-        residuals = z - times(design, coefficients)
+        residuals = z - design.values(coefficients)
         weights = _weights(residuals, scale or _scatter(residuals[heard])) * heard
     return None if coefficients is None else (coefficients, weights)
 
@@ -182,6 +183,6 @@ def _weights(residuals: Array, scale: float) -> Array:
     return weights
 
 
-def _design(places: Array) -> Array:
+def _design(places: Array) -> Design:
     p, q = places[:, 0], places[:, 1]
-    return np.stack([np.ones_like(p), p, q, p * p, p * q, q * q], axis=1)
+    return Design(np.stack([np.ones_like(p), p, q, p * p, p * q, q * q]))

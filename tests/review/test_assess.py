@@ -182,6 +182,26 @@ def test_a_stitch_outside_the_picture_cannot_be_judged() -> None:
     assert review.last.stitches[2].reasons == ("entry: too few points of tissue around it to compare with",)
 
 
+@pytest.mark.parametrize("wild", [(0.0, 0.0, 0.0), (0.0, 0.0, -0.25), (1e30, 0.0, 1e30)])
+def test_a_point_that_is_nowhere_spoils_its_own_stitch_only(wild: tuple[float, float, float]) -> None:
+    first = _FIRST.copy()
+    first[0] = wild
+    review = _of(dome_clouds(3), (first, _LAST), limits=replace(Thresholds(), spacing=1e40, bite=1e40))
+    assert _levels(review) == ["look", "ok", "ok"]
+    assert review.last.stitches[0].bite_depth_mm is None
+
+
+def test_clouds_without_any_depth_judge_nothing() -> None:
+    material = Material(plan="/plan")
+    empty = np.full_like(dome_clouds(1)[0].points, np.nan)
+    for stamp_ns in (1, 2, 3):
+        material.take(entry("/cloud", cloud_message(empty, stamp_ns), stamp_ns))
+    material.take(entry("/plan", plan_message(_FIRST, _LAST, 1), 1))
+    review = review_of(material)
+    assert _levels(review) == ["look"] * 3
+    assert review.cloud.positions.shape == (0, 3)
+
+
 def test_crowded_and_long_stitches_are_looked_at() -> None:
     first = np.stack([on_dome(x, -3.5) for x in (-6, -3, 0, 0.8, 4)])
     last = np.stack([on_dome(x, y) for x, y in ((-6, 3.5), (-3, 3.5), (0, 3.5), (3, 3.5), (5.5, 8))])
