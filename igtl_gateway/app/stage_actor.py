@@ -152,24 +152,27 @@ class ActorProgram:
         actor, done = self._actor, False
         actor.begin(self._clock.utc_ns())
         while not self._end.is_set():
+            # all that has come goes first, as offline: a slow act must not make an actor hear of ever older things
+            for _ in range(self._heard.qsize()):
+                self._hear(0)
             now_ns, due_ns = self._clock.utc_ns(), actor.due_ns
             if due_ns is not None and due_ns <= now_ns:
                 self._say(actor.act(now_ns))
             if not done and actor.done:
                 done = True
                 self._tell({"event": "done"})
-            heard = self._next(actor.due_ns)
-            if heard is not None:
-                self._received[_stream(heard)] += 1
-                self._say(actor.hear(self._clock.utc_ns(), heard))
+            self._hear(actor.due_ns)
 
-    def _next(self, due_ns: int | None) -> Heard | None:
-        """What came next; None when the actor is due before."""
+    def _hear(self, due_ns: int | None) -> None:
+        """What came next; nothing if the actor is due before."""
         left_ns = None if due_ns is None else max(0, due_ns - self._clock.utc_ns())
         try:
-            return self._heard.get(timeout=None if left_ns is None else left_ns / NS_PER_S)
+            heard = self._heard.get(timeout=None if left_ns is None else left_ns / NS_PER_S)
         except Empty:
-            return None
+            return
+        if heard is not None:
+            self._received[_stream(heard)] += 1
+            self._say(self._actor.hear(self._clock.utc_ns(), heard))
 
     def _say(self, words: Any) -> None:
         for said in words:

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from igtl_gateway.cli.common import (
 )
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros_env import prepare_environment
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, RecordingError
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.replay.verify import Report as Verification
@@ -65,7 +65,11 @@ def play(options: argparse.Namespace, scenario: Scenario) -> int:
         plan = _plan(options, scenario, actors, bridge)
         out.started(plan, options)
         outcome = Stage(plan, SystemClock(), stop, out.event).run()
-        verification = _verified(record) if outcome.recording else None
+        try:
+            verification = _verified(record) if outcome.recording else None
+        except RecordingError as error:  # how the story went is to be told all the same
+            verification = None
+            outcome = replace(outcome, warnings=(*outcome.warnings, f"the recording cannot be verified: {error}"))
         good = outcome.good and (verification.good if verification else not own_bridge)
         out.ended(outcome, verification, good, bool(options.record))
     return 0 if good else 1
@@ -221,6 +225,8 @@ class _Output:
         if outcome.recording and verification:
             where = f"{outcome.recording['path']}: " if kept else ""
             entries = count(outcome.recording["entries"], "entry", "entries")
+            if lost := outcome.recording["dropped"]:
+                entries += f", LOST {lost:,}"
             told = (
                 f"verified: all {count(verification.equal, 'output')} equal, byte for byte"
                 if verification.good

@@ -88,8 +88,8 @@ class Peer:
 class Running:
     """A program in a thread, and what it told."""
 
-    def __init__(self, connection: Connection) -> None:
-        self.actor = Echo()
+    def __init__(self, connection: Connection, actor: Echo) -> None:
+        self.actor = actor
         self.told: list[dict[str, Any]] = []
         self._changed = threading.Condition()
         self.program = ActorProgram(self.actor, (self.actor,), Config(), 1, connection, SystemClock(), self._tell)
@@ -116,12 +116,15 @@ class Running:
         return self.told[-1]
 
 
+Run = Callable[..., Running]
+
+
 @pytest.fixture
-def running() -> Iterator[Callable[[Connection], Running]]:
+def running() -> Iterator[Run]:
     started: list[Running] = []
 
-    def run(connection: Connection) -> Running:
-        started.append(Running(connection))
+    def run(connection: Connection, actor: Echo | None = None) -> Running:
+        started.append(Running(connection, actor or Echo()))
         return started[-1]
 
     yield run
@@ -134,9 +137,6 @@ def listener() -> Iterator[socket.socket]:
     with socket.create_server(("127.0.0.1", 0)) as sock:
         sock.settimeout(TIMEOUT_S)
         yield sock
-
-
-Run = Callable[[Connection], Running]
 
 
 def test_it_says_nothing_before_it_begins_and_reports_at_the_end(running: Run, listener: socket.socket) -> None:
@@ -195,3 +195,31 @@ def test_a_message_that_cannot_be_read_is_told_of_and_costs_only_itself(running:
         peer.raw(good)
         assert peer.hear() == "good"
         assert echo.wait("warning")["text"].startswith("echo: refused a message: ")
+
+
+class Slow(Echo):
+    """Always late: each act takes longer than until the next one is due; what it says is what it has heard."""
+
+    def act(self, now_ns: int) -> Iterable[Said]:
+        threading.Event().wait(0.03)
+        self.due_ns = now_ns + NS_PER_MS
+        return [Message("STRING", "Echo", String.of(str(self.heard)))]
+
+    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+        self.heard += 1
+        return ()
+
+    heard = 0
+
+
+def test_who_is_always_late_hears_everything_all_the_same(running: Run, listener: socket.socket) -> None:
+    slow = running(Connection(listener.getsockname()), Slow())
+    with listener.accept()[0] as connection:
+        peer = Peer(connection)
+        slow.wait("ready")
+        slow.program.begin()
+        assert peer.hear() == "0"
+        for _ in range(100):
+            peer.say("news")
+        # one by one it would take as many acts
+        assert any(peer.hear() == "100" for _ in range(50))
