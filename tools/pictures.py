@@ -48,7 +48,7 @@ class Picture:
 TABLE = (
     Picture("star", "star", 0.1),
     Picture("star-corrected", "star", 0.55),
-    Picture("lego", "lego", 0.5),
+    Picture("lego", "lego", 0.85),
     Picture("ultrasound", "ultrasound", 0.6),
     Picture("brain", "brain", 0.9),
     Picture("acquisition", "acquisition", 0.97),

@@ -17,7 +17,7 @@ Xyz = tuple[float, float, float]
 _TOOLS = (What.POSE, What.POSES)
 _BODIES = {What.CLOUD, What.MESH, What.VOLUME}
 _HALF_HEIGHT, _HALF_WIDTH = math.radians(25), math.radians(33)  #: what a 3-D view of rerun takes in, half of it
-_ROOM, _MORE_ROOM = 0.85, 1.2  #: the box of a body is seldom filled to its corners, that of a path is
+_ROOM, _MORE_ROOM = 0.85, 1.2  #: boxes are seldom filled to their corners, but the way of a tool ends in them
 _SPOT_M, _FROM_SPOT_M = 0.01, 0.1  #: what is smaller, as a single tool, is looked at from there
 #: From what is seen to the eye: in a camera's frame (REP 103: x right, y down, z forward), and in others (z up).
 _FROM_CAMERA, _FROM_ABOVE = (0.2, 0.5, -0.85), (0.55, -0.65, 0.52)
@@ -50,7 +50,7 @@ def eye_of(seen: Seen, tree: list[Shown], frame: str, *, camera: bool) -> Eye | 
     axes = (_unit(_cross(up, way)), _unit(_cross(way, _cross(up, way))), way)  # to the right, above, towards the eye
     places = [[_dot(corner, axis) for axis in axes] for corner in corners]
     middle = [(min(along) + max(along)) / 2 for along in zip(*places, strict=True)]
-    room = _ROOM if any(shown.what in _BODIES for shown in tree) else _MORE_ROOM
+    room = _ROOM if any(shown.what in _BODIES or shown.what is What.LINES for shown in tree) else _MORE_ROOM
     distance = 0.0
     for place in places:
         right, above, near = (abs(place[0] - middle[0]), abs(place[1] - middle[1]), place[2] - middle[2])
@@ -75,11 +75,11 @@ def _look(seen: Seen, tree: list[Shown], frame: str, camera: bool) -> tuple[Xyz,
 
 
 def _corners(seen: Seen, tree: list[Shown], frame: str) -> list[Xyz]:
-    """Of all boxes, in that frame; where there is a body to look at, tools come and go without being counted."""
+    """Of all boxes, in that frame; where there is a body, tools and robots that come to it are not counted."""
     boxed = [shown for shown in tree if shown.low is not None and shown.high is not None]
-    kinds = {shown.what for shown in boxed}
-    if kinds & _BODIES and What.PLANE not in kinds:
-        boxed = [shown for shown in boxed if shown.what not in _TOOLS]
+    bodies = {shown.frame for shown in boxed if shown.what in _BODIES}
+    if bodies and not any(shown.what is What.PLANE for shown in boxed):
+        boxed = [shown for shown in boxed if shown.frame in bodies and shown.what not in _TOOLS]
     return [
         _moved(seen, shown.frame, frame, corner)
         for shown in boxed
