@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.convert.cdr import Writer
+from igtl_gateway.convert.cdr import Writer, stamped_pose
 from igtl_gateway.convert.igtl_msgs import HEADER, Pose
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import (
@@ -30,8 +30,11 @@ from igtl_gateway.convert.structs import (
     numbers,
     several,
 )
+from igtl_gateway.stamp import ns_to_ros
 
 Array = npt.NDArray[Any]
+
+_ONE = (1).to_bytes(4, "little")  # a sequence of one element
 
 
 def _nothing() -> Array:
@@ -82,6 +85,13 @@ class TFMessage(Struct):
     TYPE: ClassVar[str] = "tf2_msgs/msg/TFMessage"
     FIELDS: ClassVar[tuple[CdrType, ...]] = (several(FrameTransform),)
     transforms: tuple[FrameTransform, ...]
+
+    def pack(self) -> bytes:
+        if len(self.transforms) != 1:
+            return Struct.pack(self)
+        (one,) = self.transforms
+        stamp = ns_to_ros(one.header.stamp_ns)
+        return stamped_pose(_ONE, stamp, one.header.frame_id, one.child_frame_id, one.pose)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.convert.cdr import Reader, Writer
+from igtl_gateway.convert.cdr import Reader, Writer, stamped_pose
 from igtl_gateway.stamp import ns_to_ros, ros_to_ns
 
 Array = npt.NDArray[Any]
@@ -77,11 +77,9 @@ class TransformStamped:
     rotation: tuple[float, float, float, float]
 
     def pack(self) -> bytes:
-        out = Writer()
-        self.header.write(out)
-        out.string(self.child_frame_id)
-        out.f64s(*self.translation, *self.rotation)
-        return out.finish()
+        header = self.header
+        pose = (*self.translation, *self.rotation)
+        return stamped_pose(b"", ns_to_ros(header.stamp_ns), header.frame_id, self.child_frame_id, pose)
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
