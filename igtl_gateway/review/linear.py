@@ -5,6 +5,8 @@ The systems are small (six unknowns) and well scaled, so that the squared condit
 
 from __future__ import annotations
 
+import math
+from operator import mul
 from typing import Any
 
 import numpy as np
@@ -33,22 +35,22 @@ class Design:
         factor = self._factor(weights)
         if factor is None:
             return None
-        return _solve(factor, times(self.columns, values * weights)[:, None])[:, 0]
+        return np.array(_solve(factor, times(self.columns, values * weights).tolist()))
 
     def influence(self, weights: Array) -> Array | None:
         """(k, n): the matrix that gives the solution, ``times(influence, values)``."""
         factor = self._factor(weights)
-        return None if factor is None else _solve(factor, self.columns * weights)
+        return None if factor is None else np.stack(_solve(factor, list(self.columns * weights)))
 
     def values(self, unknowns: Array) -> Array:
         """(n,) what the model gives."""
         values: Array = (self.columns * unknowns[:, None]).sum(axis=0)
         return values
 
-    def _factor(self, weights: Array) -> Array | None:
+    def _factor(self, weights: Array) -> list[list[float]] | None:
         gram = np.zeros((len(self.columns), len(self.columns)))
         gram[self._rows, self._others] = times(self._products, weights)
-        return _cholesky(gram)
+        return _cholesky(gram.tolist())
 
 
 def times(matrix: Array, vector: Array) -> Array:
@@ -57,25 +59,30 @@ def times(matrix: Array, vector: Array) -> Array:
     return product
 
 
-def _cholesky(matrix: Array) -> Array | None:
+def _cholesky(matrix: list[list[float]]) -> list[list[float]] | None:
     """The lower factor of a positive definite matrix, of which the lower half is read."""
-    factor = np.zeros_like(matrix)
-    for j in range(len(matrix)):
-        pivot = matrix[j, j] - (factor[j, :j] ** 2).sum()
-        if not pivot > _SINGULAR * matrix[j, j]:
+    factor: list[list[float]] = []
+    for i, row in enumerate(matrix):
+        done: list[float] = []
+        for j in range(i):
+            done.append((row[j] - sum(map(mul, done, factor[j][:j]))) / factor[j][j])
+        pivot = row[i] - sum(map(mul, done, done))
+        if not pivot > _SINGULAR * row[i]:
             return None
-        factor[j, j] = np.sqrt(pivot)
-        for i in range(j + 1, len(matrix)):
-            factor[i, j] = (matrix[i, j] - (factor[i, :j] * factor[j, :j]).sum()) / factor[j, j]
+        factor.append([*done, math.sqrt(pivot)])
     return factor
 
 
-def _solve(factor: Array, right: Array) -> Array:
-    """x of factor factorᵀ x = right, column by column."""
-    x = right.astype(np.float64)
+def _solve(factor: list[list[float]], right: list[Any]) -> list[Any]:
+    """x of factor factorᵀ x = right, whose items are numbers, or arrays of as many systems."""
+    x = list(right)
     size = len(factor)
     for i in range(size):
-        x[i] = (x[i] - (factor[i, :i, None] * x[:i]).sum(axis=0)) / factor[i, i]
+        for j in range(i):
+            x[i] = x[i] - factor[i][j] * x[j]
+        x[i] = x[i] / factor[i][i]
     for i in reversed(range(size)):
-        x[i] = (x[i] - (factor[i + 1 :, i, None] * x[i + 1 :]).sum(axis=0)) / factor[i, i]
+        for j in range(i + 1, size):
+            x[i] = x[i] - factor[j][i] * x[j]
+        x[i] = x[i] / factor[i][i]
     return x
