@@ -16,8 +16,11 @@ Xyz = tuple[float, float, float]
 
 _TOOLS = (What.POSE, What.POSES)
 _BODIES = {What.CLOUD, What.MESH, What.VOLUME}
-_HALF_HEIGHT, _HALF_WIDTH = math.radians(25), math.radians(33)  #: what a 3-D view of rerun takes in, half of it
-_ROOM, _MORE_ROOM = 0.85, 1.2  #: boxes are seldom filled to their corners, but the way of a tool ends in them
+_HALF_HEIGHT, _HALF_WIDTH = (
+    math.radians(25),
+    math.radians(30),
+)  #: half of what a 3-D view of rerun takes in, a narrow one
+_ROOM, _MORE_ROOM = 0.88, 1.2  #: boxes are seldom filled to their corners, but the way of a tool ends in them
 _SPOT_M, _FROM_SPOT_M = 0.01, 0.1  #: what is smaller, as a single tool, is looked at from there
 #: From what is seen to the eye: in a camera's frame (REP 103: x right, y down, z forward), and in others (z up).
 _FROM_CAMERA, _FROM_ABOVE = (0.2, 0.5, -0.85), (0.55, -0.65, 0.52)
