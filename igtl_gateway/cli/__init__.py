@@ -33,6 +33,7 @@ VERBS = {
     "review": "is every stitch of a suture plan on the tissue, and how sure is the camera",
     "decode": "print the messages of a raw OpenIGTLink byte stream as JSON lines",
     "simulate": "play a scenario, live over ROS 2 and OpenIGTLink or as a recording",
+    "bench": "measure latency, rate and cost, beside bare hops of the same bytes",
     "demo": "the main job in a minute: bridge, record, verify, replay",
 }
 

@@ -1,0 +1,330 @@
+"""Runs a case: the gateway, the programs on both sides, and the same programs without it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from igtl_gateway.bench.cases import FLOOD, Case, Direction, Stream, payload
+from igtl_gateway.bench.figures import Passage, latency, ratio
+from igtl_gateway.bench.processes import BenchError, Program, Usage
+from igtl_gateway.bench.programs import Job, Part
+from igtl_gateway.clock import Clock
+from igtl_gateway.stamp import NS_PER_S
+
+#: Messages before those that count: so many seconds' worth, but not more.
+_WARM_S, _WARM_MOST, _WARM_FLOOD = 0.5, 200, 20
+_START_S = 120.0  # a first start compiles igtl_msgs
+_HEARD_S = 60.0
+_LOOK_S = 0.25
+#: Nothing more arrives after so long a silence.
+_SILENCE_S = 3.0
+_LARGE_SILENCE_S, _LARGE_BYTES = 20.0, 4 << 20
+#: Messages that the floor is measured with, at most: its median is all that is used.
+_FLOOR_COUNT = 300
+#: The gateway ends by itself where nobody is left to end it.
+_GATEWAY_S = 3600.0
+
+Row = dict[str, Any]
+Address = tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """How long a case runs.
+
+    Attributes:
+        seconds: how long.
+        count: messages of each stream, instead; 0: by ``seconds``.
+    """
+
+    seconds: float = 10.0
+    count: int = 0
+
+    def messages(self, stream: Stream) -> int:
+        """How many of a stream are measured; 0: as many as go into the time."""
+        return self.count or (0 if stream.rate_hz == FLOOD else max(1, round(self.seconds * stream.rate_hz)))
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is measured of a case.
+
+    Attributes:
+        case: which.
+        directions: which ways; several streams, or a mixed load, go all ways at once.
+        extent: how long.
+        floor: measure the bare hops too.
+        record: the gateway records.
+    """
+
+    case: Case
+    directions: tuple[Direction, ...]
+    extent: Extent
+    floor: bool = True
+    record: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Passed:
+    """What came of one run of streams.
+
+    Attributes:
+        passages: by device.
+        seconds: from the first message to the last arrival.
+        begin, end: what the gateway had used, where there is one.
+    """
+
+    passages: dict[str, Passage]
+    seconds: float
+    begin: Usage | None = None
+    end: Usage | None = None
+
+
+class Runner:
+    """See the module.
+
+    Args:
+        folder: for times and recordings.
+        clock: monotonic time of all processes.
+        tell: called with a line for people now and then.
+    """
+
+    def __init__(self, folder: Path, clock: Clock, tell: Callable[[str], None]) -> None:
+        self._folder = folder
+        self._clock = clock
+        self._tell = tell
+        self._runs = 0
+        self._rest = threading.Event()
+        self._floors: dict[tuple[str, float, int], tuple[float | None, float | None]] = {}
+
+    def measure(self, plan: Plan) -> list[Row]:
+        """The rows of a case.  Raises BenchError."""
+        rows: list[Row] = []
+        turns = [plan.directions] if plan.case.together else [(direction,) for direction in plan.directions]
+        with self._gateway(plan) as (gateway, address):
+            for directions in turns:
+                self._tell(f"{plan.case.name} {', '.join(direction.value for direction in directions)}")
+                passed = self._through_gateway(plan, directions, gateway, address)
+                rows += self._rows(plan, directions, passed)
+        if plan.floor and not plan.case.together:
+            hops = self._floor(plan)
+            for row in rows:
+                self._add_floor(row, hops)
+        return rows
+
+    # -- the gateway ---------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def _gateway(self, plan: Plan) -> Iterator[tuple[Program, Address]]:
+        words = ["igtl_gateway", "bridge", "--json", "--listen", "127.0.0.1:0", "--duration", str(_GATEWAY_S)]
+        for stream in plan.case.streams:
+            topic, device = (f(Direction.ROS_TO_IGTL) for f in (stream.topic, stream.device))
+            words += ["--send", f"{topic}={device}:{payload(stream.kind).igtl_type}"]
+        if plan.record:
+            words += ["--record", str(self._folder / "recording.mcap"), "--overwrite"]
+        with Program("gateway", words) as gateway:
+            started = gateway.wait_for("started", _START_S)
+            place = started["listen"][0]
+            yield gateway, (place["host"], place["port"])
+            gateway.interrupt()
+            if plan.record:
+                recording = gateway.wait_for("stopped", _START_S)["recording"]
+                if recording["dropped"]:
+                    self._tell(f"  the recorder dropped {recording['dropped']:,} entries")
+
+    def _through_gateway(
+        self, plan: Plan, directions: Sequence[Direction], gateway: Program, address: Address
+    ) -> Passed:
+        parts = {direction: self._parts(plan.case.streams, direction, plan.extent) for direction in directions}
+        out = parts.get(Direction.ROS_TO_IGTL, ())
+        back = parts.get(Direction.IGTL_TO_ROS, ())
+        jobs = []
+        if out:
+            jobs.append(self._job(plan, "ros", "bench_sender", sends=out))
+        if back:
+            jobs.append(self._job(plan, "ros", "bench_listener", hears=back))
+        jobs.append(self._job(plan, "igtl", "client", sends=back, hears=out, address=address))
+        with ExitStack() as stack:
+            programs = [(job, self._start(stack, job)) for job in jobs]
+            for _, program in programs:
+                program.wait_for("ready", _START_S)
+            return self._passed(programs, plan, gateway.pid)
+
+    # -- the floor -----------------------------------------------------------------------------------------------
+
+    def _floor(self, plan: Plan) -> tuple[float | None, float | None]:
+        """Medians in ms of a bare hop over DDS and over TCP, with the same bytes at the same rate."""
+        (stream,) = plan.case.streams
+        count = min(_FLOOR_COUNT, plan.extent.messages(stream) or _FLOOR_COUNT)
+        key = (stream.kind, stream.rate_hz, count)
+        if key not in self._floors:
+            self._tell(f"{plan.case.name} floor")
+            # A flood fills every queue: a bare hop has no latency to compare with then, but at the usual rate it has.
+            bare = replace(plan, extent=Extent(count=count))
+            self._floors[key] = (self._bare(bare, "ros"), self._bare(bare, "igtl"))
+        return self._floors[key]
+
+    def _bare(self, plan: Plan, side: str) -> float | None:
+        parts = tuple(
+            replace(part, topic=f"/bench/floor/{part.device}")
+            for part in self._parts(plan.case.streams, Direction.ROS_TO_IGTL, plan.extent)
+        )
+        with ExitStack() as stack:
+            listener = self._job(plan, side, "bench_listener", hears=parts, listen=True)
+            hearing = self._start(stack, listener)
+            address = ("127.0.0.1", 0)
+            if side == "igtl":
+                place = hearing.wait_for("listening", _START_S)
+                address = (place["host"], place["port"])
+            sender = self._job(plan, side, "bench_sender", sends=parts, address=address)
+            sending = self._start(stack, sender)
+            for program in (hearing, sending):
+                program.wait_for("ready", _START_S)
+            passed = self._passed([(listener, hearing), (sender, sending)], plan, None)
+        told: float | None = latency(list(passed.passages.values()))["p50_ms"]
+        return told
+
+    @staticmethod
+    def _add_floor(row: Row, hops: tuple[float | None, float | None]) -> None:
+        dds, tcp = hops
+        floor = round(dds + tcp, 4) if dds is not None and tcp is not None else None
+        row |= {
+            "floor_dds_p50_ms": dds,
+            "floor_tcp_p50_ms": tcp,
+            "floor_p50_ms": floor,
+            "ratio": ratio(row["p50_ms"], floor),
+        }
+
+    # -- one run -------------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _parts(streams: Sequence[Stream], direction: Direction, extent: Extent) -> tuple[Part, ...]:
+        parts = []
+        for stream in streams:
+            count = extent.messages(stream)
+            parts.append(Part(stream, direction, stream.topic(direction), count + warm(stream) if count else 0))
+        return tuple(parts)
+
+    def _job(
+        self,
+        plan: Plan,
+        side: str,
+        name: str,
+        *,
+        sends: tuple[Part, ...] = (),
+        hears: tuple[Part, ...] = (),
+        address: Address = ("127.0.0.1", 0),
+        listen: bool = False,
+    ) -> Job:
+        self._runs += 1
+        times = str(self._folder / f"times-{self._runs}.npz")
+        return Job(side, name, sends, hears, plan.extent.seconds, times, address, listen)
+
+    @staticmethod
+    def _start(stack: ExitStack, job: Job) -> Program:
+        return stack.enter_context(Program(f"{job.side} {job.name}", ["igtl_gateway.bench", job.to_json()]))
+
+    def _passed(self, programs: Sequence[tuple[Job, Program]], plan: Plan, gateway: int | None) -> Passed:
+        """Knock, begin, wait until all have arrived or nothing more does, end; all programs are ready."""
+        senders = [(job, program) for job, program in programs if job.sends]
+        listeners = [(job, program) for job, program in programs if job.hears]
+        for _, program in senders:
+            program.order("knock")
+        for job, program in listeners:
+            missing = {part.device for part in job.hears}
+            while missing:
+                missing.discard(program.wait_for("heard", _HEARD_S)["device"])
+        begin = Usage.of(gateway) if gateway else None
+        begun_ns = self._clock.monotonic_ns()
+        for _, program in senders:
+            program.order("begin")
+        sent = sum(program.wait_for("sent", self._limit_s(job))["messages"] for job, program in senders)
+        self._wait_for_arrivals([program for _, program in listeners], sent, plan)
+        seconds = (self._clock.monotonic_ns() - begun_ns) / NS_PER_S
+        end = Usage.of(gateway) if gateway else None
+        for _, program in programs:
+            program.end()
+        return Passed(_passages(programs), seconds, begin, end)
+
+    def _wait_for_arrivals(self, listeners: Sequence[Program], sent: int, plan: Plan) -> None:
+        large = any(len(payload(stream.kind).ros_maker()(0)) > _LARGE_BYTES for stream in plan.case.streams)
+        patience_ns = round((_LARGE_SILENCE_S if large else _SILENCE_S) * NS_PER_S)
+        last, changed_ns = -1, self._clock.monotonic_ns()
+        while True:
+            for program in listeners:
+                program.order("count")
+            arrived = sum(program.wait_for("count", _HEARD_S)["messages"] for program in listeners)
+            now_ns = self._clock.monotonic_ns()
+            if arrived != last:
+                last, changed_ns = arrived, now_ns
+            if arrived >= sent or now_ns - changed_ns > patience_ns:
+                return
+            self._rest.wait(_LOOK_S)
+
+    @staticmethod
+    def _limit_s(job: Job) -> float:
+        longest = max(part.count / part.stream.rate_hz if part.stream.rate_hz else 0 for part in job.sends)
+        return 2 * max(longest, job.seconds) + _HEARD_S
+
+    def _rows(self, plan: Plan, directions: Sequence[Direction], passed: Passed) -> list[Row]:
+        rows: list[Row] = []
+        for direction in directions:
+            kinds: dict[str, list[Stream]] = {}
+            for stream in plan.case.streams:
+                kinds.setdefault(stream.kind, []).append(stream)
+            for kind, streams in kinds.items():
+                passages = [replace(passed.passages[stream.device(direction)], warm=warm(stream)) for stream in streams]
+                row: Row = {"case": plan.case.name}
+                if plan.case.together:
+                    row["stream"] = kind
+                row |= {"direction": direction.value, "rate_hz": streams[0].rate_hz or None, "recording": plan.record}
+                rows.append(row | latency(passages))
+        arrived = sum(len(passage.numbers) for passage in passed.passages.values())
+        usage = _usage(passed, arrived)
+        return [row | usage for row in rows]
+
+
+def warm(stream: Stream) -> int:
+    """How many messages at the beginning do not count."""
+    if stream.rate_hz == FLOOD:
+        return _WARM_FLOOD
+    return max(1, min(_WARM_MOST, round(_WARM_S * stream.rate_hz)))
+
+
+def _usage(passed: Passed, arrived: int) -> Row:
+    """What the gateway used meanwhile, by all streams together."""
+    begin, end = passed.begin, passed.end
+    if begin is None or end is None:
+        return {}
+    cpu_s = end.cpu_s - begin.cpu_s
+    return {
+        "gateway_cpu_percent": round(100 * cpu_s / passed.seconds, 1),
+        "gateway_cpu_us_per_message": round(1e6 * cpu_s / arrived, 1) if arrived else None,
+        "recorder_cpu_percent": round(100 * (end.children_cpu_s - begin.children_cpu_s) / passed.seconds, 1),
+        "gateway_rss_mb": round(end.rss_mb, 1),
+        "gateway_rss_growth_mb": round(end.rss_mb - begin.rss_mb, 1),
+        "gateway_rss_peak_mb": round(end.peak_mb, 1),
+    }
+
+
+def _passages(programs: Sequence[tuple[Job, Program]]) -> dict[str, Passage]:
+    """What the programs wrote, by device."""
+    columns: dict[str, Any] = {}
+    for job, _ in programs:
+        try:
+            with np.load(job.times, allow_pickle=False) as file:
+                columns |= {name: file[name] for name in file.files}
+        except OSError as error:
+            raise BenchError(f"{job.name}: wrote no times: {error}") from None
+    devices = [name.partition(" ")[2] for name in columns if name.startswith("sent ")]
+    return {
+        device: Passage(columns[f"sent {device}"], columns[f"numbers {device}"], columns[f"received {device}"])
+        for device in devices
+    }
