@@ -2,8 +2,8 @@
 
 The number has to survive the conversion and must not cost anything.  Messages with a stamp carry it in the seconds of
 the stamp: the gateway keeps source stamps, the place is fixed on both sides, and the OpenIGTLink header is outside the
-CRC, so that one number in one buffer changes from message to message.  Only STRING has no stamp in ROS: its text
-begins with the number.
+CRC, so that one number in one buffer changes from message to message.  Two have no stamp in ROS: a text begins with the
+number, and of a mesh it is the first coordinate, in millimetres.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.convert import igtl_msgs, rosmsg
+from igtl_gateway.convert import rosmsg
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import HEADER_SIZE, Message, encode
 from igtl_gateway.wire.body import Body
@@ -32,17 +32,46 @@ from igtl_gateway.wire.transform import Transform
 EPOCH_S = 1_000_000_000
 
 _DIGITS = 10
-_ROS_SECONDS = struct.Struct("<i")  # behind the encapsulation, 4 bytes: the first field of every header
-_ROS_TEXT_AT = 8  # encapsulation, length of the text
-_IGTL_SECONDS = struct.Struct(">I")
-_IGTL_STAMP_AT = 34
-_IGTL_TEXT_AT = HEADER_SIZE + 4  # encoding, length of the text
-_CDR_AT = 4
+_CDR_AT = 4  # behind the encapsulation
+_STAMP_AT = 34  # in the OpenIGTLink header
+_MESH_HEAD = 40  # of POLYDATA, before its points
 
 #: Makes the message of a sequence number.
 Make = Callable[[int], Buffer]
 #: The sequence number of a message.
 Number = Callable[[Buffer], int]
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """How a number is written, and where."""
+
+    at: int
+    size: int
+    write: Callable[[int], bytes]
+    read: Callable[[bytes], int]
+
+    def number(self, message: Buffer) -> int:
+        return self.read(bytes(message[self.at : self.at + self.size]))
+
+
+def _of_struct(at: int, layout: str, start: int = 0, unit: float = 1) -> Form:
+    packing = struct.Struct(layout)
+    return Form(
+        at,
+        packing.size,
+        lambda number: packing.pack(start + number * unit),
+        lambda data: round((packing.unpack(data)[0] - start) / unit),
+    )
+
+
+def _of_text(at: int) -> Form:
+    return Form(at, _DIGITS, lambda number: b"%010d" % number, int)
+
+
+_STAMPS = (_of_struct(_CDR_AT, "<i", EPOCH_S), _of_struct(_STAMP_AT, ">I", EPOCH_S))
+# behind the length of the text; behind its encoding and length
+_TEXTS = (_of_text(_CDR_AT + 4), _of_text(HEADER_SIZE + 4))
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,54 +82,62 @@ class Payload:
         ros_type: ``"pkg/msg/Name"``.
         kind: last token of the topic that the gateway publishes it on.
         igtl_type: type name on the wire.
-        ros: makes the ROS message.
-        content: makes the content of the OpenIGTLink message.
-        text: the number is at the beginning of the text, not in the stamp.
+        ros: makes a ROS message.
+        content: makes the content of the OpenIGTLink message of a number.
+        forms: where the number is in ROS and in OpenIGTLink.
     """
 
     ros_type: str
     kind: str
     igtl_type: str
     ros: Callable[[rosmsg.Header], rosmsg.RosMessage]
-    content: Callable[[], Body]
-    text: bool = False
+    content: Callable[[int], Body]
+    forms: tuple[Form, Form] = _STAMPS
 
     def ros_maker(self) -> Callable[[int], bytes]:
         """Makes ROS messages: the same bytes again and again with another number, so each is to be sent before the
         next is made."""
+        form, _ = self.forms
         cdr = self.ros(rosmsg.Header(EPOCH_S * NS_PER_S, "Base")).pack()
-        if self.text:
-            return _patched(cdr, _ROS_TEXT_AT, _digits)
-        return _patched(cdr, _CDR_AT, lambda number: _ROS_SECONDS.pack(EPOCH_S + number))
+        # rclpy takes nothing but bytes.  A copy of an image for each number would cost as much as sending it, so the
+        # number is written into the one object, which nobody else has: rclpy has copied it when ``publish`` returns.
+        address = ctypes.cast(ctypes.c_char_p(cdr), ctypes.c_void_p).value
+        assert address is not None
+        place = address + form.at
+
+        def make(number: int) -> bytes:
+            ctypes.memmove(place, form.write(number), form.size)
+            return cdr
+
+        return make
 
     def igtl_maker(self, device: str) -> Make:
         """Makes OpenIGTLink messages, as ``ros_maker`` does."""
-        if self.text:
-            rest = _text(self.content())[_DIGITS:]
+        _, form = self.forms
+        if form.at >= HEADER_SIZE:  # in the body: the CRC is another one each time
+            return lambda number: join(encode(Message(self.igtl_type, device, self.content(number))))
+        data = bytearray(join(encode(Message(self.igtl_type, device, self.content(0)))))
 
-            def of_text(number: int) -> Buffer:
-                return join(encode(Message(self.igtl_type, device, String(_digits(number) + rest))))
-
-            return of_text
-        data = bytearray(join(encode(Message(self.igtl_type, device, self.content()))))
-
-        def of_stamp(number: int) -> Buffer:
-            _IGTL_SECONDS.pack_into(data, _IGTL_STAMP_AT, EPOCH_S + number)
+        def make(number: int) -> Buffer:
+            data[form.at : form.at + form.size] = form.write(number)
             return data
 
-        return of_stamp
+        return make
 
-    def ros_number(self, cdr: Buffer) -> int:
-        """The sequence number of a ROS message."""
-        if self.text:
-            return int(bytes(cdr[_ROS_TEXT_AT : _ROS_TEXT_AT + _DIGITS]))
-        return int(_ROS_SECONDS.unpack_from(cdr, _CDR_AT)[0]) - EPOCH_S
+    @property
+    def ros_number(self) -> Number:
+        """Finds the sequence number in a ROS message."""
+        return self.forms[0].number
 
-    def igtl_number(self, frame: Buffer) -> int:
-        """The sequence number of an OpenIGTLink message."""
-        if self.text:
-            return int(bytes(frame[_IGTL_TEXT_AT : _IGTL_TEXT_AT + _DIGITS]))
-        return int(_IGTL_SECONDS.unpack_from(frame, _IGTL_STAMP_AT)[0]) - EPOCH_S
+    @property
+    def igtl_number(self) -> Number:
+        """Finds the sequence number in an OpenIGTLink message."""
+        return self.forms[1].number
+
+    @property
+    def size(self) -> int:
+        """Bytes of the ROS message."""
+        return len(self.ros_maker()(0))
 
 
 def transform() -> Payload:
@@ -113,20 +150,20 @@ def transform() -> Payload:
         "transform",
         "TRANSFORM",
         lambda header: rosmsg.TransformStamped(header, "Tool", (0.01, -0.02, 0.0305), half),
-        lambda: Transform.from_rows(rows),
+        lambda _number: Transform.from_rows(rows),
     )
 
 
 def string(length: int) -> Payload:
     """A text of so many bytes."""
-    text = "0" * _DIGITS + "." * (length - _DIGITS)
+    rest = "." * (length - _DIGITS)
     return Payload(
         rosmsg.String.TYPE,
         "string",
         "STRING",
-        lambda _header: rosmsg.String(text),
-        lambda: String(text.encode()),
-        text=True,
+        lambda _header: rosmsg.String("0" * _DIGITS + rest),
+        lambda number: String(f"{number:0{_DIGITS}}{rest}".encode()),
+        _TEXTS,
     )
 
 
@@ -138,7 +175,7 @@ def points(count: int) -> Payload:
         "points",
         "POINT",
         lambda header: _cloud(header, xyz / 1000),
-        lambda: Points.of(xyz),
+        lambda _number: Points.of(xyz),
     )
 
 
@@ -150,22 +187,30 @@ def cloud(count: int) -> Payload:
         "points",
         "POLYDATA",
         lambda header: _cloud(header, xyz / 1000),
-        lambda: PolyData(xyz.astype(">f4")),
+        lambda _number: PolyData(xyz.astype(">f4")),
     )
 
 
 def surface(count: int, triangles: int) -> Payload:
-    """A surface of so many points: igtl_msgs/PolyData (float64) and POLYDATA (float32)."""
-    xyz = _positions(count)
-    cells = np.empty((triangles, 4), np.uint32)
-    cells[:, 0] = 3
-    cells[:, 1:] = np.arange(3 * triangles, dtype=np.uint32).reshape(-1, 3) % count
+    """A surface of so many points: shape_msgs/Mesh (float64) and POLYDATA (float32)."""
+    corners = (np.arange(3 * triangles, dtype=np.uint32) % np.uint32(count)).reshape(-1, 3)
+    vertices = _positions(count) / 1000
+    xyz = _positions(count).astype(">f4")
+    cells = Cells.of(corners)
+    # the number of triangles, those, the number of vertices, and what aligns these
+    first = -(-(4 + corners.nbytes + 4) // 8) * 8
+
+    def content(number: int) -> PolyData:
+        xyz[0, 0] = number
+        return PolyData(xyz, polygons=cells)
+
     return Payload(
-        igtl_msgs.PolyData.TYPE,
-        "polydata",
+        rosmsg.Mesh.TYPE,
+        "mesh",
         "POLYDATA",
-        lambda header: igtl_msgs.PolyData(header, xyz.astype(np.float64) / 1000, polygons=cells.reshape(-1)),
-        lambda: PolyData(xyz.astype(">f4"), polygons=Cells(triangles, cells.reshape(-1).astype(">u4"))),
+        lambda _header: rosmsg.Mesh(corners, vertices),
+        content,
+        (_of_struct(_CDR_AT + first, "<d", unit=1e-3), _of_struct(HEADER_SIZE + _MESH_HEAD, ">f")),
     )
 
 
@@ -178,7 +223,7 @@ def image(width: int, height: int) -> Payload:
         "image",
         "IMAGE",
         lambda header: rosmsg.Image(header, height, width, "rgb8", 0, 3 * width, data),
-        lambda: Image((width, height, 1), 3, data, 3),
+        lambda _number: Image((width, height, 1), 3, data, 3),
     )
 
 
@@ -192,27 +237,3 @@ def _positions(count: int) -> npt.NDArray[np.float64]:
     """A helix of ``count`` points, in millimetres."""
     at = np.arange(count)
     return np.stack([30 * np.cos(at / 16), 30 * np.sin(at / 16), at / 20], axis=1)
-
-
-def _digits(number: int) -> bytes:
-    return b"%010d" % number
-
-
-def _text(content: Body) -> bytes:
-    assert isinstance(content, String)
-    return content.data
-
-
-def _patched(data: bytes, at: int, pack: Callable[[int], bytes]) -> Callable[[int], bytes]:
-    # rclpy takes nothing but bytes.  A copy of an image for each number would cost as much as sending it, so the
-    # number is written into the one object, which nobody else has: rclpy has copied it when ``publish`` returns.
-    address = ctypes.cast(ctypes.c_char_p(data), ctypes.c_void_p).value
-    assert address is not None
-    place = address + at
-
-    def make(number: int) -> bytes:
-        part = pack(number)
-        ctypes.memmove(place, part, len(part))
-        return data
-
-    return make

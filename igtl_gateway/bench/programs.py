@@ -152,10 +152,10 @@ class RosSide:
         self._edge.start()
         for part in self._job.hears:
             kind = payload(part.stream.kind)
-            self._edge.subscribe(part.topic, kind.ros_type, _qos(len(kind.ros_maker()(0))))
+            self._edge.subscribe(part.topic, kind.ros_type, _qos(kind.size))
         for part in self._job.sends:
             kind = payload(part.stream.kind)
-            self._edge.advertise(part.topic, kind.ros_type, _qos(len(kind.ros_maker()(0))))
+            self._edge.advertise(part.topic, kind.ros_type, _qos(kind.size))
 
     def found(self) -> None:
         for part in self._job.sends:
@@ -165,8 +165,7 @@ class RosSide:
 
     def sender(self, part: Part) -> Callable[[int], int]:
         kind, publish, now, topic = payload(part.stream.kind), self._edge.publish, self._now, part.topic
-        make, type_name = kind.ros_maker(), kind.ros_type
-        qos = _qos(len(make(0)))
+        make, type_name, qos = kind.ros_maker(), kind.ros_type, _qos(kind.size)
 
         def send(number: int) -> int:
             message = make(number)
@@ -319,7 +318,7 @@ class _Orders:
 def _send(job: Job, side: Side, orders: _Orders) -> list[list[int]]:
     """Knock, then send; when each message was sent."""
     senders = [side.sender(part) for part in job.sends]
-    size = sum(len(payload(part.stream.kind).ros_maker()(0)) for part in job.sends)
+    size = sum(payload(part.stream.kind).size for part in job.sends)
     orders.knocking.wait()
     while not orders.begun.is_set():
         for send in senders:

@@ -254,7 +254,7 @@ class Runner:
         return Passed(_passages(programs), seconds, begin, end)
 
     def _wait_for_arrivals(self, listeners: Sequence[Program], sent: int, plan: Plan) -> None:
-        large = any(len(payload(stream.kind).ros_maker()(0)) > _LARGE_BYTES for stream in plan.case.streams)
+        large = any(payload(stream.kind).size > _LARGE_BYTES for stream in plan.case.streams)
         patience_ns = round((_LARGE_SILENCE_S if large else _SILENCE_S) * NS_PER_S)
         last, changed_ns = -1, self._clock.monotonic_ns()
         while True:
