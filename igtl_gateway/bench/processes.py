@@ -138,18 +138,19 @@ class Program:
     def end(self) -> None:
         """End its input and wait until it has gone."""
         self._close_input()
-        self._gone()
+        self.gone()
 
     def interrupt(self) -> None:
         """End it as Ctrl-C would, and wait until it has gone."""
         self._process.send_signal(signal.SIGINT)
-        self._gone()
+        self.gone()
 
-    def _gone(self) -> None:
+    def gone(self, timeout_s: float = _END_S) -> None:
+        """Wait until it has ended.  Raises BenchError if it does not, or badly."""
         try:
-            code = self._process.wait(_END_S)
+            code = self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:
-            raise BenchError(f"{self._name}: did not end within {_END_S:g} s") from None
+            raise BenchError(f"{self._name}: did not end within {timeout_s:g} s") from None
         if code:
             raise BenchError(f"{self._name}: {self._last_words('end')}")
 
