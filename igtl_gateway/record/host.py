@@ -1,22 +1,26 @@
 """Where the recorder's worker works: in a process of its own, or in a thread.
 
-A thread is for tests on manual time, and for systems that refuse memory which processes can share (a limit of the size
-of files counts for that, too).
+A thread is for tests on manual time, and for systems that refuse another process, or memory which processes can share
+(a limit of the size of files counts for that, too).
 
-``python -m igtl_gateway.record.host PIPE MEMORY`` is that process; the numbers are file descriptors it inherits.
+``python -m igtl_gateway.record.host PIPE MEMORY BRIDGE`` is that process: file descriptors it inherits, and the number
+of the process that has started it.
 """
 
 from __future__ import annotations
 
 import mmap
 import os
+import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.record.options import LARGEST_BYTES, RecordOptions
@@ -48,26 +52,12 @@ Host = Callable[[Settings, Clock], Place]
 
 
 def in_process(settings: Settings, clock: Clock) -> Place:
-    """A process of its own, which outlives this one until all is written; a thread where memory is refused."""
+    """A process of its own, which outlives this one until all is written; a thread where the system refuses that."""
     try:
-        handle = shared_memory(settings.options.queue_bytes, LARGEST_BYTES)
+        child, ours, queue = _start(settings.options)
     except OSError as error:
-        warning = f"no memory for a process of the recorder's own ({error.strerror}): it is a thread of the bridge"
+        warning = f"no process of the recorder's own ({error.strerror}): it is a thread of the bridge"
         return replace(in_thread(settings, clock), warning=warning)
-    ours, theirs = Pipe()
-    try:
-        child = subprocess.Popen(
-            [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), str(handle)],
-            pass_fds=(theirs.fileno(), handle),
-            stdin=subprocess.DEVNULL,
-            # what ends the bridge from a terminal must not end this: the bridge says when
-            start_new_session=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        )
-        theirs.close()
-        queue = _putter(mmap.mmap(handle, 0), settings.options)
-    finally:
-        os.close(handle)
 
     def wait() -> str:
         code = child.wait()
@@ -79,6 +69,32 @@ def in_process(settings: Settings, clock: Clock) -> Place:
     except BrokenPipeError:
         pass
     return Place(ours, queue, wait)
+
+
+def _start(options: RecordOptions) -> tuple[subprocess.Popen[bytes], Connection, Putter]:
+    """The process, our end of the pipe, and the queue to it.  Raises OSError."""
+    handle = shared_memory(options.queue_bytes, LARGEST_BYTES)
+    try:
+        queue = _putter(mmap.mmap(handle, 0), options)
+        ours, theirs = Pipe()
+        with theirs:
+            child = subprocess.Popen(
+                [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), str(handle), str(os.getpid())],
+                pass_fds=(theirs.fileno(), handle),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,  # whoever reads what the bridge prints waits for the bridge only
+                # what ends the bridge from a terminal must not end this: the bridge says when
+                start_new_session=True,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(_python_path())},
+            )
+    finally:
+        os.close(handle)
+    return child, ours, queue
+
+
+def _python_path() -> list[str]:
+    """Where this process finds its modules; the empty entry is the folder that it works in."""
+    return [str(Path(entry).absolute()) for entry in sys.path]
 
 
 def in_thread(settings: Settings, clock: Clock) -> Place:
@@ -107,10 +123,19 @@ def _putter(place: mmap.mmap, options: RecordOptions) -> Putter:
 
 def main() -> None:
     """The process."""
-    pipe, handle = (int(word) for word in sys.argv[1:])
+    # whoever ends services signals to all their processes at once: here, too, it is the bridge that says when
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    pipe, handle, bridge = (int(word) for word in sys.argv[1:])
     os.nice(_NICENESS)
-    with Connection(pipe) as connection:
-        work(connection.recv(), Getter(mmap.mmap(handle, 0)), connection, SystemClock())
+    with Connection(pipe) as connection, suppress(EOFError):  # it was gone before it could say anything
+        settings = connection.recv()
+        try:
+            queue = Getter(mmap.mmap(handle, 0))
+        except OSError as error:
+            connection.send(f"cannot record to {settings.path}: no memory for its queue: {error.strerror}")
+            return
+        work(settings, queue, connection, SystemClock(), lambda: os.getppid() != bridge)
 
 
 if __name__ == "__main__":

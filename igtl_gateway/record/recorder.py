@@ -36,6 +36,8 @@ from igtl_gateway.session.note import Level, Note
 _WAKE_BYTES = 8 << 20
 _WAKE_ENTRIES = 2_000
 
+_ENDED = "the recording has ended"
+
 
 class Recorder:
     """Records entries; see the module.
@@ -98,11 +100,17 @@ class Recorder:
         self._thread.start()
 
     def __call__(self, entry: Entry) -> None:
-        """Record an entry.  Its buffers may change as soon as this returns."""
+        """Record an entry.  Its buffers may change as soon as this returns.
+
+        Raises TypeError or the like for what is no entry, which counts as dropped.
+        """
         with self._lock:
-            if self._closing or self._state.failure or not self._queue.put(entry):
-                self._count_drop(entry)
-                return
+            taken = False
+            try:
+                taken = not (self._closing or self._state.failure) and self._queue.put(entry)
+            finally:
+                if not taken:
+                    self._count_drop(entry)
             entries, waiting = self._queue.waiting
         if waiting > _WAKE_BYTES or entries > _WAKE_ENTRIES:
             self._wake()
@@ -135,12 +143,13 @@ class Recorder:
     def snapshot(self) -> Future[Path]:
         """Write the last seconds into a file; the result is its path, or a RecordingError."""
         done: Future[Path] = Future()
+        done.set_running_or_notify_cancel()  # what is under way cannot be cancelled
         with self._lock:
             self._asked_snapshots += 1
             number = self._asked_snapshots
             self._snapshots[number] = done
         if not self._command("snapshot", number):
-            self._end_snapshots()
+            self._end_snapshot(number, None, _ENDED)
         return done
 
     def close(self, ledger: dict[str, Any]) -> RecordingSummary:
@@ -148,9 +157,12 @@ class Recorder:
 
         ``ledger`` goes into the file together with the recorder's own counters (key ``recorder``).
         """
-        self._command("close", json.dumps(ledger))
-        with self._lock:
+        words = "close", json.dumps(ledger)
+        with self._lock:  # at once: an entry between the two would neither be written nor count as dropped
+            if not (self._closing or self._ended):
+                self._queue.command(*words)
             self._closing = True
+        self._wake()
         self._thread.join()
         if self._summary is None:
             self._summary = self._summary_of_lost()
@@ -177,7 +189,7 @@ class Recorder:
 
     def _count_drop(self, entry: Entry) -> None:
         """The caller holds the lock."""
-        stream = entry.channel or entry.kind.value
+        stream = str(entry.channel or entry.kind.value)
         if stream not in self._dropped and len(self._dropped) >= MAX_STREAMS:
             stream = OTHERS
         self._dropped[stream] += 1
@@ -196,8 +208,7 @@ class Recorder:
                 return
             self._take(topic, told)
         self._place.wait()
-        self._end_snapshots()
-        self._pipe.close()
+        self._end()
 
     def _take(self, topic: str, told: list[Any]) -> None:
         match topic:
@@ -215,12 +226,7 @@ class Recorder:
                     dropped = dict(self._dropped)
                 self._send(dropped)
             case "snapshot":
-                number, path, why = told
-                done = self._snapshots.pop(number)
-                if path:
-                    done.set_result(path)
-                else:
-                    done.set_exception(RecordingError(why))
+                self._end_snapshot(*told)
             case "closed":
                 with self._lock:
                     self._state, self._summary = told
@@ -237,12 +243,16 @@ class Recorder:
         """The worker ended without a word: it was killed."""
         failure = f"recording to {self._path} failed: the recorder's process has ended: {self._place.wait()}"
         with self._lock:
-            entries, _ = self._queue.waiting
-            self._dropped["(in the queue)"] += entries
-            self._state = replace(self._state, failure=failure)
+            told = self._state
+            if self.options.snapshot_s:
+                lost, _ = self._queue.waiting
+            else:  # what it had taken, and not yet told of, may be in the file, or not
+                accounted = told.written_entries + sum(told.dropped.values()) + sum(told.left_out.values())
+                lost = self._queue.given - accounted
+            self._dropped["(with the recorder's process)"] += lost
+            self._state = replace(told, failure=failure)
             self._ended = True
-        self._end_snapshots()
-        self._pipe.close()
+        self._end()
         then = "the bridge stops" if self.options.stop_on_failure else "the bridge goes on without recording"
         self._on_note(Note(Level.ERROR, FAILED, f"{failure}; {then}; igtl-gateway recover mends the file"))
 
@@ -260,8 +270,19 @@ class Recorder:
             told["failure"],
         )
 
-    def _end_snapshots(self) -> None:
+    def _end_snapshot(self, number: int, path: Path | None, why: str) -> None:
         with self._lock:
-            waiting, self._snapshots = list(self._snapshots.values()), {}
-        for done in waiting:
-            done.set_exception(RecordingError("the recording has ended"))
+            done = self._snapshots.pop(number, None)
+        if done and path:
+            done.set_result(path)
+        elif done:
+            done.set_exception(RecordingError(why))
+
+    def _end(self) -> None:
+        """There is no worker any more."""
+        with self._lock:
+            waiting = list(self._snapshots)
+        for number in waiting:
+            self._end_snapshot(number, None, _ENDED)
+        with self._sending:  # nobody is to write to what has this number next
+            self._pipe.close()

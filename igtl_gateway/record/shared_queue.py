@@ -16,8 +16,10 @@ import os
 import struct
 import tempfile
 import threading
+from operator import index
 from typing import Any
 
+from igtl_gateway.buffers import Buffer
 from igtl_gateway.session.entry import Entry, Kind
 
 _PAGE = 4096
@@ -106,20 +108,27 @@ class Putter(_End):
         """Entries and bytes that were put and are not done with."""
         return self._entries - self._counters[_DONE_ENTRIES], self._taken - self._counters[_DONE_BYTES]
 
+    @property
+    def given(self) -> int:
+        """Entries that were put so far."""
+        return self._entries
+
     def put(self, entry: Entry) -> bool:
-        """Add an entry; False if there is no room for it."""
-        payload = entry.payload
-        size = sum(map(len, payload))
-        entries, waiting = self.waiting
-        full = entries >= self._max_entries or (entries and waiting + size + ENTRY_BYTES > self._max_bytes)
-        kind = _NUMBERS[entry.kind]
-        head = (entry.seq, entry.stamp_ns, kind, entry.channel, entry.type, entry.links, entry.source_ns)
-        if full or not self._add(marshal.dumps(head), payload, size):
-            self._counters[_REFUSED] += 1
-            return False
-        self._entries += 1
-        self._taken += size + ENTRY_BYTES
-        return True
+        """Add an entry; False if there is no room for it.  Raises TypeError or the like for what is none."""
+        taken = False
+        try:
+            payload = [part if type(part) in _FLAT else _flat(part) for part in entry.payload]
+            size = sum(map(len, payload))
+            entries, waiting = self.waiting
+            full = entries >= self._max_entries or (entries and waiting + size + ENTRY_BYTES > self._max_bytes)
+            taken = not full and self._add(_head(entry), payload, size)
+        finally:
+            if not taken:
+                self._counters[_REFUSED] += 1
+        if taken:
+            self._entries += 1
+            self._taken += size + ENTRY_BYTES
+        return taken
 
     def command(self, name: str, *words: Any) -> bool:
         """Add a command, whatever waits already; False if even the room for commands is taken."""
@@ -159,6 +168,30 @@ class Putter(_End):
             pass
         self._counters[_HEAD] = self._position
         return True
+
+
+_FLAT = frozenset({bytes, bytearray})
+
+
+def _flat(part: Buffer) -> Buffer:
+    """The same bytes as a row of bytes, of whatever shape and items the buffer is."""
+    view = memoryview(part)
+    return view if view.format == "B" and view.ndim == 1 else view.tobytes()
+
+
+def _head(entry: Entry) -> bytes:
+    """All but the payload.  What only passes for a number or a text is made one: marshal takes it for bytes, or not."""
+    return marshal.dumps(
+        (
+            index(entry.seq),
+            index(entry.stamp_ns),
+            _NUMBERS[entry.kind],
+            "" + entry.channel,
+            "" + entry.type,
+            tuple(map(index, entry.links)),
+            index(entry.source_ns),
+        )
+    )
 
 
 class Getter(_End):
@@ -202,9 +235,9 @@ class Getter(_End):
         if isinstance(words[0], str):
             return tuple(words)
         seq, stamp_ns, kind, channel, type_name, links, source_ns = words
-        payload = bytes(self._ring[at + head_size : at + head_size + size])
         self._entries += 1
         self._done += size + ENTRY_BYTES
+        payload = bytes(self._ring[at + head_size : at + head_size + size])
         return Entry(seq, stamp_ns, _KINDS[kind], channel, type_name, (payload,), links, source_ns)
 
     def done(self) -> None:

@@ -41,6 +41,7 @@ THREAD = "record_thread"
 PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
 
 _LOOK_S = 0.05
+_LOOK_NS = 50_000_000
 _NOTE_NS = 1_000_000_000
 
 
@@ -116,15 +117,22 @@ class State:
         }
 
 
-def work(settings: Settings, queue: Getter, pipe: Connection, clock: Clock) -> None:
-    """Record until the other end says so or is gone.  Says first whether the file could be created."""
+def work(
+    settings: Settings, queue: Getter, pipe: Connection, clock: Clock, orphaned: Callable[[], bool] = lambda: False
+) -> None:
+    """Record until the other end says so or is gone.  Says first whether the file could be created.
+
+    ``orphaned`` tells that the bridge is gone though the pipe is open: whom it has forked has that, too.
+    """
+    worker, refused = None, ""
     try:
-        worker = _Worker(settings, queue, pipe, clock)
+        worker = _Worker(settings, queue, pipe, clock, orphaned)
     except RecordingError as error:
-        pipe.send(str(error))
-        return
-    pipe.send("")
-    worker.run()
+        refused = str(error)
+    with suppress(OSError):  # gone already: the file is closed like any other
+        pipe.send(refused)
+    if worker:
+        worker.run()
 
 
 class _Gone(Exception):
@@ -132,8 +140,11 @@ class _Gone(Exception):
 
 
 class _Worker:
-    def __init__(self, settings: Settings, queue: Getter, pipe: Connection, clock: Clock) -> None:
+    def __init__(
+        self, settings: Settings, queue: Getter, pipe: Connection, clock: Clock, orphaned: Callable[[], bool]
+    ) -> None:
         self._settings = settings
+        self._orphaned = orphaned
         self.options = settings.options
         self._session = dict(settings.session) | settings.options.selection.facts()
         self._queue = queue
@@ -152,7 +163,8 @@ class _Worker:
         self._told_refused: set[str] = set()
         self._told_state = State()
         self._left_out_before = 0  # of the pause that is on
-        self._flushed_ns = 0
+        self._flushed_ns = self._stated_ns = 0
+        self._asked: list[tuple[int, int]] = []  # snapshots: number, and UTC ns of the request
         self._writer = self._open(settings.path, settings.rule)
 
     def _open(self, path: Path, rule: StateRule) -> SessionWriter | PartsWriter | Ring:
@@ -200,7 +212,7 @@ class _Worker:
             self._guarded(self._drain)
         self._finish()
 
-    def _guarded(self, step: Callable[[], None]) -> None:
+    def _guarded(self, step: Callable[[], object]) -> None:
         """A defect here must not end the recording without a word."""
         try:
             step()
@@ -209,16 +221,23 @@ class _Worker:
 
     # -- the bridge -------------------------------------------------------------------------------------------
 
-    def _wait(self) -> None:
-        """Until it is time to look, or the bridge wants it."""
+    def _wait(self) -> bool:
+        """Until it is time to look, or the bridge wants it; whether it was the former."""
+        rested = False
         try:
             if self._pipe.poll(_LOOK_S):
                 self._pipe.recv()
+            else:
+                rested = True
+                self._gone = self._gone or self._orphaned()
         except (EOFError, OSError):
             self._gone = True
         self._queue.answer_bell()
+        return rested
 
     def _tell(self, *words: Any) -> None:
+        if self._gone:
+            return
         try:
             self._pipe.send(words)
         except OSError:
@@ -228,13 +247,14 @@ class _Worker:
         """Ask something and wait for the answer.  Raises _Gone."""
         self._tell(*words)
         try:
-            while True:
-                answer = self._pipe.recv()
-                if answer != "wake":
+            while not self._gone:
+                if not self._pipe.poll(_LOOK_S):
+                    self._gone = self._orphaned()
+                elif (answer := self._pipe.recv()) != "wake":
                     return answer
         except (EOFError, OSError):
             self._gone = True
-            raise _Gone from None
+        raise _Gone
 
     def _note(self, note: Note) -> None:
         self._tell_state()
@@ -261,31 +281,51 @@ class _Worker:
         return answer
 
     def _counters(self) -> dict[str, Any]:
-        with suppress(_Gone):
-            self._not_queued = Counter(self._ask("drops"))
+        self._ask_drops()
         return self._state().counters(self._not_queued)
+
+    def _ask_drops(self) -> None:
+        """What the queue did not take, by stream."""
+        try:
+            self._not_queued = Counter(self._ask("drops"))
+        except _Gone:  # how many there were is known here, too
+            self._not_queued[OTHERS] += max(0, self._queue.refused - self._not_queued.total())
 
     # -- the work ---------------------------------------------------------------------------------------------
 
     def _round(self) -> None:
-        self._wait()
-        self._drain()
-        self._flush_if_due()
-        self._tell_drops()
+        rested = self._wait()
+        if not self._drain() and rested:
+            self._take_asked()
+        self._see_to()
         self._tell_state()
 
-    def _drain(self) -> None:
-        """All that waits, up to the end of the recording: what comes behind that is not of it."""
+    def _drain(self) -> bool:
+        """All that waits, up to the end of the recording: what comes behind that is not of it.  False: nothing did."""
+        some = False
         while self._ledger is None and (item := self._queue.get()) is not None:
+            some = True
             try:
                 if isinstance(item, Entry):
+                    if self._asked and item.kind.is_input:
+                        self._take_asked()
                     for passed in self._gate.take(item):
                         self._write(passed)
                 else:
                     self._obey(*item)
             finally:
                 self._queue.done()
-            self._flush_if_due()
+            self._see_to()
+        return some
+
+    def _see_to(self) -> None:
+        """What time brings, between any two entries: if the disk is too slow, there is always another one."""
+        now_ns = self._clock.monotonic_ns()
+        self._flush_if_due(now_ns)
+        self._tell_drops(now_ns)
+        if now_ns - self._stated_ns >= _LOOK_NS:
+            self._stated_ns = now_ns
+            self._tell_state()
 
     def _obey(self, command: str, *words: Any) -> None:
         match command:
@@ -294,10 +334,11 @@ class _Worker:
             case "resume":
                 self._set_paused(False)
             case "snapshot":
-                self._take(*words)
+                self._asked.append((*words, self._clock.utc_ns()))
             case "fail":
                 self._fail(*words)
             case "close":
+                self._take_asked()
                 self._ledger = json.loads(*words)
 
     def _write(self, entry: Entry) -> None:
@@ -337,12 +378,21 @@ class _Worker:
         text = f"the recording goes on; {missed:,} entries were left out"
         self._note(Note(Level.INFO, RESUMED, text, data={"left_out": missed}))
 
-    def _take(self, number: int) -> None:
+    def _take_asked(self) -> None:
+        """Write the snapshots that were asked for: before an input, or when no output can follow the last one.
+
+        They are asked for from another thread than that which gives an input and its outputs, so perhaps in between.
+        """
+        asked, self._asked = self._asked, []
+        for number, utc_ns in asked:
+            self._take(number, utc_ns)
+
+    def _take(self, number: int, utc_ns: int) -> None:
         """Write a snapshot.  That one fails does not end the recording: the ring is still there."""
         try:
             if not isinstance(self._writer, Ring):
                 raise RecordingError("no snapshots: everything is recorded (--snapshot SECONDS keeps the last ones)")
-            path = self._writer.take({"recorder": self._counters()}, self._clock.utc_ns())
+            path = self._writer.take({"recorder": self._counters()}, utc_ns)
         except (RecordingError, OSError) as error:
             self._note(Note(Level.ERROR, FAILED, f"no snapshot: {error}"))
             self._tell("snapshot", number, None, str(error))
@@ -358,8 +408,7 @@ class _Worker:
             self._told_refused.add(stream)
             self._note(Note(Level.ERROR, REFUSED, f"not recorded: {error}", stream))
 
-    def _flush_if_due(self) -> None:
-        now_ns = self._clock.monotonic_ns()
+    def _flush_if_due(self, now_ns: int) -> None:
         if now_ns - self._flushed_ns < self._flush_ns or self._failure:
             return
         self._flushed_ns = now_ns
@@ -368,16 +417,14 @@ class _Worker:
         except RecordingError as error:
             self._fail(str(error))
 
-    def _tell_drops(self) -> None:
+    def _tell_drops(self, now_ns: int) -> None:
         """At most once a second, of what the queue did not take since the last time."""
-        now_ns = self._clock.monotonic_ns()
         if self._failure or (self._told_ns is not None and now_ns - self._told_ns < _NOTE_NS):
             return
         if self._queue.refused == self._not_queued.total():
             return
-        before = self._not_queued
-        with suppress(_Gone):
-            self._not_queued = Counter(self._ask("drops"))
+        before = Counter(self._not_queued)
+        self._ask_drops()
         untold = self._not_queued - before
         self._told_ns = now_ns
         text = f"the disk is too slow: {untold.total()} entries of {len(untold)} streams are not in the recording"

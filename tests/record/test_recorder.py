@@ -24,7 +24,7 @@ from mcap.stream_reader import StreamReader
 from igtl_gateway.clock import ManualClock, SystemClock
 from igtl_gateway.errors import DamagedRecording, RecordingError
 from igtl_gateway.qos import Qos
-from igtl_gateway.record import mcap_writer
+from igtl_gateway.record import host, mcap_writer
 from igtl_gateway.record import recorder as recorder_module
 from igtl_gateway.record import worker as worker_module
 from igtl_gateway.record.host import in_thread
@@ -279,6 +279,43 @@ def test_drops_are_noted_at_most_once_a_second_but_all_of_them(path: Path) -> No
     assert bench.recorder.close({}).dropped == {"TRANSFORM/ProbeToTracker": 3}
 
 
+def test_drops_are_told_while_the_queue_is_never_empty(path: Path) -> None:
+    turns, told = threading.Semaphore(0), threading.Event()
+    notes: list[Note] = []
+
+    def qos_of(_topic: str, _type: str) -> Qos | None:
+        assert turns.acquire(timeout=DEADLINE_S)
+        return None
+
+    def on_note(note: Note) -> None:
+        notes.append(note)
+        told.set()
+
+    recorder = Recorder(
+        path, {}, qos_of=qos_of, on_note=on_note, clock=ManualClock(), host=in_thread,
+        options=RecordOptions(queue_entries=3),
+    )  # fmt: skip
+    for seq in range(1, 11):
+        recorder(samples.ros(seq, topic=f"/hold_{seq}"))
+    turns.release()  # for one of the three: the next one waits
+    assert told.wait(DEADLINE_S)
+    counters = recorder.counters()
+    assert (counters["written_entries"], counters["queued_entries"]) == (1, 2)
+    assert [note.data for note in notes] == [{"dropped": {f"/hold_{seq}": 1 for seq in range(4, 11)}}]
+    turns.release(2)
+    assert recorder.close({}).entries == 3
+
+
+def test_what_is_no_entry_counts_as_dropped(path: Path) -> None:
+    bench = Bench(path)
+    bad: Entry = Entry(1, 1, Kind.ROS_IN, 5, "std_msgs/msg/String")  # type: ignore[arg-type]
+    with pytest.raises(TypeError):
+        bench.recorder(bad)
+    bench.recorder(samples.ros(2))
+    summary = bench.recorder.close({})
+    assert (summary.entries, summary.dropped, summary.failure) == (1, {"5": 1}, "")
+
+
 def test_streams_of_drops_are_bounded(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder_module, "MAX_STREAMS", 2)
     bench = Bench(path)
@@ -403,18 +440,120 @@ def test_when_the_worker_is_killed_it_is_told_and_the_process_goes_on(path: Path
         told.set()
 
     recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=on_note, clock=SystemClock())
-    recorder(samples.igtl(1))
+    for seq in range(1, 101):
+        recorder(samples.igtl(seq))
     (worker,) = workers(os.getpid())
     os.kill(worker, signal.SIGKILL)
     assert told.wait(DEADLINE_S)
-    recorder(samples.igtl(2))
+    recorder(samples.igtl(101))
     assert [note.code for note in notes] == [worker_module.FAILED]
     assert "the recorder's process has ended: killed by signal 9; the bridge goes on" in notes[0].text
     summary = recorder.close({})
     assert "killed by signal 9" in summary.failure
-    assert (summary.files, summary.entries + sum(summary.dropped.values())) == ((path,), 2)
+    assert (summary.files, summary.entries + sum(summary.dropped.values())) == ((path,), 101)
     with pytest.raises(RecordingError, match="has ended"):
         recorder.snapshot().result(DEADLINE_S)
+
+
+def test_signals_to_all_processes_of_a_service_leave_the_end_to_the_bridge(path: Path) -> None:
+    notes: list[Note] = []
+    recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=notes.append, clock=SystemClock())
+    (worker,) = workers(os.getpid())
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        os.kill(worker, number)
+    recorder(samples.igtl(1))
+    summary = recorder.close({})
+    assert (summary.entries, summary.failure, notes) == (1, "", [])
+
+
+DROPPING_CHILD = """
+import os, signal, sys
+from pathlib import Path
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import Recorder
+from tests.record import samples
+from tests.record.test_recorder import workers
+options = RecordOptions(queue_entries=10)
+recorder = Recorder(
+    Path(sys.argv[1]), {}, qos_of=lambda *_: None, on_note=print, clock=SystemClock(), options=options
+)
+(worker,) = workers(os.getpid())
+os.kill(worker, signal.SIGSTOP)
+for seq in range(1, 1001):
+    recorder(samples.igtl(seq))
+print(worker, flush=True)
+signal.pause()
+"""
+
+
+def test_when_the_process_is_killed_while_it_drops_the_counts_close(path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", DROPPING_CHILD, str(path)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout is not None
+        worker = int(child.stdout.readline())
+        child.kill()
+        child.wait()
+        os.kill(worker, signal.SIGCONT)
+    with closed(path) as file:
+        assert file.ledger is not None
+        told = file.ledger["recorder"]
+        assert told["written_entries"] == sum(1 for _ in file.entries()) >= 10
+        assert told["written_entries"] + told["dropped_entries"] == 1000
+
+
+FORKING_CHILD = """
+import os, signal, sys
+from pathlib import Path
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.record.recorder import Recorder
+from tests.record import samples
+recorder = Recorder(Path(sys.argv[1]), {}, qos_of=lambda *_: None, on_note=print, clock=SystemClock())
+forked = os.fork()
+if forked:
+    recorder(samples.igtl(1))
+    print(forked, flush=True)
+signal.pause()
+"""
+
+
+def test_when_the_process_is_killed_and_one_that_it_forked_is_not(path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", FORKING_CHILD, str(path)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout is not None
+        forked = int(child.stdout.readline())
+        try:
+            child.kill()
+            child.wait()
+            with closed(path) as file:
+                assert len(list(file.entries())) == 1
+        finally:
+            os.kill(forked, signal.SIGKILL)
+
+
+def test_where_no_process_is_to_be_had_it_is_a_thread_and_says_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    notes: list[Note] = []
+    recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=notes.append, clock=SystemClock())
+    recorder(samples.igtl(1))
+    assert recorder.close({}).entries == 1
+    assert [(note.code, note.text) for note in notes] == [
+        (
+            worker_module.THREAD,
+            "no process of the recorder's own (Resource temporarily unavailable): it is a thread of the bridge",
+        )
+    ]
+
+
+def test_modules_are_found_where_the_process_finds_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["", "here", "/there"])
+    assert host._python_path() == [str(tmp_path), str(tmp_path / "here"), "/there"]
 
 
 @pytest.mark.parametrize("work", ["idle", "busy"])
@@ -649,6 +788,25 @@ def test_a_pause_leaves_out_and_says_how_much(path: Path) -> None:
     with SessionFile.open(path) as file:
         assert file.ledger is not None
         assert file.ledger["recorder"]["left_out"] == {"/chatter": 5}
+
+
+def test_what_is_asked_for_too_late_spoils_nothing(path: Path) -> None:
+    bench = Bench(path)
+    bench.hold(1)
+    early = bench.recorder.snapshot()
+    ending = threading.Thread(target=bench.recorder.close, args=({},))
+    ending.start()
+    late = bench.recorder.snapshot()
+    while not late.done():  # until the end has begun
+        late = bench.recorder.snapshot()
+    bench.go_on.set()
+    ending.join(DEADLINE_S)
+    assert not ending.is_alive()
+    for asked, words in ((early, "everything is recorded"), (late, "has ended")):
+        with pytest.raises(RecordingError, match=words):
+            asked.result(DEADLINE_S)
+    summary = bench.recorder.close({})
+    assert (summary.entries, summary.failure) == (1, "")
 
 
 def test_streams_that_are_left_out_are_named_in_the_file(path: Path) -> None:

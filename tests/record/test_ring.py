@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,11 @@ import pytest
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import RecordingError
+from igtl_gateway.record import host
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.shared_queue import Getter
 from igtl_gateway.record.worker import FAILED, SNAPSHOT
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import Losses, verify
@@ -82,6 +85,41 @@ def test_a_snapshot_has_the_last_seconds_whole_and_verifies(path: Path) -> None:
     assert (summary.files, summary.entries, summary.size) == ((file,), len(kept), file.stat().st_size)
     assert sorted(path.parent.iterdir()) == [file], "nothing else is written"
     assert healthy(file)
+
+
+def test_a_snapshot_asked_for_between_an_input_and_its_outputs_has_them_too(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin = threading.Event()
+
+    class Late(Getter):
+        def get(self) -> Entry | tuple[Any, ...] | None:
+            assert begin.wait(DEADLINE_S)
+            return super().get()
+
+    monkeypatch.setattr(host, "Getter", Late)
+    bench, entries = Bench(path), session(1)
+    inputs = [at for at, entry in enumerate(entries) if entry.kind.is_input]
+    middle = next(at for at, after in zip(inputs, [*inputs[1:], len(entries)], strict=True) if after - at > 1) + 1
+    bench.feed(entries[:middle])
+    first = bench.recorder.snapshot()
+    bench.feed(entries[middle:])
+    last = bench.recorder.snapshot()  # behind the outputs of the last input, which no other one follows
+    begin.set()
+    after = next(at for at in inputs if at >= middle)
+    assert middle < after
+    for asked, count in ((first, after), (last, len(entries))):
+        assert read(asked.result(DEADLINE_S)) == [samples.flat(entry) for entry in entries[:count]]
+    bench.recorder.close({})
+
+
+def test_a_snapshot_that_was_asked_for_before_the_end_is_written(path: Path) -> None:
+    bench = Bench(path)
+    bench.feed(session(1))
+    asked = bench.recorder.snapshot()
+    assert not asked.cancel()
+    bench.recorder.close({})
+    assert read(asked.result(DEADLINE_S)) == [samples.flat(entry) for entry in session(1)]
 
 
 def test_snapshots_of_one_second_get_names_of_their_own(path: Path) -> None:

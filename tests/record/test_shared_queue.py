@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import array
 import mmap
 import os
 import random
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
 
+import numpy as np
 import pytest
 
 from igtl_gateway.record import shared_queue
@@ -52,6 +56,53 @@ def test_entries_and_commands_come_in_their_order() -> None:
         assert pair.get() == samples.flat(entry)
         assert pair.get() == ("now", number)
     assert pair.get() is None
+
+
+ROWS = np.arange(12, dtype=np.uint8).reshape(3, 4)
+
+
+@pytest.mark.parametrize(
+    ("part", "data"),
+    [
+        (memoryview(array.array("H", [1, 2, 3])), array.array("H", [1, 2, 3]).tobytes()),
+        (memoryview(b"\x01\xff").cast("b"), b"\x01\xff"),
+        (memoryview(bytes(range(9)))[::2], bytes([0, 2, 4, 6, 8])),
+        (ROWS.data, ROWS.tobytes()),
+        (ROWS.T.data, ROWS.T.tobytes()),
+        (memoryview(array.array("H")), b""),
+        (np.array(5, dtype=np.uint8).data, b"\x05"),
+        (np.arange(2, dtype=np.float32), np.arange(2, dtype=np.float32).tobytes()),
+    ],
+    ids=["items", "signed", "strided", "rows", "transposed", "empty", "scalar", "array"],
+)
+def test_buffers_of_any_shape_and_items(part: Any, data: bytes) -> None:
+    pair = Pair()
+    assert pair.putter.put(replace(samples.ros(1), payload=(b"a", part, b"z")))
+    found = pair.get()
+    assert isinstance(found, Entry) and found.data() == b"a" + data + b"z"
+    assert pair.putter.waiting == (0, 0)
+
+
+def test_what_only_passes_for_a_number_or_a_text_is_made_one() -> None:
+    class Text(str):
+        __slots__ = ()
+
+    odd: Any = {
+        "seq": np.int64(7), "stamp_ns": np.uint64(8), "channel": Text("T/a"), "type": Text("T"),
+        "links": [np.int64(1)], "source_ns": np.int64(9),
+    }  # fmt: skip
+    pair = Pair()
+    assert pair.putter.put(replace(samples.igtl(1), **odd))
+    assert pair.get() == replace(samples.flat(samples.igtl(1)), **{**odd, "links": (1,)})
+
+
+@pytest.mark.parametrize("wrong", [{"channel": 5}, {"type": b"T"}, {"seq": 1.5}, {"payload": ("text",)}])
+def test_what_is_no_entry_is_refused_and_counted(wrong: dict[str, Any]) -> None:
+    pair = Pair()
+    with pytest.raises(TypeError):
+        pair.putter.put(replace(samples.igtl(1), **wrong))
+    assert (pair.getter.refused, pair.putter.waiting, pair.get()) == (1, (0, 0), None)
+    assert pair.putter.put(samples.igtl(2)) and pair.get() == samples.flat(samples.igtl(2))
 
 
 def test_what_was_got_counts_until_it_is_done() -> None:
