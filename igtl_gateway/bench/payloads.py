@@ -180,14 +180,15 @@ def points(count: int) -> Payload:
 
 
 def cloud(count: int) -> Payload:
-    """A cloud of float32 coordinates: PointCloud2 and POLYDATA, 12 bytes a point on both sides."""
+    """A cloud of float32 coordinates: PointCloud2 and, as one cell of all its vertices, POLYDATA."""
     xyz = _positions(count)
+    vertices = Cells(1, np.array([count, *range(count)], ">u4"))
     return Payload(
         rosmsg.PointCloud2.TYPE,
         "points",
         "POLYDATA",
         lambda header: _cloud(header, xyz / 1000),
-        lambda _number: PolyData(xyz.astype(">f4")),
+        lambda _number: PolyData(xyz.astype(">f4"), vertices),
     )
 
 

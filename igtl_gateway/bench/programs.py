@@ -152,10 +152,10 @@ class RosSide:
         self._edge.start()
         for part in self._job.hears:
             kind = payload(part.stream.kind)
-            self._edge.subscribe(part.topic, kind.ros_type, _qos(kind.size))
+            self._edge.subscribe(part.topic, kind.ros_type, Qos(queue_depth(kind.size)))
         for part in self._job.sends:
             kind = payload(part.stream.kind)
-            self._edge.advertise(part.topic, kind.ros_type, _qos(kind.size))
+            self._edge.advertise(part.topic, kind.ros_type, Qos(queue_depth(kind.size)))
 
     def found(self) -> None:
         for part in self._job.sends:
@@ -165,7 +165,7 @@ class RosSide:
 
     def sender(self, part: Part) -> Callable[[int], int]:
         kind, publish, now, topic = payload(part.stream.kind), self._edge.publish, self._now, part.topic
-        make, type_name, qos = kind.ros_maker(), kind.ros_type, _qos(kind.size)
+        make, type_name, qos = kind.ros_maker(), kind.ros_type, Qos(queue_depth(kind.size))
 
         def send(number: int) -> int:
             message = make(number)
@@ -223,6 +223,11 @@ class IgtlSide:
             return at_ns
 
         return send
+
+    def wait(self, timeout_s: float) -> None:
+        """Until the other end has closed."""
+        assert self._reader
+        self._reader.join(timeout_s)
 
     def close(self) -> None:
         assert self._socket and self._reader
@@ -356,9 +361,9 @@ def _received(source: socket.socket, view: memoryview) -> int:
         return 0  # closed under us, by ``close``
 
 
-def _qos(size: int) -> Qos:
+def queue_depth(size: int) -> int:
     """Deep enough that a flood of small messages is not cut off by the program that measures it."""
-    return Qos(depth=max(_DEPTH_LEAST, min(_DEPTH_MOST, _DEPTH_BYTES // size)))
+    return max(_DEPTH_LEAST, min(_DEPTH_MOST, _DEPTH_BYTES // size))
 
 
 def _no_note(_note: Note) -> None:

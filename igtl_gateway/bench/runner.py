@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +88,19 @@ class Passed:
     end: Usage | None = None
 
 
+@dataclass(frozen=True)
+class _Gateway:
+    """The gateway's process."""
+
+    program: Program
+
+    @cached_property
+    def address(self) -> Address:
+        """Where it waits for OpenIGTLink peers, as soon as it does."""
+        place = self.program.wait_for("started", _START_S)["listen"][0]
+        return place["host"], place["port"]
+
+
 class Runner:
     """See the module.
 
@@ -108,10 +122,10 @@ class Runner:
         """The rows of a case.  Raises BenchError."""
         rows: list[Row] = []
         turns = [plan.directions] if plan.case.together else [(direction,) for direction in plan.directions]
-        with self._gateway(plan) as (gateway, address):
+        with self._gateway(plan) as gateway:
             for directions in turns:
                 self._tell(f"{plan.case.name} {', '.join(direction.value for direction in directions)}")
-                passed = self._through_gateway(plan, directions, gateway, address)
+                passed = self._through_gateway(plan, directions, gateway)
                 rows += self._rows(plan, directions, passed)
         if plan.floor and not plan.case.together:
             hops = self._floor(plan)
@@ -122,40 +136,38 @@ class Runner:
     # -- the gateway ---------------------------------------------------------------------------------------------
 
     @contextmanager
-    def _gateway(self, plan: Plan) -> Iterator[tuple[Program, Address]]:
+    def _gateway(self, plan: Plan) -> Iterator[_Gateway]:
         words = ["igtl_gateway", "bridge", "--json", "--listen", "127.0.0.1:0", "--duration", str(_GATEWAY_S)]
         for stream in plan.case.streams:
             topic, device = (f(Direction.ROS_TO_IGTL) for f in (stream.topic, stream.device))
             words += ["--send", f"{topic}={device}:{payload(stream.kind).igtl_type}"]
         if plan.record:
             words += ["--record", str(self._folder / "recording.mcap"), "--overwrite"]
-        with Program("gateway", words) as gateway:
-            started = gateway.wait_for("started", _START_S)
-            place = started["listen"][0]
-            yield gateway, (place["host"], place["port"])
-            gateway.interrupt()
+        with Program("gateway", words) as program:
+            yield _Gateway(program)
+            program.interrupt()
             if plan.record:
-                recording = gateway.wait_for("stopped", _START_S)["recording"]
+                recording = program.wait_for("stopped", _START_S)["recording"]
                 if recording["dropped"]:
                     self._tell(f"  the recorder dropped {recording['dropped']:,} entries")
 
-    def _through_gateway(
-        self, plan: Plan, directions: Sequence[Direction], gateway: Program, address: Address
-    ) -> Passed:
+    def _through_gateway(self, plan: Plan, directions: Sequence[Direction], gateway: _Gateway) -> Passed:
         parts = {direction: self._parts(plan.case.streams, direction, plan.extent) for direction in directions}
         out = parts.get(Direction.ROS_TO_IGTL, ())
         back = parts.get(Direction.IGTL_TO_ROS, ())
-        jobs = []
+        nodes = []
         if out:
-            jobs.append(self._job(plan, "ros", "bench_sender", sends=out))
+            nodes.append(self._job(plan, "ros", "bench_sender", sends=out))
         if back:
-            jobs.append(self._job(plan, "ros", "bench_listener", hears=back))
-        jobs.append(self._job(plan, "igtl", "client", sends=back, hears=out, address=address))
+            nodes.append(self._job(plan, "ros", "bench_listener", hears=back))
         with ExitStack() as stack:
-            programs = [(job, self._start(stack, job)) for job in jobs]
+            # the nodes start beside the gateway, which takes as long
+            programs = [(job, self._start(stack, job)) for job in nodes]
+            client = self._job(plan, "igtl", "client", sends=back, hears=out, address=gateway.address)
+            programs.append((client, self._start(stack, client)))
             for _, program in programs:
                 program.wait_for("ready", _START_S)
-            return self._passed(programs, plan, gateway.pid)
+            return self._passed(programs, plan, gateway.program.pid)
 
     # -- the floor -----------------------------------------------------------------------------------------------
 

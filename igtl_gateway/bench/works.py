@@ -14,7 +14,7 @@ import numpy as np
 from igtl_gateway.bench.cases import CASES, Direction, Stream, payload
 from igtl_gateway.bench.processes import Program, Usage
 from igtl_gateway.bench.programs import Job, Part
-from igtl_gateway.bench.runner import Row, Runner
+from igtl_gateway.bench.runner import Row
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.gateway import LINK_UP, Gateway, Session
@@ -41,13 +41,11 @@ class Workshop:
         folder: for recordings.
         clock: monotonic.
         tell: takes a line for people.
-        runner: for its programs.
     """
 
     folder: Path
     clock: Clock
     tell: Callable[[str], None]
-    runner: Runner
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +89,10 @@ def recording(shop: Workshop) -> list[Row]:
     begun_ns = shop.clock.monotonic_ns()
     recorder = _recorder(path, Config(), shop.clock)
     seq, stamp_ns = 0, shop.clock.utc_ns()
-    for turn in range(_RECORDED_S):
+    for _ in range(_RECORDED_S):
         for entry in second:
             seq += 1
-            stamp_ns = max(stamp_ns + 1, stamp_ns + turn)
-            recorder(replace(entry, seq=seq, stamp_ns=stamp_ns))
+            recorder(replace(entry, seq=seq, stamp_ns=stamp_ns + seq))
             if not seq % 64:
                 while recorder.counters()["queued_bytes"] > _QUEUED_BYTES:
                     rest.wait(0.002)
@@ -121,7 +118,7 @@ def replay(shop: Workshop) -> list[Row]:
         shop.tell(f"replay {kind}")
         stream = Stream(kind, 0.0)
         path = shop.folder / f"{kind}.mcap"
-        _record_passage(path, stream, count, shop.clock)
+        record_passage(path, stream, count, shop.clock)
         rows.append({"case": "replay", "what": kind, "sent": count} | _replayed(shop, path, stream, count))
         path.unlink()
     return rows
@@ -133,7 +130,7 @@ def verify(shop: Workshop) -> list[Row]:
     _until_end("simulate", ["simulate", "star", "--out", str(star), "--overwrite", "--json"])
     small = shop.folder / "small.mcap"
     count = _REPLAYED["transform"]
-    _record_passage(small, Stream("transform", 0.0), count, shop.clock)
+    record_passage(small, Stream("transform", 0.0), count, shop.clock)
     rows = []
     for name, path in (("star", star), ("transform", small)):
         shop.tell(f"verify {name}")
@@ -171,7 +168,7 @@ def _mixed_second(clock: Clock) -> Iterator[Entry]:
             yield from session.input(clock.utc_ns(), Kind.ROS_IN, (cdr,), channel=topic, type_name=made.ros_type)
 
 
-def _record_passage(path: Path, stream: Stream, count: int, clock: Clock) -> None:
+def record_passage(path: Path, stream: Stream, count: int, clock: Clock) -> None:
     """A recording of so many messages from ROS to OpenIGTLink."""
     made, topic = payload(stream.kind), stream.topic(Direction.ROS_TO_IGTL)
     make = made.ros_maker()

@@ -103,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
         runner = Runner(Path(folder), clock, _tell)
         for plan in plans:
             rows += runner.measure(plan)
-        workshop = Workshop(Path(folder), clock, _tell, runner)
+        workshop = Workshop(Path(folder), clock, _tell)
         for name in works:
             rows += WORKS[name].run(workshop)
     rows = _with_costs(rows)

@@ -1,0 +1,39 @@
+"""Recordings of the benchmark's own making, and what is measured with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.bench import works
+from igtl_gateway.bench.cases import Stream
+from igtl_gateway.bench.works import WORKS, Workshop
+from igtl_gateway.cli import main
+from igtl_gateway.clock import SystemClock
+
+
+@pytest.fixture
+def shop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workshop:
+    monkeypatch.setattr(works, "_REPLAYED", {"transform": 200})
+    monkeypatch.setattr(works, "_RECORDED_S", 1)
+    return Workshop(tmp_path, SystemClock(), lambda _line: None)
+
+
+def test_what_is_recorded_verifies(tmp_path: Path) -> None:
+    path = tmp_path / "r.mcap"
+    works.record_passage(path, Stream("transform", 0.0), 50, SystemClock())
+    assert main(["verify", str(path)]) == 0
+
+
+def test_recording(shop: Workshop) -> None:
+    (row,) = WORKS["recording"].run(shop)
+    assert row["dropped"] == 0
+    assert row["entries"] > 2 * 2 * 1060  # in and out, both ways
+    assert row["entries_per_s"] > 0 and row["times_mixed_load"] > 0
+
+
+def test_replay(shop: Workshop) -> None:
+    (row,) = WORKS["replay"].run(shop)
+    assert (row["what"], row["sent"], row["delivered"]) == ("transform", 200, 200)
+    assert row["received_per_s"] > 0
