@@ -121,6 +121,7 @@ def _loaded(options: argparse.Namespace) -> Scenario:
 
 def _write(options: argparse.Namespace, scenario: Scenario) -> int:
     """Play offline into a file."""
+    cast = scenario.cast(options.duration)  # refuses what does not fit, before a file is replaced
     gateway = Gateway(scenario.config)
     writer = SessionWriter(
         options.out,
@@ -130,7 +131,6 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
         overwrite=options.overwrite,
     )
     entries = 0
-    cast = scenario.cast(options.duration)
     for entry in scenario.entries(options.duration, gateway, cast):
         writer.write(entry)
         entries += 1

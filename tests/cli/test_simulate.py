@@ -57,6 +57,14 @@ def test_an_existing_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert out.read_bytes() == b"precious"
 
 
+def test_a_duration_that_is_refused_costs_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "t.mcap"
+    out.write_bytes(b"precious")
+    assert main(["simulate", "lego", "--duration", "1", "--out", str(out), "--overwrite"]) == 2
+    assert "duration of lego: found 1 s" in capsys.readouterr().err
+    assert out.read_bytes() == b"precious"
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
