@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import tempfile
@@ -91,6 +92,8 @@ def run(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> None:
     if options.at is not None and not options.screenshot:
         raise ConfigError("--at: is the time of a picture, expected --screenshot OUT.png beside it")
+    if options.at is not None and not 0 <= options.at < math.inf:
+        raise ConfigError(f"--at: found {options.at:g}, expected seconds from the start, 0 or more")
     if options.port is not None and not options.web:
         raise ConfigError("--port: is that of the page, expected --web beside it")
     if options.port is not None and not 0 <= options.port < 1 << 16:
@@ -98,6 +101,8 @@ def _check(options: argparse.Namespace) -> None:
     for path in filter(None, (options.save, options.screenshot)):
         if path.exists() and not options.overwrite:
             raise ConfigError(f"{path}: exists already, expected a new file or --overwrite")
+        if not path.parent.is_dir():
+            raise GatewayError(f"cannot write to {path}: there is no folder {path.parent}")
 
 
 def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[SessionView, dict[str, Any]]:
@@ -144,6 +149,7 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
         ],
         "without_picture": dict(sorted(told.without_picture.items())),
         "refused": dict(sorted(told.refused.items())),
+        "without_field": bool(options.colour_by) and options.colour_by not in view.seen.fields,
     }
 
 
@@ -196,6 +202,9 @@ def _print(options: argparse.Namespace, view: SessionView, told: dict[str, Any])
         print(f"  {shown.topic:<{width}} {shown.count:>8,}  {note:<10} {shown.ros_type}")
     for topic, number in told["refused"].items():
         print(f"? {topic}: {count(number, 'message')} could not be shown, the log says why")
+    if told["without_field"]:
+        fields = ", ".join(sorted(view.seen.fields)) or "none"
+        print(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")
     print(
         f"{options.file}: {count(told['messages'], 'message')} drawn in {told['seconds']:.1f} s, "
         f"blueprint {told['blueprint']}" + (", suture plan reviewed" if told["reviewed"] else "")
@@ -208,7 +217,11 @@ def _picture(options: argparse.Namespace, recording: Path, view: SessionView) ->
     """The picture; exit code 1 where a view complains."""
     from igtl_gateway.view.shots import take
 
-    at = None if options.at is None else view.seen.first_ns + round(options.at * NS_PER_S)
+    if not view.seen.first_ns:
+        raise GatewayError(f"{options.file}: found no messages, expected something to make a picture of")
+    at = None
+    if options.at is not None:
+        at = view.seen.first_ns + round(min(options.at, view.seen.seconds) * NS_PER_S)
     (shot,) = take(recording, [at])
     try:
         options.screenshot.write_bytes(shot.png)

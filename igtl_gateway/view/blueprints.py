@@ -19,10 +19,12 @@ from igtl_gateway.errors import ConfigError
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.view.eye import eye_of
 from igtl_gateway.view.seen import (
+    DROPS,
     LATENCIES,
     LOG,
     RATES,
     REVIEW_CLOUD,
+    REVIEW_DISTANCE,
     REVIEW_STITCHES,
     REVIEW_TABLE,
     Seen,
@@ -138,13 +140,15 @@ def _space(seen: Seen, name: str, tree: list[Shown], contents: list[str]) -> rrb
 
 
 def _noise(seen: Seen) -> list[Part]:
-    """The cloud coloured by its depth noise with the judged stitches, where a review was made."""
+    """The cloud by its depth noise, and by its distance from the plan, with the judged stitches: of a review."""
     clouds = [shown for tree in seen.trees().values() for shown in tree if shown.what is What.CLOUD]
     if not seen.reviewed or not clouds:
         return []
-    contents = [f"+ /{REVIEW_CLOUD}", f"+ /{REVIEW_STITCHES}/**"]
     plan = [shown for shown in seen.of(What.LINES) if shown.frame == clouds[0].frame]
-    return [_space(seen, "Depth noise", plan or clouds, contents)]
+    return [
+        _space(seen, name, plan or clouds, [f"+ /{cloud}", f"+ /{REVIEW_STITCHES}/**"])
+        for name, cloud in (("Depth noise", REVIEW_CLOUD), ("Distance to the plan", REVIEW_DISTANCE))
+    ]
 
 
 def _pictures(seen: Seen) -> list[Part]:
@@ -202,7 +206,8 @@ def _plots(seen: Seen) -> Part:
     """Sensors first, then how the gateway did."""
     plots = [_plot(shown.topic, f"/{shown.path}") for shown in seen.of(What.PLOT)]
     inputs = [f"+ $origin/{kind.value}/**" for kind in (Kind.ROS_IN, Kind.IGTL_IN)]  # the outputs follow them
-    return _tabs([*plots, _plot("Rate (Hz)", f"/{RATES}", inputs), _plot("Latency (ms)", f"/{LATENCIES}")])
+    gateway = [_plot("Rate (Hz)", f"/{RATES}", inputs), _plot("Latency (ms)", f"/{LATENCIES}")]
+    return _tabs([*plots, *gateway, _plot("Drops and gaps", f"/{DROPS}")])
 
 
 def _plot(name: str, origin: str, contents: list[str] | str = "$origin/**") -> rrb.TimeSeriesView:

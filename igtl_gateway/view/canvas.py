@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -71,6 +71,10 @@ class Canvas:
         self._axes: set[str] = set()
         self._frames: dict[str, str] = {}  # frame → its entity
         self._stood: set[str] = set()
+
+    def fields(self, names: Iterable[str]) -> None:
+        """Say what a cloud could be coloured by."""
+        self._seen.fields.update(names)
 
     def frame(self, frame_id: str) -> str:
         """The frame to draw in; the session's base frame where the message names none."""

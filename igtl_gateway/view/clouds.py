@@ -33,6 +33,7 @@ def draw_cloud(message: PointCloud2, canvas: Canvas) -> None:
     """sensor_msgs/PointCloud2: points that have a place, in the colours of ``Options.colour_by``."""
     frame = canvas.frame(message.header.frame_id)
     fields = columns(message)
+    canvas.fields(fields)
     places = np.empty((len(fields["x"]), 3), np.float32)
     for axis, name in enumerate(_XYZ):
         places[:, axis] = fields[name]

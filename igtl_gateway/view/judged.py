@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.review import Level, PlanReview, Review, StitchReview
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.view import colours
 from igtl_gateway.view.pen import Pen
-from igtl_gateway.view.seen import REVIEW_CLOUD, REVIEW_STITCHES, REVIEW_TABLE
+from igtl_gateway.view.seen import REVIEW_CLOUD, REVIEW_DISTANCE, REVIEW_STITCHES, REVIEW_TABLE
 
 _COLOURS = {Level.OK: 0x66BB6AFF, Level.LOOK: 0xFFB300FF, Level.WRONG: 0xFF1744FF}
 _MARKS = {Level.OK: "ok", Level.LOOK: "look", Level.WRONG: "**wrong**"}
@@ -17,6 +18,8 @@ _NAMES = f"{REVIEW_STITCHES}/names"
 _LINE_M = 0.0005
 #: Noise of the colour scale's red end, as multiple of the limit from which a place is to be looked at.
 _RED = 2.0
+#: Distance from the plan of that scale's red end, in mm: some bites.
+_FAR_MM = 20.0
 
 
 def draw_review(review: Review, pen: Pen) -> None:
@@ -29,15 +32,29 @@ def draw_review(review: Review, pen: Pen) -> None:
         radii=[rr.Radius.ui_points(2.0)],
     )
     pen.static(REVIEW_CLOUD, rr.CoordinateFrame(cloud.frame_id), points)
-    for path in (REVIEW_STITCHES, _NAMES):
+    for path in (REVIEW_STITCHES, REVIEW_DISTANCE, _NAMES):
         pen.static(path, rr.CoordinateFrame(cloud.frame_id))
     for number, plan in enumerate(review.plans, 1):
         pen.at(Entry(0, plan.stamp_ns, Kind.NOTE, source_ns=plan.source_ns))
         pen.log(REVIEW_STITCHES, rr.CoordinateFrame(cloud.frame_id), _stitches(plan))
+        pen.log(REVIEW_DISTANCE, rr.CoordinateFrame(cloud.frame_id), _by_distance(cloud.positions, plan))
         pen.log(_NAMES, rr.CoordinateFrame(cloud.frame_id), _names(plan))
         pen.log(
             REVIEW_TABLE, rr.TextDocument(pen.letters(_table(review, plan, number, red_mm)), media_type="text/markdown")
         )
+
+
+def _by_distance(positions: npt.NDArray[np.float32], plan: PlanReview) -> rr.Points3D:
+    """The cloud by its distance from the nearest stitch."""
+    nearest = np.full(len(positions), np.inf)
+    for stitch in plan.stitches:
+        begin, end = np.array(stitch.entry.position), np.array(stitch.exit.position)
+        along = end - begin
+        share = (positions - begin) @ along / (float(along @ along) or 1.0)
+        off = positions - (begin + np.clip(share, 0.0, 1.0)[:, None] * along)
+        np.minimum(nearest, np.sqrt((off**2).sum(axis=1)), out=nearest)
+    colour = colours.scale(nearest * 1000.0, 0.0, _FAR_MM)
+    return rr.Points3D(positions, colors=colour, radii=[rr.Radius.ui_points(2.0)])
 
 
 def _stitches(plan: PlanReview) -> rr.LineStrips3D:
@@ -94,7 +111,11 @@ def _table(review: Review, plan: PlanReview, number: int, red_mm: float) -> str:
             "; ".join(stitch.reasons),
         ]
         lines.append(f"| {' | '.join(cells)} |")
-    lines += ["", f"Colours of the cloud: depth noise, blue 0 … red {red_mm:g} mm. All lengths in mm."]
+    lines += [
+        "",
+        f"Colours of the cloud: depth noise, blue 0 … red {red_mm:g} mm; distance from the nearest stitch, "
+        f"blue 0 … red {_FAR_MM:g} mm. All lengths in mm.",
+    ]
     return "\n".join([*lines, *(f"\n{note}" for note in review.notes)])
 
 

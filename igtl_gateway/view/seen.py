@@ -17,6 +17,7 @@ RATES, LATENCIES = "plots/rate", "plots/latency"
 FRAMES = "frames"
 REVIEW = "review"
 REVIEW_CLOUD, REVIEW_STITCHES, REVIEW_TABLE = f"{REVIEW}/cloud", f"{REVIEW}/stitches", f"{REVIEW}/table"
+REVIEW_DISTANCE = f"{REVIEW}/distance"
 
 
 class What(Enum):
@@ -110,6 +111,7 @@ class Seen:
         places: child frame → its place in the parent frame, last told: x, y, z in metres, quaternion x, y, z, w.
         first_ns, last_ns: gateway time of the first and last entry, UTC ns; 0 = none.
         reviewed: whether a review of the suture plan was drawn.
+        fields: names of the fields that clouds had, to colour by.
     """
 
     base_frame: str = "world"
@@ -119,6 +121,7 @@ class Seen:
     first_ns: int = 0
     last_ns: int = 0
     reviewed: bool = False
+    fields: set[str] = field(default_factory=set)
 
     def of(self, *kinds: What) -> list[Shown]:
         """Everything of these kinds, in the order of appearance."""

@@ -75,11 +75,14 @@ def test_a_recording_that_became_no_ros_messages_is_drawn_by_what_they_would_be(
     ("arguments", "code", "sentence"),
     [
         (["--at", "3"], 2, "--at: is the time of a picture, expected --screenshot OUT.png beside it"),
+        (["--screenshot", "{folder}/x.png", "--at", "nan"], 2, "--at: found nan, expected seconds from the start"),
+        (["--screenshot", "{folder}/x.png", "--at", "-1"], 2, "--at: found -1, expected seconds from the start"),
+        (["--screenshot", "{folder}/none/x.png"], 1, "none/x.png: there is no folder {folder}/none"),
         (["--port", "80"], 2, "--port: is that of the page, expected --web beside it"),
         (["--web", "--port", "70000"], 2, "--port: found 70000, expected 0 to 65535"),
         (["--save", "{folder}/x.rrd", "--blueprint", "stars"], 2, "--blueprint: found 'stars', expected star, "),
         (["--save", "{folder}/taken"], 2, "taken: exists already, expected a new file or --overwrite"),
-        (["--save", "{folder}/none/x.rrd"], 1, "cannot write to {folder}/none/x.rrd: No such file or directory"),
+        (["--save", "{folder}/none/x.rrd"], 1, "cannot write to {folder}/none/x.rrd: there is no folder {folder}/none"),
         ([], 1, "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set)"),
     ],
 )
@@ -100,6 +103,23 @@ def test_an_existing_file_is_replaced_where_asked_for(tmp_path: Path) -> None:
     out.write_bytes(b"old")
     assert main(["view", str(FIXTURES / "paper-types.mcap"), "--save", str(out), "--overwrite"]) == 0
     assert counts(out)["/tf"] == 2
+
+
+def test_a_recording_of_nothing_has_no_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / "empty.mcap", tmp_path / "out.png"
+    SessionWriter(path, {}).close({})
+    assert main(["view", str(path), "--screenshot", str(out)]) == 1
+    assert "empty.mcap: found no messages" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_field_that_no_cloud_has_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["view", str(FIXTURES / "ultrasound.mcap"), "--overwrite", "--save", str(tmp_path / "out.rrd")]
+    assert main([*arguments, "--colour-by", "noise"]) == 0
+    told = capsys.readouterr().out
+    assert "? --colour-by: found no cloud with a field 'noise', expected one of: " in told
+    assert main([*arguments, "--colour-by", "z"]) == 0
+    assert "--colour-by" not in capsys.readouterr().out
 
 
 def test_a_live_view_needs_a_screen(capsys: pytest.CaptureFixture[str]) -> None:

@@ -123,9 +123,16 @@ def test_nothing_of_space_is_drawn_on_a_picture_without_intrinsics() -> None:
 def test_the_review_has_its_noise_and_its_table() -> None:
     reviewed = seen(("/cloud", What.CLOUD, CAMERA), ("/plan", What.LINES, CAMERA), reviewed=True)
     assert [view.name for view in of_class("star", reviewed, "TextDocument")] == ["Stitches"]
-    noise = of_class("star", reviewed, "3D")[-1]
+    noise, distance = of_class("star", reviewed, "3D")[-2:]
     assert "+ /review/cloud" in noise.contents
+    assert "+ /review/distance" in distance.contents
     assert frame_of(noise) == CAMERA
+
+
+@pytest.mark.parametrize("name", blueprints.NAMES)
+def test_drops_and_gaps_have_a_view(name: str) -> None:
+    session = seen(("/pose", What.POSE, "base"))
+    assert "Drops and gaps" in [view.name for view in of_class(name, session, "TimeSeries")]
 
 
 def test_the_eye_is_that_of_a_camera_in_a_cameras_frame() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,23 @@ def test_the_cloud_is_coloured_by_its_noise(drawn: Drawn) -> None:
     assert len({low, middle, high, unknown}) == 4
     assert high >> 24 > low >> 24  # redder
     assert cloud["CoordinateFrame:frame"] == ["camera"]
+
+
+def test_the_cloud_is_coloured_by_its_distance_from_the_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RERUN_STRICT", "1")
+    middle, end, aside, far = (0.01, 0.0035, 0.2), (0.01, 0.007, 0.2), (0.01, 0.012, 0.2), (0.01, 0.107, 0.2)
+    cloud = replace(CLOUD, positions=np.array([middle, end, aside, far], np.float32), noise_mm=np.zeros(4, np.float32))
+    path = tmp_path / "judged.rrd"
+    recording = stream.to_file(path, "test")
+    view = SessionView(recording)
+    view.review(Review(cloud, (plan(START_NS, stitch(1, Level.OK, 0.0, 0.1)),)))
+    view.finish()
+    stream.close(recording)
+    (row,) = read_back(path, view).rows("review/distance")
+    colours = list(row["Points3D:colors"])
+    assert colours[0] == colours[1]
+    assert len(set(colours)) == 3
+    assert colours[3] >> 24 > colours[0] >> 24  # redder
 
 
 def test_each_version_of_the_plan_has_its_stitches_at_its_time(drawn: Drawn) -> None:
