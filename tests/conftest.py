@@ -9,7 +9,9 @@ from __future__ import annotations
 import atexit
 import os
 import shutil
+import sys
 import tempfile
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -45,6 +47,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "ros" in item.keywords:
             item.add_marker(absent)
+
+
+@pytest.fixture(autouse=True)
+def _no_streams_left() -> Iterator[None]:
+    """rerun keeps the thread of every recording stream until it is asked to look for those that nobody holds."""
+    yield
+    if rerun := sys.modules.get("rerun"):
+        rerun.bindings.flush_and_cleanup_orphaned_recordings()
 
 
 @pytest.fixture(scope="session")
