@@ -13,6 +13,8 @@ from igtl_gateway.view.pen import Pen
 from igtl_gateway.view.seen import REVIEW_CLOUD, REVIEW_DISTANCE, REVIEW_STITCHES, REVIEW_TABLE
 
 _COLOURS = {Level.OK: 0x66BB6AFF, Level.LOOK: 0xFFB300FF, Level.WRONG: 0xFF1744FF}
+#: Of the same, lighter: letters that can be read on a cloud.
+_LETTERS = {Level.LOOK: 0xFFECB3FF, Level.WRONG: 0xFFCDD2FF}
 _MARKS = {Level.OK: "ok", Level.LOOK: "look", Level.WRONG: "**wrong**"}
 _NAMES = f"{REVIEW_STITCHES}/names"
 _LINE_M = 0.0005
@@ -74,7 +76,7 @@ def _names(plan: PlanReview) -> rr.Points3D:
     ends = [max((each.entry, each.exit), key=lambda end: abs(end.distance_mm or 0.0)) for each in named]
     return rr.Points3D(
         np.array([end.position for end in ends], np.float32).reshape(-1, 3),
-        colors=np.array([_COLOURS[stitch.level] for stitch in named], np.uint32),
+        colors=np.array([_LETTERS[stitch.level] for stitch in named], np.uint32),
         radii=[2 * _LINE_M],
         labels=[_label(stitch) for stitch in named],
         show_labels=True,
