@@ -11,6 +11,7 @@ than itself.
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -330,7 +331,16 @@ def create_file(path: Path, overwrite: bool) -> BufferedWriter:
             raise RecordingError(f"cannot record to {path}: it is a directory")
         if path.exists() and not path.is_file():
             raise RecordingError(f"cannot record to {path}: it is not a regular file")
-        return path.open("wb" if overwrite else "xb")
+        file = open(path, "wb" if overwrite else "xb", opener=_untouched)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise RecordingError(f"cannot record to {path}: another process is recording to it") from None
+        except OSError:
+            pass  # a file system that cannot say whether somebody else does
+        file.truncate()
+        return file
     except FileExistsError:
         raise RecordingError(
             f"cannot record to {path}: the file exists already, and is not replaced without --overwrite"
@@ -339,6 +349,11 @@ def create_file(path: Path, overwrite: bool) -> BufferedWriter:
         raise RecordingError(f"cannot record to {path}: there is no folder {path.parent}") from None
     except (OSError, ValueError) as error:
         raise RecordingError(f"cannot record to {path}: {reason(error)}") from error
+
+
+def _untouched(path: str, flags: int) -> int:
+    """Open a file that may be another one's recording: it is emptied when that is known."""
+    return os.open(path, flags & ~os.O_TRUNC, 0o666)
 
 
 def reason(error: Exception) -> str:

@@ -163,7 +163,7 @@ class _Worker:
         self._told_refused: set[str] = set()
         self._told_state = State()
         self._left_out_before = 0  # of the pause that is on
-        self._flushed_ns = self._stated_ns = 0
+        self._flushed_ns = self._stated_ns = clock.monotonic_ns()
         self._asked: list[tuple[int, int]] = []  # snapshots: number, and UTC ns of the request
         self._writer = self._open(settings.path, settings.rule)
 
@@ -205,7 +205,6 @@ class _Worker:
 
     def run(self) -> None:
         """Write what comes, until the end."""
-        self._flushed_ns = self._clock.monotonic_ns()
         while self._ledger is None and not self._gone:
             self._guarded(self._round)
         if self._ledger is None:  # what it left behind

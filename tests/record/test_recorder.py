@@ -216,6 +216,17 @@ def test_an_existing_file_is_kept_unless_told_otherwise(tmp_path: Path) -> None:
     assert read(path) == [samples.ros(1)]
 
 
+def test_two_at_once_do_not_write_to_the_same_file(path: Path) -> None:
+    first = Bench(path)
+    first.recorder(samples.ros(1))
+    with pytest.raises(RecordingError, match="another process is recording to it"):
+        Bench(path, overwrite=True)
+    assert first.recorder.close({}).failure == ""
+    assert read(path) == [samples.ros(1)]
+    Bench(path, overwrite=True).recorder.close({})
+    assert read(path) == []
+
+
 # --- drops -----------------------------------------------------------------------------------------------------
 
 
