@@ -15,12 +15,13 @@ from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.colours import SERIES
-from igtl_gateway.view.other_msgs import Float64
+from igtl_gateway.view.other_msgs import Float64, WrenchStamped
 from igtl_gateway.view.seen import What
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS
 
 #: So many numbers are curves; more of them are bars.
 _CURVES = 16
+_WRENCH = (*(f"force {axis} (N)" for axis in "xyz"), *(f"torque {axis} (Nm)" for axis in "xyz"))
 _JOINTS = ("position", "velocity", "effort")
 
 
@@ -39,6 +40,11 @@ def draw_sensor(message: Sensor, canvas: Canvas) -> None:
 def draw_number(message: Float64, canvas: Canvas) -> None:
     """std_msgs/Float64."""
     canvas.numbers([message.data])
+
+
+def draw_wrench(message: WrenchStamped, canvas: Canvas) -> None:
+    """geometry_msgs/WrenchStamped."""
+    _curves(canvas, list(message.wrench), _WRENCH)
 
 
 def draw_multi_array(message: MultiArray, canvas: Canvas) -> None:

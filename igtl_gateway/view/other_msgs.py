@@ -12,7 +12,7 @@ from igtl_gateway.convert.cdr import Reader
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.igtl_msgs import HEADER
 from igtl_gateway.convert.rosmsg import Header, Marker
-from igtl_gateway.convert.structs import FLOAT64, STRING, UINT32, CdrType, Struct, fixed, numbers, several
+from igtl_gateway.convert.structs import FLOAT64, STRING, TIME, UINT8, UINT32, CdrType, Struct, fixed, numbers, several
 
 Array = npt.NDArray[Any]
 
@@ -34,6 +34,28 @@ class Float64(Struct):
     TYPE: ClassVar[str] = "std_msgs/msg/Float64"
     FIELDS: ClassVar[tuple[CdrType, ...]] = (FLOAT64,)
     data: float
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchStamped(Struct):
+    """geometry_msgs/msg/WrenchStamped: force in newtons and torque in newton metres, along x, y, z."""
+
+    TYPE: ClassVar[str] = "geometry_msgs/msg/WrenchStamped"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, fixed("float64", 6))
+    header: Header
+    wrench: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Log(Struct):
+    """rcl_interfaces/msg/Log, what nodes say on /rosout; where in their source is left unread."""
+
+    TYPE: ClassVar[str] = "rcl_interfaces/msg/Log"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (TIME, UINT8, STRING, STRING)
+    stamp_ns: int
+    level: int
+    name: str
+    msg: str
 
 
 @dataclass(frozen=True, slots=True)

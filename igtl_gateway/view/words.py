@@ -10,9 +10,11 @@ from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, String
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.colours import ERROR, WARN
+from igtl_gateway.view.other_msgs import Log
 
 _LEVELS = (("INFO", None), ("WARN", WARN), ("ERROR", ERROR), ("WARN", WARN))
 _MAX_LINE = 300
+_ROS_WARN, _ROS_ERROR = 30, 40
 _QUERIES = {1: "GET", 2: "START", 3: "STOP", 4: "REPLY"}
 _REPLIES = {1: "success", 2: "failed", 3: "no reply in time", 4: "nobody there"}
 
@@ -26,6 +28,12 @@ def draw_status(message: DiagnosticStatus, canvas: Canvas) -> None:
     """diagnostic_msgs/DiagnosticStatus."""
     level, colour = _LEVELS[min(message.level, len(_LEVELS) - 1)]
     _say(canvas, f"{message.name} {message.message}".strip(), level, colour)
+
+
+def draw_log(message: Log, canvas: Canvas) -> None:
+    """rcl_interfaces/Log: levels are 10 (debug), 20, 30, 40, 50 (fatal)."""
+    level, colour = _LEVELS[(message.level >= _ROS_WARN) + (message.level >= _ROS_ERROR)]
+    _say(canvas, f"{message.name}: {message.msg}", level, colour)
 
 
 def draw_command(message: igtl_msgs.Command, canvas: Canvas) -> None:

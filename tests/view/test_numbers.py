@@ -10,7 +10,7 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, JointState, MultiArrayDimension, MultiArrayLayout
 from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.view.other_msgs import Float64
+from igtl_gateway.view.other_msgs import Float64, WrenchStamped
 from igtl_gateway.view.seen import What
 
 from .conftest import Draw
@@ -79,3 +79,8 @@ def test_an_array_in_either_byte_order(draw: Draw) -> None:
 def test_complex_numbers_are_shown_by_their_magnitude(draw: Draw) -> None:
     data = np.array([3 + 4j], ">c16").tobytes()
     assert draw(NdArray(HEADER, 13, np.array([1], np.uint16), True, data)).one("topic")["Scalars:scalars"] == [5.0]
+
+
+def test_forces_and_torques_are_curves(draw: Draw) -> None:
+    row = draw(WrenchStamped(Header(), (1.0, 2.0, 3.0, 0.1, 0.2, 0.3))).one("topic")
+    assert row["Scalars:scalars"] == [1.0, 2.0, 3.0, 0.1, 0.2, 0.3]
