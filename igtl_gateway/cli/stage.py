@@ -172,7 +172,7 @@ class _Output:
         self._alone = bool(options.side)
         print(f"{self._name}: {self._scenario.title}")
         if plan.bridge is None and options.side == "ros":
-            print("             waits for a bridge of yours in this ROS 2 domain, and an OpenIGTLink peer of its")
+            print("             waits for a bridge of yours in this ROS 2 domain that has an OpenIGTLink peer")
             print(f"             igtl-gateway simulate {self._name} --print-config > its.toml")
             print("             igtl-gateway bridge --config its.toml")
         sys.stdout.flush()
