@@ -131,10 +131,15 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
         overwrite=options.overwrite,
     )
     entries = 0
-    for entry in scenario.entries(options.duration, gateway, cast):
-        writer.write(entry)
-        entries += 1
-    writer.close({"streams": gateway.ledger.to_dict()})
+    try:
+        for entry in scenario.entries(options.duration, gateway, cast):
+            writer.write(entry)
+            entries += 1
+        writer.close({"streams": gateway.ledger.to_dict()})
+    except BaseException:  # half a story (Ctrl-C, a full disk) is none: it can be told again
+        if options.out.is_file():
+            options.out.unlink()
+        raise
     reports = {actor.name: (actor.done, actor.report()) for actor in cast}
     good = all(done and report.good for done, report in reports.values())
     told = {"file": str(options.out), "entries": entries, "bytes": options.out.stat().st_size, "good": good}

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
 from igtl_gateway.app.stage_live import End, Outcome, Plan
 from igtl_gateway.cli import main, stage
 from igtl_gateway.config import Config
+from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.simulate.catalogue import SCENARIOS
 from igtl_gateway.simulate.star_topics import CAMERA_INFO
 
@@ -55,6 +57,16 @@ def test_an_existing_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(["simulate", "acquisition", "--out", str(out)]) == 1
     assert "exists already" in capsys.readouterr().err
     assert out.read_bytes() == b"precious"
+
+
+def test_half_a_story_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    out = tmp_path / "t.mcap"
+    monkeypatch.setattr(SessionWriter, "write", interrupted)
+    assert main(["simulate", "acquisition", "--out", str(out)]) == 1
+    assert [*tmp_path.iterdir()] == []
 
 
 def test_a_duration_that_is_refused_costs_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
