@@ -52,7 +52,7 @@ def test_voxels_of_every_kind_come_in_their_order(
     tmp_path: Path, order: str, packed: bool, code: int, dtype: str
 ) -> None:
     data = nifti(order, code, dtype)
-    read = read_nifti(written(tmp_path, gzip.compress(data) if packed else data))
+    read = read_nifti(written(tmp_path, gzip.compress(data, mtime=0) if packed else data))
     assert read.size == SIZE and read.source == "head.nii"
     assert read.voxels[1, 2, 3] == 23 and read.voxels[0, 1, 0] == 4
     assert read.affine.tolist() == [[0, -2, 0, 10], [3, 0, 0, -20], [0, 0, 5, 7]]
@@ -93,7 +93,7 @@ def test_a_quaternion_places_where_there_are_no_rows(tmp_path: Path) -> None:
         (nifti(scl=(112, "2f", (float("inf"), 0))), "scaling"),
         (nifti(srow=(280, "12f", (0.0,) * 12)), "place"),
         (nifti()[:-1], "found 47 bytes of voxels, expected 48; it is cut off"),
-        (gzip.compress(nifti())[:-30], "cannot be read"),
+        (gzip.compress(nifti(), mtime=0)[:-30], "cannot be read"),
         (b"\x1f\x8b" + b"\0" * 50, "cannot be read"),
     ],
 )
@@ -144,7 +144,7 @@ def test_which_volume_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     fetched = tmp_path / "cache/igtl_gateway/mri"
     for folder in (fetched, tmp_path / "installed", tmp_path / "mine"):
         folder.mkdir(parents=True)
-        (folder / "ch2.nii.gz").write_bytes(gzip.compress(nifti()))
+        (folder / "ch2.nii.gz").write_bytes(gzip.compress(nifti(), mtime=0))
         monkeypatch.setenv(volume.VARIABLE, "" if folder.name != "mine" else str(folder))
         assert find_volume() == folder / "ch2.nii.gz"
     assert head_volume().source == "ch2.nii.gz"
