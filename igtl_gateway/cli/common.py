@@ -179,7 +179,7 @@ def recorded_config(session: dict[str, str], path: Path | None = None) -> Config
 
 @contextmanager
 def stop_event() -> Iterator[threading.Event]:
-    """An event that SIGINT (Ctrl-C) and SIGTERM set; a second signal ends the program the hard way.
+    """An event that SIGINT (Ctrl-C), SIGTERM and SIGHUP set; a second signal ends the program the hard way.
 
     The handler runs in the main thread, perhaps while that is inside ``event.wait`` and holds the event's lock:
     setting the event there would wait for that lock for ever.  So it writes to a pipe, and a thread sets the event.
@@ -197,7 +197,9 @@ def stop_event() -> Iterator[threading.Event]:
 
     watcher = threading.Thread(target=watch, name="igtl-signals", daemon=True)
     watcher.start()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    if before[signal.SIGHUP] is signal.SIG_IGN:  # nohup: the terminal may go
+        del before[signal.SIGHUP]
     for number in before:
         signal.signal(number, on_signal)
     try:

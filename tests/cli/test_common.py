@@ -10,7 +10,7 @@ import pytest
 from igtl_gateway.cli.common import address, count, size, stop_event
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_sets_the_event(number: signal.Signals) -> None:
     before = signal.getsignal(number)
     with stop_event() as stop:
@@ -18,6 +18,16 @@ def test_a_signal_sets_the_event(number: signal.Signals) -> None:
         signal.raise_signal(number)
         assert stop.wait(10)
     assert signal.getsignal(number) == before
+
+
+def test_under_nohup_the_terminal_may_go() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stop_event() as stop:
+            signal.raise_signal(signal.SIGHUP)
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN and not stop.is_set()
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_signal_that_meets_the_main_thread_inside_the_event_does_not_hang() -> None:
