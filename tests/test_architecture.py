@@ -90,6 +90,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     # Libraries
     "av": ("edges.video",),
     "fastcrc": ("wire",),
+    "pyigtl": ("bench.pyigtl_side",),  # somebody else's peer
     "mcap": (
         "exchange",
         "record.mcap_copy",

@@ -71,4 +71,5 @@ def bars(title: str, rows: Sequence[Row]) -> str:
 def _label(row: Row) -> str:
     rate = f"{row['rate_hz']:g} Hz" if row.get("rate_hz") else "flood"
     stream = f" {row['stream']}" if "stream" in row else ""
-    return f"{row['case']}{stream}, {rate}{', recording' if row.get('recording') else ''}"
+    peer = f", {row['peer']}" if row.get("peer") else ""
+    return f"{row['case']}{stream}, {rate}{', recording' if row.get('recording') else ''}{peer}"

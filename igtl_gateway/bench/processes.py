@@ -68,21 +68,26 @@ def _cpu_s(process: Path) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def ours(*words: str) -> list[str]:
+    """The command line of a verb of ours."""
+    return [sys.executable, "-m", "igtl_gateway", *words]
+
+
 class Program:
-    """A Python module in a process of its own, whose JSON lines are events.
+    """A program in a process of its own, whose JSON lines are events.
 
     Args:
         name: for errors.
-        words: module and arguments.
+        command: program and arguments.
     """
 
-    def __init__(self, name: str, words: Sequence[str]) -> None:
+    def __init__(self, name: str, command: Sequence[str]) -> None:
         self._name = name
         self._events: SimpleQueue[Event | None] = SimpleQueue()
         self._words: list[str] = []
         # A session of its own: a Ctrl-C is ours, and ends all in order.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", *words],
+            command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -73,7 +73,7 @@ class Job:
     """What a program is to do.
 
     Attributes:
-        side: ``"ros"`` or ``"igtl"``.
+        side: ``"ros"`` or ``"igtl"``, or a peer on the side of OpenIGTLink, see ``peers``.
         name: of the node.
         sends, hears: streams.
         seconds: how long to send what has no count.
@@ -270,7 +270,7 @@ def run(job: Job) -> None:
     """A program from beginning to end."""
     prepare_environment()
     heard = {part.device: Heard(_first_of(part, job.side)) for part in job.hears}
-    side: Side = RosSide(job, heard) if job.side == "ros" else IgtlSide(job, heard)
+    side = _side(job, heard)
     side.open()
     orders = _Orders(heard)
     try:
@@ -289,6 +289,18 @@ def run(job: Job) -> None:
     with Path(job.times).open("wb") as file:
         np.savez(file, allow_pickle=False, **columns)
     tell({"event": "written"})
+
+
+def _side(job: Job, heard: dict[str, Heard]) -> Side:
+    match job.side:
+        case "ros":
+            return RosSide(job, heard)
+        case "pyigtl":
+            from igtl_gateway.bench.pyigtl_side import PyigtlSide
+
+            return PyigtlSide(job, heard)
+        case _:
+            return IgtlSide(job, heard)
 
 
 class _Orders:

@@ -10,11 +10,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from igtl_gateway.bench.cases import FLOOD, Case, Direction, Stream, payload
 from igtl_gateway.bench.figures import Passage, latency, ratio
-from igtl_gateway.bench.processes import BenchError, Program, Usage
+from igtl_gateway.bench.peers import LIBRARY, Library, command, times_of
+from igtl_gateway.bench.processes import Program, Usage, ours
 from igtl_gateway.bench.programs import Job, Part
 from igtl_gateway.clock import Clock
 from igtl_gateway.stamp import NS_PER_S
@@ -63,6 +62,7 @@ class Plan:
         extent: how long.
         floor: measure the bare hops too.
         record: the gateway records.
+        peer: whose program is on the side of OpenIGTLink, "" for ours; see ``peers``.
     """
 
     case: Case
@@ -70,6 +70,7 @@ class Plan:
     extent: Extent
     floor: bool = True
     record: bool = False
+    peer: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +117,7 @@ class Runner:
         self._tell = tell
         self._runs = 0
         self._rest = threading.Event()
+        self._library = Library(folder)
         self._floors: dict[tuple[str, float, int], tuple[float | None, float | None]] = {}
 
     def measure(self, plan: Plan) -> list[Row]:
@@ -124,10 +126,14 @@ class Runner:
         turns = [plan.directions] if plan.case.together else [(direction,) for direction in plan.directions]
         with self._gateway(plan) as gateway:
             for directions in turns:
-                self._tell(f"{plan.case.name} {', '.join(direction.value for direction in directions)}")
+                ways = ", ".join(direction.value for direction in directions)
+                self._tell(f"{plan.case.name} {ways}{f' {plan.peer}' if plan.peer else ''}")
                 passed = self._through_gateway(plan, directions, gateway)
                 rows += self._rows(plan, directions, passed)
-        if plan.floor and not plan.case.together:
+        if plan.peer:
+            hop = self._bare(self._briefly(plan), LIBRARY) if plan.peer == LIBRARY else None
+            rows = [row | {"peer": plan.peer, "peer_hop_p50_ms": hop} for row in rows]
+        elif plan.floor and not plan.case.together:
             hops = self._floor(plan)
             for row in rows:
                 self._add_floor(row, hops)
@@ -137,13 +143,13 @@ class Runner:
 
     @contextmanager
     def _gateway(self, plan: Plan) -> Iterator[_Gateway]:
-        words = ["igtl_gateway", "bridge", "--json", "--listen", "127.0.0.1:0", "--duration", str(_GATEWAY_S)]
+        words = ["bridge", "--json", "--listen", "127.0.0.1:0", "--duration", str(_GATEWAY_S)]
         for stream in plan.case.streams:
             topic, device = (f(Direction.ROS_TO_IGTL) for f in (stream.topic, stream.device))
             words += ["--send", f"{topic}={device}:{payload(stream.kind).igtl_type}"]
         if plan.record:
             words += ["--record", str(self._folder / "recording.mcap"), "--overwrite"]
-        with Program("gateway", words) as program:
+        with Program("gateway", ours(*words)) as program:
             yield _Gateway(program)
             program.interrupt()
             if plan.record:
@@ -163,7 +169,7 @@ class Runner:
         with ExitStack() as stack:
             # the nodes start beside the gateway, which takes as long
             programs = [(job, self._start(stack, job)) for job in nodes]
-            client = self._job(plan, "igtl", "client", sends=back, hears=out, address=gateway.address)
+            client = self._job(plan, plan.peer or "igtl", "client", sends=back, hears=out, address=gateway.address)
             programs.append((client, self._start(stack, client)))
             for _, program in programs:
                 program.wait_for("ready", _START_S)
@@ -173,15 +179,19 @@ class Runner:
 
     def _floor(self, plan: Plan) -> tuple[float | None, float | None]:
         """Medians in ms of a bare hop over DDS and over TCP, with the same bytes at the same rate."""
+        brief = self._briefly(plan)
         (stream,) = plan.case.streams
-        count = min(_FLOOR_COUNT, plan.extent.messages(stream) or _FLOOR_COUNT)
-        key = (stream.kind, stream.rate_hz, count)
+        key = (stream.kind, stream.rate_hz, brief.extent.count)
         if key not in self._floors:
             self._tell(f"{plan.case.name} floor")
-            # A flood fills every queue: a bare hop has no latency to compare with then, but at the usual rate it has.
-            bare = replace(plan, extent=Extent(count=count))
-            self._floors[key] = (self._bare(bare, "ros"), self._bare(bare, "igtl"))
+            self._floors[key] = (self._bare(brief, "ros"), self._bare(brief, "igtl"))
         return self._floors[key]
+
+    @staticmethod
+    def _briefly(plan: Plan) -> Plan:
+        """As long as a median needs."""
+        (stream,) = plan.case.streams
+        return replace(plan, extent=Extent(count=min(_FLOOR_COUNT, plan.extent.messages(stream) or _FLOOR_COUNT)))
 
     def _bare(self, plan: Plan, side: str) -> float | None:
         parts = tuple(
@@ -192,7 +202,7 @@ class Runner:
             listener = self._job(plan, side, "bench_listener", hears=parts, listen=True)
             hearing = self._start(stack, listener)
             address = ("127.0.0.1", 0)
-            if side == "igtl":
+            if side != "ros":
                 place = hearing.wait_for("listening", _START_S)
                 address = (place["host"], place["port"])
             sender = self._job(plan, side, "bench_sender", sends=parts, address=address)
@@ -239,9 +249,8 @@ class Runner:
         times = str(self._folder / f"times-{self._runs}.npz")
         return Job(side, name, sends, hears, plan.extent.seconds, times, address, listen)
 
-    @staticmethod
-    def _start(stack: ExitStack, job: Job) -> Program:
-        return stack.enter_context(Program(f"{job.side} {job.name}", ["igtl_gateway.bench", job.to_json()]))
+    def _start(self, stack: ExitStack, job: Job) -> Program:
+        return stack.enter_context(Program(f"{job.side} {job.name}", command(job, self._library)))
 
     def _passed(self, programs: Sequence[tuple[Job, Program]], plan: Plan, gateway: int | None) -> Passed:
         """Knock, begin, wait until all have arrived or nothing more does, end; all programs are ready."""
@@ -330,11 +339,7 @@ def _passages(programs: Sequence[tuple[Job, Program]]) -> dict[str, Passage]:
     """What the programs wrote, by device."""
     columns: dict[str, Any] = {}
     for job, _ in programs:
-        try:
-            with np.load(job.times, allow_pickle=False) as file:
-                columns |= {name: file[name] for name in file.files}
-        except OSError as error:
-            raise BenchError(f"{job.name}: wrote no times: {error}") from None
+        columns |= times_of(job)
     devices = [name.partition(" ")[2] for name in columns if name.startswith("sent ")]
     return {
         device: Passage(columns[f"sent {device}"], columns[f"numbers {device}"], columns[f"received {device}"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from igtl_gateway.bench.cases import CASES, Direction, Stream, payload
-from igtl_gateway.bench.processes import Program, Usage
+from igtl_gateway.bench.processes import Program, Usage, ours
 from igtl_gateway.bench.programs import Job, Part
 from igtl_gateway.bench.runner import Row
 from igtl_gateway.clock import Clock
@@ -62,7 +63,7 @@ def start_up(shop: Workshop) -> list[Row]:
     for _ in range(_STARTS):
         shop.tell("start-up")
         begun_ns = shop.clock.monotonic_ns()
-        with Program("gateway", ["igtl_gateway", "bridge", "--json", "--listen", "127.0.0.1:0"]) as gateway:
+        with Program("gateway", ours("bridge", "--json", "--listen", "127.0.0.1:0")) as gateway:
             gateway.wait_for("started", _START_S)
             waits.append((shop.clock.monotonic_ns() - begun_ns) / NS_PER_S)
             memory = Usage.of(gateway.pid).rss_mb
@@ -215,11 +216,11 @@ def _replayed(shop: Workshop, path: Path, stream: Stream, count: int) -> Row:
     job = Job("igtl", "peer", (), (part,), 0.0, str(times), listen=True)
     rest = threading.Event()
     with ExitStack() as stack:
-        peer = stack.enter_context(Program("peer", ["igtl_gateway.bench", job.to_json()]))
+        peer = stack.enter_context(Program("peer", [sys.executable, "-m", "igtl_gateway.bench", job.to_json()]))
         place = peer.wait_for("listening", _START_S)
         to = f"{place['host']}:{place['port']}"
         words = ["replay", str(path), "--to", "igtl", "--connect", to, "--as-fast-as-possible", "--json"]
-        player = stack.enter_context(Program("replay", ["igtl_gateway", *words]))
+        player = stack.enter_context(Program("replay", ours(*words)))
         peer.wait_for("ready", _START_S)
         player.gone(_PATIENCE_S)
         last = -1
@@ -243,5 +244,5 @@ def _replayed(shop: Workshop, path: Path, stream: Stream, count: int) -> Row:
 
 
 def _until_end(name: str, words: Sequence[str]) -> None:
-    with Program(name, ["igtl_gateway", *words]) as program:
+    with Program(name, ours(*words)) as program:
         program.gone(_PATIENCE_S)

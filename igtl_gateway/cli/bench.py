@@ -16,6 +16,7 @@ from typing import Any
 from igtl_gateway import __version__
 from igtl_gateway.bench.cases import CASES, FLOOD, TABLE_1, Case, Direction
 from igtl_gateway.bench.figures import ratio
+from igtl_gateway.bench.peers import PEERS, lacks
 from igtl_gateway.bench.plot import latency_plots
 from igtl_gateway.bench.runner import Extent, Plan, Row, Runner
 from igtl_gateway.bench.works import WORKS, Workshop
@@ -79,6 +80,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=True,
         help="measure the same bytes over a bare DDS hop and a bare TCP connection too",
     )
+    parser.add_argument(
+        "--peers", action="store_true", help=f"again with {' and '.join(PEERS)} instead of our client, where installed"
+    )
     parser.add_argument("--plot", type=Path, metavar="DIR", help="draw the rows into SVG files there")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -140,7 +144,16 @@ def _asked(options: argparse.Namespace) -> tuple[list[Plan], list[str]]:
         if name in CASES:
             plan = Plan(_at_rate(CASES[name], options), directions, Extent(options.duration, count), options.floor)
             plans += [plan, replace(plan, record=True, floor=False)] if options.record else [plan]
+            plans += _with_peers(plan) if options.peers else []
     return plans, [name for name in names if name in WORKS]
+
+
+def _with_peers(plan: Plan) -> list[Plan]:
+    """The same with each peer that is there; of the others it is said why not."""
+    reasons = {peer: lacks(peer, plan.case) for peer in PEERS}
+    for reason in filter(None, reasons.values()):
+        _tell(f"left out: {reason}")
+    return [replace(plan, peer=peer) for peer, reason in reasons.items() if not reason]
 
 
 def _at_rate(case: Case, options: argparse.Namespace) -> Case:
@@ -157,7 +170,7 @@ def _with_costs(rows: list[Row]) -> list[Row]:
     """The rows, those of recordings with how many times they took of what they take without."""
 
     def key(row: Row) -> tuple[Any, ...]:
-        return row["case"], row.get("stream"), row.get("direction")
+        return row["case"], row.get("stream"), row.get("direction"), row.get("peer")
 
     plain = {key(row): row for row in rows if not row.get("recording")}
     return [
@@ -208,8 +221,8 @@ def _cell(row: Row, field: str, form: str) -> str:
 
 
 def _name(row: Row) -> str:
-    stream = f" {row['stream']}" if "stream" in row else ""
-    return f"{row['case']}{stream}{' +rec' if row.get('recording') else ''}"
+    marks = (row["case"], row.get("stream"), "+rec" if row.get("recording") else "", row.get("peer"))
+    return " ".join(filter(None, marks))
 
 
 def _shown(value: Any) -> str:

@@ -6,11 +6,11 @@ import os
 
 import pytest
 
-from igtl_gateway.bench.processes import BenchError, Program, Usage
+from igtl_gateway.bench.processes import BenchError, Program, Usage, ours
 
 
 def test_one_that_ends_early_is_quoted() -> None:
-    with Program("verifier", ["igtl_gateway", "verify", "no-such-file.mcap"]) as program:
+    with Program("verifier", ours("verify", "no-such-file.mcap")) as program:
         with pytest.raises(BenchError, match=r"verifier: igtl-gateway verify: .*no-such-file"):
             program.wait_for("ready", 60.0)
         with pytest.raises(BenchError, match="no-such-file"):
@@ -18,7 +18,7 @@ def test_one_that_ends_early_is_quoted() -> None:
 
 
 def test_one_that_says_nothing() -> None:
-    with Program("printer", ["igtl_gateway", "--version"]) as program:
+    with Program("printer", ours("--version")) as program:
         with pytest.raises(BenchError, match="ended with exit code 0 before 'ready'"):
             program.wait_for("ready", 60.0)
 
