@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,8 @@ _SILENCE_S = 3.0
 _LARGE_SILENCE_S, _LARGE_BYTES = 20.0, 4 << 20
 #: Messages that the floor is measured with, at most: its median is all that is used.
 _FLOOR_COUNT = 300
-#: The gateway ends by itself where nobody is left to end it.
-_GATEWAY_S = 3600.0
+#: The gateway ends by itself where nobody is left to end it: so long after its runs.
+_GATEWAY_S = 600.0
 
 Row = dict[str, Any]
 Address = tuple[str, int]
@@ -91,9 +91,10 @@ class Passed:
 
 @dataclass(frozen=True)
 class _Gateway:
-    """The gateway's process."""
+    """The gateway's process, and what it told of its recording at its end."""
 
     program: Program
+    recorded: Row = field(default_factory=dict)
 
     @cached_property
     def address(self) -> Address:
@@ -130,6 +131,7 @@ class Runner:
                 self._tell(f"{plan.case.name} {ways}{f' {plan.peer}' if plan.peer else ''}")
                 passed = self._through_gateway(plan, directions, gateway)
                 rows += self._rows(plan, directions, passed)
+        rows = [row | gateway.recorded for row in rows]
         if plan.peer:
             hop = self._bare(self._briefly(plan), LIBRARY) if plan.peer == LIBRARY else None
             rows = [row | {"peer": plan.peer, "peer_hop_p50_ms": hop} for row in rows]
@@ -143,19 +145,25 @@ class Runner:
 
     @contextmanager
     def _gateway(self, plan: Plan) -> Iterator[_Gateway]:
-        words = ["bridge", "--json", "--listen", "127.0.0.1:0", "--duration", str(_GATEWAY_S)]
+        longest = max(
+            plan.extent.count / stream.rate_hz if stream.rate_hz and plan.extent.count else plan.extent.seconds
+            for stream in plan.case.streams
+        )
+        seconds = _GATEWAY_S + len(Direction) * longest
+        words = ["bridge", "--json", "--listen", "127.0.0.1:0", "--duration", str(seconds)]
         for stream in plan.case.streams:
             topic, device = (f(Direction.ROS_TO_IGTL) for f in (stream.topic, stream.device))
             words += ["--send", f"{topic}={device}:{payload(stream.kind).igtl_type}"]
         if plan.record:
             words += ["--record", str(self._folder / "recording.mcap"), "--overwrite"]
         with Program("gateway", ours(*words)) as program:
-            yield _Gateway(program)
+            gateway = _Gateway(program)
+            yield gateway
             program.interrupt()
             if plan.record:
-                recording = program.wait_for("stopped", _START_S)["recording"]
-                if recording["dropped"]:
-                    self._tell(f"  the recorder dropped {recording['dropped']:,} entries")
+                told = program.wait_for("stopped", _START_S)["recording"]
+                gateway.recorded["recorder_dropped"] = told["dropped"]
+                gateway.recorded["recorded_mb"] = round(told["bytes"] / 1e6, 1)
 
     def _through_gateway(self, plan: Plan, directions: Sequence[Direction], gateway: _Gateway) -> Passed:
         parts = {direction: self._parts(plan.case.streams, direction, plan.extent) for direction in directions}

@@ -29,6 +29,7 @@ EXAMPLES = """\
   igtl-gateway bench --case transform --rate 1000 --direction ros-to-igtl
   igtl-gateway bench --case image-fullhd --flood --json
   igtl-gateway bench --case mixed --duration 60 --record  with and without recording
+  igtl-gateway bench --case transform image-vga --peers   with the C++ library and pyigtl as peers, too
   igtl-gateway bench --case start-up replay verify        what is no passage of messages
   igtl-gateway bench --table1 --plot out                  the paper's table: 1000 messages each, 30 Hz"""
 
