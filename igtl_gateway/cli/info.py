@@ -242,6 +242,8 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
         print(f"  made by   igtl-gateway {made}" + (f" ({session['scenario']})" if "scenario" in session else ""))
     if "synthetic" in session:
         print(f"  synthetic {session['synthetic']}")
+    for key, value in json.loads(session.get(layout.CUSTOM_KEY, "{}")).items():
+        print(f"  {key:<9} {value}")
     for line in _origin(session):
         print(f"  {line}")
     config = json.loads(session.get("config", "{}"))

@@ -23,6 +23,7 @@ _OF_A_RECORDING: dict[str, Any] = {
     "record_all": False,
     "record_include": [],
     "record_exclude": [],
+    "custom_data": [],
     "split_size": 0,
     "split_duration": 0.0,
     "snapshot": 0.0,
@@ -57,6 +58,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="GLOB",
         help="do not record what comes in on these streams, nor what follows from it",
+    )
+    globs(
+        "--custom-data",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="KEY=VALUE",
+        help="say this in the recording, too: operator=Kim, phantom=B",
     )
     globs("--overwrite", action="store_true", help="replace an existing recording")
     globs("--compression", choices=("none", "lz4", "zstd"), default=given.compression, help="(%(default)s)")
@@ -105,6 +114,10 @@ def record_options(options: argparse.Namespace) -> RecordOptions:
             raise ConfigError(f"--{name.replace('_', '-')}: found {value:g}, expected a number from 0 up")
     if options.snapshot and (options.split_size or options.split_duration):
         raise ConfigError("--snapshot keeps what it has in memory: there is nothing to split")
+    custom = [text.partition("=") for text in options.custom_data]
+    for key, equals, _ in custom:
+        if not (key and equals):
+            raise ConfigError(f"--custom-data: found {key + equals!r}, expected KEY=VALUE")
     return RecordOptions(
         compression=options.compression,
         flush_s=options.flush_interval,
@@ -115,6 +128,7 @@ def record_options(options: argparse.Namespace) -> RecordOptions:
         selection=Selection(tuple(options.record_include), tuple(options.record_exclude)),
         overwrite=options.overwrite,
         stop_on_failure=options.on_record_failure == "stop",
+        custom=tuple((key, value) for key, _, value in custom),
     )
 
 

@@ -15,7 +15,7 @@ from igtl_gateway.gateway import Gateway
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.simulate.catalogue import SCENARIOS
 from igtl_gateway.simulate.load import SENDERS, SIZES, Load
-from igtl_gateway.simulate.scenario import Scenario
+from igtl_gateway.simulate.scenario import SYNTHETIC, Scenario
 
 _WIDTH = max(map(len, SCENARIOS))
 _SCENARIOS = "\n".join(f"  {name:<{_WIDTH}}  {scenario.title}" for name, scenario in SCENARIOS.items())
@@ -160,5 +160,5 @@ def facts(name: str, config: Config) -> dict[str, str]:
         "config": json.dumps(config.to_dict(), sort_keys=True),
         "igtl_gateway_version": __version__,
         "scenario": name,
-        "synthetic": "yes: no robot, no patient, no camera",
+        "synthetic": SYNTHETIC,
     }

@@ -32,7 +32,7 @@ from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.replay.verify import Report as Verification
 from igtl_gateway.simulate.actor import Actor, Report, Side
-from igtl_gateway.simulate.scenario import Scenario
+from igtl_gateway.simulate.scenario import SYNTHETIC, Scenario
 
 #: Option → field of ``Load``.
 LOAD_OPTIONS = {"type": "type", "size": "size", "rate": "rate_hz", "count": "count", "sender": "sender"}
@@ -113,7 +113,8 @@ def _bridge(
     seconds = str(sum(_limits_s(options, scenario)) + _BRIDGE_S)
     beside = sorted({topic for actor in actors for topic, says in actor.says.items() if says.recorded})
     topics = ["--record-topics", *beside] if beside else []
-    return ["--config", str(config), "--record", str(record), *more, "--duration", seconds, *topics]
+    said = ["--custom-data", f"scenario={options.name}", f"synthetic={SYNTHETIC}"]
+    return ["--config", str(config), "--record", str(record), *more, "--duration", seconds, *topics, *said]
 
 
 def _plan(options: argparse.Namespace, scenario: Scenario, actors: Sequence[Actor], bridge: list[str] | None) -> Plan:

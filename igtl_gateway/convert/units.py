@@ -15,13 +15,6 @@ import numpy.typing as npt
 #: Length units by name, in micrometres.
 UNITS = {"m": 1_000_000, "dm": 100_000, "cm": 10_000, "mm": 1_000, "um": 1}
 
-#: Of two units, how many of the second are one of the first, as numerator and denominator.
-_RATIOS = {
-    (one, other): (UNITS[one] // UNITS[other], 1) if UNITS[one] >= UNITS[other] else (1, UNITS[other] // UNITS[one])
-    for one in UNITS
-    for other in UNITS
-}
-
 Number = TypeVar("Number", float, npt.NDArray[Any])
 
 #: Decorator for arithmetic on arrays: too large is infinity, as IEEE 754 has it for plain floats, and not a
@@ -44,7 +37,8 @@ class Lengths:
     @property
     def _ratio(self) -> tuple[int, int]:
         """OpenIGTLink units per ROS unit, as numerator and denominator."""
-        return _RATIOS[self.ros, self.igtl]
+        ros, igtl = UNITS[self.ros], UNITS[self.igtl]
+        return (ros // igtl, 1) if ros >= igtl else (1, igtl // ros)
 
     def to_igtl(self, lengths: Number) -> Number:
         """Lengths of the ROS side (float or float64 array) in OpenIGTLink units."""

@@ -320,7 +320,8 @@ class Gateway:
         if query is None:
             return []
         prefix, igtl_type = query
-        device, now_ns = visible(message.device_name), entry.stamp_ns
+        # a name of odd bytes is longer as text: what answers it has to fit the wire
+        device, now_ns = short_device_name(visible(message.device_name)), entry.stamp_ns
         match prefix:
             case "GET":
                 outs = queries.answer(igtl_type, device, now_ns, lambda *key: self._latest_of(entry, *key))
@@ -339,7 +340,7 @@ class Gateway:
                 text = f"{message.type} of {device or 'any device'} refused: unknown frame, type or too many streams"
                 return [*replies, note(Level.WARN, "stream_refused", text, entry.channel, (peer.link,))]
             case "STP":
-                peer.stop(igtl_type, device)
+                peer.stop(igtl_type, visible(message.device_name))
                 return self._to(entry, [peer], queries.acknowledgement(igtl_type, device, now_ns, queries.OK))
             case _:
                 return []

@@ -34,6 +34,7 @@ class RecordOptions:
         queue_bytes, queue_entries: bounds of the queue.
         overwrite: replace an existing recording instead of refusing it.
         stop_on_failure: whoever runs the recorder ends with it.
+        custom: what the user wants to have said in the recording, as (key, value).
     """
 
     compression: Compression = "lz4"
@@ -49,3 +50,4 @@ class RecordOptions:
     queue_entries: int = QUEUE_ENTRIES
     overwrite: bool = False
     stop_on_failure: bool = False
+    custom: tuple[tuple[str, str], ...] = ()

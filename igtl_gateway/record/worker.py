@@ -147,6 +147,8 @@ class _Worker:
         self._orphaned = orphaned
         self.options = settings.options
         self._session = dict(settings.session) | settings.options.selection.facts()
+        if self.options.custom:
+            self._session[layout.CUSTOM_KEY] = json.dumps(dict(self.options.custom), sort_keys=True)
         self._queue = queue
         self._pipe = pipe
         self._clock = clock

@@ -46,6 +46,8 @@ PART_KEY, PREVIOUS_KEY = "part", "previous_part"
 SNAPSHOT_KEY = "snapshot_seconds"
 #: Keys of the session metadata where streams were chosen: globs, a JSON array.
 INCLUDE_KEY, EXCLUDE_KEY = "record_include", "record_exclude"
+#: Key of the session metadata for what the user has to say: a JSON object of texts.
+CUSTOM_KEY = "custom_data"
 #: Key of the session metadata that is repeated in the attachment.
 CONFIGURATION_KEY = "config"
 FORMAT_VERSION_KEY = "format_version"

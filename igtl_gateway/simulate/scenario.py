@@ -23,6 +23,9 @@ from igtl_gateway.simulate.load import Load
 from igtl_gateway.simulate.stage import came, play, went
 from igtl_gateway.wire import Message, encode
 
+#: What every recording of a scenario says of itself.
+SYNTHETIC = "yes: no robot, no patient, no camera"
+
 
 @dataclass(frozen=True, slots=True)
 class Input:

@@ -19,6 +19,7 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
 from igtl_gateway.record.worker import PAUSED, RESUMED, SNAPSHOT
+from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.note import Note
 from tests.record import samples
 
@@ -122,3 +123,16 @@ def test_a_signal_writes_a_snapshot(tmp_path: Path) -> None:
 def test_without_a_recording_there_is_nothing_to_steer() -> None:
     with recording.steering(None) as told:
         assert told == ""
+
+
+def test_what_the_user_says_is_in_the_recording(tmp_path: Path) -> None:
+    assert parsed("--record", "a", "--custom-data", "operator=Kim", "note=a=b").custom == (
+        ("operator", "Kim"),
+        ("note", "a=b"),
+    )
+    bench = Bench(tmp_path / "a.mcap", custom=(("operator", "Kim"),))
+    bench.recorder.close({})
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        assert file.session["custom_data"] == '{"operator": "Kim"}'
+    with pytest.raises(ConfigError, match=r"--custom-data: found 'Kim', expected KEY=VALUE"):
+        parsed("--record", "a", "--custom-data", "Kim")

@@ -39,6 +39,12 @@ def environment(**changes: str) -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(ROOT), "ROS_DOMAIN_ID": str(DOMAIN), "PYTHONUNBUFFERED": "1"} | changes
 
 
+def children(process: int) -> list[int]:
+    """The processes that it has started."""
+    tasks = Path(f"/proc/{process}/task").iterdir()
+    return [int(word) for task in tasks for word in (task / "children").read_text().split()]
+
+
 @dataclass(frozen=True)
 class Result:
     """How a program ended."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import socket
@@ -23,6 +24,7 @@ from tests.integration.bridge import (
     RawPeer,
     Result,
     RosClient,
+    children,
     gateway,
     string,
 )
@@ -225,7 +227,7 @@ def test_other_topics_are_recorded(programs: list[Program], tmp_path: Path, ever
         assert found["/chatter"][1].data == "aside"
 
 
-def test_kill_9_leaves_what_was_flushed(programs: list[Program], tmp_path: Path) -> None:
+def test_kill_9_of_bridge_and_recorder_leaves_what_was_flushed(programs: list[Program], tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
     bridge = Bridge("--no-ros", "--record", str(path))
     programs.append(bridge)
@@ -236,6 +238,8 @@ def test_kill_9_leaves_what_was_flushed(programs: list[Program], tmp_path: Path)
     with RawPeer(bridge.port) as peer:
         peer.send(string("before the power went"))
         wait_flushed(path, is_there)
+        for recorder in children(bridge.process.pid):
+            os.kill(recorder, signal.SIGKILL)
         result = bridge.end(signal.SIGKILL)
     assert result.code == -signal.SIGKILL
     assert is_there(cut_off(path))

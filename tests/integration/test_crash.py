@@ -25,7 +25,7 @@ import pytest
 from igtl_gateway.record.options import FLUSH_S
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
-from tests.integration.bridge import Bridge, RawPeer, gateway, message, string
+from tests.integration.bridge import Bridge, RawPeer, children, gateway, message, string
 
 _log = logging.getLogger(__name__)
 
@@ -105,12 +105,6 @@ def recover(path: Path, out: Path) -> list[Entry]:
         assert file.ledger is not None
         assert [loss["what"] for loss in file.ledger["recovered"]["lost"]] == ["cut_off"]
         return list(file.entries())
-
-
-def children(process: int) -> list[int]:
-    """The processes that it has started."""
-    tasks = Path(f"/proc/{process}/task").iterdir()
-    return [int(word) for task in tasks for word in (task / "children").read_text().split()]
 
 
 def wait_gone(process: int) -> None:

@@ -129,10 +129,12 @@ def test_it_connects_to_a_program_that_serves() -> None:
             with server.socket:
                 peer.wait_connected()
                 peer.play()
-                found = [Header.unpack(data) for data in server.messages(2)]
+                found = [Header.unpack(data) for data in server.messages(4)]
                 peer.wait_done()
     assert sorted((header.type, header.device_name) for header in found) == [
+        ("POINT", "PlanPoints"),
         ("STATUS", "Navigation"),
+        ("STRING", "Navigation"),
         ("STRING", "Navigation"),
     ]
 
