@@ -66,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"use at most so many clouds, evenly spread (default: {CLOUDS})",
     )
     parser.add_argument("--csv", type=Path, metavar="OUT", help="write a table with a row for each stitch and version")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
     parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
     group = parser.add_argument_group("thresholds")
     for threshold in fields(Thresholds):
@@ -93,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     except GatewayError as error:
         raise GatewayError(f"{options.file}: {error}") from None
     if options.csv:
-        _write_csv(options.csv, review)
+        _write_csv(options.csv, review, options.overwrite)
     if options.json:
         print_json(_told(options.file, review))
     else:
@@ -168,13 +169,15 @@ _END_COLUMNS = (
 )
 
 
-def _write_csv(path: Path, review: Review) -> None:
+def _write_csv(path: Path, review: Review, overwrite: bool) -> None:
     try:
-        with path.open("w", newline="", encoding="utf-8") as out:
+        with path.open("w" if overwrite else "x", newline="", encoding="utf-8") as out:
             rows = list(_csv_rows(review))
             writer = csv.DictWriter(out, list(rows[0]))
             writer.writeheader()
             writer.writerows(rows)
+    except FileExistsError:
+        raise GatewayError(f"{path}: exists already, expected a new file or --overwrite") from None
     except OSError as error:
         raise GatewayError(f"cannot write to {path}: {error.strerror or error}") from None
 

@@ -145,4 +145,8 @@ def test_a_session_without_a_cloud_is_a_failure(capsys: pytest.CaptureFixture[st
 def test_a_table_that_cannot_be_written_is_a_failure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     out = tmp_path / "no-folder" / "out.csv"
     assert main(["review", str(STAR), "--csv", str(out), "--clouds", "2"]) == 1
+    there = tmp_path / "there.csv"
+    there.write_text("mine", "utf-8")
+    assert main(["review", str(STAR), "--csv", str(there), "--clouds", "2"]) == 1
+    assert there.read_text("utf-8") == "mine"
     assert f"cannot write to {out}" in capsys.readouterr().err
