@@ -358,6 +358,8 @@ class _Program:
 
 def _die_with_parent() -> None:
     """In a program before it begins: be interrupted when the thread that started it ends, in whatever way."""
+    # ignored where a shell without job control has put us into the background; what we start would ignore it, too
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
 
 

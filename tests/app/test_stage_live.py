@@ -193,7 +193,8 @@ def test_a_bridge_that_cannot_start_ends_all(tmp_path: Any) -> None:
 
 
 KILLED = """
-import os, sys
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in the background of a shell without job control
 from queue import SimpleQueue
 from igtl_gateway.app.stage_live import _Program
 

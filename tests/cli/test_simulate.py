@@ -115,7 +115,7 @@ def test_the_live_bridge_records_what_is_for_the_recording_alone(monkeypatch: py
     for name in ("star", "acquisition"):
         assert main(["simulate", name]) == 1
     star, acquisition = (list(words or ()) for words in bridges)
-    assert star[star.index("--record-topics") + 1 :] == [CAMERA_INFO]
+    assert star[star.index("--record-topics") + 1 : star.index("--custom-data")] == [CAMERA_INFO]
     assert acquisition and "--record-topics" not in acquisition
 
 

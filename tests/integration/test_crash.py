@@ -1,7 +1,7 @@
 """A recording bridge that dies: killed under load at any moment, or on a full disk.  What was said before is there.
 
 Killed alone, the bridge loses nothing: its recorder lives on and closes the file.  Killed together with its recorder,
-as by a loss of power, it loses what was not flushed.  ``CRASH_KILLS=50`` kills that many times instead of four;
+as by a loss of power, it loses what was not flushed.  ``CRASH_KILLS=50`` kills that many times instead of two;
 ``--log-cli-level=INFO`` tells what each of them cost.
 """
 
@@ -29,7 +29,7 @@ from tests.integration.bridge import Bridge, RawPeer, children, gateway, message
 
 _log = logging.getLogger(__name__)
 
-KILLS = int(os.environ.get("CRASH_KILLS", "4"))
+KILLS = int(os.environ.get("CRASH_KILLS", "2"))
 #: What the recorder may take on top of its interval on a busy machine, until the bytes are with the system.
 SLACK_S = float(os.environ.get("CRASH_SLACK_S", "2.0"))
 BATCH = 50

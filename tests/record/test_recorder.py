@@ -621,6 +621,8 @@ seq = 0
 while not failed.is_set():
     seq += 1
     recorder(samples.igtl(seq, body=noise(seq)))
+    while recorder.counters()["queued_entries"] > 100 and not failed.is_set():
+        failed.wait(0.001)  # the file is to be the limit, not the queue
 recorder(samples.igtl(seq + 1))
 summary = recorder.close({})
 print(json.dumps({"given": seq + 1, "notes": notes, "entries": summary.entries, "dropped": summary.dropped,

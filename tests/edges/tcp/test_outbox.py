@@ -23,6 +23,8 @@ def test_slow_reader_loses_old_transforms_and_no_string(world: World, monkeypatc
         edge.send([1], [message(number, 48, b"TRANSFORM")], "TRANSFORM/tool", False)
         if number % 100 == 0:
             edge.send([1], [message(number)], "STRING/plan", True)
+        if number == 100:
+            seen.wait("queue_drop")  # of the first drops, before there are more
         edge.send([2], [message(number)], "STRING/plan", True)
         assert edge.flush(0) or edge.counters()[1].queued_messages <= 51
     (first, *_) = seen.wait("queue_drop")
