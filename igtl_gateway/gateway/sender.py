@@ -94,7 +94,7 @@ def send(out: Outbound, peers: Iterable[Peer], now_ns: int, *, asked: bool = Fal
                     content, name = adapted[adapt], adapt.__name__
             forms.setdefault((peer.version, name), (content, []))[1].append(peer.link)
             peer.said_ns = now_ns
-    for (version, _), (content, links) in sorted(forms.items(), key=_form) if len(forms) > 1 else forms.items():
+    for (version, _), (content, links) in sorted(forms.items(), key=lambda form: form[0]):
         message = Message(out.igtl_type, out.device, content, ns_to_ticks(out.stamp_ns))
         if version > 1:
             names = (out.device, out.full_name or out.device)
@@ -104,7 +104,3 @@ def send(out: Outbound, peers: Iterable[Peer], now_ns: int, *, asked: bool = Fal
             Reply(Kind.IGTL_OUT, out.channel, out.igtl_type, encode(message), tuple(links), out.stamp_ns)
         )
     return sent
-
-
-def _form(form: tuple[tuple[int, str], tuple[Body, list[int]]]) -> tuple[int, str]:
-    return form[0]

@@ -38,8 +38,8 @@ class Session:
         """
         if kind is Kind.IGTL_IN:
             header = Header.unpack(payload[0])
-            type_name = visible(header.type)
-            channel, source_ns = f"{type_name}/{visible(header.device_name)}", ticks_to_ns(header.ticks)
+            channel, type_name = stream_name(header), visible(header.type)
+            source_ns = ticks_to_ns(header.ticks)
         # log order is time order, even where the host's clock steps back
         entry = Entry(
             self._seq + 1,

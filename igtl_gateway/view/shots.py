@@ -118,12 +118,7 @@ class HeadlessViewer:
 
     def close(self) -> None:
         """End the viewer; waits until it has gone.  A second call does nothing."""
-        self._process.terminate()
-        try:
-            self._process.wait(5)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end(self._process)
         self._words.join()
 
     def at(self, part: float) -> int:
@@ -251,12 +246,16 @@ def binary() -> Path:
 
 def _start(recording: Path, size: tuple[int, int]) -> subprocess.Popen[str]:
     width, height = size
-    command = [str(binary()), str(recording), "--headless", "--bind", "127.0.0.1", "--port", "auto"]
-    command += ["--window-size", f"{width}x{height}"]
+    arguments = [str(recording), "--headless", "--bind", "127.0.0.1", "--port", "auto"]
+    # What it says at other levels it also writes over the picture; where it listens we must hear.
+    return start([*arguments, "--window-size", f"{width}x{height}"], "error,re_grpc_server=info")
+
+
+def start(arguments: Sequence[str], log: str) -> subprocess.Popen[str]:
+    """The viewer as a process that ends with this one; ``log`` says what it tells on stderr, as RUST_LOG."""
+    command = [str(binary()), *arguments]
     if guard := shutil.which("setpriv"):  # the kernel ends the viewer should this process be killed
         command = [guard, "--pdeathsig", "TERM", "--", *command]
-    # What it says at other levels it also writes over the picture; where it listens we must hear.
-    environment = {**os.environ, "RERUN_ANALYTICS": "0", "NO_COLOR": "1", "RUST_LOG": "error,re_grpc_server=info"}
     return subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,
@@ -264,9 +263,19 @@ def _start(recording: Path, size: tuple[int, int]) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",
-        env=environment,
+        env={**os.environ, "RERUN_ANALYTICS": "0", "NO_COLOR": "1", "RUST_LOG": log},
         start_new_session=True,  # Ctrl-C at the terminal is for us; we end the viewer
     )
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    """End a viewer, and wait until it has gone."""
+    process.terminate()
+    try:
+        process.wait(5)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def _datetime64(time_ns: int) -> Any:

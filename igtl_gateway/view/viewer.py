@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
-import subprocess
 import sys
 import threading
 from collections.abc import Mapping, Sequence
@@ -14,11 +12,12 @@ from typing import Self
 from urllib.parse import quote
 
 from igtl_gateway.errors import ViewerError
-from igtl_gateway.view.shots import binary
+from igtl_gateway.view.shots import end, start
 
 HOST = "127.0.0.1"
 _LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
 _HOSTS = re.compile(r"Hosting a web-viewer at http://127\.0\.0\.1:(\d+)")
+_LOG = "error,re_grpc_server=info,re_sdk::web_viewer=info"
 _START_S = 30.0
 _WORDS = 4000
 _LIVE_MEMORY = "25%"  # of the machine: of a long session the window forgets the oldest
@@ -38,7 +37,7 @@ class Viewer:
         self._text = ""
         self._ready = threading.Event()
         self._ended = threading.Event()
-        self._process = _start(arguments)
+        self._process = start(arguments, _LOG)
         self._reader = threading.Thread(target=self._read, name="igtl-viewer", daemon=True)
         self._reader.start()
         if not self._ready.wait(_START_S) or not all(self._found):
@@ -76,12 +75,7 @@ class Viewer:
 
     def close(self) -> None:
         """End it; may be called twice."""
-        self._process.terminate()
-        try:
-            self._process.wait(5)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end(self._process)
         self._reader.join()
 
     def _read(self) -> None:
@@ -109,20 +103,3 @@ def check_screen(environment: Mapping[str, str]) -> None:
             "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set), expected one for the viewer's window: "
             "without a screen there are `igtl-gateway view` --save, --web and --screenshot"
         )
-
-
-def _start(arguments: Sequence[str]) -> subprocess.Popen[str]:
-    command = [str(binary()), *arguments]
-    if guard := shutil.which("setpriv"):  # the kernel ends the viewer should this process be killed
-        command = [guard, "--pdeathsig", "TERM", "--", *command]
-    log = "error,re_grpc_server=info,re_sdk::web_viewer=info"
-    return subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-        env={**os.environ, "RERUN_ANALYTICS": "0", "NO_COLOR": "1", "RUST_LOG": log},
-        start_new_session=True,  # Ctrl-C at the terminal is for us; we end the viewer
-    )
