@@ -325,6 +325,7 @@ def test_the_services_of_a_recording(programs: list[Program], tmp_path: Path) ->
         programs.append(bridge)
         assert call("pause_recording") == "the recording is paused"
         assert call("resume_recording") == "the recording goes on"
+        bridge.wait_code("record_resumed")
         assert bridge.end().code == 0
     notes = [message.code for topic, _, message in recorded(path) if topic == "/igtl_gateway/notes"]
     assert [code for code in notes if code.startswith("record_")] == ["record_paused", "record_resumed"]
