@@ -29,6 +29,7 @@ LEVELS = {
     "globs": 0,
     "qos": 0,
     "stamp": 0,
+    "values": 0,
     "session": 1,
     "wire": 1,
     "config": 2,

@@ -20,13 +20,13 @@ from igtl_gateway.app.recording import offer
 from igtl_gateway.app.video import Video
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
-from igtl_gateway.convert.common_msgs import TFMessage
+from igtl_gateway.convert.common_msgs import CompressedImage, TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList, MetadataItem
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import Limits, TcpEdge
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError
-from igtl_gateway.gateway import LINKS_TOPIC, Session, gateway_of
+from igtl_gateway.gateway import LINKS_TOPIC, Gateway, Session, gateway_of
 from igtl_gateway.gateway.tf_out import TF_QOS
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
@@ -45,6 +45,9 @@ _RECORDED = Qos(depth=100)
 
 #: Topics that `--record-all` leaves out, as `ros2 bag record --all` does: hidden ones and the graph's own chatter.
 _NEVER_RECORDED = ("/parameter_events", "/rosout", "**/_*")
+
+#: Types that the bridge itself reads on their way to ROS: replies for the service, frames to be decoded.
+_OWN_USE = frozenset({CommandReply.TYPE, CompressedImage.TYPE})
 
 Address = tuple[str, int]
 OnEntry = Callable[[Entry], None]
@@ -118,6 +121,8 @@ class Bridge:
                 wants=self.wanted,
                 on_note=self._on_edge_note,
             )
+            if isinstance(self.gateway, Gateway) and not (on_entry or options.record):
+                self.gateway.heard = self._heard
             if options.video:
                 self.video = Video(options.video, config, self.hub, self.ros)
 
@@ -209,6 +214,10 @@ class Bridge:
         """A message that the ROS edge received: pictures for a video are encoded first."""
         if not (self.video and self.video.take(topic, ros_type, cdr, source_ns)):
             self.hub.ros(topic, ros_type, cdr, source_ns)
+
+    def _heard(self, topic: str, ros_type: str) -> bool:
+        """Whether a message to ROS is of use to anybody, we ourselves included."""
+        return ros_type in _OWN_USE or self.ros is None or self.ros.heard(topic)
 
     def _tick(self) -> None:
         """Keep the gateway's deadlines."""

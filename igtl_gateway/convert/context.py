@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.units import Lengths
+from igtl_gateway.values import value
 from igtl_gateway.wire.body import Body
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class ToRos:
     """Circumstances of a message on its way to ROS.
 
@@ -41,7 +42,7 @@ class ToRos:
     made: dict[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class ToIgtl:
     """Circumstances of a message on its way to OpenIGTLink; attributes as in ``ToRos``."""
 
@@ -49,7 +50,7 @@ class ToIgtl:
     warnings: list[tuple[str, str]] = field(default_factory=list)
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class Outgoing:
     """What a ROS message became.
 

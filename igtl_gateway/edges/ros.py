@@ -286,6 +286,14 @@ class RosEdge:
             own = int(writer.topic in self._readers)
             return max(0, int(writer.publisher.get_subscription_count()) - own)
 
+    def heard(self, topic: str) -> bool:
+        """Whether a message published now might reach anybody: cheap, and exact once discovery is through.
+
+        True, too, while subscribers are waited for, and of topics whose last message is kept for those that come.
+        """
+        writer = self._writers.get(topic)
+        return writer is None or writer.heard
+
     def wait_for_subscribers(self, topic: str, count: int, timeout_s: float) -> bool:
         """Wait until ``count`` readers are matched; False if that took longer than ``timeout_s``, or at stop."""
         with self._matched:

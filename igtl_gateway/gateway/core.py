@@ -67,6 +67,10 @@ MAX_VOLUMES = 64
 #: Things that are said once: a peer that invents names must fill neither the memory nor the log.
 MAX_SAID = 10_000
 
+#: What the ledger says of messages whose way was a good one.
+_CONVERTED, _UNHEARD = "converted", "unheard"
+_GOOD_FATES = frozenset({_CONVERTED, _UNHEARD})
+
 _IN, _OUT = "igtl_in", "igtl_out"
 _ROS_IN, _ROS_OUT = "ros_in", "ros_out"
 
@@ -76,10 +80,15 @@ _KEPT_TYPES = frozenset({"STRING", "STATUS", "COMMAND", "RTS_COMMAND", "VIDEO"})
 
 
 class Gateway:
-    """See the package."""
+    """See the package.
+
+    ``heard``, where it is set, says of a topic and its ROS type whether anybody listens: what nobody would hear is not
+    made then.  It is no input, so sessions that are recorded leave it unset: they make, and hold, everything.
+    """
 
     def __init__(self, config: Config) -> None:
         self.config = config
+        self.heard: Callable[[str, str], bool] | None = None
         self.ledger = Ledger()
         self._peers = Peers(config)
         self._streams = Streams(config)
@@ -163,10 +172,10 @@ class Gateway:
             self.ledger.drop(_IN, entry.channel, "command_refused")
             return news + refused
         replies, fate = self._deliver(entry, message, restore(message))
-        if fate:
-            self.ledger.drop(_IN, entry.channel, fate)
+        if fate in _GOOD_FATES:
+            self.ledger.count(_IN, entry.channel, fate)
         else:
-            self.ledger.count(_IN, entry.channel, "converted")
+            self.ledger.drop(_IN, entry.channel, fate)
         return news + replies + (self._respond(entry, peer, message) if peer else [])
 
     def _learn(self, entry: Entry, peer: Peer, message: Message) -> list[Reply]:
@@ -181,7 +190,7 @@ class Gateway:
         return replies
 
     def _deliver(self, entry: Entry, message: Message, told: Restored) -> tuple[list[Reply], str]:
-        """A decoded message to ROS: what goes out, and the reason if nothing does."""
+        """A decoded message to ROS: what goes out, and what the ledger is to say of it."""
         igtl_type, link = visible(message.type), entry.links[0]
         stream = self._streams.to_ros(igtl_type, told.device_name)
         if stream is None:
@@ -191,7 +200,7 @@ class Gateway:
         content = message.content
         try:
             if isinstance(content, Bind):
-                return self._unbound(entry, message, content, told, stream, to), ""
+                return self._unbound(entry, message, content, told, stream, to), _CONVERTED
             if isinstance(content, Image):
                 whole = self._assembled(told.device_name, content)
                 if whole is None:
@@ -202,7 +211,8 @@ class Gateway:
                 return self._unconverted(entry, message, stream, to)
             if not any(row.applies(content) for row, _ in outputs):
                 return [], "not_chosen"
-            return self._publish(entry, content, to, stream, outputs), ""
+            replies = self._publish(entry, content, to, stream, outputs)
+            return replies, _CONVERTED if replies or self.heard is None else _UNHEARD
         except (ConversionError, WireError) as error:
             return [
                 note(Level.ERROR, "conversion", f"not published: {error}", entry.channel, entry.links)
@@ -233,11 +243,14 @@ class Gateway:
         for row, topic in outputs:
             if not row.applies(content):
                 continue
-            try:
-                converted = row.convert(content, to)
-            except ConversionError as error:
-                refused.append((row, error))
-                continue
+            if self._is_heard(topic, row.message.TYPE):
+                try:
+                    converted = row.convert(content, to)
+                except ConversionError as error:
+                    refused.append((row, error))
+                    continue
+            else:
+                converted = []
             full = full or row.role is Role.FULL
             for message in converted if isinstance(converted, list) else (converted,):
                 to.made[message.TYPE] = message
@@ -250,13 +263,17 @@ class Gateway:
             note(Level.ERROR, "conversion", f"not published as {row.message.TYPE}: {error}", entry.channel, entry.links)
             for row, error in refused
         ]
-        if to.metadata and not full:
+        if to.metadata and not full and self._is_heard(stream.metadata_topic, Metadata.TYPE):
             message = Metadata(
                 RosHeader(to.stamp_ns, to.frame_id), to.igtl_type, to.device_name, to.message_id, to.metadata
             )
             self._streams.advertise(stream.metadata_topic, _METADATA_QOS)
             replies.append(self._published(stream.metadata_topic, message, to.stamp_ns))
         return replies + self._warnings(to.warnings, entry) + frames
+
+    def _is_heard(self, topic: str, ros_type: str) -> bool:
+        """Whether a message of a topic has to be made: for ROS, or for the frames that go out."""
+        return self.heard is None or self.heard(topic, ros_type) or (bool(self._tf) and ros_type == TFMessage.TYPE)
 
     def _published(self, topic: str, message: RosMessage, stamp_ns: int) -> Reply:
         self.ledger.count(_ROS_OUT, topic, "published")
@@ -275,7 +292,7 @@ class Gateway:
         raw = raw_message(data, entry.stamp_ns, to.link)
         text = f"{to.igtl_type} has no conversion to ROS and is published as it is"
         published = self._published(stream.raw_topic, raw, to.stamp_ns)
-        return [published, *self._once(entry, Level.INFO, "no_conversion", text, message.type, to.link)], ""
+        return [published, *self._once(entry, Level.INFO, "no_conversion", text, message.type, to.link)], _CONVERTED
 
     def _unbound(
         self, entry: Entry, message: Message, bind: Bind, told: Restored, stream: ToRosStream, to: ToRos

@@ -6,10 +6,10 @@ Four keys are ours; the rest belongs to the users and is passed on as it is.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.names import short_device_name
+from igtl_gateway.values import value
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.message import US_ASCII, UTF_8, sorted_items
@@ -28,7 +28,7 @@ OURS = frozenset({FULL_NAME, STAMP, FRAME_ID, CHILD_FRAME_ID})
 _MAX_STAMP_NS = (1 << 32) * 1_000_000_000
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class Restored:
     """What the metadata of a received message says.
 

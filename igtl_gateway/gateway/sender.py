@@ -16,13 +16,14 @@ from igtl_gateway.gateway.profiles import Adapted
 from igtl_gateway.gateway.reply import Reply
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.stamp import ns_to_ticks
+from igtl_gateway.values import value
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 
 Adapt = Callable[[Any], Adapted]
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class Outbound:
     """A message for peers, before it is encoded.
 

@@ -9,10 +9,10 @@ and the cause of an output is the last input before it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 
 from igtl_gateway.buffers import Buffer, join, total_size
+from igtl_gateway.values import value
 
 
 class Kind(Enum):
@@ -35,7 +35,7 @@ class Kind(Enum):
 _INPUTS = frozenset({Kind.IGTL_IN, Kind.ROS_IN, Kind.LINK, Kind.EDGE_NOTE})
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class Entry:
     """One line of the session log.
 

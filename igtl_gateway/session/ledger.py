@@ -1,7 +1,7 @@
 """The loss ledger: what became of every message, by stream.
 
-For each stream that comes in, ``received = converted + recorded_only + the sum of dropped``: whatever is not
-accounted for is a bug that the ledger shows.
+For each stream that comes in, ``received = converted + recorded_only + unheard + the sum of dropped``: whatever is not
+accounted for is a bug that the ledger shows.  (``unheard``: nobody in ROS listened, and nothing is recorded.)
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Ledger:
         self._streams: dict[str, set[str]] = {}  # of each direction: a stream is the same in both books
 
     def count(self, direction: str, stream: str, fate: str, number: int = 1) -> None:
-        """Add to ``received``, ``converted``, ``recorded_only`` or ``sent``."""
+        """Add to ``received``, ``converted``, ``recorded_only``, ``unheard``, ``sent`` or ``published``."""
         self._add(self._counts, direction, stream, fate, number)
 
     def drop(self, direction: str, stream: str, reason: str, number: int = 1) -> None:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, ClassVar
 
 import fastcrc
@@ -33,6 +33,7 @@ import fastcrc
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import ChecksumMismatch, MalformedBody, TruncatedMessage
 from igtl_gateway.stamp import fraction_to_ns
+from igtl_gateway.values import value
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.layout import Field
@@ -58,7 +59,7 @@ MAX_METADATA_SENT = 65_535
 MAX_METADATA_ACCEPTED = 1 << 20
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class Header:
     """The 58 bytes before every body.
 
@@ -107,7 +108,7 @@ class Header:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class Item:
     """One metadata pair of header version 2.
 
@@ -141,7 +142,7 @@ def sorted_items(items: Iterable[Item]) -> tuple[Item, ...]:
     return tuple(last[key] for key in sorted(last))
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class Layout:
     """What surrounds the content of a version 2 message, where its sender did that unlike us.
 
@@ -159,7 +160,7 @@ class Layout:
         return _metadata(memoryview(self.metadata_header), memoryview(self.metadata))[0] == metadata
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class Message:
     """One OpenIGTLink message.
 
@@ -221,7 +222,7 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class Extended:
     """The extended header of version 2: sizes in bytes and the message id.
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody
+from igtl_gateway.values import value
 from igtl_gateway.wire.layout import Field, Layout
 
 _MATRIX = struct.Struct(">12f")
@@ -16,7 +16,7 @@ _FORMS = {28: "all", 24: "quaternion3", 12: "position_only"}
 _POSITION = {form: struct.Struct(f">{size // 4}f") for size, form in _FORMS.items()}
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class Transform:
     """TRANSFORM: a pose as the upper three rows of a 4 × 4 matrix, column by column (``Protocol/transform.md``).
 
@@ -52,7 +52,7 @@ class Transform:
         return {"matrix": self.rows}
 
 
-@dataclass(frozen=True, slots=True)
+@value(frozen=True, slots=True)
 class Position:
     """POSITION: a pose as position and quaternion (``Protocol/position.md``).
 
