@@ -91,8 +91,10 @@ def planned(
     def is_latched(topic: str, ros_type: str) -> bool:
         return (topic, ros_type) in latched
 
-    if start_ns is None or how.recompute or config.relay:
+    if how.recompute or config.relay:
         found = file.entries()
+    elif start_ns is None:
+        found = file.entries_of(how.kinds)
     else:
         found = file.entries_from(start_ns, rule(is_latched))
     entries: Iterable[Entry] = chain(file.prologue(), found)

@@ -4,7 +4,7 @@ A file is either read right or refused: checksums are verified of the index, of 
 and whatever the library below raises on damaged bytes leaves here as DamagedRecording.  MCAP files without our
 metadata ("foreign", such as rosbag2 recordings) are read as what ROS nodes said.
 
-Memory is bounded: one chunk at a time, as long as chunks do not overlap in time, which ours never do.
+Memory is bounded: a few chunks at a time, as long as chunks do not overlap in time, which ours never do.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import re
 import shlex
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -23,12 +23,13 @@ from types import TracebackType
 from typing import IO, Any
 
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Message, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, ChunkIndex, Metadata, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.qos import Qos
+from igtl_gateway.replay.chunks import Row, chunk_rows, in_order
 from igtl_gateway.replay.lookup import StateRule, look_up
 from igtl_gateway.session import layout, migrations
 from igtl_gateway.session.entry import Entry, Kind
@@ -40,9 +41,17 @@ FOOTER = struct.Struct("<BQQQI8s")
 _FOOTER_OPCODE, _FOOTER_LENGTH = 2, 20
 _FOOTER_CRC_COVERS = 1 + 8 + 8 + 8
 SEQUENCES = 1 << 32  # MCAP's sequence has 32 bits, entry numbers have no bound
+#: A message is large that has at least this part of its chunk: it is not copied.
+_LARGE_PART = 4
 _ROS_TYPE = re.compile(r"\w+/msg/\w+", re.ASCII)
 
-Decode = Callable[[Message, int], Entry]
+Decode = Callable[[Row, int], Entry]
+
+_ALL_KINDS = frozenset(Kind)
+#: What stands for inputs that are not wanted.
+_UNWANTED = {kind: Entry(0, 0, kind) for kind in Kind if kind.is_input}
+
+_UNREAD = _UNWANTED[Kind.EDGE_NOTE]
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +141,8 @@ class SessionFile:
         self.foreign = session is None and not marked
         self._decoders: dict[int, Decode] = {}
         self._streams: dict[int, tuple[Kind, str, str]] = {}  # kind, channel and type of a channel's entries
-        self._chunks = summary.chunk_indexes
+        self._chunks: list[ChunkIndex] = summary.chunk_indexes
+        self._known = frozenset(channels)
         told: list[ChannelSummary | SkippedChannel] = []
         for channel in channels.values():
             with self._reading(f"channel {channel.topic}"):
@@ -189,6 +199,20 @@ class SessionFile:
         """
         return migrations.entries(self.format_version, self._entries())
 
+    def entries_of(self, kinds: Collection[Kind]) -> Iterator[Entry]:
+        """The entries of these kinds; what other inputs there are is told by entries without number and content.
+
+        Other outputs may be there or not.  Chunks that hold none of the kinds are not unpacked.  Raises as `entries`.
+        """
+        if self.foreign or self.format_version != layout.FORMAT_VERSION:
+            yield from self.entries()
+            return
+        count = 0
+        for entry in self._numbered(self._rows(kinds=kinds), 0, kinds):
+            count += entry.kind in kinds
+            yield entry
+        self._check_count(count, sum(channel.count for channel in self.channels if channel.kind in kinds))
+
     def entries_from(self, start_ns: int, rule: StateRule) -> Iterator[Entry]:
         """The entries from ``start_ns`` (UTC) on, before them at least those that the latched state there follows from.
 
@@ -206,7 +230,8 @@ class SessionFile:
         try:
             for message, before in found.messages if found else ():
                 seq = before + 1 if self.foreign else _next(state[-1].seq if state else 0, message.sequence)
-                entry = self._decoders[message.channel_id](message, seq)
+                row = (message.channel_id, message.sequence, message.log_time, message.publish_time, 0)
+                entry = self._decoders[message.channel_id]((*row, len(message.data), message.data), seq)
                 if entry.channel and self._streams[message.channel_id] != (entry.kind, entry.channel, entry.type):
                     found = None
                     break
@@ -219,7 +244,7 @@ class SessionFile:
         yield from state
         if found.rest_ns is not None:
             seq = found.count if self.foreign else state[-1].seq if state else 0
-            yield from self._numbered(self._messages(found.rest_ns), seq)
+            yield from self._numbered(self._rows(found.rest_ns), seq)
 
     def prologue(self) -> list[Entry]:
         """Inputs before the first entry, which the gateway's state follows from; for files that begin midway.
@@ -238,40 +263,86 @@ class SessionFile:
 
     def _entries(self) -> Iterator[Entry]:
         count = 0
-        for entry in self._numbered(self._messages(), 0):
+        for entry in self._numbered(self._rows(), 0):
             count += 1
             yield entry
-        if count != self.entry_count:
-            raise DamagedRecording(
-                f"{self.path}: found {count} entries, expected {self.entry_count}{recover_hint(self.path)}"
-            )
+        self._check_count(count, self.entry_count)
 
-    def _numbered(self, messages: Iterator[Message], seq: int) -> Iterator[Entry]:
-        """The entries in messages; ``seq`` is the number of one before them, or 0."""
-        decoders, foreign = self._decoders, self.foreign
+    def _check_count(self, found: int, expected: int) -> None:
+        if found != expected:
+            raise DamagedRecording(f"{self.path}: found {found} entries, expected {expected}{recover_hint(self.path)}")
+
+    def _numbered(
+        self, rows: Iterator[list[Row] | None], seq: int, kinds: Collection[Kind] = _ALL_KINDS
+    ) -> Iterator[Entry]:
+        """The entries in messages; ``seq`` is the number of one before them, or 0.  For the rest see `entries_of`."""
+        foreign = self.foreign
+        decoders: dict[int, Decode | None] = {
+            number: self._decoders[number] if kind in kinds else None for number, (kind, _, _) in self._streams.items()
+        }
+        unwanted = {
+            number: _UNWANTED[kind]
+            for number, (kind, _, _) in self._streams.items()
+            if kind not in kinds and kind.is_input
+        }
         first = True
-        for message in messages:
-            decode = decoders.get(message.channel_id)
-            if decode is None:
+        for some in rows:
+            if some is None:
+                yield _UNREAD
                 continue
-            number = seq + 1 if foreign else _next(seq, message.sequence)
-            # what comes before the first one may have been left out
-            if number == seq or (number - seq >= SEQUENCES // 2 and not first):
-                raise DamagedRecording(
-                    f"{self.path}: found entry number {message.sequence}, expected one above {seq % SEQUENCES}"
-                    f"{recover_hint(self.path)}"
-                )
-            seq, first = number, False
-            try:
-                entry = decode(message, seq)
-            except LayoutError as error:
-                raise DamagedRecording(f"{self.path}: entry {seq}: {error}{recover_hint(self.path)}") from None
-            yield entry
+            for row in some:
+                channel, sequence = row[0], row[1]
+                if channel not in decoders:
+                    continue
+                number = seq + 1 if foreign else seq + (sequence - seq) % SEQUENCES
+                # what comes before the first one may have been left out
+                if number == seq or (number - seq >= SEQUENCES // 2 and not first):
+                    raise DamagedRecording(
+                        f"{self.path}: found entry number {sequence}, expected one above {seq % SEQUENCES}"
+                        f"{recover_hint(self.path)}"
+                    )
+                seq, first = number, False
+                decode = decoders[channel]
+                if decode is None:
+                    if channel in unwanted:
+                        yield unwanted[channel]
+                    continue
+                try:
+                    entry = decode(row, seq)
+                except LayoutError as error:
+                    raise DamagedRecording(f"{self.path}: entry {seq}: {error}{recover_hint(self.path)}") from None
+                yield entry
 
-    def _messages(self, from_ns: int | None = None) -> Iterator[Message]:
+    def _rows(self, from_ns: int | None = None, kinds: Collection[Kind] = _ALL_KINDS) -> Iterator[list[Row] | None]:
+        """All messages (from a moment on), those of each chunk together, in order.
+
+        A chunk that holds nothing of these kinds is passed over: None if there are inputs in it, else nothing.
+        """
+        chunks = in_order(self._chunks)
         try:
-            for _, _, message in self._reader.iter_messages(starting_at=from_ns):
-                yield message
+            if chunks is None:
+                for _, _, message in self._reader.iter_messages(starting_at=from_ns):
+                    row = (message.channel_id, message.sequence, message.log_time, message.publish_time, 0)
+                    yield [(*row, len(message.data), message.data)]
+                return
+            begin_ns = from_ns or 0
+            chunks = [chunk for chunk in chunks if chunk.message_end_time >= begin_ns]
+            wanted = {number for number, (kind, _, _) in self._streams.items() if kind in kinds}
+            inputs = {number for number, (kind, _, _) in self._streams.items() if kind.is_input}
+
+            def is_wanted(chunk: ChunkIndex) -> bool:
+                # without an index of its messages, a chunk may hold any
+                return not chunk.message_index_offsets or not wanted.isdisjoint(chunk.message_index_offsets)
+
+            for chunk, rows in chunk_rows(self._stream, chunks, is_wanted):
+                if rows is None:
+                    if not inputs.isdisjoint(chunk.message_index_offsets):
+                        yield None
+                    continue
+                unknown = {row[0] for row in rows} - self._known
+                if unknown:
+                    raise LayoutError(f"found a message of channel {min(unknown)}, of which there is no record")
+                yield [row for row in rows if row[2] >= begin_ns] if begin_ns else rows
         except Exception as error:  # of the library: whatever it makes of damaged bytes
             raise self._damaged("entries", error) from error
 
@@ -379,6 +450,10 @@ class SessionParts(SessionFile):
         """All entries of all parts; as SessionFile.entries."""
         return self._of_parts(SessionFile.entries)
 
+    def entries_of(self, kinds: Collection[Kind]) -> Iterator[Entry]:
+        """As SessionFile.entries_of."""
+        return self._of_parts(lambda part: part.entries_of(kinds))
+
     def entries_from(self, start_ns: int, rule: StateRule) -> Iterator[Entry]:
         """As SessionFile.entries_from."""
         return self._of_parts(lambda part: part.entries_from(start_ns, rule))
@@ -388,9 +463,12 @@ class SessionParts(SessionFile):
         for each in self.parts:
             with SessionFile.open(each.path) as part:
                 for entry in entries(part):
-                    if entry.seq <= seq:
-                        raise DamagedRecording(f"{each.path}: found entry number {entry.seq}, expected one above {seq}")
-                    seq = entry.seq
+                    if entry.seq:
+                        if entry.seq <= seq:
+                            raise DamagedRecording(
+                                f"{each.path}: found entry number {entry.seq}, expected one above {seq}"
+                            )
+                        seq = entry.seq
                     yield entry
 
     def prologue(self) -> list[Entry]:
@@ -444,16 +522,31 @@ def kind_of(channel: Channel, schema: Schema | None, foreign: bool) -> tuple[Kin
 def decoder(kind: Kind, topic: str, ros_type: str) -> Decode:
     """What makes entries of a channel's messages and their entry numbers; it raises LayoutError."""
     if kind in layout.WIRE_TOPICS:
-        return lambda message, seq: layout.unpack_raw(message.data, seq, message.log_time, message.publish_time)
+        return _raw_decoder()
     if kind in layout.NOTE_KINDS:
-        return lambda message, seq: layout.unpack_note(message.data, seq, message.log_time)
+        return lambda row, seq: layout.unpack_note(row[6][row[4] : row[5]], seq, row[2])
 
-    def ros(message: Message, seq: int) -> Entry:
+    def ros(row: Row, seq: int) -> Entry:
+        _, _, log_ns, publish_ns, start, end, data = row
         # MCAP says publish_time = log_time for "not set"
-        source_ns = message.publish_time if message.publish_time != message.log_time else 0
-        return Entry(seq, message.log_time, kind, topic, ros_type, (message.data,), (), source_ns)
+        source_ns = publish_ns if publish_ns != log_ns else 0
+        return Entry(seq, log_ns, kind, topic, ros_type, (data[start:end],), (), source_ns)
 
     return ros
+
+
+def _raw_decoder() -> Decode:
+    """What makes entries of OpenIGTLink messages."""
+    unpack = layout.RawUnpacker()
+
+    def raw(row: Row, seq: int) -> Entry:
+        _, _, log_ns, publish_ns, start, end, data = row
+        # a small part of a chunk must not keep all of it
+        large = (end - start) * _LARGE_PART >= len(data)
+        message = memoryview(data)[start:end] if large else data[start:end]
+        return unpack(message, seq, log_ns, publish_ns)
+
+    return raw
 
 
 def open_file(path: Path) -> IO[bytes]:

@@ -559,7 +559,8 @@ class _Reading:
                 return
             seq = self._entries + 1 if self._file.foreign else self._seq + step
             try:
-                entry = definition.decode(message, seq)
+                row = (number, sequence, log_time, publish_time, _MESSAGE_HEAD.size, len(content), content)
+                entry = definition.decode(row, seq)
             except LayoutError as error:
                 self._lose(NUMBER, frame, f"entry {seq}: {error}")
                 return

@@ -18,6 +18,7 @@ import json
 import re
 import struct
 import zlib
+from dataclasses import replace
 from functools import lru_cache
 
 from igtl_gateway.buffers import Buffer
@@ -320,6 +321,46 @@ def unpack_raw(data: Buffer, seq: int, log_ns: int, publish_ns: int) -> Entry:
         links,
         publish_ns if stamped else 0,
     )
+
+
+class RawUnpacker:
+    """:func:`unpack_raw` for the messages of one channel: what the last one said again is not read again."""
+
+    def __init__(self) -> None:
+        self._same = b""  # links, type and device name, as the last message had them ...
+        self._end = 0  # ... up to here
+        self._last = Entry(0, 0, Kind.IGTL_IN)
+
+    def __call__(self, data: bytes | memoryview, seq: int, log_ns: int, publish_ns: int) -> Entry:
+        """The entry; its payload is a view on ``data``.  Arguments and errors as of :func:`unpack_raw`."""
+        end = self._end
+        if (
+            not end
+            or data[_RAW_HEAD.size : end] != self._same
+            or data[:2] != _CDR_LE[:2]
+            or len(data) < end + _U32.size
+            or _U32.unpack_from(data, end)[0] != len(data) - end - _U32.size
+        ):
+            return self._learn(data, seq, log_ns, publish_ns)
+        _, _, _, source_sec, source_nanosec, _, direction = _RAW_HEAD.unpack_from(data)
+        last = self._last
+        return Entry(
+            seq,
+            log_ns,
+            Kind.IGTL_OUT if direction else Kind.IGTL_IN,
+            last.channel,
+            last.type,
+            (memoryview(data)[end + _U32.size :],),
+            last.links,
+            publish_ns if publish_ns != log_ns or source_sec or source_nanosec else 0,
+        )
+
+    def _learn(self, data: bytes | memoryview, seq: int, log_ns: int, publish_ns: int) -> Entry:
+        entry = unpack_raw(data, seq, log_ns, publish_ns)
+        self._last = replace(entry, payload=())
+        self._end = len(data) - entry.size - _U32.size
+        self._same = bytes(data[_RAW_HEAD.size : self._end])
+        return entry
 
 
 def unpack_note(data: Buffer, seq: int, log_ns: int) -> Entry:
