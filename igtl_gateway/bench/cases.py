@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -55,13 +56,19 @@ class Case:
 
     Attributes:
         name: on the command line.
-        streams: what is sent; where there are several they run at once, and both directions too.
+        streams: what is sent; where there are several they run at once.
         text: one line for people.
+        ways: which ways it can be sent.
+        at_once: both ways run at the same time.
+        stalls: a second client of OpenIGTLink stops reading for a while.
     """
 
     name: str
     streams: tuple[Stream, ...]
     text: str
+    ways: tuple[Direction, ...] = tuple(Direction)
+    at_once: bool = False
+    stalls: bool = False
 
     def at(self, rate_hz: float) -> Case:
         """The same at another rate."""
@@ -90,10 +97,21 @@ PAYLOADS: dict[str, Callable[[], Payload]] = {
 }
 
 
+#: The same for pictures of other sizes, by how many bytes they have, about.
+SIZES: dict[int, str] = {
+    size: f"image-{size // 1000}k"
+    for size in (1_000, 10_000, 100_000, 1_000_000, 3_000_000, 10_000_000, 25_000_000, 50_000_000)
+}
+
+
 @cache
 def payload(kind: str) -> Payload:
-    """What a kind of message is; made when it is needed, for the largest has 30 MB."""
-    return PAYLOADS[kind]()
+    """What a kind of message is; made when it is needed, for the largest has 50 MB."""
+    if kind in PAYLOADS:
+        return PAYLOADS[kind]()
+    (size,) = (size for size, name in SIZES.items() if name == kind)
+    height = math.isqrt(size // 4)  # of 4:3, three bytes a pixel
+    return payloads.image(size // 3 // height, height)
 
 
 _TEXTS = {
@@ -124,6 +142,14 @@ CASES: dict[str, Case] = {
             Stream("string-100", 20.0),
         ),
         "surgical load: 10 transforms at 100 Hz, VGA at 30 Hz, 30,000 points at 10 Hz, 20 strings a second, both ways",
+        at_once=True,
+    ),
+    "stalled-client": Case(
+        "stalled-client",
+        (Stream("image-fullhd", FLOOD), Stream("transform", 100.0)),
+        "flood of Full HD and a transform at 100 Hz to two clients, one of which stops reading for a while",
+        ways=(Direction.ROS_TO_IGTL,),
+        stalls=True,
     ),
 }
 

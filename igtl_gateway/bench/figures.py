@@ -64,7 +64,17 @@ def latency(passages: Sequence[Passage]) -> dict[str, Any]:
     }
 
 
-def quantile(ordered: Times, share: float) -> float:
+def lateness(passages: Sequence[Passage], rate_hz: float) -> dict[str, Any]:
+    """How well the senders kept the pace of ``rate_hz``: how late they were, as against the one that was least so."""
+    period_ns = NS_PER_S / rate_hz
+    late = [passage.sent - np.arange(len(passage.sent)) * period_ns for passage in passages if len(passage.sent)]
+    behind = np.sort(np.concatenate([one - one.min() for one in late])) if late else np.empty(0)
+    if not len(behind):
+        return {"late_p99_ms": None, "late_max_ms": None}
+    return {"late_p99_ms": _ms(quantile(behind, 0.99)), "late_max_ms": _ms(float(behind[-1]))}
+
+
+def quantile(ordered: npt.NDArray[Any], share: float) -> float:
     """The smallest value that ``share`` of the sorted values do not exceed (nearest rank)."""
     rank = int(np.ceil(share * len(ordered)))
     return float(ordered[max(0, rank - 1)])

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import ctypes
 import heapq
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from igtl_gateway.bench.window import Window
 from igtl_gateway.clock import Clock
 from igtl_gateway.stamp import NS_PER_S
+
+#: The kernel wakes a sleeper so much late; the rest of a wait is spent looking at the clock.
+_SPIN_NS = 20_000
+#: Between two looks whether a full window has room again.
+_LOOK_NS = 50_000
+_PR_SET_TIMERSLACK = 29
+
+#: Sends so many messages from a sequence number on; returns for each when it was handed over (monotonic ns).
+Send = Callable[[int, int], Sequence[int]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,14 +28,16 @@ class Schedule:
     """One stream's.
 
     Attributes:
-        send: called with the sequence number, from 1; returns when the message was handed over (monotonic ns).
+        send: see ``Send``; sequence numbers count from 1.
         rate_hz: how often; 0: again at once.
         count: how many messages; 0: until ``until_ns`` of ``run``.
+        window: without a rate, how many may be on their way; None: any number.
     """
 
-    send: Callable[[int], int]
+    send: Send
     rate_hz: float
     count: int
+    window: Window | None = None
 
 
 class Pace:
@@ -50,6 +64,7 @@ class Pace:
         Returns:
             For each schedule, when its messages were sent.
         """
+        wake_in_time()
         sent: list[list[int]] = [[] for _ in schedules]
         due: list[tuple[int, int]] = []
         for index, schedule in enumerate(schedules):
@@ -60,14 +75,36 @@ class Pace:
         while due and not self._stopped:
             due_ns, index = due[0]
             now_ns = self._clock.monotonic_ns()
-            if now_ns < due_ns:
-                self._rest.acquire(timeout=(due_ns - now_ns) / NS_PER_S)
-                continue
             schedule, times = schedules[index], sent[index]
-            times.append(schedule.send(len(times) + 1))
-            if len(times) == schedule.count or (not schedule.count and now_ns >= until_ns):
+            if now_ns < due_ns:
+                self._wait(due_ns - now_ns, _SPIN_NS if schedule.rate_hz else 0)
+                continue
+            room = self._room(schedule, len(times))
+            if room:
+                times += schedule.send(len(times) + 1, room)
+            if (schedule.count and len(times) >= schedule.count) or (not schedule.count and now_ns >= until_ns):
                 heapq.heappop(due)
             elif schedule.rate_hz:
                 next_ns = starts[index] + round(len(times) * NS_PER_S / schedule.rate_hz)
                 heapq.heapreplace(due, (next_ns, index))
+            else:
+                heapq.heapreplace(due, (now_ns if room else now_ns + _LOOK_NS, index))
         return sent
+
+    def _wait(self, left_ns: int, spin_ns: int) -> None:
+        if left_ns > spin_ns:
+            self._rest.acquire(timeout=(left_ns - spin_ns) / NS_PER_S)
+
+    @staticmethod
+    def _room(schedule: Schedule, sent: int) -> int:
+        """How many messages may be sent now."""
+        if schedule.window is None:
+            return 1
+        room = schedule.window.room(sent)
+        return min(room, schedule.count - sent) if schedule.count else room
+
+
+def wake_in_time() -> None:
+    """Have the kernel wake this thread when it asks for, not up to 50 µs later; on Linux."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)

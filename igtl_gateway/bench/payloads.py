@@ -36,37 +36,56 @@ _CDR_AT = 4  # behind the encapsulation
 _STAMP_AT = 34  # in the OpenIGTLink header
 _MESH_HEAD = 40  # of POLYDATA, before its points
 
+#: So much is sent at once in a flood of small messages.
+_BATCH_BYTES = 16 << 10
+
 #: Makes the message of a sequence number.
 Make = Callable[[int], Buffer]
+#: Makes so many messages from a sequence number on, one behind the other.
+Batch = Callable[[int, int], Buffer]
 #: The sequence number of a message.
 Number = Callable[[Buffer], int]
+Bytes = npt.NDArray[np.uint8]
+Numbers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """How a number is written, and where."""
+    """How a number is written, and where.
+
+    Attributes:
+        at, size: its bytes in the message.
+        write: those bytes.
+        number: of a message.
+        numbers: of many: from an array with a row of those bytes for each.
+    """
 
     at: int
     size: int
     write: Callable[[int], bytes]
-    read: Callable[[bytes], int]
-
-    def number(self, message: Buffer) -> int:
-        return self.read(bytes(message[self.at : self.at + self.size]))
+    number: Number
+    numbers: Callable[[Bytes], Numbers]
 
 
 def _of_struct(at: int, layout: str, start: int = 0, unit: float = 1) -> Form:
-    packing = struct.Struct(layout)
+    packing, column = struct.Struct(layout), np.dtype(layout)
     return Form(
         at,
         packing.size,
         lambda number: packing.pack(start + number * unit),
-        lambda data: round((packing.unpack(data)[0] - start) / unit),
+        lambda message: round((packing.unpack_from(message, at)[0] - start) / unit),
+        lambda rows: np.rint((rows.view(column)[:, 0].astype(np.float64) - start) / unit).astype(np.int64),
     )
 
 
 def _of_text(at: int) -> Form:
-    return Form(at, _DIGITS, lambda number: b"%010d" % number, int)
+    return Form(
+        at,
+        _DIGITS,
+        lambda number: b"%010d" % number,
+        lambda message: int(bytes(message[at : at + _DIGITS])),
+        lambda rows: rows.view(f"S{_DIGITS}")[:, 0].astype(np.int64),
+    )
 
 
 _STAMPS = (_of_struct(_CDR_AT, "<i", EPOCH_S), _of_struct(_STAMP_AT, ">I", EPOCH_S))
@@ -124,15 +143,22 @@ class Payload:
 
         return make
 
-    @property
-    def ros_number(self) -> Number:
-        """Finds the sequence number in a ROS message."""
-        return self.forms[0].number
+    def igtl_batch(self, device: str) -> tuple[int, Batch]:
+        """Makes several OpenIGTLink messages at once; and how many at most."""
+        _, form = self.forms
+        make = self.igtl_maker(device)
+        one = np.frombuffer(bytes(make(0)), np.uint8)
+        most = max(1, _BATCH_BYTES // len(one))
+        if most == 1 or form.at >= HEADER_SIZE:
+            return most, lambda first, count: b"".join(make(first + more) for more in range(count))
+        block = np.tile(one, (most, 1))
 
-    @property
-    def igtl_number(self) -> Number:
-        """Finds the sequence number in an OpenIGTLink message."""
-        return self.forms[1].number
+        def batch(first: int, count: int) -> Buffer:
+            written = b"".join(map(form.write, range(first, first + count)))
+            block[:count, form.at : form.at + form.size] = np.frombuffer(written, np.uint8).reshape(count, form.size)
+            return block[:count].data.cast("B")
+
+        return most, batch
 
     @property
     def size(self) -> int:

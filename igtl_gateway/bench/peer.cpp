@@ -196,7 +196,7 @@ void hear_all(igtl::Socket* socket, const std::string& device) {
       ++heard;
     } else if (first) {
       first = false;
-      tell("{\"event\":\"heard\",\"device\":\"" + device + "\"}");
+      tell("{\"event\":\"heard\",\"key\":\"" + device + "\"}");
     }
   }
 }

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.bench.cases import Case
+from igtl_gateway.bench.jobs import Job
 from igtl_gateway.bench.processes import BenchError
-from igtl_gateway.bench.programs import Job
 
 LIBRARY, PYIGTL = "libopenigtlink", "pyigtl"
 PEERS = (LIBRARY, PYIGTL)

@@ -145,10 +145,10 @@ class Program:
         self._close_input()
         self.gone()
 
-    def interrupt(self) -> None:
+    def interrupt(self, timeout_s: float = _END_S) -> None:
         """End it as Ctrl-C would, and wait until it has gone."""
         self._process.send_signal(signal.SIGINT)
-        self.gone()
+        self.gone(timeout_s)
 
     def gone(self, timeout_s: float = _END_S) -> None:
         """Wait until it has ended.  Raises BenchError if it does not, or badly."""

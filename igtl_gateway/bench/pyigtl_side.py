@@ -10,8 +10,10 @@ import numpy as np
 import pyigtl
 
 from igtl_gateway.bench.cases import payload
+from igtl_gateway.bench.cutter import Heard
+from igtl_gateway.bench.jobs import Job, Part
+from igtl_gateway.bench.pace import Send
 from igtl_gateway.bench.payloads import EPOCH_S
-from igtl_gateway.bench.programs import Heard, Job, Part
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import Image
@@ -45,14 +47,16 @@ class PyigtlSide:
     def found(self) -> None:
         """A connection is all."""
 
-    def sender(self, part: Part) -> Callable[[int], int]:
+    def sender(self, part: Part) -> Send:
         make, send_message, now = _maker(part), self._client.send_message, self._now
 
-        def send(number: int) -> int:
-            message = make(number)
-            at_ns = now()
-            send_message(message)
-            return at_ns
+        def send(first: int, count: int) -> list[int]:
+            times = []
+            for number in range(first, first + count):
+                message = make(number)
+                times.append(now())
+                send_message(message)
+            return times
 
         return send
 
@@ -63,7 +67,7 @@ class PyigtlSide:
         self._client.stop()
 
     def _hear(self, part: Part) -> None:
-        heard = self._heard[part.device]
+        heard = self._heard[part.key]
         while not self._ended.is_set():
             message = self._client.wait_for_message(part.device, timeout=_LOOK_S)
             if message is not None:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.bench import flame
 from igtl_gateway.bench.cases import FLOOD, Case, Direction, Stream, payload
-from igtl_gateway.bench.figures import Passage, latency, ratio
-from igtl_gateway.bench.peers import LIBRARY, Library, command, times_of
+from igtl_gateway.bench.figures import Passage, latency, lateness, ratio
+from igtl_gateway.bench.jobs import Job, Part
+from igtl_gateway.bench.peers import LIBRARY, PEERS, Library, command, times_of
 from igtl_gateway.bench.processes import Program, Usage, ours
-from igtl_gateway.bench.programs import Job, Part
+from igtl_gateway.bench.stalled import NAMES, STALLED, Stall
+from igtl_gateway.bench.window import window
 from igtl_gateway.clock import Clock
 from igtl_gateway.stamp import NS_PER_S
 
@@ -26,8 +29,8 @@ _LOOK_S = 0.25
 #: Nothing more arrives after so long a silence.
 _SILENCE_S = 3.0
 _LARGE_SILENCE_S, _LARGE_BYTES = 20.0, 4 << 20
-#: Messages that the floor is measured with, at most: its median is all that is used.
-_FLOOR_COUNT = 300
+#: Messages that the floor is measured with, at most: its median is all that is used; and for how long in a flood.
+_FLOOR_COUNT, _FLOOR_FLOOD_S = 300, 3.0
 #: The gateway ends by itself where nobody is left to end it: so long after its runs.
 _GATEWAY_S = 600.0
 
@@ -58,11 +61,13 @@ class Plan:
 
     Attributes:
         case: which.
-        directions: which ways; several streams, or a mixed load, go all ways at once.
+        directions: which ways.
         extent: how long.
         floor: measure the bare hops too.
         record: the gateway records.
         peer: whose program is on the side of OpenIGTLink, "" for ours; see ``peers``.
+        clients: how many there are on the side of OpenIGTLink, all of which hear everything.
+        flame: file for a picture of where the gateway spends its time.
     """
 
     case: Case
@@ -71,6 +76,8 @@ class Plan:
     floor: bool = True
     record: bool = False
     peer: str = ""
+    clients: int = 1
+    flame: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,12 +85,12 @@ class Passed:
     """What came of one run of streams.
 
     Attributes:
-        passages: by device.
+        passages: by device and client.
         seconds: from the first message to the last arrival.
         begin, end: what the gateway had used, where there is one.
     """
 
-    passages: dict[str, Passage]
+    passages: dict[tuple[str, int], Passage]
     seconds: float
     begin: Usage | None = None
     end: Usage | None = None
@@ -94,6 +101,7 @@ class _Gateway:
     """The gateway's process, and what it told of its recording at its end."""
 
     program: Program
+    stall: Stall
     recorded: Row = field(default_factory=dict)
 
     @cached_property
@@ -119,26 +127,25 @@ class Runner:
         self._runs = 0
         self._rest = threading.Event()
         self._library = Library(folder)
-        self._floors: dict[tuple[str, float, int], tuple[float | None, float | None]] = {}
 
     def measure(self, plan: Plan) -> list[Row]:
         """The rows of a case.  Raises BenchError."""
-        rows: list[Row] = []
-        turns = [plan.directions] if plan.case.together else [(direction,) for direction in plan.directions]
+        runs: list[tuple[Sequence[Direction], Passed]] = []
+        turns = [plan.directions] if plan.case.at_once else [(direction,) for direction in plan.directions]
         with self._gateway(plan) as gateway:
             for directions in turns:
-                ways = ", ".join(direction.value for direction in directions)
-                self._tell(f"{plan.case.name} {ways}{f' {plan.peer}' if plan.peer else ''}")
-                passed = self._through_gateway(plan, directions, gateway)
-                rows += self._rows(plan, directions, passed)
-        rows = [row | gateway.recorded for row in rows]
+                marks = (plan.peer, "recording" if plan.record else "")
+                self._tell(" ".join(filter(None, (plan.case.name, *(way.value for way in directions), *marks))))
+                runs.append((directions, self._through_gateway(plan, directions, gateway)))
+        rows = [row | gateway.recorded for run in runs for row in self._rows(plan, *run, gateway.stall)]
         if plan.peer:
-            hop = self._bare(self._briefly(plan), LIBRARY) if plan.peer == LIBRARY else None
+            hop = self._bare(self._briefly(plan), LIBRARY)["p50_ms"] if plan.peer == LIBRARY else None
             rows = [row | {"peer": plan.peer, "peer_hop_p50_ms": hop} for row in rows]
         elif plan.floor and not plan.case.together:
-            hops = self._floor(plan)
-            for row in rows:
-                self._add_floor(row, hops)
+            self._tell(f"{plan.case.name} floor")
+            brief = self._briefly(plan)
+            dds, tcp = self._bare(brief, "ros"), self._bare(brief, "igtl")
+            rows = [row | against_floor(row, dds, tcp) for row in rows]
         return rows
 
     # -- the gateway ---------------------------------------------------------------------------------------------
@@ -157,16 +164,17 @@ class Runner:
         if plan.record:
             words += ["--record", str(self._folder / "recording.mcap"), "--overwrite"]
         with Program("gateway", ours(*words)) as program:
-            gateway = _Gateway(program)
-            yield gateway
+            gateway = _Gateway(program, Stall())
+            with flame.drawn(program, plan.flame) if plan.flame else nullcontext():
+                yield gateway
             program.interrupt()
+            told = program.wait_for("stopped", _START_S, gateway.stall.note)
             if plan.record:
-                told = program.wait_for("stopped", _START_S)["recording"]
-                gateway.recorded["recorder_dropped"] = told["dropped"]
-                gateway.recorded["recorded_mb"] = round(told["bytes"] / 1e6, 1)
+                gateway.recorded["recorder_dropped"] = told["recording"]["dropped"]
+                gateway.recorded["recorded_mb"] = round(told["recording"]["bytes"] / 1e6, 1)
 
     def _through_gateway(self, plan: Plan, directions: Sequence[Direction], gateway: _Gateway) -> Passed:
-        parts = {direction: self._parts(plan.case.streams, direction, plan.extent) for direction in directions}
+        parts = {direction: self._parts(plan, direction) for direction in directions}
         out = parts.get(Direction.ROS_TO_IGTL, ())
         back = parts.get(Direction.IGTL_TO_ROS, ())
         nodes = []
@@ -174,37 +182,36 @@ class Runner:
             nodes.append(self._job(plan, "ros", "bench_sender", sends=out))
         if back:
             nodes.append(self._job(plan, "ros", "bench_listener", hears=back))
+        hears = tuple(replace(part, client=client) for client in range(plan.clients) for part in out)
         with ExitStack() as stack:
             # the nodes start beside the gateway, which takes as long
             programs = [(job, self._start(stack, job)) for job in nodes]
-            client = self._job(plan, plan.peer or "igtl", "client", sends=back, hears=out, address=gateway.address)
+            client = self._job(plan, plan.peer or "igtl", "client", sends=back, hears=hears, address=gateway.address)
             programs.append((client, self._start(stack, client)))
+            if plan.case.stalls:
+                hears = tuple(replace(part, client=STALLED, progress="") for part in out)
+                idler = self._job(plan, "igtl", "stalled", hears=hears, address=gateway.address)
+                programs.append((idler, self._start(stack, idler)))
             for _, program in programs:
                 program.wait_for("ready", _START_S)
-            return self._passed(programs, plan, gateway.program.pid)
+            return self._passed(programs, plan, gateway)
 
     # -- the floor -----------------------------------------------------------------------------------------------
 
-    def _floor(self, plan: Plan) -> tuple[float | None, float | None]:
-        """Medians in ms of a bare hop over DDS and over TCP, with the same bytes at the same rate."""
-        brief = self._briefly(plan)
-        (stream,) = plan.case.streams
-        key = (stream.kind, stream.rate_hz, brief.extent.count)
-        if key not in self._floors:
-            self._tell(f"{plan.case.name} floor")
-            self._floors[key] = (self._bare(brief, "ros"), self._bare(brief, "igtl"))
-        return self._floors[key]
-
     @staticmethod
     def _briefly(plan: Plan) -> Plan:
-        """As long as a median needs."""
+        """As long as a median needs, or a rate."""
         (stream,) = plan.case.streams
-        return replace(plan, extent=Extent(count=min(_FLOOR_COUNT, plan.extent.messages(stream) or _FLOOR_COUNT)))
+        extent = Extent(count=min(_FLOOR_COUNT, plan.extent.messages(stream) or _FLOOR_COUNT))
+        if stream.rate_hz == FLOOD:
+            extent = Extent(min(_FLOOR_FLOOD_S, plan.extent.seconds))
+        return replace(plan, extent=extent, clients=1)
 
-    def _bare(self, plan: Plan, side: str) -> float | None:
+    def _bare(self, plan: Plan, side: str) -> Row:
+        """Figures of a bare hop with the same bytes at the same rate."""
         parts = tuple(
             replace(part, topic=f"/bench/floor/{part.device}")
-            for part in self._parts(plan.case.streams, Direction.ROS_TO_IGTL, plan.extent)
+            for part in self._parts(plan, Direction.ROS_TO_IGTL, side)
         )
         with ExitStack() as stack:
             listener = self._job(plan, side, "bench_listener", hears=parts, listen=True)
@@ -218,28 +225,23 @@ class Runner:
             for program in (hearing, sending):
                 program.wait_for("ready", _START_S)
             passed = self._passed([(listener, hearing), (sender, sending)], plan, None)
-        told: float | None = latency(list(passed.passages.values()))["p50_ms"]
-        return told
-
-    @staticmethod
-    def _add_floor(row: Row, hops: tuple[float | None, float | None]) -> None:
-        dds, tcp = hops
-        floor = round(dds + tcp, 4) if dds is not None and tcp is not None else None
-        row |= {
-            "floor_dds_p50_ms": dds,
-            "floor_tcp_p50_ms": tcp,
-            "floor_p50_ms": floor,
-            "ratio": ratio(row["p50_ms"], floor),
-        }
+        return latency(list(passed.passages.values()))
 
     # -- one run -------------------------------------------------------------------------------------------------
 
-    @staticmethod
-    def _parts(streams: Sequence[Stream], direction: Direction, extent: Extent) -> tuple[Part, ...]:
+    def _parts(self, plan: Plan, direction: Direction, hearer: str = "") -> tuple[Part, ...]:
+        """What is sent; ``hearer``: by whom it is heard, where that is not known of the plan."""
+        self._runs += 1
         parts = []
-        for stream in streams:
-            count = extent.messages(stream)
-            parts.append(Part(stream, direction, stream.topic(direction), count + warm(stream) if count else 0))
+        for stream in plan.case.streams:
+            count = plan.extent.messages(stream)
+            part = Part(stream, direction, stream.topic(direction), count + warm(stream) if count else 0)
+            # programs by others do not tell how far they have come; all but one of them hear in ROS
+            hears = hearer or (plan.peer if direction is Direction.ROS_TO_IGTL else "ros")
+            if stream.rate_hz == FLOOD and hears not in PEERS:
+                progress = str(self._folder / f"progress-{self._runs}-{part.device}")
+                part = replace(part, window=window(stream.kind, direction), progress=progress)
+            parts.append(part)
         return tuple(parts)
 
     def _job(
@@ -260,30 +262,33 @@ class Runner:
     def _start(self, stack: ExitStack, job: Job) -> Program:
         return stack.enter_context(Program(f"{job.side} {job.name}", command(job, self._library)))
 
-    def _passed(self, programs: Sequence[tuple[Job, Program]], plan: Plan, gateway: int | None) -> Passed:
+    def _passed(self, programs: Sequence[tuple[Job, Program]], plan: Plan, gateway: _Gateway | None) -> Passed:
         """Knock, begin, wait until all have arrived or nothing more does, end; all programs are ready."""
         senders = [(job, program) for job, program in programs if job.sends]
         listeners = [(job, program) for job, program in programs if job.hears]
         for _, program in senders:
             program.order("knock")
         for job, program in listeners:
-            missing = {part.device for part in job.hears}
+            missing = {part.key for part in job.hears}
             while missing:
-                missing.discard(program.wait_for("heard", _HEARD_S)["device"])
-        begin = Usage.of(gateway) if gateway else None
+                missing.discard(program.wait_for("heard", _HEARD_S)["key"])
+        begin = Usage.of(gateway.program.pid) if gateway else None
         begun_ns = self._clock.monotonic_ns()
         for _, program in senders:
             program.order("begin")
+        if gateway and plan.case.stalls:
+            (idler,) = [program for job, program in listeners if job.name == "stalled"]
+            gateway.stall.take_place(idler, plan.extent.seconds, self._rest.wait, self._clock.monotonic_ns)
         sent = sum(program.wait_for("sent", self._limit_s(job))["messages"] for job, program in senders)
-        self._wait_for_arrivals([program for _, program in listeners], sent, plan)
+        self._wait_for_arrivals([program for _, program in listeners], sent * plan.clients, plan)
         seconds = (self._clock.monotonic_ns() - begun_ns) / NS_PER_S
-        end = Usage.of(gateway) if gateway else None
+        end = Usage.of(gateway.program.pid) if gateway else None
         for _, program in programs:
             program.end()
         return Passed(_passages(programs), seconds, begin, end)
 
     def _wait_for_arrivals(self, listeners: Sequence[Program], sent: int, plan: Plan) -> None:
-        large = any(payload(stream.kind).size > _LARGE_BYTES for stream in plan.case.streams)
+        large = any(payload(stream.kind).size > _LARGE_BYTES for stream in plan.case.streams) and not plan.case.stalls
         patience_ns = round((_LARGE_SILENCE_S if large else _SILENCE_S) * NS_PER_S)
         last, changed_ns = -1, self._clock.monotonic_ns()
         while True:
@@ -302,22 +307,48 @@ class Runner:
         longest = max(part.count / part.stream.rate_hz if part.stream.rate_hz else 0 for part in job.sends)
         return 2 * max(longest, job.seconds) + _HEARD_S
 
-    def _rows(self, plan: Plan, directions: Sequence[Direction], passed: Passed) -> list[Row]:
+    @staticmethod
+    def _rows(plan: Plan, directions: Sequence[Direction], passed: Passed, stall: Stall) -> list[Row]:
+        kinds: dict[str, list[Stream]] = {}
+        for stream in plan.case.streams:
+            kinds.setdefault(stream.kind, []).append(stream)
+        usage = _usage(passed, sum(len(passage.numbers) for passage in passed.passages.values()))
         rows: list[Row] = []
         for direction in directions:
-            kinds: dict[str, list[Stream]] = {}
-            for stream in plan.case.streams:
-                kinds.setdefault(stream.kind, []).append(stream)
             for kind, streams in kinds.items():
-                passages = [replace(passed.passages[stream.device(direction)], warm=warm(stream)) for stream in streams]
                 row: Row = {"case": plan.case.name}
                 if plan.case.together:
                     row["stream"] = kind
-                row |= {"direction": direction.value, "rate_hz": streams[0].rate_hz or None, "recording": plan.record}
-                rows.append(row | latency(passages))
-        arrived = sum(len(passage.numbers) for passage in passed.passages.values())
-        usage = _usage(passed, arrived)
-        return [row | usage for row in rows]
+                rate_hz = streams[0].rate_hz or None
+                row |= {"direction": direction.value, "rate_hz": rate_hz, "recording": plan.record}
+                heard: dict[int, list[tuple[Stream, Passage]]] = {}
+                for stream in streams:
+                    for (device, client), passage in passed.passages.items():
+                        if device == stream.device(direction):
+                            heard.setdefault(client, []).append((stream, replace(passage, warm=warm(stream))))
+                if plan.case.stalls:
+                    for client, ((stream, passage),) in sorted(heard.items()):
+                        told = stall.told(stream, passage) if client == STALLED else {}
+                        rows.append(row | {"client": NAMES[client]} | latency([passage]) | told | usage)
+                    continue
+                passages = [passage for pairs in heard.values() for _, passage in pairs]
+                late = lateness(passages, rate_hz) if rate_hz else {}
+                rows.append(row | latency(passages) | late | usage)
+        return rows
+
+
+def against_floor(row: Row, dds: Row, tcp: Row) -> Row:
+    """What stands in a row of the bare hops: in a flood their rates, else their medians and how many times those."""
+    if row["rate_hz"] is None:
+        return {"floor_dds_per_s": dds["received_per_s"], "floor_tcp_per_s": tcp["received_per_s"]}
+    hops = (dds["p50_ms"], tcp["p50_ms"])
+    floor = round(sum(hops), 4) if None not in hops else None
+    return {
+        "floor_dds_p50_ms": hops[0],
+        "floor_tcp_p50_ms": hops[1],
+        "floor_p50_ms": floor,
+        "ratio": ratio(row["p50_ms"], floor),
+    }
 
 
 def warm(stream: Stream) -> int:
@@ -343,13 +374,15 @@ def _usage(passed: Passed, arrived: int) -> Row:
     }
 
 
-def _passages(programs: Sequence[tuple[Job, Program]]) -> dict[str, Passage]:
-    """What the programs wrote, by device."""
+def _passages(programs: Sequence[tuple[Job, Program]]) -> dict[tuple[str, int], Passage]:
+    """What the programs wrote, by device and client."""
     columns: dict[str, Any] = {}
     for job, _ in programs:
         columns |= times_of(job)
-    devices = [name.partition(" ")[2] for name in columns if name.startswith("sent ")]
     return {
-        device: Passage(columns[f"sent {device}"], columns[f"numbers {device}"], columns[f"received {device}"])
-        for device in devices
+        (part.device, part.client): Passage(
+            columns[f"sent {part.device}"], columns[f"numbers {part.key}"], columns[f"received {part.key}"]
+        )
+        for job, _ in programs
+        for part in job.hears
     }

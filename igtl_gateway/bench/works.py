@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from igtl_gateway.bench.cases import CASES, Direction, Stream, payload
+from igtl_gateway.bench.jobs import Job, Part
 from igtl_gateway.bench.processes import Program, Usage, ours
-from igtl_gateway.bench.programs import Job, Part
 from igtl_gateway.bench.runner import Row
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config, ToIgtlRow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from igtl_gateway.bench.cases import PAYLOADS, Direction, Stream, payload
@@ -29,7 +30,7 @@ def test_the_number_goes_to_openigtlink(kind: str) -> None:
     for number in (0, 1, 4_321):
         gateway.feed(Kind.ROS_IN, (bytes(make(number)),), topic, made.ros_type)
         (frame,) = [entry.data() for entry in gateway.last if entry.kind is Kind.IGTL_OUT]
-        assert made.igtl_number(frame) == number
+        assert made.forms[1].number(frame) == number
         assert decode(frame).device_name == Stream(kind, 30.0).device(Direction.ROS_TO_IGTL)
 
 
@@ -42,7 +43,7 @@ def test_the_number_goes_to_ros(kind: str) -> None:
         gateway.feed(Kind.IGTL_IN, (bytes(make(number)),), link=1)
         (entry,) = [entry for entry in gateway.last if entry.kind is Kind.ROS_OUT and entry.channel == topic]
         assert entry.type == made.ros_type
-        assert made.ros_number(entry.data()) == number
+        assert made.forms[0].number(entry.data()) == number
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -54,3 +55,15 @@ def test_both_sides_say_the_same(kind: str) -> None:
     gateway.feed(Kind.ROS_IN, (bytes(made.ros_maker()(7)),), topic, made.ros_type)
     (frame,) = [entry.data() for entry in gateway.last if entry.kind is Kind.IGTL_OUT]
     assert len(frame) == len(made.igtl_maker(device)(7))
+
+
+@pytest.mark.parametrize("kind", ["transform", "string-100", "points-10", "image-vga"])
+def test_a_batch_is_messages_one_behind_the_other(kind: str) -> None:
+    made = payload(kind)
+    most, batch = made.igtl_batch("Device")
+    count = min(most, 5)
+    one = [bytes(made.igtl_maker("Device")(number)) for number in range(7, 7 + count)]
+    assert bytes(batch(7, count)) == b"".join(one)
+    _, form = made.forms
+    rows = np.frombuffer(b"".join(message[form.at : form.at + form.size] for message in one), np.uint8)
+    assert list(form.numbers(rows.reshape(count, form.size))) == list(range(7, 7 + count))

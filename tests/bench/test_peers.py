@@ -10,9 +10,9 @@ import pytest
 
 from igtl_gateway.bench import peers
 from igtl_gateway.bench.cases import CASES, Direction, Stream
+from igtl_gateway.bench.jobs import Job, Part
 from igtl_gateway.bench.peers import LIBRARY, PEERS, PYIGTL, Library, command, lacks, times_of
 from igtl_gateway.bench.processes import BenchError, Program
-from igtl_gateway.bench.programs import Job, Part
 
 PART = Part(Stream("string-100", 200.0), Direction.ROS_TO_IGTL, "/topic", 20)
 
@@ -50,7 +50,7 @@ def test_peers_understand_each_other(sender: str, listener: str, tmp_path: Path)
             for program in (hearing, sending):
                 program.wait_for("ready", 60.0)
             sending.order("knock")
-            assert hearing.wait_for("heard", 60.0)["device"] == PART.device
+            assert hearing.wait_for("heard", 60.0)["key"] == PART.device
             sending.order("begin")
             assert sending.wait_for("sent", 60.0)["messages"] == PART.count
             arrived = 0

@@ -11,7 +11,9 @@ import pytest
 
 from igtl_gateway.bench import programs
 from igtl_gateway.bench.cases import Direction, Stream, payload
-from igtl_gateway.bench.programs import Heard, IgtlSide, Job, Part
+from igtl_gateway.bench.cutter import Heard
+from igtl_gateway.bench.jobs import Job, Part
+from igtl_gateway.bench.programs import IgtlSide
 
 
 def part(kind: str, index: int = 0) -> Part:
@@ -49,9 +51,3 @@ def test_messages_are_found_however_they_are_cut(monkeypatch: pytest.MonkeyPatch
     for arrivals in heard.values():
         assert list(arrivals.numbers) == [1, 2, 3]  # 0 only knocks
         assert list(arrivals.times) == sorted(arrivals.times)
-
-
-def test_a_flood_of_small_messages_has_deep_queues_and_one_of_pictures_has_not() -> None:
-    assert programs.queue_depth(100) == 20_000
-    assert programs.queue_depth(6_220_852) == 43
-    assert programs.queue_depth(1 << 30) == 5
