@@ -7,9 +7,10 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import accumulate
 from typing import Literal
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.buffers import Buffer, join, total_size
 from igtl_gateway.clock import Clock
 from igtl_gateway.edges.tcp.dialer import Dialer
 from igtl_gateway.edges.tcp.facts import Limits, LinkCounters, LinkInfo, Role
@@ -160,6 +161,41 @@ class TcpEdge:
             if link is None or not link.send(parts, size, stream, keep, waits):
                 with self._changed:
                     self._ignored[stream] += 1
+
+    def send_all(
+        self, links: Sequence[int], messages: Sequence[tuple[Sequence[Buffer], str]], hurry: Callable[[], bool]
+    ) -> None:
+        """`send` several messages, each with its stream, none to be dropped: small ones go in one system call.
+
+        Where ``send`` waits for room in the queue, this waits for room in the kernel for small ones, until ``hurry``
+        says that there is no time for that; what finds no room in the queue either is then not taken.
+        """
+        run: list[bytes] = []
+        streams: list[str] = []
+        for buffers, stream in messages:
+            if total_size(buffers) <= _JOINED:
+                run.append(join(buffers))
+                streams.append(stream)
+            else:
+                self._send_run(links, run, streams, hurry)
+                run, streams = [], []
+                self.send(links, buffers, stream, True)
+        self._send_run(links, run, streams, hurry)
+
+    def _send_run(
+        self, links: Sequence[int], messages: Sequence[bytes], streams: Sequence[str], hurry: Callable[[], bool]
+    ) -> None:
+        if not messages:
+            return
+        data = b"".join(messages)
+        ends = list(accumulate(map(len, messages)))
+        waits = self._blocking and not self._loop.inside()
+        for number in links:
+            link = self._links.get(number)
+            taken = link.send_run(data, ends, streams, waits, hurry) if link else 0
+            if taken < len(streams):
+                with self._changed:
+                    self._ignored.update(streams[taken:])
 
     def counters(self) -> dict[int, LinkCounters]:
         """Counts per link that is up; under 0 those of all links that are gone, taken together."""

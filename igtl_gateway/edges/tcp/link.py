@@ -5,6 +5,7 @@ from __future__ import annotations
 import select
 import socket
 import threading
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -115,6 +116,54 @@ class Link:
                 poll.register(descriptor, select.POLLOUT)
                 poll.poll(_BLOCKED_POLL_MS)
 
+    def send_run(
+        self, data: bytes, ends: Sequence[int], streams: Sequence[str], waits: bool, hurry: Callable[[], bool]
+    ) -> int:
+        """Send or queue messages that stand one behind the other, none to be dropped: how many the link took.
+
+        Args:
+            data: all of them.
+            ends: where each of them ends.
+            streams: of each of them.
+            waits: until the kernel has taken them, all but perhaps the end of the last one.
+            hurry: whether to wait no more: then as many are queued as there is room for.
+        """
+        view, at, taken = memoryview(data), 0, 0  # bytes and messages that are the link's
+
+        def queue(sent: int) -> bool:
+            nonlocal at, taken
+            end = ends[taken]
+            if not self._queue(Message((view[at:end],), end - at, streams[taken], True), sent):
+                return False
+            at, taken = end, taken + 1
+            return True
+
+        while True:
+            with self._lock:
+                box = self.outbox
+                if not box.empty:
+                    box.advance(self._write(box.parts()))
+                if box.empty and not self._mute:
+                    sent = at + self._write((view[at:],))
+                    whole = bisect_right(ends, sent)
+                    if whole > taken:
+                        box.count_sent(ends[whole - 1] - at, whole - taken)
+                        at, taken = ends[whole - 1], whole
+                    if sent > at:
+                        queue(sent - at)
+                hurries = waits and hurry()
+                while (
+                    (hurries or not waits)
+                    and taken < len(ends)
+                    and (not waits or box.has_room(ends[taken] - at))
+                    and queue(0)
+                ):
+                    pass
+                if self._mute or taken == len(ends) or self._loop.stopping or hurries:
+                    return taken
+                descriptor = self._sock.fileno()
+            self._await_room(descriptor)
+
     def counters(self) -> LinkCounters:
         with self._lock:
             box = self.outbox
@@ -127,6 +176,13 @@ class Link:
                 box.bytes,
                 dict(box.dropped),
             )
+
+    @staticmethod
+    def _await_room(descriptor: int) -> None:
+        # If the link is closed meanwhile, this returns at once or late, and the caller finds it mute.
+        poll = select.poll()
+        poll.register(descriptor, select.POLLOUT)
+        poll.poll(_BLOCKED_POLL_MS)
 
     def _queue(self, message: Message, sent: int) -> bool:
         """Queue what is left of the message; under the lock."""

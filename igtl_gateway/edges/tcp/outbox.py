@@ -105,9 +105,9 @@ class Outbox:
         self.sent_bytes += sent
         self._begun = message
 
-    def count_sent(self, size: int) -> None:
-        """A whole message of ``size`` bytes went past the empty box."""
-        self.sent_messages += 1
+    def count_sent(self, size: int, messages: int = 1) -> None:
+        """A whole message of ``size`` bytes, or several of so many together, went past the empty box."""
+        self.sent_messages += messages
         self.sent_bytes += size
 
     def parts(self) -> list[Part]:

@@ -328,3 +328,43 @@ def test_an_error_that_loses_the_place_in_the_stream_costs_its_link(
     assert len(seen.of("internal_error", 1)) == 1
     good.send(message(2))
     assert seen.wait("frame") == [message(2)]
+
+
+@pytest.mark.parametrize("ends", ["read", "hurry", "peer"])
+def test_several_messages_go_together(world: World, ends: str) -> None:
+    edge, seen, port = world.server(when_full="block")
+    peer = world.peer(port, 4096)
+    assert edge.wait_links(1, DEADLINE_S)
+    hurry = threading.Event()
+    sizes = [4000 if number % 100 else 20_000 for number in range(6000)]
+    messages = [message(number, size) for number, size in enumerate(sizes)]
+
+    def replay() -> None:
+        for begin in range(0, len(messages), 500):
+            if hurry.is_set():
+                del messages[begin:]
+                return
+            edge.send_all([1, 7], [((each,), "a") for each in messages[begin : begin + 500]], hurry.is_set)
+
+    sender = threading.Thread(target=replay)
+    sender.start()
+    until(lambda: edge.counters()[1].queued_messages > 0)  # the kernel has taken what it can
+    if ends == "peer":
+        peer.close()
+    elif ends == "hurry":
+        hurry.set()
+        sender.join(DEADLINE_S)
+        assert not sender.is_alive()
+    if ends != "peer":
+        assert [peer.receive() for _ in messages] == messages
+    sender.join(DEADLINE_S)
+    assert not sender.is_alive()
+    if ends == "peer":
+        seen.wait("down")
+        total = edge.counters()[0]
+        assert total.sent_messages + total.dropped["a"] + total.ignored["a"] == 2 * len(messages)
+    else:
+        edge.flush(DEADLINE_S)
+        sent = edge.counters()[1]
+        assert (sent.sent_messages, sent.sent_bytes) == (len(messages), sum(map(len, messages)))
+        assert edge.counters()[0].ignored == {"a": len(messages)}, "of the link that is not there"
