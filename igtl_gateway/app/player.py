@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import Literal
 
+from igtl_gateway.app.digest import Digest
 from igtl_gateway.clock import Clock
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.replay.playback import PlaybackClock, checked_rate
@@ -20,6 +21,9 @@ from igtl_gateway.stamp import NS_PER_S
 
 #: So long at most between two looks at the stop event; also between two repetitions of the clock while paused.
 _LOOK_S = 0.1
+#: Without pauses between them messages are sent together: so many at most, so many bytes from which on no more are
+#: taken, and fewer where collecting and sending takes longer than this.
+_TOGETHER, _TOGETHER_BYTES, _TOGETHER_NS = 512, 1 << 18, 10_000_000
 #: More messages than any recording has.
 _ALL = 1 << 62
 
@@ -36,21 +40,28 @@ class Played:
     messages: int = 0
     bytes: int = 0
     unheard: int = 0  #: of the messages, those for which nobody was there
-    by_stream: dict[str, int] = field(default_factory=dict)
-    _hash: "hashlib._Hash" = field(default_factory=hashlib.sha256)  # noqa: UP037
+    by_stream: Counter[str] = field(default_factory=Counter)
+    _digest: Digest | None = field(default_factory=Digest)
 
-    def add(self, entry: Entry, heard: bool) -> None:
-        self.messages += 1
-        self.unheard += not heard
-        self.by_stream[entry.channel] = self.by_stream.get(entry.channel, 0) + 1
-        for part in entry.payload:
-            self.bytes += memoryview(part).nbytes
-            self._hash.update(part)
+    def add(self, entries: Sequence[Entry], heard: bool) -> None:
+        self.messages += len(entries)
+        self.unheard += 0 if heard else len(entries)
+        self.by_stream.update([entry.channel for entry in entries])
+        parts = [part for entry in entries for part in entry.payload]
+        size = sum([memoryview(part).nbytes for part in parts])
+        self.bytes += size
+        if self._digest:
+            self._digest.update(parts, size)
+
+    def copy(self) -> Played:
+        """The same, to go on by itself."""
+        digest = self._digest.copy() if self._digest else None
+        return Played(self.messages, self.bytes, self.unheard, Counter(self.by_stream), digest)
 
     @property
-    def digest(self) -> str:
-        """SHA-256 of all bytes in the order in which they were sent."""
-        return self._hash.hexdigest()
+    def digest(self) -> str | None:
+        """SHA-256 of all bytes in the order in which they were sent; None if it was not wanted."""
+        return self._digest.hexdigest() if self._digest else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +102,8 @@ class Player:
         start_ns: where to begin, and to loop to; None: at the first entry.
         restamp: gives new stamps; None: all stay as they are.
         on_jump: told of every jump, in the thread of `run`.
+        send_all: as ``send`` for several entries of one side, in order: for those between which there is no pause.
+        digest: whether to compute what `Played.digest` tells, which takes longer than all else.
     """
 
     def __init__(
@@ -107,8 +120,11 @@ class Player:
         start_ns: int | None = None,
         restamp: Restamper | None = None,
         on_jump: Callable[[Jump], None] = lambda jump: None,
+        send_all: Callable[[Sequence[Entry]], bool] | None = None,
+        digest: bool = True,
     ) -> None:
-        self.played = Played()
+        self.played = Played() if digest else Played(_digest=None)
+        # while there is one side only, it is the whole
         self.sides: dict[str, Played] = {}
         self._feed = feed
         self._send = send
@@ -119,6 +135,7 @@ class Player:
         self._start_ns = start_ns
         self._restamp = restamp
         self._on_jump = on_jump
+        self._send_all = send_all
         self._changed = threading.Condition()  # guards all below
         self._playback = PlaybackClock(rate, paused)
         self._jump: Jump | None = None
@@ -127,6 +144,10 @@ class Player:
         self._over = False
         self._in_pass = 0  # messages since the last jump, its state not counted
         self._tick: Entry | None = None
+        self._entries: Iterator[Entry] = iter(())
+        self._ahead: deque[Entry] = deque()  # taken from the feed, not yet sent
+        self._damage: Exception | None = None  # what the feed raised behind these
+        self._together = 1
 
     # -- for any thread -------------------------------------------------------------------------------------------
 
@@ -215,9 +236,9 @@ class Player:
         return self.played
 
     def _run(self) -> None:
-        entries = self._begin(self._start_ns)
+        self._begin(self._start_ns)
         while True:
-            entry = next(entries, None)
+            entry = self._next()
             turn = self._turn(entry)
             if turn is _Turn.END:
                 return
@@ -225,17 +246,72 @@ class Player:
                 jump, self._jump = self._jump, None
                 if jump:
                     self._on_jump(jump)
-                    entries = self._begin(jump.to_ns)
+                    self._begin(jump.to_ns)
+            elif entry and self._send_all:
+                self._deliver_several(entry, self._send_all)
             elif entry:
                 self._deliver(entry)
 
-    def _begin(self, start_ns: int | None) -> Iterator[Entry]:
+    def _begin(self, start_ns: int | None) -> None:
         with self._changed:
             self._playback.jump(start_ns, self._clock.monotonic_ns())
             self._in_pass = 0
         if self._restamp:
             self._restamp.begin(start_ns, self._clock.utc_ns())
-        return iter(self._feed(start_ns))
+        self._ahead.clear()
+        self._damage = None
+        self._entries = iter(self._feed(start_ns))
+
+    def _next(self) -> Entry | None:
+        if self._ahead:
+            return self._ahead.popleft()
+        if self._damage:
+            raise self._damage
+        return next(self._entries, None)
+
+    def _deliver_several(self, entry: Entry, send_all: Callable[[Sequence[Entry]], bool]) -> None:
+        """Send an entry, and those that are due with it where there are no pauses."""
+        begun_ns = self._clock.monotonic_ns()
+        self._collect(entry, begun_ns)
+        with self._changed:
+            unlimited = self._playback.rate is None and not self._playback.paused
+            if unlimited and not self._jump:
+                batch = [entry, *self._ahead]
+                self._ahead.clear()
+                # beforehand: whoever sets a rate meanwhile goes on behind them
+                passed = [each.stamp_ns for each in batch if not self._is_state(each)]
+                if passed:
+                    self._playback.reached(passed[-1], begun_ns)
+                    self._in_pass += len(passed)
+            else:
+                batch = []
+        if not batch:
+            self._deliver(entry)
+            return
+        if self._restamp:
+            batch = [self._restamped(each, self._restamp) for each in batch]
+        self._count(batch, send_all(batch))
+        quick = self._clock.monotonic_ns() - begun_ns < _TOGETHER_NS
+        self._together = min(2 * self._together, _TOGETHER) if quick else max(self._together // 2, 1)
+
+    def _collect(self, entry: Entry, begun_ns: int) -> None:
+        """Take more from the feed, if it gives them soon."""
+        if self._playback.rate is not None or self._playback.paused or self._damage:
+            return
+        size = entry.size + sum(each.size for each in self._ahead)
+        try:
+            while (
+                len(self._ahead) + 1 < self._together
+                and size < _TOGETHER_BYTES
+                and self._clock.monotonic_ns() - begun_ns < _TOGETHER_NS
+            ):
+                following = next(self._entries, None)
+                if following is None:
+                    return
+                self._ahead.append(following)
+                size += following.size
+        except Exception as error:  # what came before it is sent first
+            self._damage = error
 
     def _turn(self, entry: Entry | None) -> _Turn:
         """Wait until it is clear what comes next; ``entry`` is None at the end."""
@@ -275,15 +351,12 @@ class Player:
         return self._playback.is_state(entry.stamp_ns - is_tick(entry))
 
     def _deliver(self, entry: Entry) -> None:
-        sent = entry
-        if self._restamp:
-            sent = dataclasses.replace(entry, payload=self._restamp.payload(entry, self._clock.utc_ns()))
+        sent = self._restamped(entry, self._restamp) if self._restamp else entry
         heard = self._send(sent)
         if is_tick(entry):
             self._tick = sent
         else:
-            self.played.add(sent, heard)
-            self.sides.setdefault(_SIDES[entry.kind], Played()).add(sent, heard)
+            self._count([sent], heard)
         with self._changed:
             now_ns = self._clock.monotonic_ns()
             if self._is_state(entry):
@@ -296,3 +369,17 @@ class Player:
                 self._to_step -= 1
                 self._stepped += 1
                 self._changed.notify_all()
+
+    def _restamped(self, entry: Entry, restamp: Restamper) -> Entry:
+        return dataclasses.replace(entry, payload=restamp.payload(entry, self._clock.utc_ns()))
+
+    def _count(self, entries: Sequence[Entry], heard: bool) -> None:
+        """These were sent, all to one side."""
+        side = _SIDES[entries[0].kind]
+        if side not in self.sides:
+            for other in self.sides:
+                self.sides[other] = self.played.copy()
+            self.sides[side] = Played(_digest=Digest() if self.played.digest else None) if self.sides else self.played
+        self.played.add(entries, heard)
+        if len(self.sides) > 1:
+            self.sides[side].add(entries, heard)

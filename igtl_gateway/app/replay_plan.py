@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -29,6 +29,8 @@ _LOOK_S = 0.2
 
 #: Sends one entry; tells whether anybody was there.
 Send = Callable[[Entry], bool]
+#: The same of several.
+SendAll = Callable[[Sequence[Entry]], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +106,17 @@ def planned(
         entries = spoken_to(role, entries)
     entries = part(once(entries), start_ns, end_ns, is_latched)
     return select(entries, how.kinds, streams)
+
+
+def igtl_sender_of_many(edge: TcpEdge, stop: threading.Event) -> SendAll:
+    """As :func:`igtl_sender`, not in lock-step, for many entries at a time; once ``stop`` is set it waits no more."""
+
+    def send(entries: Sequence[Entry]) -> bool:
+        links = [link.number for link in edge.links() if link.connected]
+        edge.send_all(links, [(entry.payload, entry.channel) for entry in entries], stop.is_set)
+        return bool(links)
+
+    return send
 
 
 def igtl_sender(edge: TcpEdge, stop: threading.Event | None = None) -> Send:

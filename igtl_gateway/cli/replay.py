@@ -113,6 +113,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--streams", action="append", default=[], metavar="GLOB", help="only these: TYPE/device, device or topic"
     )
+    parser.add_argument(
+        "--no-digest",
+        action="store_true",
+        help="do not compute the SHA-256 of what is sent, which large pictures have to wait for",
+    )
     parser.add_argument("--json", action="store_true", help="print jumps and the outcome as JSON lines")
 
 
@@ -146,6 +151,8 @@ def run(options: argparse.Namespace) -> int:
             start_ns=start_ns,
             restamp=_restamper(options, file),
             on_jump=lambda jump: _tell_jump(options, file, jump),
+            send_all=side.send_all,
+            digest=not options.no_digest,
         )
         _controls(options, file, player, side, stop, stack)
         stop.wait(options.delay)
@@ -280,7 +287,9 @@ def _report(options: argparse.Namespace, player: Player, complete: bool) -> None
         print(f"  {played.unheard:,} of them while no peer was connected")
     for stream, number in sorted(played.by_stream.items()):
         print(f"  {stream:<40} {number:>8,}")
-    if options.to == "both":
+    if options.to == "both" and played.digest:
         for side, part in sorted(player.sides.items()):
             print(f"{side}: sha256 {part.digest}")
-    print(f"sha256 {played.digest}", flush=True)
+    if played.digest:
+        print(f"sha256 {played.digest}")
+    sys.stdout.flush()

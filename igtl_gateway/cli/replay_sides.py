@@ -8,7 +8,16 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from threading import Event
 
-from igtl_gateway.app.replay_plan import PLAYED_QOS, Plan, Send, both_sender, igtl_sender, ros_sender
+from igtl_gateway.app.replay_plan import (
+    PLAYED_QOS,
+    Plan,
+    Send,
+    SendAll,
+    both_sender,
+    igtl_sender,
+    igtl_sender_of_many,
+    ros_sender,
+)
 from igtl_gateway.cli.common import addresses, count
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros import RosEdge
@@ -31,11 +40,13 @@ class Side:
         send: sends one entry.
         finish: waits until all that was sent is on its way; False if that took too long.
         ros: the edge, where ROS is driven.
+        send_all: sends several; None: they go one by one.
     """
 
     send: Send
     finish: Callable[[], bool]
     ros: RosEdge | None = None
+    send_all: SendAll | None = None
 
 
 def open_sides(
@@ -82,7 +93,8 @@ def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell:
         if stop.is_set():
             return None
     send = igtl_sender(edge, stop if options.speed_of_light else None)
-    return Side(send, lambda: edge.flush(0.0 if stop.is_set() else _FLUSH_S))
+    send_all = None if options.speed_of_light else igtl_sender_of_many(edge, stop)
+    return Side(send, lambda: edge.flush(0.0 if stop.is_set() else _FLUSH_S), send_all=send_all)
 
 
 def _open_ros(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import pytest
 
@@ -44,7 +46,9 @@ class Played:
         restamp: Restamper | None = None,
         entries: Feed = feed,
         stop_after: int = 10_000,
+        together: bool = False,
     ) -> None:
+        self.batches: list[int] = []
         self.sent: list[int] = []
         self.ticks = 0
         self.jumps: list[Jump] = []
@@ -63,6 +67,7 @@ class Played:
             start_ns=start_ns,
             restamp=restamp,
             on_jump=self.jumps.append,
+            send_all=self._send_all if together else None,
         )
         self._thread = threading.Thread(target=self.player.run)
         self._thread.start()
@@ -77,6 +82,10 @@ class Played:
                 self.stop.set()
             self._changed.notify_all()
         return entry.seq != 3
+
+    def _send_all(self, entries: Sequence[Entry]) -> bool:
+        self.batches.append(len(entries))
+        return all([self._send(entry) for entry in entries])
 
     def wait(self, condition: Callable[[], bool]) -> None:
         with self._changed:
@@ -240,3 +249,53 @@ def test_new_stamps_are_what_is_hashed() -> None:
         assert run.end() == plain.end()
         assert told == ["x/msg/Y"]
         assert run.player.played.digest == plain.player.played.digest, "a type without a stamp"
+
+
+def test_what_has_no_pauses_goes_together() -> None:
+    with Played(together=True, loop=True, stop_after=30) as run:
+        assert run.end()[:30] == [1, 2, 3, 4, 5] * 6
+        assert max(run.batches) > 1
+        assert run.player.played.messages == len(run.sent) == sum(run.batches)
+        assert [jump.from_ns for jump in run.jumps] == [at(5)] * len(run.jumps)
+    with Played(50.0, together=True) as run:
+        assert (run.end(), run.batches) == ([1, 2, 3, 4, 5], [])
+    with Played(paused=True, together=True) as run:
+        assert run.player.burst(2) == 2
+        assert run.sent == [1, 2]
+        run.player.resume()
+        assert run.end() == [1, 2, 3, 4, 5]
+
+
+def test_what_comes_before_damage_is_sent() -> None:
+    def damaged(_: int | None) -> Iterator[Entry]:
+        yield from ENTRIES
+        raise ValueError("damaged")
+
+    sent: list[int] = []
+
+    def send(entries: Sequence[Entry]) -> bool:
+        sent.extend(entry.seq for entry in entries)
+        return True
+
+    player = Player(damaged, lambda entry: send([entry]), SystemClock(), threading.Event(), rate=None, send_all=send)
+    with pytest.raises(ValueError, match="damaged"):
+        player.run()
+    assert sent == [1, 2, 3, 4, 5] and player.played.messages == 5
+
+
+def test_the_digest_of_large_messages_and_of_two_sides() -> None:
+    kinds = (Kind.ROS_OUT, Kind.ROS_OUT, Kind.IGTL_OUT, Kind.ROS_OUT, Kind.IGTL_OUT)
+    entries = [
+        dataclasses.replace(entry, kind=kind, payload=(bytes([entry.seq]) * size,))
+        for entry, kind, size in zip(ENTRIES, kinds, (1, 500_000, 2, 600_000, 700_000), strict=True)
+    ]
+    with Played(entries=lambda _: entries) as run:
+        run.end()
+    for side, chosen in (("ros", kinds[0]), ("igtl", kinds[2])):
+        data = b"".join(entry.data() for entry in entries if entry.kind is chosen)
+        assert run.player.sides[side].digest == hashlib.sha256(data).hexdigest()
+        assert run.player.sides[side].bytes == len(data)
+    whole = hashlib.sha256(b"".join(entry.data() for entry in entries))
+    assert run.player.played.digest == whole.hexdigest()
+    player = Player(lambda _: entries, lambda _: True, SystemClock(), threading.Event(), rate=None, digest=False)
+    assert player.run().digest is None and player.sides["ros"].digest is None

@@ -70,6 +70,26 @@ def test_a_part_begins_with_the_latched_topics_of_the_file() -> None:
     assert all(start_ns <= entry.stamp_ns <= start_ns + S // 2 for entry in found[len(state) :])
 
 
+@pytest.mark.parametrize("name", ["paper-types", "star", "every-type"])
+def test_entries_of_some_kinds_tell_of_the_inputs_between_them(name: str) -> None:
+    with SessionFile.open(TYPES.with_stem(name)) as file:
+        wanted = frozenset({Kind.IGTL_OUT, Kind.IGTL_IN})
+        few, every = list(file.entries_of(wanted)), list(file.entries())
+    assert [entry for entry in few if entry.kind in wanted] == [entry for entry in every if entry.kind in wanted]
+
+    def caused(entries: list[Entry]) -> list[bool]:
+        """Of each of those entries, whether an input came since the one before."""
+        came, told = False, []
+        for entry in entries:
+            came |= entry.kind.is_input
+            if entry.kind in wanted:
+                told.append(came)
+                came = False
+        return told
+
+    assert caused(few) == caused(every)
+
+
 def split(folder: Path) -> list[Path]:
     """A plan once, latched, and ten seconds of talk, in parts of two seconds."""
     gateway = Session(Gateway(Config()))
