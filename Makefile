@@ -38,7 +38,7 @@ pictures: $(READY)
 	@tools/setup.sh pictures
 	@$(BIN)/python tools/pictures.py
 
-$(READY): pyproject.toml constraints.txt igtl_gateway/__init__.py
+$(READY): pyproject.toml constraints.txt igtl_gateway/__init__.py hatch_build.py igtl_gateway/convert/_express.c
 	@tools/setup.sh venv
 	@touch $@
 

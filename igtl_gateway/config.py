@@ -207,7 +207,11 @@ class Config:
     def pick_stamp(self, row: _Row, source_ns: int, received_ns: int) -> int:
         """The stamp of an outgoing message: never 0."""
         # a negative stamp (before 1970) has no tick word
-        return source_ns if source_ns > 0 and (row.stamp or self.stamp) == "source" else received_ns
+        return source_ns if source_ns > 0 and self.stamp_of(row) == "source" else received_ns
+
+    def stamp_of(self, row: _Row) -> str:
+        """Which stamp the messages of a row get: ``"source"`` or ``"received"``."""
+        return row.stamp or self.stamp
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values: what is stored in a recording."""

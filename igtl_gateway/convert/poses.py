@@ -21,12 +21,12 @@ Quaternion = tuple[float, float, float, float]
 Rows = list[list[float]]
 
 #: float32 rounding leaves a rotation matrix orthonormal to about 1e-6; beyond this we project it first …
-_ROUNDING = 1e-5
+ROUNDING = 1e-5
 #: … and beyond this we say that scale or shear was lost.
 _NOTICEABLE = 1e-3
 _MAX_ITERATIONS = 100
 #: What rounds to infinity as float32.
-_BEYOND_FLOAT32 = 2.0**128 - 2.0**103
+BEYOND_FLOAT32 = 2.0**128 - 2.0**103
 
 
 def transform_to_ros(content: Transform, to: ToRos) -> TransformStamped:
@@ -65,7 +65,7 @@ def pose_of_position(position: Sequence[float], quaternion: Sequence[float], to:
         raise ConversionError(f"{place}: found {(*position, *quaternion)}, expected finite numbers")
     x, y, z = position
     to_ros = to.lengths.to_ros
-    return (to_ros(x), to_ros(y), to_ros(z), *_positive(unit(quaternion, place)))
+    return (to_ros(x), to_ros(y), to_ros(z), *positive(unit(quaternion, place)))
 
 
 def transform_to_igtl(message: TransformStamped, to: ToIgtl) -> Outgoing:
@@ -111,7 +111,7 @@ def _finite(pose: Pose, to: ToIgtl, place: str) -> tuple[tuple[float, ...], Quat
     translation = to_igtl(x), to_igtl(y), to_igtl(z)
     if not all(map(math.isfinite, (*translation, *pose[3:]))):
         raise ConversionError(f"{place}: found {pose}, expected finite numbers")
-    if max(map(abs, translation)) >= _BEYOND_FLOAT32:
+    if max(map(abs, translation)) >= BEYOND_FLOAT32:
         raise ConversionError(f"{place}: found {pose}, expected lengths that float32 holds")
     return translation, unit(pose[3:], place)
 
@@ -125,7 +125,7 @@ def unit(quaternion: Sequence[float], place: str = "quaternion") -> Quaternion:
     return x / length, y / length, z / length, w / length
 
 
-def _positive(q: Quaternion) -> Quaternion:
+def positive(q: Quaternion) -> Quaternion:
     """Of q and −q, which are the same rotation, the one whose last component that is not 0 is positive."""
     for value in reversed(q):
         if value:
@@ -148,15 +148,20 @@ def quaternion_of(r: Rows, to: ToRos, place: str) -> Quaternion:
 
     Warns where scale or shear is lost.  Raises ConversionError for a reflection or a singular matrix.
     """
-    off = _distance_from_rotation(r)
-    if off > _ROUNDING:
+    off = distance_from_rotation(r)
+    if off > ROUNDING:
         if off > _NOTICEABLE:
             to.warnings.append(
                 ("not_a_rotation", f"{place}: the matrix has scale or shear ({off:.3g}), which a pose cannot hold")
             )
         r = _nearest_rotation(r, place)
-    elif _determinant(r) < 0.0:
-        raise _no_rotation(place, _determinant(r))
+    elif determinant(r) < 0.0:
+        raise _no_rotation(place, determinant(r))
+    return quaternion_of_rotation(r)
+
+
+def quaternion_of_rotation(r: Rows) -> Quaternion:
+    """Unit quaternion (w ≥ 0) of a rotation matrix."""
     (a, b, c), (d, e, f), (g, h, i) = r
     # Shepperd's method: divide by the largest component, never by one near 0
     trace = a + e + i
@@ -168,10 +173,10 @@ def quaternion_of(r: Rows, to: ToRos, place: str) -> Quaternion:
         q = (b + d, 1.0 - a + e - i, f + h, c - g)
     else:
         q = (c + g, f + h, 1.0 - a - e + i, d - b)
-    return _positive(unit(q))
+    return positive(unit(q))
 
 
-def _distance_from_rotation(r: Rows) -> float:
+def distance_from_rotation(r: Rows) -> float:
     """Largest deviation of RᵀR from the identity."""
     (a, b, c), (d, e, f), (g, h, i) = r
     return max(
@@ -184,7 +189,7 @@ def _distance_from_rotation(r: Rows) -> float:
     )
 
 
-def _determinant(r: Rows) -> float:
+def determinant(r: Rows) -> float:
     (a, b, c), (d, e, f), (g, h, i) = r
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
@@ -197,7 +202,7 @@ def _nearest_rotation(r: Rows, place: str) -> Rows:
         raise _no_rotation(place, 0.0)
     r = [[value / size for value in row] for row in r]
     for _ in range(_MAX_ITERATIONS):
-        det = _determinant(r)
+        det = determinant(r)
         if not det > 1e-12:
             raise _no_rotation(place, det)
         (a, b, c), (d, e, f), (g, h, i) = r
@@ -207,7 +212,7 @@ def _nearest_rotation(r: Rows, place: str) -> Rows:
             [(b * f - c * e) / det, (c * d - a * f) / det, (a * e - b * d) / det],
         ]
         r = [[(x + y) / 2.0 for x, y in zip(*rows, strict=True)] for rows in zip(r, inverse_transposed, strict=True)]
-        if _distance_from_rotation(r) < 1e-14:
+        if distance_from_rotation(r) < 1e-14:
             break
     return r
 

@@ -35,19 +35,25 @@ class Lengths:
     igtl: str = "mm"
 
     @property
-    def _ratio(self) -> tuple[int, int]:
+    def ratio_to_igtl(self) -> tuple[int, int]:
         """OpenIGTLink units per ROS unit, as numerator and denominator."""
         ros, igtl = UNITS[self.ros], UNITS[self.igtl]
         return (ros // igtl, 1) if ros >= igtl else (1, igtl // ros)
 
+    @property
+    def ratio_to_ros(self) -> tuple[int, int]:
+        """ROS units per OpenIGTLink unit, as numerator and denominator."""
+        by, times = self.ratio_to_igtl
+        return times, by
+
     def to_igtl(self, lengths: Number) -> Number:
         """Lengths of the ROS side (float or float64 array) in OpenIGTLink units."""
-        times, by = self._ratio
+        times, by = self.ratio_to_igtl
         return _scaled(lengths, times, by)
 
     def to_ros(self, lengths: Number) -> Number:
         """Lengths of the OpenIGTLink side (float or array) in ROS units, as float64."""
-        by, times = self._ratio
+        times, by = self.ratio_to_ros
         return _scaled(lengths, times, by)
 
 

@@ -34,6 +34,7 @@ from igtl_gateway.gateway import queries
 from igtl_gateway.gateway.commands import CommandBook, Pending
 from igtl_gateway.gateway.metadata import Restored, restore
 from igtl_gateway.gateway.peers import Peer, Peers
+from igtl_gateway.gateway.plans import NAMES, POSE_TOPICS, POSES, Plans, plan_to_igtl, plan_to_ros
 from igtl_gateway.gateway.reply import Reply, note
 from igtl_gateway.gateway.sender import Outbound, Sent, send
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream, ToRosStream
@@ -92,6 +93,7 @@ class Gateway:
         self.ledger = Ledger()
         self._peers = Peers(config)
         self._streams = Streams(config)
+        self.plans = Plans()
         self._latest: dict[str, Entry] = {}  # topic → its last message; as many as there are bridged topics
         self._volumes: dict[str, VolumeAssembler] = {}  # device → the volume that its updates are part of
         self._frames: set[str] = set()  # frame ids of what went out
@@ -176,13 +178,24 @@ class Gateway:
             self.ledger.count(_IN, entry.channel, fate)
         else:
             self.ledger.drop(_IN, entry.channel, fate)
+        if peer and not news and fate in _GOOD_FATES and entry.type in POSES and not self._tf:
+            self._plan_to_ros(entry, message)
         return news + replies + (self._respond(entry, peer, message) if peer else [])
+
+    def _plan_to_ros(self, entry: Entry, message: Message) -> None:
+        """Keep what is the same for the next pose of this device."""
+        key = (entry.links[0], bytes(entry.payload[0][NAMES]))
+        stream = self._streams.to_ros(visible(message.type), visible(message.device_name))
+        if stream and self.plans.wants(key):
+            to = self._circumstances(entry, message, restore(message), stream)
+            self.plans.keep_to_ros(key, plan_to_ros(entry, message, stream, to, self.config, self.ledger))
 
     def _learn(self, entry: Entry, peer: Peer, message: Message) -> list[Reply]:
         """What a message shows of its sender."""
         before = peer.profile
         if not peer.hear(message):
             return []
+        self.plans.peers_changed()
         replies = [self._links(entry.stamp_ns)]
         if peer.profile is not before:
             text = f"{peer.address or 'the peer'} is taken for {peer.profile.name}, by what it sent"
@@ -336,6 +349,7 @@ class Gateway:
         query = split_query(message.type)
         if query is None:
             return []
+        self.plans.peers_changed()
         prefix, igtl_type = query
         # a name of odd bytes is longer as text: what answers it has to fit the wire
         device, now_ns = short_device_name(visible(message.device_name)), entry.stamp_ns
@@ -457,6 +471,11 @@ class Gateway:
                 out = self._as_outbound(entry, stream, stream.conversion, outgoing)
                 replies = self._to_trackers(entry, self._addressed(outgoing), out, stream.lengths)
                 replies += self._tracked(entry, out, stream.lengths)
+                key = (topic, entry.type)
+                if entry.type in POSE_TOPICS and self.plans.wants(key):
+                    peers = tuple(self._peers.all())
+                    plan = plan_to_igtl(entry, stream, out, peers, self.config, self.ledger, self._latest)
+                    self.plans.keep_to_igtl(key, plan)
         except (ConversionError, WireError) as error:
             self.ledger.drop(_ROS_IN, topic, "conversion")
             return [note(Level.ERROR, "conversion", f"not sent: {error}", topic)]
@@ -688,6 +707,7 @@ class Gateway:
 
     def _on_link(self, entry: Entry) -> list[Reply]:
         told = Note.unpack(entry.data())
+        self.plans.peers_changed()
         replies: list[Reply] = []
         for link in entry.links:
             if told.code == LINK_UP:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.gateway.core import Gateway
+from igtl_gateway.gateway.plans import NAMES, Plans
 from igtl_gateway.gateway.relay import RelayGateway
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.stamp import ticks_to_ns
@@ -18,6 +19,7 @@ class Session:
 
     def __init__(self, gateway: Gateway | RelayGateway) -> None:
         self.gateway = gateway
+        self._plans = gateway.plans if isinstance(gateway, Gateway) else Plans()
         self._seq = 0
         self._stamp_ns = 0
 
@@ -36,14 +38,18 @@ class Session:
 
         OpenIGTLink input names its own channel, type and stamp: they are read from its header.
         """
+        stamp_ns = max(now_ns, self._stamp_ns + 1)  # log order is time order, even where the host's clock steps back
+        entries = self._planned(stamp_ns, kind, payload, channel, type_name, links, source_ns)
+        if entries:
+            self._seq, self._stamp_ns = entries[-1].seq, entries[-1].stamp_ns
+            return entries
         if kind is Kind.IGTL_IN:
             header = Header.unpack(payload[0])
             channel, type_name = stream_name(header), visible(header.type)
             source_ns = ticks_to_ns(header.ticks)
-        # log order is time order, even where the host's clock steps back
         entry = Entry(
             self._seq + 1,
-            max(now_ns, self._stamp_ns + 1),
+            stamp_ns,
             kind,
             channel,
             type_name,
@@ -53,6 +59,32 @@ class Session:
         )
         entries = [entry, *self.gateway.handle(entry)]
         self._seq, self._stamp_ns = entries[-1].seq, entries[-1].stamp_ns
+        return entries
+
+    def _planned(
+        self,
+        stamp_ns: int,
+        kind: Kind,
+        payload: Sequence[Buffer],
+        channel: str,
+        type_name: str,
+        links: tuple[int, ...],
+        source_ns: int,
+    ) -> list[Entry] | None:
+        """What the plan of the stream says, if it has one that fits."""
+        plans, entries = self._plans, None
+        if kind is Kind.ROS_IN:
+            topic_key = (channel, type_name)
+            if to_igtl := plans.to_igtl.get(topic_key):
+                entries = to_igtl(self._seq + 1, stamp_ns, payload, channel, type_name, source_ns)
+                if entries is None:
+                    del plans.to_igtl[topic_key]
+        elif kind is Kind.IGTL_IN:
+            device_key = (links[0], bytes(payload[0][NAMES]))
+            if to_ros := plans.to_ros.get(device_key):
+                entries = to_ros(self._seq + 1, stamp_ns, payload, links, self.gateway.heard)  # type: ignore[union-attr]
+                if entries is None:
+                    del plans.to_ros[device_key]
         return entries
 
 

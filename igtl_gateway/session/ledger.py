@@ -33,6 +33,11 @@ class Ledger:
         """Add to ``dropped`` with its reason."""
         self._add(self._dropped, direction, stream, reason, number)
 
+    def counter(self, direction: str, stream: str) -> dict[str, int]:
+        """The counts of a stream, for whoever adds to them often: fate → number."""
+        words = self._counts.get((direction, stream))
+        return self._open(self._counts, direction, stream) if words is None else words
+
     def _add(self, book: _Book, direction: str, stream: str, word: str, number: int) -> None:
         words = book.get((direction, stream))
         if words is None:
@@ -55,5 +60,6 @@ class Ledger:
             fates: dict[str, Any] = dict(sorted(self._counts.get((direction, stream), {}).items()))
             if dropped := self._dropped.get((direction, stream)):
                 fates["dropped"] = dict(sorted(dropped.items()))
-            told.setdefault(direction, {})[stream] = fates
+            if fates:
+                told.setdefault(direction, {})[stream] = fates
         return told

@@ -43,6 +43,10 @@ from igtl_gateway.wire.registry import read_content
 HEADER_SIZE = 58
 _HEADER = struct.Struct(">H12s20sQQQ")
 _EXTENDED = struct.Struct(">HHII")
+EXTENDED_SIZE = _EXTENDED.size
+
+#: CRC-64/ECMA-182 of bytes, as headers have it.
+crc64 = fastcrc.crc64.ecma_182
 _COUNT = struct.Struct(">H")
 _ITEM = struct.Struct(">HHI")
 
@@ -201,7 +205,7 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
     if body.nbytes != header.body_size:
         error = TruncatedMessage if body.nbytes < header.body_size else MalformedBody
         raise error(f"{visible(header.type)} body", f"{body.nbytes} bytes", f"{header.body_size} bytes")
-    if check_crc and (crc := fastcrc.crc64.ecma_182(body)) != header.crc:
+    if check_crc and (crc := crc64(body)) != header.crc:
         raise ChecksumMismatch(f"{visible(header.type)} body, CRC-64", f"{crc:016x}", f"{header.crc:016x}")
     if header.version == 1:
         return Message(header.type, header.device_name, read_content(header.type, body), header.ticks)
@@ -337,13 +341,13 @@ def _encode(message: Message) -> list[Buffer]:
         head, metadata = layout.metadata_header, layout.metadata
         front = _EXTENDED.pack(extended_size, len(head), len(metadata), message.message_id) + layout.extension
         back = head + metadata
-    crc = fastcrc.crc64.ecma_182(front) if front else 0
+    crc = crc64(front) if front else 0
     size = len(front) + len(back)
     for part in parts:
-        crc = fastcrc.crc64.ecma_182(part, crc)
+        crc = crc64(part, crc)
         size += memoryview(part).nbytes
     if back:
-        crc = fastcrc.crc64.ecma_182(back, crc)
+        crc = crc64(back, crc)
     header = Header(message.header_version, message.type, message.device_name, message.ticks, size, crc).pack()
     if parts and isinstance(parts[0], bytes):
         buffers: list[Buffer] = [header + front + parts[0], *parts[1:]]
@@ -387,7 +391,7 @@ def describe(data: Buffer) -> dict[str, Any]:
         "timestamp": {"sec": header.ticks >> 32, "frac": fraction, "nanosec": fraction_to_ns(fraction)},
         "body_size": header.body_size,
         "crc": f"{header.crc:016x}",
-        "crc_ok": body.nbytes == header.body_size and fastcrc.crc64.ecma_182(body) == header.crc,
+        "crc_ok": body.nbytes == header.body_size and crc64(body) == header.crc,
     }
     try:
         if header.version == 2:

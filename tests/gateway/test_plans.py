@@ -1,0 +1,205 @@
+"""Plans give what the general way gives, to the last bit; the compiled functions give what the plain ones give."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from igtl_gateway.buffers import join
+from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.convert import express, rosmsg
+from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP, Gateway, Session, plans
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.wire import Item, Message, encode
+from igtl_gateway.wire.query import Nothing, StartTracking
+from igtl_gateway.wire.transform import Position, Transform
+
+T0_NS = 1_700_000_000 * NS_PER_S
+
+Step = tuple[Any, ...]
+
+_ODD = [
+    (0.0,) * 4,
+    (1.0, 0.0, 0.0, 0.0),
+    (0.0, 1.0, 0.0, 0.0),
+    (0.0, 0.0, 1.0, 0.0),
+    (0.0, 0.0, 0.0, -2.0),
+    (math.nan,) * 4,
+]
+
+angles = st.floats(-4.0, 4.0)
+lengths = st.sampled_from([0.0, -0.0, 1e-40, 3.5, -1e3, 3e38, 1e39, math.nan, math.inf]) | st.floats(-1e3, 1e3)
+stamps = st.sampled_from([0, -5, 1, 999_999_999, T0_NS, T0_NS + 123_456_789, 2**32 * NS_PER_S - 1])
+
+
+@st.composite
+def rotations(draw: st.DrawFn) -> tuple[float, float, float, float]:
+    """Quaternions x, y, z, w: of any rotation, half turns, no length, and worse."""
+    if draw(st.booleans()):
+        q = [draw(angles) for _ in range(4)]
+        return q[0], q[1], q[2], q[3]
+    return draw(
+        st.sampled_from([(0, 0, 0, 0), (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, -2), (math.nan,) * 4])
+    )
+
+
+@st.composite
+def matrices(draw: st.DrawFn) -> tuple[float, ...]:
+    """The twelve numbers of TRANSFORM: rotations as float32 rounds them, and what is none."""
+    x, y, z, w = draw(rotations())
+    n = math.sqrt(x * x + y * y + z * z + w * w) or 1.0
+    x, y, z, w = x / n, y / n, z / n, w / n
+    m = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)]
+    m += [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)]
+    m += [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)]
+    if draw(st.integers(0, 5)) == 0:
+        m[draw(st.integers(0, 8))] *= draw(st.sampled_from([-1.0, 1.001, 0.0, 1 + 1e-6]))
+    position = [draw(lengths.filter(lambda value: not abs(value) > 3.1e38 or math.isinf(value))) for _ in range(3)]
+    return (*m, *position)
+
+
+@st.composite
+def igtl_messages(draw: st.DrawFn) -> Step:
+    device, version = draw(st.sampled_from("AB")), draw(st.sampled_from([1, 1, 2]))
+    content: Any = Transform(draw(matrices()))
+    if draw(st.integers(0, 2)) == 0:
+        position = draw(st.tuples(*[st.floats(-1e3, 1e3, width=32)] * 3))
+        content = Position(position, draw(rotations()), draw(st.sampled_from(["all", "all", "quaternion3"])))
+    items = (Item("key", b"value"),) if version == 2 and draw(st.integers(0, 4)) == 0 else ()
+    name = "TRANSFORM" if isinstance(content, Transform) else "POSITION"
+    message = Message(name, device, content, ns_to_ticks(draw(stamps)), version, draw(st.integers(0, 3)), items)
+    data = bytearray(join(encode(message)))
+    if draw(st.integers(0, 9)) == 0:
+        data[draw(st.sampled_from([50, 60, len(data) - 1]))] ^= 1
+    return "igtl", bytes(data), draw(st.sampled_from([1, 2]))
+
+
+@st.composite
+def ros_messages(draw: st.DrawFn) -> Step:
+    header = rosmsg.Header(draw(stamps.filter(lambda ns: ns < 2**31 * NS_PER_S)), draw(st.sampled_from(["base", "m"])))
+    position = (draw(lengths), draw(lengths), draw(lengths))
+    if draw(st.booleans()):
+        child = draw(st.sampled_from(["tool", "needle1"]))
+        message: Any = rosmsg.TransformStamped(header, child, position, draw(rotations()))
+    else:
+        message = PoseStamped(header, (*position, *draw(rotations())))
+    topic = draw(st.sampled_from(["/igtl/out/T", "/igtl/out/P"])) + message.TYPE[-4:]
+    return "ros", topic, message.TYPE, message.pack() + draw(st.sampled_from([b"", b"", b"", b"\0"])), draw(stamps)
+
+
+@st.composite
+def others(draw: st.DrawFn) -> Step:
+    kind, link = draw(st.sampled_from([LINK_UP, LINK_DOWN, "STT", "STP"])), draw(st.sampled_from([1, 2, 3]))
+    if kind in ("STT", "STP"):
+        content = StartTracking(20, "") if kind == "STT" else Nothing()
+        return "igtl", join(encode(Message(f"{kind}_TDATA", "", content, 0, 2))), link
+    return "link", kind, link
+
+
+CONFIGS = (
+    Config(),
+    Config(stamp="receive", check_crc=False, publish_tf=False),
+    Config(
+        to_ros=(ToRosRow(device="A", ros_unit="mm", frame_id="A"),),
+        to_igtl=(
+            ToIgtlRow(topic="/igtl/out/P*", type="POSITION", metadata=(("owner", "1111111111111111111"),)),
+            ToIgtlRow(),
+        ),
+    ),
+)
+
+
+def played(steps: list[Step], config: Config, heard: set[str] | None, planned: bool) -> tuple[list[Any], Any]:
+    """The entries and the ledger of a session."""
+    gateway = Gateway(config)
+    if heard is not None:
+        gateway.heard = lambda topic, _type: topic in heard
+    if not planned:
+        gateway.plans.wants = lambda key: False  # type: ignore[method-assign]
+    session = Session(gateway)
+    told: list[Any] = []
+    for index, step in enumerate([("link", LINK_UP, 1), ("link", LINK_UP, 2), *steps]):
+        now_ns = T0_NS + index * 1_000
+        match step:
+            case ("igtl", data, link):
+                entries = session.input(now_ns, Kind.IGTL_IN, (data,), links=(link,))
+            case ("ros", topic, ros_type, cdr, source_ns):
+                entries = session.input(
+                    now_ns, Kind.ROS_IN, (cdr,), channel=topic, type_name=ros_type, source_ns=source_ns
+                )
+            case ("link", code, link):
+                note = Note(Level.INFO, code, "", data={"peer": "127.0.0.1:1", "role": "server"})
+                entries = session.input(now_ns, Kind.LINK, (note.pack(),), links=(link,))
+        told += [_plain(entry) for entry in entries]
+    return told, gateway.ledger.to_dict()
+
+
+def _plain(entry: Entry) -> tuple[Any, ...]:
+    return (
+        *(getattr(entry, name) for name in ("seq", "stamp_ns", "kind", "channel", "type", "links", "source_ns")),
+        entry.data(),
+    )
+
+
+@pytest.mark.parametrize("functions", ["plain", "in use"])
+@given(
+    st.lists(igtl_messages() | igtl_messages() | ros_messages() | ros_messages() | others(), max_size=25),
+    st.sampled_from(CONFIGS),
+    st.sampled_from([None, set(), {"/tf"}, {"/igtl/in/A/transform"}]),
+)
+def test_a_session_with_plans_is_the_session_without(
+    functions: str, steps: list[Step], config: Config, heard: set[str] | None
+) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        if functions == "plain":
+            patch.setattr(plans, "pose_to_ros", express.PLAIN[0])
+            patch.setattr(plans, "pose_to_igtl", express.PLAIN[1])
+        assert played(steps, config, heard, planned=True) == played(steps, config, heard, planned=False)
+
+
+POSE = Transform((0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6, 1.0, 2.0, 3.0))
+TOOL = rosmsg.TransformStamped(rosmsg.Header(T0_NS, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.6, 0.8))
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_the_second_pose_of_a_stream_goes_by_a_plan(version: int) -> None:
+    gateway = Gateway(Config())
+    session = Session(gateway)
+    note = Note(Level.INFO, LINK_UP, "", data={"peer": "127.0.0.1:1", "role": "server"})
+    session.input(T0_NS, Kind.LINK, (note.pack(),), links=(1,))
+    general: list[Kind] = []
+    handle = gateway.handle
+
+    def watched(entry: Entry) -> list[Entry]:
+        general.append(entry.kind)
+        return handle(entry)
+
+    gateway.handle = watched  # type: ignore[method-assign]
+    data = join(encode(Message("TRANSFORM", "Probe", POSE, ns_to_ticks(T0_NS), version)))
+    cdr = TOOL.pack()
+    for _ in range(6):
+        session.input(T0_NS, Kind.IGTL_IN, (data,), links=(1,))
+    for _ in range(4):
+        session.input(T0_NS, Kind.ROS_IN, (cdr,), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
+    # the first message of a peer also shows what it is, so the plan is made of the second
+    assert general == [Kind.IGTL_IN, Kind.IGTL_IN, Kind.ROS_IN]
+    changed = replace(TOOL, child_frame_id="other")
+    session.input(T0_NS, Kind.ROS_IN, (changed.pack(),), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
+    session.input(T0_NS, Kind.ROS_IN, (changed.pack(),), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
+    assert general[3:] == [Kind.ROS_IN]
+
+
+@pytest.mark.skipif(not express.COMPILED, reason="installed without the C part")
+@pytest.mark.parametrize("bad", [(), (1,) * 9, (b"", b"", 0, 48, True, True, 0, (1.0, 1.0), ((b"", 0),))])
+def test_the_compiled_functions_refuse_what_they_cannot_use(bad: tuple[Any, ...]) -> None:
+    for function in (express.pose_to_ros, express.pose_to_igtl):
+        with pytest.raises((TypeError, ValueError)):
+            function(*bad)
