@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 from igtl_gateway.bench.runner import Row
+from igtl_gateway.bench.sweeps import SWEEPS
 
 _WIDTH, _LEFT, _RIGHT, _TOP, _BAR, _GAP, _FOOT = 860, 250, 70, 46, 9, 9, 34
 #: Bar → field, colour, words.
@@ -21,10 +24,126 @@ def latency_plots(rows: Sequence[Row]) -> dict[str, str]:
     """File name → SVG: one picture of latencies for each direction that was measured."""
     plots = {}
     for direction in dict.fromkeys(row["direction"] for row in rows if row.get("direction")):
-        shown = [row for row in rows if row.get("direction") == direction and row["p50_ms"] is not None]
+        shown = [
+            row
+            for row in rows
+            if row.get("direction") == direction and row["p50_ms"] is not None and "sweep" not in row
+        ]
         if shown:
             plots[f"latency-{direction}.svg"] = bars(f"One-way latency, {direction} (ms, logarithmic)", shown)
     return plots
+
+
+_HEIGHT, _CHART_LEFT, _CHART_TOP, _CHART_FOOT = 420, 70, 70, 46
+_TICKS = 5
+_STEPS = 60  # of a line of which logarithms make a curve
+_COLOURS = ("#1f77b4", "#d62728", "#888888", "#bbbbbb")
+_FIGURES = {
+    "gateway_cpu_percent": "CPU of the gateway, % of a core",
+    "p50_ms": "p50 of one-way latency, ms",
+    "floor_p50_ms": "floor",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Points of one colour, and the line through them: ``a``, ``b`` and ``r2`` of ``sweeps.line``."""
+
+    name: str
+    points: tuple[tuple[float, float], ...]
+    fit: dict[str, Any]
+
+
+def sweep_plots(rows: Sequence[Row], fits: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """File name → SVG: of each sweep that was measured, its charts."""
+    plots = {}
+    for name, sweep in SWEEPS.items():
+        for chart in sweep.charts:
+            series = []
+            for fit in fits:
+                if fit["sweep"] == name and fit["figure"] in chart:
+                    field, direction = fit["figure"], fit["direction"]
+                    swept = [row for row in rows if (row.get("sweep"), row.get("direction")) == (name, direction)]
+                    points = tuple((row["x"], row[field]) for row in swept if row.get(field) is not None)
+                    what = f"{_FIGURES[field]}, {direction}" if field != chart[0] else direction
+                    series.append(Series(what, points, fit))
+            if series:
+                title = f"{_FIGURES[chart[0]]}: {sweep.text}"
+                plots[f"sweep-{name}-{chart[0]}.svg"] = lines(title, sweep.x, series, sweep.logarithmic)
+    return plots
+
+
+def lines(title: str, x_axis: str, series: Sequence[Series], logarithmic: bool) -> str:
+    """Points and the straight lines through them, on linear axes from 0 or on logarithmic ones."""
+    every = [point for one in series for point in one.points]
+    along = _axis([x for x, _ in every], logarithmic, _CHART_LEFT, _WIDTH - _RIGHT)
+    upwards = _axis([y for _, y in every], logarithmic, _HEIGHT - _CHART_FOOT, _CHART_TOP)
+    parts = _page(title, _HEIGHT)
+    for value in along.ticks:
+        at = along.place(value)
+        parts.append(f'<path d="M{at:.1f} {_CHART_TOP} V{_HEIGHT - _CHART_FOOT}" stroke="#dddddd"/>')
+        parts.append(f'<text x="{at:.1f}" y="{_HEIGHT - _CHART_FOOT + 16}" text-anchor="middle">{value:g}</text>')
+    for value in upwards.ticks:
+        at = upwards.place(value)
+        parts.append(f'<path d="M{_CHART_LEFT} {at:.1f} H{_WIDTH - _RIGHT}" stroke="#dddddd"/>')
+        parts.append(f'<text x="{_CHART_LEFT - 8}" y="{at + 4:.1f}" text-anchor="end">{value:g}</text>')
+    middle = (_CHART_LEFT + _WIDTH - _RIGHT) / 2
+    parts.append(f'<text x="{middle:.0f}" y="{_HEIGHT - 10}" text-anchor="middle">{escape(x_axis)}</text>')
+    for index, (one, colour) in enumerate(zip(series, _COLOURS, strict=False)):
+        left, top = _CHART_LEFT + 390 * (index % 2), 26 + 16 * (index // 2)
+        a, b, r2 = (one.fit[name] for name in ("a", "b", "r2"))
+        words = f"{one.name}: {a:.3g} + {b:.3g} x, r² = {r2:.3f}"
+        parts.append(f'<rect x="{left}" y="{top}" width="10" height="10" fill="{colour}"/>')
+        parts.append(f'<text x="{left + 14}" y="{top + 9}">{escape(words)}</text>')
+        curve = [(x, a + b * x) for x in along.steps]
+        seen = [(x, y) for x, y in curve if upwards.low <= y <= upwards.high]
+        path = " L".join(f"{along.place(x):.1f} {upwards.place(y):.1f}" for x, y in seen)
+        if path:
+            parts.append(f'<path d="M{path}" stroke="{colour}" fill="none" stroke-dasharray="4 3"/>')
+        for x, y in one.points:
+            parts.append(f'<circle cx="{along.place(x):.1f}" cy="{upwards.place(y):.1f}" r="3.5" fill="{colour}"/>')
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    low: float
+    high: float
+    ticks: tuple[float, ...]
+    steps: tuple[float, ...]
+    place: Callable[[float], float]
+
+
+def _axis(values: Sequence[float], logarithmic: bool, start: float, end: float) -> _Axis:
+    """An axis that holds all values, between two places of the picture."""
+    if logarithmic:
+        first, last = math.floor(math.log10(min(values))), math.ceil(math.log10(max(values)))
+        last = max(last, first + 1)
+        ticks = tuple(10.0**power for power in range(first, last + 1))
+        steps = tuple(10 ** (first + (last - first) * step / _STEPS) for step in range(_STEPS + 1))
+        return _Axis(
+            ticks[0],
+            ticks[-1],
+            ticks,
+            steps,
+            lambda value: start + (math.log10(value) - first) / (last - first) * (end - start),
+        )
+    most = max(values) or 1.0
+    unit = 10 ** math.floor(math.log10(most / _TICKS))
+    step = next(unit * many for many in (1, 2, 2.5, 5, 10) if unit * many * _TICKS >= most)
+    high = step * math.ceil(most / step)
+    ticks = tuple(step * tick for tick in range(round(high / step) + 1))
+    steps = tuple(high * step / _STEPS for step in range(_STEPS + 1))
+    return _Axis(0.0, high, ticks, steps, lambda value: start + value / high * (end - start))
+
+
+def _page(title: str, height: float) -> list[str]:
+    return [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" font-family="sans-serif" '
+        'font-size="11">',
+        f'<rect width="{_WIDTH}" height="{height}" fill="white"/>',
+        f'<text x="10" y="18" font-size="14">{escape(title)}</text>',
+    ]
 
 
 def bars(title: str, rows: Sequence[Row]) -> str:
@@ -38,12 +157,7 @@ def bars(title: str, rows: Sequence[Row]) -> str:
         share = (math.log10(value) - low) / (high - low)
         return _LEFT + share * (_WIDTH - _LEFT - _RIGHT)
 
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" font-family="sans-serif" '
-        'font-size="11">',
-        f'<rect width="{_WIDTH}" height="{height}" fill="white"/>',
-        f'<text x="10" y="18" font-size="14">{escape(title)}</text>',
-    ]
+    parts = _page(title, height)
     for index, (_, colour, words) in enumerate(_BARS):
         left = _LEFT + 90 * index
         parts.append(f'<rect x="{left}" y="26" width="10" height="10" fill="{colour}"/>')
@@ -70,6 +184,6 @@ def bars(title: str, rows: Sequence[Row]) -> str:
 
 def _label(row: Row) -> str:
     rate = f"{row['rate_hz']:g} Hz" if row.get("rate_hz") else "flood"
-    stream = f" {row['stream']}" if "stream" in row else ""
+    stream = "".join(f" {row[name]}" for name in ("stream", "client") if name in row)
     peer = f", {row['peer']}" if row.get("peer") else ""
     return f"{row['case']}{stream}, {rate}{', recording' if row.get('recording') else ''}{peer}"

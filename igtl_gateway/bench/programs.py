@@ -66,10 +66,11 @@ class IgtlSide:
     def __init__(self, job: Job, heard: dict[str, Heard]) -> None:
         self._job = job
         self._now = SystemClock().monotonic_ns
-        self._clients: dict[int, dict[bytes, tuple[Form, Heard]]] = {0: {}}
+        clients: dict[int, dict[bytes, tuple[Form, Heard]]] = {}
         for part in job.hears:
-            readers = self._clients.setdefault(part.client, {})
+            readers = clients.setdefault(part.client, {})
             readers[part.device.encode().ljust(20, b"\0")] = (payload(part.stream.kind).forms[1], heard[part.key])
+        self._clients = list(clients.values()) or [{}]
         self._sockets: list[socket.socket] = []
         self._threads: list[threading.Thread] = []
         #: Cleared, nothing is read.
@@ -77,7 +78,7 @@ class IgtlSide:
         self.reading.set()
 
     def open(self) -> None:
-        for readers in self._clients.values():
+        for readers in self._clients:
             link = self._connection()
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)

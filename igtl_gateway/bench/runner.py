@@ -326,14 +326,14 @@ class Runner:
                     for (device, client), passage in passed.passages.items():
                         if device == stream.device(direction):
                             heard.setdefault(client, []).append((stream, replace(passage, warm=warm(stream))))
-                if plan.case.stalls:
-                    for client, ((stream, passage),) in sorted(heard.items()):
-                        told = stall.told(stream, passage) if client == STALLED else {}
-                        rows.append(row | {"client": NAMES[client]} | latency([passage]) | told | usage)
-                    continue
                 passages = [passage for pairs in heard.values() for _, passage in pairs]
                 late = lateness(passages, rate_hz) if rate_hz else {}
-                rows.append(row | latency(passages) | late | usage)
+                if not plan.case.stalls:
+                    rows.append(row | latency(passages) | late | usage)
+                    continue
+                for client, ((stream, passage),) in sorted(heard.items()):
+                    told = stall.told(stream, passage) if client == STALLED else {}
+                    rows.append(row | {"client": NAMES[client]} | latency([passage]) | late | told | usage)
         return rows
 
 
