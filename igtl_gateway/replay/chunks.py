@@ -18,10 +18,11 @@ from itertools import pairwise
 from operator import itemgetter
 from typing import IO
 
+from fastcrc.crc32 import iso_hdlc
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.records import Chunk, ChunkIndex
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 
 #: Channel, sequence, log_time, publish_time; first and last offset of the payload in the bytes that follow.
 Row = tuple[int, int, int, int, int, int, bytes]
@@ -72,8 +73,14 @@ def _taken(index: ChunkIndex, unpacked: Future[bytes] | None) -> tuple[ChunkInde
 
 
 def _unpacked(chunk: Chunk) -> bytes:
-    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-    return stream.read(size)
+    stream, size = get_chunk_data_stream(chunk)
+    data = stream.read(size)
+    # as the library would, three times as fast
+    if chunk.uncompressed_crc:
+        found = iso_hdlc(data)
+        if found != chunk.uncompressed_crc:
+            raise CRCValidationError(expected=chunk.uncompressed_crc, actual=found, record=chunk)
+    return data
 
 
 def _rows(data: bytes) -> list[Row]:

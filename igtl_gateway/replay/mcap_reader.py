@@ -209,7 +209,7 @@ class SessionFile:
             return
         count = 0
         for entry in self._numbered(self._rows(kinds=kinds), 0, kinds):
-            count += entry.kind in kinds
+            count += entry.seq > 0
             yield entry
         self._check_count(count, sum(channel.count for channel in self.channels if channel.kind in kinds))
 

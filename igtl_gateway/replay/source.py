@@ -34,12 +34,12 @@ def once(entries: Iterable[Entry]) -> Iterator[Entry]:
     """Of a message that went out in several header versions only the first form: version 1 where it was sent."""
     sent: set[str] = set()
     for entry in entries:
-        if entry.kind.is_input:
-            sent = set()
-        elif entry.kind is Kind.IGTL_OUT:
+        if entry.kind is Kind.IGTL_OUT:
             if entry.channel in sent:
                 continue
             sent.add(entry.channel)
+        elif sent and entry.kind.is_input:
+            sent.clear()
         yield entry
 
 
@@ -66,9 +66,10 @@ def select(entries: Iterable[Entry], kinds: frozenset[Kind], streams: Iterable[s
     A glob fits the channel (``TYPE/device`` or the topic) or the device name alone.
     """
     globs = tuple(streams)
+    few = tuple(kinds)  # found sooner than by their hash
     known: dict[str, bool] = {}
     for entry in entries:
-        if entry.kind in kinds:
+        if entry.kind in few:
             if entry.channel not in known:
                 known[entry.channel] = fits(entry.channel, globs) or (
                     entry.kind in _IGTL and fits(entry.channel.partition("/")[2], globs)
