@@ -19,7 +19,8 @@ from mcap.writer import Writer
 
 from igtl_gateway import __version__
 from igtl_gateway.errors import RecordingError
-from igtl_gateway.record.mcap_writer import COMPRESSIONS, Compression, TopicCount, create_file, reason
+from igtl_gateway.record.mcap_stream import Compression
+from igtl_gateway.record.mcap_writer import COMPRESSIONS, TopicCount, create_file, reason
 from igtl_gateway.session import layout
 
 

@@ -3,9 +3,8 @@
 Synchronous and single-threaded; the recorder runs it in its own thread, tools use it as it is.  It adds no
 times or chance of its own: the same entries give the same file.
 
-What a whole file depends on is there twice: the session's metadata, and schemas and channels, which the library
-puts into the first chunk that needs them and we, on top, between the chunks.  So no one damaged place costs more
-than itself.
+What a whole file depends on is there twice: the session's metadata, and schemas and channels, which are in the first
+chunk that needs them and, on top, between the chunks.  So no one damaged place costs more than itself.
 """
 
 from __future__ import annotations
@@ -21,26 +20,23 @@ from io import BufferedWriter, BytesIO
 from pathlib import Path
 from typing import Any, Literal
 
-from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, McapRecord, Schema
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 
 from igtl_gateway import __version__
 from igtl_gateway.errors import RecordingError
 from igtl_gateway.qos import Qos
+from igtl_gateway.record import mcap_stream
+from igtl_gateway.record.mcap_stream import CHUNK_BYTES, McapStream
 from igtl_gateway.record.rostypes import Definition, RosTypes
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.layout import LayoutError
 
-Compression = Literal["lz4", "zstd", "none"]
+Compression = mcap_stream.Compression
 #: When what is written is on the disk itself, so that a power loss does not cost it.
 Fsync = Literal["never", "flush", "close"]
 QosOf = Callable[[str, str], Qos | None]
 DefinitionOf = Callable[[str], tuple[str, str] | None]
-
-#: Uncompressed size of a chunk: what a reader has to hold, and unpacks to see one message.
-CHUNK_BYTES = 1 << 20
 
 COMPRESSIONS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
 #: Channels of ROS topics.  MCAP has 65,535 channels, and the other kinds need some.
@@ -115,7 +111,7 @@ class SessionWriter:
         self._fsync = fsync
         before = _packed(prologue, self._types)
         self._file = memory or create_file(path, overwrite)
-        self._mcap = Writer(self._file, chunk_size=chunk_bytes, compression=COMPRESSIONS[compression])
+        self._mcap = McapStream(self._file, chunk_bytes=chunk_bytes, compression=compression)
         try:
             self._start(session, before)
             if fsync != "never":
@@ -131,10 +127,10 @@ class SessionWriter:
         self._mcap.add_metadata(layout.SESSION_METADATA, layout.seal(facts))
         self._mcap.add_metadata(layout.SESSION_COPY_METADATA, layout.seal(facts))
         configuration = facts.get(layout.CONFIGURATION_KEY, "{}").encode()
-        self._mcap.add_attachment(0, 0, layout.CONFIGURATION_ATTACHMENT, "application/json", configuration)
+        self._mcap.add_attachment(layout.CONFIGURATION_ATTACHMENT, "application/json", configuration)
         if prologue:
-            self._mcap.add_attachment(0, 0, layout.PROLOGUE_ATTACHMENT, "application/octet-stream", prologue)
-        self._mcap.flush()  # type: ignore[no-untyped-call]
+            self._mcap.add_attachment(layout.PROLOGUE_ATTACHMENT, "application/octet-stream", prologue)
+        self._mcap.flush()
 
     def write(self, entry: Entry) -> None:
         """Add an entry; it is on its way to the disk after the next :meth:`flush`.
@@ -142,27 +138,22 @@ class SessionWriter:
         Raises LayoutError for an entry that the format cannot hold (the file is not touched), RecordingError when
         the disk refuses (then nothing more can be written).
         """
-        data = layout.pack_message(entry)
-        if not (0 <= entry.stamp_ns < _U64 and 0 <= entry.source_ns < _U64 and entry.seq >= 0):
-            found = f"number {entry.seq}, stamp {entry.stamp_ns} ns, source stamp {entry.source_ns} ns"
+        data = _message(entry)
+        seq, stamp_ns, source_ns = entry.seq, entry.stamp_ns, entry.source_ns
+        if not (0 <= stamp_ns < _U64 and 0 <= source_ns < _U64 and seq >= 0):
+            found = f"number {seq}, stamp {stamp_ns} ns, source stamp {source_ns} ns"
             raise LayoutError(f"entry of {entry.channel or entry.kind.value}: found {found}, expected unsigned 64 bits")
         channel = self._channels.get((entry.kind, entry.channel, entry.type))
         if channel is None:
             channel = self._open_channel(entry)
         self._check_open()
         try:
-            self._mcap.add_message(
-                channel,
-                log_time=entry.stamp_ns,
-                data=data,
-                publish_time=entry.source_ns or entry.stamp_ns,
-                sequence=entry.seq & 0xFFFFFFFF,
-            )
+            self._mcap.add_message(channel, stamp_ns, data, source_ns or stamp_ns, seq & 0xFFFFFFFF)
         except OSError as error:
             raise self._failed(error) from error
         self._counts[channel - 1] += 1
-        self.start_ns = self.start_ns or entry.stamp_ns
-        self.end_ns = entry.stamp_ns
+        self.start_ns = self.start_ns or stamp_ns
+        self.end_ns = stamp_ns
         self.entries += 1
 
     def flush(self) -> None:
@@ -171,13 +162,13 @@ class SessionWriter:
         That the file was removed under us is noticed here: nothing else would ever tell.
         """
         with self._disk():
-            self._mcap.flush()  # type: ignore[no-untyped-call]
+            self._mcap.flush()
             self._settle("flush")
 
     @property
     def size(self) -> int:
         """Bytes of the file so far."""
-        return 0 if self._file.closed else self._file.tell()
+        return 0 if self._file.closed else self._mcap.size
 
     def close(self, ledger: dict[str, Any]) -> None:
         """Write the ledger and the index.  Idempotent.  Raises RecordingError; what was flushed stays readable."""
@@ -188,9 +179,9 @@ class SessionWriter:
             return
         facts = {layout.LEDGER_KEY: json.dumps(ledger, sort_keys=True)}
         with self._disk():
-            self._mcap.flush()  # type: ignore[no-untyped-call]
+            self._mcap.flush()
             self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal(facts))
-            self._mcap.finish()  # type: ignore[no-untyped-call]
+            self._mcap.finish()
             self._file.flush()
             self._settle("flush", "close")
             if isinstance(self._file, BufferedWriter):
@@ -247,21 +238,11 @@ class SessionWriter:
                 # without a definition the encoding has to be empty, too, as in what rosbag2 writes
                 encoding = layout.SCHEMA_ENCODING if definition else ""
                 text = definition.text.encode() if definition else b""
-                schema = self._mcap.register_schema(ros_type, encoding, text)
-                self._schemas[ros_type] = schema
-                self._repeat(Schema(schema, text, encoding, ros_type))
-            schema = self._schemas[ros_type]
-            channel = self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, schema, metadata)
-            self._repeat(Channel(channel, topic, layout.MESSAGE_ENCODING, metadata, schema))
+                self._schemas[ros_type] = self._mcap.register_schema(ros_type, encoding, text)
+            channel = self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, self._schemas[ros_type], metadata)
         self._facts.append((topic, ros_type, metadata))
         self._counts.append(0)
         return channel
-
-    def _repeat(self, record: McapRecord) -> None:
-        """Write it between the chunks, for whoever reads a file in which a chunk is damaged."""
-        builder = RecordBuilder()
-        record.write(builder)
-        self._file.write(builder.end())  # type: ignore[no-untyped-call]
 
     def _settle(self, *moments: Fsync) -> None:
         """See to it that what was written is where it belongs.  Raises OSError if the file is no longer there."""
@@ -300,6 +281,15 @@ class SessionWriter:
         """Close the file without another attempt to write."""
         if isinstance(self._file, BufferedWriter):
             self._file.raw.close()
+
+
+def _message(entry: Entry) -> bytes | memoryview:
+    """The CDR message of an entry; a ROS message that is lent to it is not copied."""
+    if len(entry.payload) == 1 and type(part := entry.payload[0]) is memoryview and not entry.links:
+        flat = part.format == "B" and part.ndim == 1 and part.c_contiguous
+        if flat and entry.kind in layout.ROS_KINDS:
+            return part
+    return layout.pack_message(entry)
 
 
 def _packed(entries: Iterable[Entry], types: RosTypes) -> bytes:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from igtl_gateway.record.mcap_writer import CHUNK_BYTES, Compression, Fsync
+from igtl_gateway.record.mcap_stream import CHUNK_BYTES, Compression
+from igtl_gateway.record.mcap_writer import Fsync
 from igtl_gateway.record.selection import Selection
 
 #: Bounds of the queue: a second of Full HD video at 40 Hz, and ten seconds of small messages at 20 kHz.

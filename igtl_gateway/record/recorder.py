@@ -32,10 +32,6 @@ from igtl_gateway.record.worker import FAILED, THREAD, RecordingSummary, Setting
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level, Note
 
-#: The worker is woken before its time when so much waits.
-_WAKE_BYTES = 8 << 20
-_WAKE_ENTRIES = 2_000
-
 _ENDED = "the recording has ended"
 
 
@@ -111,8 +107,7 @@ class Recorder:
             finally:
                 if not taken:
                     self._count_drop(entry)
-            entries, waiting = self._queue.waiting
-        if waiting > _WAKE_BYTES or entries > _WAKE_ENTRIES:
+        if self._queue.pressing:
             self._wake()
 
     def counters(self) -> dict[str, Any]:

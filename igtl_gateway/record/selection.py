@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from igtl_gateway.globs import matches
+from igtl_gateway.record.shared_queue import owned
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
 
@@ -86,6 +87,7 @@ class Gate:
         self.left_out: Counter[str] = Counter()
         self.paused = False
         self._selection = selection
+        self._all = selection == Selection()
         self._rule = rule
         self._chosen: dict[tuple[Kind, str], bool] = {}
         self._open = True  # for the outputs of the last input
@@ -93,6 +95,8 @@ class Gate:
 
     def take(self, entry: Entry) -> Sequence[Entry]:
         """The entries that are to be recorded now that this one has come."""
+        if self._all and self._open and not self.paused:
+            return (entry,)
         if entry.kind.is_input:
             self._leave_out()
             self._open = self._wanted(entry)
@@ -102,7 +106,7 @@ class Gate:
             return (*held, entry)
         if self._open:
             return (entry,)
-        self._held.append(entry)
+        self._held.append(owned(entry))
         return ()
 
     def end(self) -> None:

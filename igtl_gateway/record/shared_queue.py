@@ -3,9 +3,11 @@
 To put an entry is to copy it: no lock is shared, no system call is made, no thread has to run.  So what was put is
 safe from whatever happens to the process that did, and costs it microseconds.
 
-Layout: a page of counters, then the bytes of the records, in a ring.  A record is two lengths, a head (marshalled)
-and the payload; it is never split: where it does not fit before the end, a mark says to go on at the beginning.
-Positions only grow; their place in the ring is the remainder.
+Layout: a page of counters, then room for records.  A record is two lengths, a head (marshalled) and the payload; it
+is never split.  Records follow each other, until a mark says at what place it goes on: where the room ends, where
+something waits still, and as soon as there is room at the beginning, so that the same few pages, which are there
+already, serve again and again.  Positions count the bytes of records and marks and only grow; the putter knows the
+place of each that waits.
 """
 
 from __future__ import annotations
@@ -16,6 +18,9 @@ import os
 import struct
 import tempfile
 import threading
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
 from operator import index
 from typing import Any
 
@@ -23,8 +28,11 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.session.entry import Entry, Kind
 
 _PAGE = 4096
+_MARSHAL = 2  # the version without references, which a head has no use for
 _LENGTHS = struct.Struct("=QQ")
-_SKIP = (1 << 64) - 1
+#: A mark: this instead of the first length, and the place instead of the second.
+_MARK = (1 << 64) - 1
+_MARK_BYTES = _LENGTHS.size
 _ALIGN = 16
 _KINDS = tuple(Kind)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
@@ -34,8 +42,11 @@ _HEAD, _REFUSED = 0, 1
 _TAIL, _DONE_ENTRIES, _DONE_BYTES = 8, 9, 10
 _BELL = 16
 
-#: Memory that stays with the ring when it is empty; of what a burst took, the rest goes back to the system.
-_KEPT_BYTES = 32 << 20
+#: Memory that stays with the queue when it is empty; of what a burst took, the rest goes back to the system.
+_KEPT_BYTES = 64 << 20
+
+#: From here on it goes back to the beginning as soon as there is room.
+_ENOUGH_BYTES = 16 << 20
 
 #: Advice to the system that knows it (Linux): this memory holds nothing any more.
 _REMOVE = getattr(mmap, "MADV_REMOVE", None)
@@ -48,6 +59,13 @@ _SLACK_BYTES = 64 << 20
 
 #: What an entry counts beside its payload.
 ENTRY_BYTES = 500
+
+#: The getter's attention is asked for when so much waits.
+_WAKE_BYTES = 8 << 20
+_WAKE_ENTRIES = 2_000
+
+#: Payloads from this size on may be lent.
+_LENT_BYTES = 64 << 10
 
 
 def memory(queue_bytes: int, largest: int) -> mmap.mmap:
@@ -84,8 +102,8 @@ class _End:
     def __init__(self, place: mmap.mmap) -> None:
         self._map = place
         self._counters = memoryview(self._map)[:_PAGE].cast("Q")
-        self._ring = memoryview(self._map)[_PAGE:]
-        self._size = len(self._ring)
+        self._room = memoryview(self._map)[_PAGE:]
+        self._size = len(self._room)
 
 
 class Putter(_End):
@@ -100,8 +118,13 @@ class Putter(_End):
         super().__init__(place)
         self._max_entries, self._max_bytes = max_entries, max_bytes
         self._entries = self._taken = 0
-        self._position = 0
+        self._position = self._place = 0  # of the next record
+        self._run = (0, 0)  # position and place of the first record since the last mark
+        self._runs: deque[tuple[int, int, int]] = deque()  # those before, with the place of their end
+        self._limit = 0  # the place up to which nothing is in the way
         self._barrier = threading.Lock()
+        #: Whether so much waits, after the last entry, that the getter should look.
+        self.pressing = False
 
     @property
     def waiting(self) -> tuple[int, int]:
@@ -116,15 +139,23 @@ class Putter(_End):
     def put(self, entry: Entry) -> bool:
         """Add an entry; False if there is no room for it.  Raises TypeError or the like for what is none."""
         taken = False
+        counters = self._counters
         try:
-            payload = [part if type(part) in _FLAT else _flat(part) for part in entry.payload]
-            size = sum(map(len, payload))
-            entries, waiting = self.waiting
-            full = entries >= self._max_entries or (entries and waiting + size + ENTRY_BYTES > self._max_bytes)
-            taken = not full and self._add(_head(entry), payload, size)
+            payload = entry.payload
+            if len(payload) == 1 and type(payload[0]) is bytes:
+                size = len(payload[0])
+            else:
+                payload = [part if type(part) in _FLAT else _flat(part) for part in payload]
+                size = sum(map(len, payload))
+            head = _head(entry)
+            entries = self._entries - counters[_DONE_ENTRIES]
+            waiting = self._taken - counters[_DONE_BYTES] + size + ENTRY_BYTES
+            full = entries >= self._max_entries or (entries and waiting > self._max_bytes)
+            taken = not full and self._add(head, payload, size)
         finally:
             if not taken:
-                self._counters[_REFUSED] += 1
+                counters[_REFUSED] += 1
+        self.pressing = waiting > _WAKE_BYTES or entries >= _WAKE_ENTRIES
         if taken:
             self._entries += 1
             self._taken += size + ENTRY_BYTES
@@ -141,32 +172,56 @@ class Putter(_End):
         self._counters[_BELL] = 1
         return True
 
-    def _add(self, head: bytes, payload: Any, size: int) -> bool:
-        need = -(-(_LENGTHS.size + len(head) + size) // _ALIGN) * _ALIGN
-        position, tail = self._position, self._counters[_TAIL]
-        place = position % self._size
-        # at the end, and wherever nothing waits: at the beginning are the pages that were used last
-        restart = place + need > self._size or (position == tail and place > _KEPT_BYTES // 2)
-        beyond = position - place + self._size if restart else position
-        if beyond + need - tail > self._size:
+    def _add(self, head: bytes, payload: Sequence[Buffer], size: int) -> bool:
+        head_size = len(head)
+        need = (_LENGTHS.size + head_size + size + _ALIGN - 1) & -_ALIGN
+        if self._place + need > self._limit and not self._make_way(need):
             return False
-        ring = self._ring
-        if restart:
-            if place + _LENGTHS.size <= self._size:
-                _LENGTHS.pack_into(ring, place, _SKIP, 0)
-            place = 0
-        _LENGTHS.pack_into(ring, place, len(head), size)
+        room, place = self._room, self._place
+        _LENGTHS.pack_into(room, place, head_size, size)
         at = place + _LENGTHS.size
-        ring[at : at + len(head)] = head
-        at += len(head)
+        end = at + head_size
+        room[at:end] = head
         for part in payload:
-            end = at + len(part)
-            ring[at:end] = part
             at = end
-        self._position = beyond + need
+            end = at + len(part)
+            room[at:end] = part
+        self._place = place + need
+        self._position += need
         with self._barrier:  # on processors that reorder writes, the record is there before the position says so
             pass
         self._counters[_HEAD] = self._position
+        return True
+
+    def _make_way(self, need: int) -> bool:
+        """See to it that a record of this size fits at the place where it goes on; False if there is no room."""
+        tail = self._counters[_TAIL]
+        while self._runs and self._runs[0][0] + self._runs[0][2] - self._runs[0][1] <= tail:
+            self._runs.popleft()
+        taken = [(place + max(0, tail - position), end) for position, place, end in self._runs]
+        position, place = self._run
+        taken.append((min(place + max(0, tail - position), self._place), self._place + _MARK_BYTES))
+        taken.sort()
+        free, begin = [], 0
+        for start, end in taken:
+            free.append((begin, start))
+            begin = end
+        free.append((begin, self._size))
+        need += _MARK_BYTES  # behind each record there is room for a mark
+        obstacle = next((start for start, _ in taken if start > self._place), self._size)
+        fits = self._place + need <= obstacle
+        enough = need + _FREE_BYTES if fits else need  # not to go back for a few bytes
+        there = next((gap for gap in free if gap[1] - gap[0] >= enough), None)
+        if there and (not fits or there[0] + enough <= min(_ENOUGH_BYTES, self._place)):
+            _LENGTHS.pack_into(self._room, self._place, _MARK, there[0])
+            self._runs.append((*self._run, self._place + _MARK_BYTES))
+            self._position += _MARK_BYTES
+            self._place, obstacle = there
+            self._run = self._position, self._place
+        elif not fits:
+            return False
+        wish = max(_ENOUGH_BYTES, self._place + need + _FREE_BYTES)  # up to where not to ask again
+        self._limit = min(obstacle, wish) - _MARK_BYTES
         return True
 
 
@@ -181,6 +236,7 @@ def _flat(part: Buffer) -> Buffer:
 
 def _head(entry: Entry) -> bytes:
     """All but the payload.  What only passes for a number or a text is made one: marshal takes it for bytes, or not."""
+    links = entry.links
     return marshal.dumps(
         (
             index(entry.seq),
@@ -188,10 +244,16 @@ def _head(entry: Entry) -> bytes:
             _NUMBERS[entry.kind],
             "" + entry.channel,
             "" + entry.type,
-            tuple(map(index, entry.links)),
+            tuple(map(index, links)) if links else (),
             index(entry.source_ns),
-        )
+        ),
+        _MARSHAL,
     )
+
+
+def owned(entry: Entry) -> Entry:
+    """The entry, without what was lent to it."""
+    return replace(entry, payload=(entry.data(),)) if any(type(part) is memoryview for part in entry.payload) else entry
 
 
 class Getter(_End):
@@ -199,9 +261,14 @@ class Getter(_End):
 
     def __init__(self, place: mmap.mmap) -> None:
         super().__init__(place)
-        self._position = 0
+        #: Whether the large payloads of entries are the queue's own memory, which is theirs until :meth:`done` only.
+        self.lends = False
+        self._position = self._place = 0
+        self._head = 0  # position up to which there is something, as far as this has looked
         self._entries = self._done = 0
         self._free = 0  # position up to which the putter has its room back
+        self._begin = 0  # place from which on it has not
+        self._gone: list[tuple[int, int]] = []  # what it has not, before the last mark
         self._barrier = threading.Lock()
 
     @property
@@ -215,30 +282,42 @@ class Getter(_End):
 
     def get(self) -> Entry | tuple[Any, ...] | None:
         """The next entry or the words of the next command; None if nothing waits.  To be followed by :meth:`done`."""
-        head = self._counters[_HEAD]
-        with self._barrier:
-            pass
-        if self._position == head:
-            if self._free != head:
-                self._make_free()
+        if self._position == self._head and not self._look():
             return None
-        place = self._position % self._size
-        lengths = _LENGTHS.unpack_from(self._ring, place) if place + _LENGTHS.size <= self._size else (_SKIP, 0)
-        if lengths[0] == _SKIP:
-            self._position += self._size - place
-            place = 0
-            lengths = _LENGTHS.unpack_from(self._ring, 0)
-        head_size, size = lengths
+        room, place = self._room, self._place
+        head_size, size = _LENGTHS.unpack_from(room, place)
+        if head_size == _MARK:
+            self._gone.append((self._begin, place + _MARK_BYTES))
+            self._position += _MARK_BYTES
+            self._begin = place = size
+            head_size, size = _LENGTHS.unpack_from(room, place)
         at = place + _LENGTHS.size
-        words = marshal.loads(self._ring[at : at + head_size])
-        self._position += -(-(_LENGTHS.size + head_size + size) // _ALIGN) * _ALIGN
-        if isinstance(words[0], str):
+        begin = at + head_size
+        words = marshal.loads(room[at:begin])
+        need = (_LENGTHS.size + head_size + size + _ALIGN - 1) & -_ALIGN
+        self._position += need
+        self._place = place + need
+        if type(words[0]) is str:
             return tuple(words)
         seq, stamp_ns, kind, channel, type_name, links, source_ns = words
         self._entries += 1
         self._done += size + ENTRY_BYTES
-        payload = bytes(self._ring[at + head_size : at + head_size + size])
-        return Entry(seq, stamp_ns, _KINDS[kind], channel, type_name, (payload,), links, source_ns)
+        payload = room[begin : begin + size]
+        lent = self.lends and size >= _LENT_BYTES
+        return Entry(
+            seq, stamp_ns, _KINDS[kind], channel, type_name, (payload if lent else bytes(payload),), links, source_ns
+        )
+
+    def _look(self) -> bool:
+        """Whether there is more than was there when this looked last."""
+        self._head = self._counters[_HEAD]
+        with self._barrier:
+            pass
+        if self._position != self._head:
+            return True
+        if self._free != self._head:
+            self._make_free()
+        return False
 
     def done(self) -> None:
         """What was got need not be kept any longer."""
@@ -249,11 +328,12 @@ class Getter(_End):
 
     def _make_free(self) -> None:
         """Give the putter its room back, and the system the memory that only a burst needs: before, not after."""
-        first, last = self._free % self._size, self._position % self._size
-        for begin, end in ((first, last),) if first <= last else ((first, self._size), (0, last)):
+        for begin, end in (*self._gone, (self._begin, self._place)):
             start = -(-(_PAGE + max(begin, _KEPT_BYTES)) // _PAGE) * _PAGE
             length = (_PAGE + end) // _PAGE * _PAGE - start
             if length > 0 and _REMOVE is not None:
                 self._map.madvise(_REMOVE, start, length)
+        self._gone.clear()
+        self._begin = self._place
         self._free = self._position
         self._counters[_TAIL] = self._free

@@ -150,6 +150,8 @@ class _Worker:
         if self.options.custom:
             self._session[layout.CUSTOM_KEY] = json.dumps(dict(self.options.custom), sort_keys=True)
         self._queue = queue
+        # written at once, or not at all: what keeps entries, or has a gate hold them, has to own them
+        queue.lends = not (self.options.snapshot_s or self.options.split_bytes or self.options.split_s)
         self._pipe = pipe
         self._clock = clock
         self._flush_ns = int(self.options.flush_s * 1_000_000_000)
@@ -165,7 +167,8 @@ class _Worker:
         self._told_refused: set[str] = set()
         self._told_state = State()
         self._left_out_before = 0  # of the pause that is on
-        self._flushed_ns = self._stated_ns = clock.monotonic_ns()
+        self._flushed_ns = self._stated_ns = self._due_ns = clock.monotonic_ns()
+        self._seen_refused = 0
         self._asked: list[tuple[int, int]] = []  # snapshots: number, and UTC ns of the request
         self._writer = self._open(settings.path, settings.rule)
 
@@ -304,29 +307,34 @@ class _Worker:
     def _drain(self) -> bool:
         """All that waits, up to the end of the recording: what comes behind that is not of it.  False: nothing did."""
         some = False
-        while self._ledger is None and (item := self._queue.get()) is not None:
+        queue, take, monotonic_ns = self._queue, self._gate.take, self._clock.monotonic_ns
+        while self._ledger is None and (item := queue.get()) is not None:
             some = True
             try:
                 if isinstance(item, Entry):
                     if self._asked and item.kind.is_input:
                         self._take_asked()
-                    for passed in self._gate.take(item):
+                    for passed in take(item):
                         self._write(passed)
                 else:
                     self._obey(*item)
             finally:
-                self._queue.done()
-            self._see_to()
+                queue.done()
+            # what time brings, between any two entries: if the disk is too slow, there is always another one
+            if monotonic_ns() >= self._due_ns or queue.refused != self._seen_refused:
+                self._see_to()
         return some
 
     def _see_to(self) -> None:
-        """What time brings, between any two entries: if the disk is too slow, there is always another one."""
+        """What time brings."""
         now_ns = self._clock.monotonic_ns()
+        self._seen_refused = self._queue.refused
         self._flush_if_due(now_ns)
         self._tell_drops(now_ns)
         if now_ns - self._stated_ns >= _LOOK_NS:
             self._stated_ns = now_ns
             self._tell_state()
+        self._due_ns = min(self._flushed_ns + self._flush_ns, self._stated_ns + _LOOK_NS)
 
     def _obey(self, command: str, *words: Any) -> None:
         match command:
@@ -343,10 +351,10 @@ class _Worker:
                 self._ledger = json.loads(*words)
 
     def _write(self, entry: Entry) -> None:
-        written = False
+        writer, written = self._writer, False
         try:
             if not self._failure:
-                self._writer.write(entry)
+                writer.write(entry)
                 written = True
         except LayoutError as error:
             self._refused(entry, error)
@@ -355,7 +363,7 @@ class _Worker:
         finally:
             if not written:
                 self._count_drop(entry)
-        if self._writer.undefined and entry.type in self._writer.undefined and entry.type not in self._told_undefined:
+        if writer.undefined and entry.type in writer.undefined and entry.type not in self._told_undefined:
             self._told_undefined.add(entry.type)
             text = f"no definition of {entry.type} found: {entry.channel} is recorded, but other tools cannot decode it"
             self._note(Note(Level.WARN, UNDEFINED, text, entry.channel))
