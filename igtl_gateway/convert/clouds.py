@@ -9,17 +9,21 @@ RGBA attribute of POLYDATA is over-read by the reference library, scalars are no
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, Header, PointCloud2, PointField, PointStamped
+from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
 from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.fields import visible
-from igtl_gateway.wire.point import Points
+from igtl_gateway.wire.point import POINT_DTYPE, Points
 from igtl_gateway.wire.polydata import (
     CELL,
     MAX_COMPONENTS,
@@ -49,10 +53,17 @@ _COLOUR_COMPONENTS = {3: "rgb", 4: "rgba"}
 def points_to_ros(content: Points, to: ToRos) -> PointCloud2:
     """x, y, z, rgba and diameter of every point; names, groups and owners have no place in a cloud."""
     elements = content.elements
-    columns = _position_columns(to.lengths.to_ros(elements["position"]))
-    columns["rgba"] = _packed(elements["rgba"])
-    columns[_DIAMETER] = to.lengths.to_ros(elements["diameter"]).astype("<f4")
-    return _cloud(columns, len(elements), to)
+    # side by side first: arithmetic on numbers that are far apart takes ten times as long
+    numbers = elements.view(_NUMBERS)["lengths"].copy().view(">f4").astype("<f4")
+    into_ros(to.lengths, numbers, numbers)
+    words = elements.view(_NUMBERS)["rgba"].astype("<u4")
+    alpha = words << 24
+    words >>= 8
+    words |= alpha
+    points, lengths = np.empty(len(elements), _POINT), numbers.view(_LENGTHS)
+    points["position"], points["rgba"], points["diameter"] = lengths["position"], words, lengths["diameter"]
+    finite = all_finite(numbers) or all_finite(numbers.reshape(-1, 4)[:, :3])
+    return _cloud(_POINT_FIELDS, points, finite, to)
 
 
 def is_single(content: Points) -> bool:
@@ -80,12 +91,13 @@ def point_to_igtl(message: PointStamped, to: ToIgtl) -> Outgoing:
 @ieee_754
 def cloud_to_points(message: PointCloud2, to: ToIgtl) -> Outgoing:
     """As POINT (136 bytes a point), with colour and diameter where the cloud has them."""
-    columns = _columns(message)
+    columns = _Columns.of(message)
     positions, kept = _finite_positions(columns, to)
     colours = _colours(columns)
     diameters: Array | float = 0.0
-    if _DIAMETER in columns and columns[_DIAMETER].ndim == 1:
-        diameters = to.lengths.to_igtl(columns[_DIAMETER][kept]).astype(">f4")
+    if columns.is_single(_DIAMETER):
+        column = columns[_DIAMETER][kept]
+        diameters = into_igtl(to.lengths, column, np.empty(len(column), ">f4"))
     content = Points.of(positions, None if colours is None else colours[kept], diameters)
     return Outgoing(content, message.header.stamp_ns, message.header.frame_id)
 
@@ -97,23 +109,24 @@ def cloud_to_polydata(message: PointCloud2, to: ToIgtl) -> Outgoing:
     One vertex cell lists all points: without cells VTK based viewers draw nothing, with one cell for each point
     the C++ bridge crashed at 200,000.
     """
-    columns = _columns(message)
+    columns = _Columns.of(message)
     positions, kept = _finite_positions(columns, to)
     count = len(positions)
     attributes = []
     told = set(_XYZ)
     colours = _colours(columns)
     if colours is not None:
-        name, components = (RGBA_NAME, 4) if _is_packed(columns, "rgba") else (RGB_NAME, 3)
+        name, components = (RGBA_NAME, 4) if columns.is_packed("rgba") else (RGB_NAME, 3)
         attributes.append(Attribute.of(SCALAR, name, _unit_range(colours[kept][:, :components])))
-        told |= {name for name in _COLOURS if _is_packed(columns, name)}
-    if all(name in columns and columns[name].ndim == 1 for name in _NORMALS):
+        told |= {name for name in _COLOURS if columns.is_packed(name)}
+    if all(columns.is_single(name) for name in _NORMALS):
         normals = np.stack([columns[name][kept] for name in _NORMALS], axis=1)
         attributes.append(Attribute.of(NORMAL, "Normals", normals))
         told |= set(_NORMALS)
-    for name, values in columns.items():
+    for name in columns.fields:
         if name in told:
             continue
+        values = columns[name]
         width = values.shape[1] if values.ndim > 1 else 1
         if width > MAX_COMPONENTS:
             to.warnings.append(("field_left_out", f"field {name!r} has {width} values a point, above {MAX_COMPONENTS}"))
@@ -123,7 +136,7 @@ def cloud_to_polydata(message: PointCloud2, to: ToIgtl) -> Outgoing:
         ):
             to.warnings.append(("float32_attribute", f"field {name!r} ({values.dtype}) is sent as float32"))
         attributes.append(Attribute.of(SCALAR, name, values[kept].reshape(count, width)))
-    vertices = Cells.of(np.arange(count).reshape(1, -1)) if count else NO_CELLS
+    vertices = Cells.of_all(count) if count else NO_CELLS
     content = PolyData(positions, vertices, attributes=tuple(attributes))
     return Outgoing(content, message.header.stamp_ns, message.header.frame_id)
 
@@ -136,7 +149,7 @@ def polydata_to_cloud(content: PolyData, to: ToRos) -> PointCloud2:
     of clouds, gets underscores added.
     """
     count = len(content.points)
-    columns = _position_columns(to.lengths.to_ros(content.points))
+    columns: dict[str, Array] = {}  # besides the positions
     for attribute in content.attributes:
         if attribute.type & CELL or attribute.tuples != count or not attribute.components:
             continue
@@ -147,13 +160,25 @@ def polydata_to_cloud(content: PolyData, to: ToRos) -> PointCloud2:
             if field == "rgb":
                 columns[field] = columns[field].view("<f4")  # as PCL packs it
         elif attribute.type == NORMAL and values.shape[1] == len(_NORMALS) and columns.keys().isdisjoint(_NORMALS):
-            columns |= {name: values[:, axis].astype("<f4") for axis, name in enumerate(_NORMALS)}
+            columns |= {name: values[:, axis] for axis, name in enumerate(_NORMALS)}
         else:
-            name = visible(attribute.name) or f"attribute{len(columns)}"
-            while name in columns or name in _COLOURS:
+            name = visible(attribute.name) or f"attribute{len(_XYZ) + len(columns)}"
+            while name in columns or name in _XYZ or name in _COLOURS:
                 name += "_"
-            columns[name] = values.astype("<f4")
-    return _cloud(columns, count, to)
+            columns[name] = values
+    fields, words = list(_XYZ_FIELDS), len(_XYZ)
+    widths = [values.shape[1] if values.ndim > 1 else 1 for values in columns.values()]
+    for (name, values), width in zip(columns.items(), widths, strict=True):
+        fields.append(PointField(name, 4 * words, _UINT32 if values.dtype.kind == "u" else _FLOAT32, width))
+        words += width
+    points = np.empty((count, words), "<f4")
+    positions = into_ros(to.lengths, content.points, points[:, :3])
+    end = len(_XYZ)
+    for values, width in zip(columns.values(), widths, strict=True):
+        target = points.view("<u4") if values.dtype.kind == "u" else points
+        target[:, end : end + width] = values.reshape(count, width)
+        end += width
+    return _cloud(tuple(fields), points, all_finite(positions), to)
 
 
 def colour_field(attribute: Attribute) -> str | None:
@@ -166,129 +191,173 @@ def colour_field(attribute: Attribute) -> str | None:
     return None
 
 
-def _columns(message: PointCloud2) -> dict[str, Array]:
-    """Every field as an array (n,) or (n, count): views on the data.  Raises ConversionError."""
-    count = message.width * message.height
-    size = memoryview(message.data).nbytes
-    row = message.width * message.point_step
-    if (message.height > 1 and message.row_step < row) or size < message.row_step * (message.height - 1) + row:
-        raise ConversionError(
-            f"sensor_msgs/PointCloud2: found {size} bytes (row_step {message.row_step}), "
-            f"expected {message.height} rows of {row} bytes"
-        )
-    names, formats, offsets = [], [], []
-    for item in message.fields:
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """Where the values of a field are in each point."""
+
+    dtype: np.dtype[Any]
+    offset: int
+    count: int
+
+
+@lru_cache(maxsize=64)
+def _layout(items: tuple[PointField, ...], is_bigendian: bool, point_step: int) -> dict[str, _Field]:
+    """The fields by their names.  Raises ConversionError."""
+    fields: dict[str, _Field] = {}
+    for item in items:
         kind = POINT_FIELD_DTYPES.get(item.datatype)
         if kind is None:
             raise ConversionError(
                 f"sensor_msgs/PointCloud2, field {item.name!r}: found datatype {item.datatype}, expected 1 … 8"
             )
-        if not item.name or item.name in names:
+        if not item.name or item.name in fields:
             continue  # padding, or a second field of one name: there is no telling which is meant
-        dtype = np.dtype((">" if message.is_bigendian else "<") + kind)
-        if item.offset + dtype.itemsize * max(item.count, 1) > message.point_step:
+        dtype = np.dtype((">" if is_bigendian else "<") + kind)
+        if item.offset + dtype.itemsize * max(item.count, 1) > point_step:
             raise ConversionError(
                 f"sensor_msgs/PointCloud2, field {item.name!r}: found offset {item.offset}, "
-                f"expected to end within point_step {message.point_step}"
+                f"expected to end within point_step {point_step}"
             )
-        names.append(item.name)
-        formats.append((dtype, item.count) if item.count > 1 else dtype)
-        offsets.append(item.offset)
-    single = {name for name, kind in zip(names, formats, strict=True) if isinstance(kind, np.dtype)}
-    if missing := [name for name in _XYZ if name not in single]:
+        fields[item.name] = _Field(dtype, item.offset, max(item.count, 1))
+    if missing := [name for name in _XYZ if name not in fields or fields[name].count > 1]:
         raise ConversionError(
-            f"sensor_msgs/PointCloud2: found fields {names}, expected {', '.join(missing)} too, one value each"
+            f"sensor_msgs/PointCloud2: found fields {list(fields)}, expected {', '.join(missing)} too, one value each"
         )
-    if not count:  # whatever it says of its layout, there is nothing to lay out
-        return {name: np.empty(0, np.float32) for name in names}
-    layout = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": message.point_step})
-    shape, strides = (message.height, message.width), (message.row_step, message.point_step)
-    if message.height == 1 or message.row_step == row:
-        points = np.frombuffer(message.data, layout, count)
-    else:
-        points = np.ndarray(shape, layout, message.data, 0, strides).reshape(-1)
-    return {name: points[name] for name in names}
+    return fields
 
 
-def _finite_positions(columns: dict[str, Array], to: ToIgtl) -> tuple[Array, Any]:
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """The fields of a cloud, each an array (n,) or (n, count): views on the data."""
+
+    fields: dict[str, _Field]
+    data: Buffer | Array
+    points: int
+    step: int
+
+    @classmethod
+    def of(cls, message: PointCloud2) -> _Columns:
+        """Raises ConversionError where the data are not what their description says."""
+        size = memoryview(message.data).nbytes
+        step = message.point_step
+        row = message.width * step
+        if (message.height > 1 and message.row_step < row) or size < message.row_step * (message.height - 1) + row:
+            raise ConversionError(
+                f"sensor_msgs/PointCloud2: found {size} bytes (row_step {message.row_step}), "
+                f"expected {message.height} rows of {row} bytes"
+            )
+        fields = _layout(message.fields, message.is_bigendian, step)
+        count = message.width * message.height
+        if not count:  # whatever it says of its layout, there is nothing to lay out
+            return cls(dict.fromkeys(fields, _NOTHING), b"", 0, 0)
+        if message.height == 1 or message.row_step == row:
+            return cls(fields, message.data, count, step)
+        padded = np.ndarray((message.height, row), np.uint8, message.data, 0, (message.row_step, 1))
+        return cls(fields, np.ascontiguousarray(padded), count, step)
+
+    def __getitem__(self, name: str) -> Array:
+        field = self.fields[name]
+        return self._view(field, field.count)
+
+    def _view(self, field: _Field, count: int) -> Array:
+        """So many values of every point, from a field on."""
+        if count == 1:
+            return np.ndarray((self.points,), field.dtype, self.data, field.offset, (self.step,))
+        return np.ndarray((self.points, count), field.dtype, self.data, field.offset, (self.step, field.dtype.itemsize))
+
+    def is_single(self, name: str) -> bool:
+        """Whether there is such a field, of one value a point."""
+        return name in self.fields and self.fields[name].count == 1
+
+    def is_packed(self, name: str) -> bool:
+        """Whether a field holds one 4-byte word a point."""
+        return self.is_single(name) and self.fields[name].dtype.itemsize == np.dtype(np.uint32).itemsize
+
+    @property
+    def positions(self) -> tuple[Array, ...]:
+        """x, y and z, as one array (n, 3) where they stand side by side."""
+        x, y, z = (self.fields[name] for name in _XYZ)
+        size = x.dtype.itemsize
+        if x.dtype == y.dtype == z.dtype and (y.offset, z.offset) == (x.offset + size, x.offset + 2 * size):
+            return (self._view(x, len(_XYZ)),)
+        return tuple(self[name] for name in _XYZ)
+
+
+_NOTHING = _Field(np.dtype("<f4"), 0, 1)
+
+
+def _finite_positions(columns: _Columns, to: ToIgtl) -> tuple[Array, Any]:
     """(m, 3) positions for the wire of the points that have finite ones, and what selects these points."""
-    positions = np.empty((len(columns["x"]), 3), ">f4")
-    for axis, name in enumerate(_XYZ):
-        positions[:, axis] = to.lengths.to_igtl(columns[name]).astype(">f4")
-    finite = np.isfinite(positions)
-    if finite.all():
+    positions = np.empty((columns.points, 3), ">f4")
+    sources = columns.positions
+    for source, target in zip(sources, (positions,) if len(sources) == 1 else positions.T, strict=True):
+        into_igtl(to.lengths, source, target)
+    if all_finite(positions):
         return positions, slice(None)
-    kept = finite.all(axis=1)
+    kept = np.isfinite(positions).all(axis=1)
     return positions[kept], kept
 
 
-def _colours(columns: dict[str, Array]) -> Array | None:
+def _colours(columns: _Columns) -> Array | None:
     """(n, 4) uint8 RGBA of a packed ``rgb`` or ``rgba`` field, else None."""
     for name in reversed(_COLOURS):
-        if _is_packed(columns, name):
-            packed = np.ascontiguousarray(columns[name])
-            word = packed.view(packed.dtype.str[0] + "u4").astype("<u4")
-            colours = word.view(np.uint8).reshape(-1, 4)[:, [2, 1, 0, 3]]
-            if name == "rgb":
-                colours[:, 3] = 255
+        if columns.is_packed(name):
+            packed = columns[name]
+            # the words as the bytes B, G, R, A
+            words = np.ascontiguousarray(packed.view(packed.dtype.str[0] + "u4"), "<u4").view(np.uint8).reshape(-1, 4)
+            colours = np.empty_like(words)
+            colours[:, :3] = words[:, 2::-1]
+            colours[:, 3] = 255 if name == "rgb" else words[:, 3]
             return colours
     return None
 
 
-def _is_packed(columns: dict[str, Array], name: str) -> bool:
-    """Whether a field holds one 4-byte word a point."""
-    return name in columns and columns[name].ndim == 1 and columns[name].dtype.itemsize == np.dtype(np.uint32).itemsize
-
-
 def _unit_range(colours: Array) -> Array:
     """uint8 0 … 255 as 0 … 1 in a way that ``_bytes_of`` undoes exactly."""
-    return (colours / 255.0).astype(">f4")
+    return np.divide(colours, 255.0, out=np.empty(colours.shape, ">f4"), dtype=np.float64, casting="same_kind")
 
 
 def _bytes_of(colours: Array) -> Array:
     """Colours 0 … 1 as uint8."""
-    return np.rint(np.clip(np.nan_to_num(unit_colours(colours).astype(np.float64)), 0.0, 1.0) * 255.0).astype(np.uint8)
+    numbers = unit_colours(colours).astype(np.float64)
+    np.fmin(np.fmax(numbers, 0.0, out=numbers), 1.0, out=numbers)  # what is no number is 0
+    numbers *= 255.0
+    return np.rint(numbers, out=numbers).astype(np.uint8)
 
 
 def unit_colours(colours: Array) -> Array:
     """Colours 0 … 1; where any value is above 1, all are taken as 0 … 255."""
-    return colours / 255.0 if (colours > 1.0).any() else colours
+    return colours / 255.0 if np.fmax.reduce(colours, axis=None, initial=0.0) > 1.0 else colours
 
 
 def _packed(colours: Array) -> Array:
     """(n, 3 or 4) uint8 RGB(A) as 0xAARRGGBB words (alpha 255 where there is none)."""
-    word = np.full((len(colours), 4), 255, np.uint8)
-    word[:, 2], word[:, 1], word[:, 0] = colours[:, 0], colours[:, 1], colours[:, 2]
-    if colours.shape[1] > 3:
-        word[:, 3] = colours[:, 3]
-    return word.reshape(-1).view("<u4")
+    words = np.empty((len(colours), 4), np.uint8)
+    words[:, :3] = colours[:, 2::-1]
+    words[:, 3] = colours[:, 3] if colours.shape[1] > 3 else 255
+    return words.reshape(-1).view("<u4")
 
 
-def _position_columns(xyz: Array) -> dict[str, Array]:
-    """x, y, z as float32, the type that every reader of clouds knows."""
-    return {name: xyz[:, axis].astype("<f4") for axis, name in enumerate(_XYZ)}
+_XYZ_FIELDS = tuple(PointField(name, 4 * axis, _FLOAT32) for axis, name in enumerate(_XYZ))
+
+#: Of an element of POINT: its colour as a word, and its position and diameter, which are four numbers in a row.
+_NUMBERS = np.dtype(
+    {
+        "names": ["rgba", "lengths"],
+        "formats": [">u4", "V16"],
+        "offsets": [POINT_DTYPE.fields[name][1] for name in ("rgba", "position")] if POINT_DTYPE.fields else [],
+        "itemsize": POINT_DTYPE.itemsize,
+    }
+)
+_LENGTHS = np.dtype([("position", "V12"), ("diameter", "<f4")])
+#: A point of the cloud that POINT becomes.
+_POINT = np.dtype([("position", "V12"), ("rgba", "<u4"), ("diameter", "<f4")])
+_POINT_FIELDS = (*_XYZ_FIELDS, PointField("rgba", 12, _UINT32), PointField(_DIAMETER, 16, _FLOAT32))
 
 
-def _cloud(columns: dict[str, Array], count: int, to: ToRos) -> PointCloud2:
-    """An unorganised cloud of 4-byte fields."""
-    fields, offset, formats = [], 0, []
-    for name, values in columns.items():
-        width = values.shape[1] if values.ndim > 1 else 1
-        fields.append(PointField(name, offset, _UINT32 if values.dtype.kind == "u" else _FLOAT32, width))
-        formats.append((values.dtype, width) if width > 1 else values.dtype)
-        offset += 4 * width
-    points = np.empty(count, np.dtype({"names": list(columns), "formats": formats}))
-    for name, values in columns.items():
-        points[name] = values if points[name].ndim == values.ndim else values.reshape(points[name].shape)
-    finite = all(bool(np.isfinite(columns[name]).all()) for name in _XYZ)
-    return PointCloud2(
-        Header(to.stamp_ns, to.frame_id),
-        1,
-        count,
-        tuple(fields),
-        False,
-        offset,
-        offset * count,
-        points.view(np.uint8).data if count else b"",
-        finite,
-    )
+def _cloud(fields: tuple[PointField, ...], points: Array, is_dense: bool, to: ToRos) -> PointCloud2:
+    """An unorganised cloud of rows of 4-byte words."""
+    count = len(points)
+    data = points.view(np.uint8).reshape(-1).data if count else b""
+    step = points.nbytes // count if count else fields[-1].offset + 4 * fields[-1].count
+    return PointCloud2(Header(to.stamp_ns, to.frame_id), 1, count, fields, False, step, step * count, data, is_dense)

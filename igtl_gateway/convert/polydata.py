@@ -15,6 +15,7 @@ from igtl_gateway.convert import igtl_msgs, surfaces
 from igtl_gateway.convert.columns import fitted
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
 from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.errors import ConversionError, MalformedBody
 from igtl_gateway.wire.fields import visible
@@ -61,13 +62,12 @@ def exceeds_standard(content: PolyData) -> bool:
 
 def _is_all_points(vertices: Cells, count: int) -> bool:
     """No cells, or every point once and in order: in one cell, or in one each."""
-    if not vertices.count:
+    if not vertices.count or vertices.is_all(count):
         return True
-    width = vertices.width
-    if width is None or vertices.count * width != count or (vertices.count > 1 and width > 1):
+    if vertices.count != count:
         return False
-    indices = vertices.data.reshape(vertices.count, width + 1)[:, 1:].reshape(-1)
-    return bool((indices == np.arange(count)).all())
+    table = vertices.table
+    return table is not None and table.shape[1] == 1 and bool((table[:, 0] == np.arange(count)).all())
 
 
 @ieee_754
@@ -76,7 +76,7 @@ def polydata_to_ros(content: PolyData, to: ToRos) -> igtl_msgs.PolyData:
     vertices, lines, polygons, strips = (cells.data.astype("<u4") for cells in content.cells)
     return igtl_msgs.PolyData(
         Header(to.stamp_ns, to.frame_id),
-        to.lengths.to_ros(content.points),
+        into_ros(to.lengths, content.points, np.empty(content.points.shape)),
         vertices,
         lines,
         polygons,
@@ -102,8 +102,8 @@ def polydata_to_igtl(message: igtl_msgs.PolyData, to: ToIgtl) -> Outgoing:
         raise ConversionError(
             f"{message.TYPE}: found {len(message.attributes)} attributes, expected at most {MAX_ATTRIBUTES}"
         )
-    points = to.lengths.to_igtl(message.points).astype(F4)
-    if not np.isfinite(points).all():
+    points = into_igtl(to.lengths, message.points, np.empty(message.points.shape, F4))
+    if not all_finite(points):
         raise ConversionError(
             f"{message.TYPE}: found a coordinate that is not finite (as float32), expected finite numbers"
         )

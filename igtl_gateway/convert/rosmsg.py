@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
@@ -20,6 +21,8 @@ from igtl_gateway.stamp import ns_to_ros, ros_to_ns
 Array = npt.NDArray[Any]
 
 _STAMP = struct.Struct("<iI")
+_SIZE = struct.Struct("<II")
+_ENCAPSULATION_SIZE = 4
 
 
 class RosMessage(Protocol):
@@ -126,8 +129,7 @@ class Image:
     def pack(self) -> bytes:
         out = Writer()
         self.header.write(out)
-        out.u32(self.height)
-        out.u32(self.width)
+        out.pack(_SIZE, 4, self.height, self.width)
         out.string(self.encoding)
         out.u8(self.is_bigendian)
         out.u32(self.step)
@@ -137,7 +139,9 @@ class Image:
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
         read = Reader(cdr, cls.TYPE)
-        return cls(Header.read(read), read.u32(), read.u32(), read.string(), read.u8(), read.u32(), read.octets())
+        header = Header.read(read)
+        height, width = read.unpack("II", 4)
+        return cls(header, height, width, read.string(), read.u8(), read.u32(), read.octets())
 
 
 #: sensor_msgs/msg/PointField datatype → numpy type without byte order.
@@ -172,17 +176,8 @@ class PointCloud2:
     def pack(self) -> bytes:
         out = Writer()
         self.header.write(out)
-        out.u32(self.height)
-        out.u32(self.width)
-        out.u32(len(self.fields))
-        for item in self.fields:
-            out.string(item.name)
-            out.u32(item.offset)
-            out.u8(item.datatype)
-            out.u32(item.count)
-        out.bool(self.is_bigendian)
-        out.u32(self.point_step)
-        out.u32(self.row_step)
+        layout, described = _described(self.fields, self.is_bigendian, self.point_step)
+        out.pack(layout, 4, self.height, self.width, described, self.row_step)
         out.octets(self.data)
         out.bool(self.is_dense)
         return out.finish()
@@ -190,9 +185,27 @@ class PointCloud2:
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
         read = Reader(cdr, cls.TYPE)
-        header, height, width = Header.read(read), read.u32(), read.u32()
-        fields = tuple(PointField(read.string(), read.u32(), read.u8(), read.u32()) for _ in range(read.count()))
-        return cls(header, height, width, fields, read.bool(), read.u32(), read.u32(), read.octets(), read.bool())
+        header = Header.read(read)
+        height, width = read.unpack("II", 4)
+        fields = tuple(PointField(read.string(), *read.unpack("IB3xI", 4)) for _ in range(read.count()))
+        is_bigendian, point_step, row_step = read.unpack("?3xII", 4)
+        return cls(header, height, width, fields, is_bigendian, point_step, row_step, read.octets(), read.bool())
+
+
+@lru_cache(maxsize=64)
+def _described(fields: tuple[PointField, ...], is_bigendian: bool, point_step: int) -> tuple[struct.Struct, bytes]:
+    """The layout of all from height to row_step, and what a cloud says of its points as CDR, at a multiple of 4."""
+    out = Writer()
+    out.u32(len(fields))
+    for item in fields:
+        out.string(item.name)
+        out.u32(item.offset)
+        out.u8(item.datatype)
+        out.u32(item.count)
+    out.bool(is_bigendian)
+    out.u32(point_step)
+    data = out.finish()[_ENCAPSULATION_SIZE:]
+    return struct.Struct(f"<II{len(data)}sI"), data
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from igtl_gateway.convert.clouds import RGBA_NAME, colour_field, unit_colours
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.poses import matrix_of, unit
 from igtl_gateway.convert.rosmsg import Header, Marker, Mesh
+from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
 from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.polydata import CELL, NO_CELLS, SCALAR, Attribute, Cells, PolyData
@@ -42,7 +43,8 @@ def is_cloud(content: PolyData) -> bool:
 @ieee_754
 def polydata_to_mesh(content: PolyData, to: ToRos) -> Mesh:
     """All points; polygons cut into fans and strips into triangles, in their order."""
-    return Mesh(_triangles(content).astype("<u4"), to.lengths.to_ros(content.points))
+    vertices = into_ros(to.lengths, content.points, np.empty(content.points.shape))
+    return Mesh(_triangles(content).astype("<u4"), vertices)
 
 
 def polydata_to_marker(content: PolyData, to: ToRos) -> Marker:
@@ -57,6 +59,7 @@ def polydata_to_lines(content: PolyData, to: ToRos) -> Marker:
 
 @ieee_754
 def _marker(content: PolyData, kind: int, indices: Array, scale: float, to: ToRos) -> Marker:
+    points = content.points.take(indices, axis=0)
     colors = np.empty((0, 4), np.float32)
     for attribute in content.attributes:
         if not attribute.type & CELL and attribute.tuples == len(content.points) and colour_field(attribute):
@@ -70,7 +73,7 @@ def _marker(content: PolyData, kind: int, indices: Array, scale: float, to: ToRo
         kind,
         scale=(scale, scale, scale),
         color=GREY,
-        points=to.lengths.to_ros(content.points[indices]),
+        points=into_ros(to.lengths, points, np.empty(points.shape)),
         colors=colors,
     )
 
@@ -86,7 +89,7 @@ def mesh_to_igtl(message: Mesh, to: ToIgtl) -> Outgoing:
         raise ConversionError(
             f"shape_msgs/Mesh: found vertex index {highest}, expected below {len(message.vertices)}, the vertices"
         )
-    points = _finite(to.lengths.to_igtl(message.vertices), "shape_msgs/Mesh")
+    points = _finite(message.vertices, to, "shape_msgs/Mesh")
     return Outgoing(PolyData(points, polygons=Cells.of(message.triangles)))
 
 
@@ -114,7 +117,7 @@ def marker_to_igtl(message: Marker, to: ToIgtl) -> Outgoing:
     points = message.points
     if message.type == Marker.TRIANGLE_LIST:  # of the lists it is the one that viewers scale as a whole
         points = points * np.array(message.scale)
-    points = _finite(to.lengths.to_igtl(_posed(points, message)), "visualization_msgs/Marker")
+    points = _finite(_posed(points, message), to, "visualization_msgs/Marker")
     attributes: tuple[Attribute, ...] = ()
     if len(message.colors) == count:
         attributes = (Attribute.of(SCALAR, RGBA_NAME, message.colors),)
@@ -139,10 +142,10 @@ _SHAPES = {
 }
 
 
-def _finite(points: Array, place: str) -> Array:
-    """As the float32 of the wire.  A cell that refers to a missing point would be no cell, so none may be left out."""
-    wire = points.astype(">f4")
-    if not np.isfinite(wire).all():
+def _finite(points: Array, to: ToIgtl, place: str) -> Array:
+    """As the wire has them.  A cell that refers to a missing point would be no cell, so none may be left out."""
+    wire = into_igtl(to.lengths, points, np.empty(points.shape, ">f4"))
+    if not all_finite(wire):
         raise ConversionError(f"{place}: found a coordinate that is not finite (as float32), expected finite numbers")
     return wire
 
@@ -160,9 +163,10 @@ def _posed(points: Array, message: Marker) -> Array:
 
 def _triangles(content: PolyData) -> Array:
     """(n, 3) indices of all polygons as fans, then all strips with alternating winding."""
-    return np.concatenate(
-        [_pieces(content.polygons, _MIN_FACE, _fan), _pieces(content.triangle_strips, _MIN_FACE, _strip)]
-    )
+    polygons = _pieces(content.polygons, _MIN_FACE, _fan)
+    if not content.triangle_strips.count:
+        return polygons
+    return np.concatenate([polygons, _pieces(content.triangle_strips, _MIN_FACE, _strip)])
 
 
 def _segments(lines: Cells) -> Array:
@@ -194,12 +198,17 @@ def _pieces(cells: Cells, size: int, cut: Callable[[int], Array]) -> Array:
 
     Cells of equal length are cut together; those too short for one piece vanish.
     """
+    if not cells.count:
+        return np.empty((0, size), np.int64)
+    if (table := cells.table) is not None:  # nothing to be cut, or all in one go
+        width = table.shape[1]
+        return table if width == size else table[:, cut(width)].reshape(-1, size)
     starts = cells.starts()
-    lengths = cells.data[starts].astype(np.int64) if len(starts) else np.empty(0, np.int64)
+    lengths = cells.data[starts].astype(np.int64)
     by_length = np.argsort(lengths, kind="stable")
     order, pieces = [], []
     for which in np.split(by_length, np.flatnonzero(np.diff(lengths[by_length])) + 1):
-        length = int(lengths[which[0]]) if len(which) else 0
+        length = int(lengths[which[0]])
         if length < size:
             continue
         pattern = cut(length)

@@ -52,7 +52,20 @@ class Points(Elements):
     ) -> Self:
         """Nameless points at ``positions`` (n, 3) mm, with colours (n, 4) uint8 (default opaque white)."""
         elements = np.zeros(len(positions), POINT_DTYPE)
-        elements["position"] = positions
-        elements["rgba"] = 255 if rgba is None else rgba
+        blocks = elements.view(_BLOCKS)
+        blocks["position"] = np.ascontiguousarray(positions, ">f4").view("V12").reshape(-1)
+        blocks["rgba"] = _WHITE if rgba is None else np.ascontiguousarray(rgba, np.uint8).view(np.uint32).reshape(-1)
         elements["diameter"] = diameters
         return cls(elements)
+
+
+#: The same element: what is set for many points at once costs half the time where it is one block.
+_BLOCKS = np.dtype(
+    {
+        "names": ["rgba", "position"],
+        "formats": [np.uint32, "V12"],
+        "offsets": [POINT_DTYPE.fields[name][1] for name in ("rgba", "position")] if POINT_DTYPE.fields else [],
+        "itemsize": POINT_DTYPE.itemsize,
+    }
+)
+_WHITE = 0xFFFFFFFF

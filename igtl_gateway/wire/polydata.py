@@ -15,6 +15,7 @@ import struct
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -65,13 +66,23 @@ class Cells:
             raise MalformedBody(place, f"{content.nbytes} bytes", "a multiple of 4")
         data = np.frombuffer(content, U4)
         cells = cls(count, data)
-        starts = cells.starts(place)
-        inside = np.ones(len(data), bool)
-        inside[starts] = False
-        indices = data[inside]
-        if len(indices) and (highest := int(indices.max())) >= num_points:
+        if not count and not len(data):
+            return cells
+        if (table := cells.table) is not None:
+            indices = table
+        else:
+            inside = np.ones(len(data), bool)
+            inside[cells.starts(place)] = False
+            indices = data[inside]
+        if indices.size and (highest := int(indices.max())) >= num_points:
             raise MalformedBody(place, f"point index {highest}", f"below {num_points}, the number of points")
         return cells
+
+    @property
+    def table(self) -> npt.NDArray[Any] | None:
+        """(count, width) indices where all cells have the same number of them, else None: a view on ``data``."""
+        width = self.width
+        return None if width is None else self.data.reshape(self.count, width + 1)[:, 1:]
 
     @property
     def width(self) -> int | None:
@@ -110,11 +121,39 @@ class Cells:
         flat = [value for cell in cells for value in (len(cell), *cell)]
         return cls(len(cells), np.array(flat, U4))
 
+    @classmethod
+    def of_all(cls, num_points: int) -> Self:
+        """One cell of all points, in their order; its array is not to be changed, for others have it too."""
+        return cls(1, (_shared if num_points <= _SHARED else _all_points)(num_points))
+
+    def is_all(self, num_points: int) -> bool:
+        """Whether they are what ``of_all`` gives."""
+        # equal is equal in any byte order, and in the machine's own it is found four times as fast
+        return (
+            self.count == 1
+            and len(self.data) == num_points + 1
+            and bool((np.asarray(self.data, U4).view(np.uint32) == self.of_all(num_points).data.view(np.uint32)).all())
+        )
+
     def lists(self) -> list[list[int]]:
         """Every cell as a list of indices."""
         data = self.data.tolist()
         return [data[start + 1 : start + 1 + data[start]] for start in self.starts().tolist()]
 
+
+#: Up to so many points the cell of all of them is kept for the next message: clouds of a sensor have one size, or few.
+_SHARED = 1 << 18
+
+
+def _all_points(count: int) -> npt.NDArray[Any]:
+    """``count``, then 0, 1, 2, …"""
+    data = np.arange(-1, count, dtype=np.int32).astype(U4)
+    data[0] = count
+    data.flags.writeable = False
+    return data
+
+
+_shared = lru_cache(maxsize=8)(_all_points)
 
 NO_CELLS = Cells(0, np.empty(0, U4))
 

@@ -257,3 +257,14 @@ def test_other_arrays_are_converted_once() -> None:
     again = PolyData.unpack(memoryview(join(content.pack())))
     assert (again.points == XYZ).all()
     assert again.vertices.lists() == [[0, 3]]
+
+
+def test_the_cell_of_all_points() -> None:
+    for count in (1, 3, (1 << 18) + 1):
+        cells = Cells.of_all(count)
+        assert cells.count == 1 and cells.data.tolist() == [count, *range(count)]
+        assert not cells.data.flags.writeable
+        assert cells.is_all(count) and Cells(1, np.array(cells.data)).is_all(count)
+        assert not cells.is_all(count + 1)
+    for other in (Cells.of([[0, 2, 1]]), Cells.of([[0], [1], [2]]), Cells.of([[0, 1]])):
+        assert not other.is_all(3)
