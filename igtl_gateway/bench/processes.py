@@ -159,6 +159,11 @@ class Program:
         if code:
             raise BenchError(f"{self._name}: {self._last_words('end')}")
 
+    def check(self) -> None:
+        """Raises BenchError, with its last words, if it has ended."""
+        if self._process.poll() is not None:
+            raise BenchError(f"{self._name}: {self._last_words('its part')}")
+
     def _close_input(self) -> None:
         try:
             if self._process.stdin:

@@ -32,8 +32,7 @@ class _Node(RosEdge):
 
     def raw_publisher(self, topic: str) -> Callable[[bytes], None]:
         """What hands bytes to the middleware."""
-        publish: Callable[[bytes], None] = self._writers[topic].publisher.handle.publish_raw  # type: ignore[attr-defined]
-        return publish
+        return self._writers[topic].publisher.publish
 
     def _receive(self, reader: Reader, cdr: bytes, info: dict[str, Any]) -> None:
         at_ns = self._now()

@@ -15,7 +15,7 @@ from igtl_gateway.bench.cases import FLOOD, Case, Direction, Stream, payload
 from igtl_gateway.bench.figures import Passage, latency, lateness, ratio
 from igtl_gateway.bench.jobs import Job, Part
 from igtl_gateway.bench.peers import LIBRARY, PEERS, Library, command, times_of
-from igtl_gateway.bench.processes import Program, Usage, ours
+from igtl_gateway.bench.processes import BenchError, Program, Usage, ours
 from igtl_gateway.bench.stalled import NAMES, STALLED, Stall
 from igtl_gateway.bench.window import window
 from igtl_gateway.clock import Clock
@@ -271,7 +271,12 @@ class Runner:
         for job, program in listeners:
             missing = {part.key for part in job.hears}
             while missing:
-                missing.discard(program.wait_for("heard", _HEARD_S)["key"])
+                try:
+                    missing.discard(program.wait_for("heard", _HEARD_S)["key"])
+                except BenchError:
+                    for _, other in programs:
+                        other.check()  # it may be the cause
+                    raise
         begin = Usage.of(gateway.program.pid) if gateway else None
         begun_ns = self._clock.monotonic_ns()
         for _, program in senders:

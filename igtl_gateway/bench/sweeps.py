@@ -16,6 +16,7 @@ _BYTES_PER_S = 60e6  # of the largest pictures, which would not pass at 30 Hz
 _LEAST = 10  # messages, however rare they are
 _STREAM_HZ = 10.0
 _CLIENTS_HZ = 100.0
+_FLAT = 1e-12  # less is rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,10 +134,10 @@ def fits(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def line(points: Sequence[tuple[float, float]]) -> dict[str, float]:
-    """``a``, ``b`` and ``r2`` of points; with one place only, or one value, ``r2`` is 1."""
+    """``a``, ``b`` and ``r2`` of points; where all are at one height, ``r2`` is 1."""
     x, y = np.array(points, np.float64).T
     b, a = np.polyfit(x, y, 1)
     spread = float(((y - y.mean()) ** 2).sum())
     rest = float(((y - a - b * x) ** 2).sum())
-    r2 = 1 - rest / spread if spread else 1.0
+    r2 = 1 - rest / spread if spread > _FLAT * float((y**2).sum()) else 1.0
     return {"a": float(f"{a:.5g}"), "b": float(f"{b:.5g}"), "r2": round(r2, 4)}

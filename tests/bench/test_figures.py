@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.bench.figures import Passage, latency, quantile, ratio
+from igtl_gateway.bench.figures import Passage, latency, lateness, quantile, ratio
 
 MS = 1_000_000
 
@@ -59,3 +59,10 @@ def test_quantiles_are_values_that_occurred() -> None:
 def test_ratio() -> None:
     assert ratio(3.0, 2.0) == 1.5
     assert ratio(None, 2.0) is ratio(3.0, None) is None
+
+
+def test_how_late_a_sender_was() -> None:
+    nothing = np.empty(0, np.int64)
+    sent = (np.array([5.0, 10.0, 15.5, 20.0]) * MS).astype(np.int64)
+    assert lateness([Passage(sent, nothing, nothing)], 200.0) == {"late_p99_ms": 0.5, "late_max_ms": 0.5}
+    assert lateness([Passage(nothing, nothing, nothing)], 200.0)["late_p99_ms"] is None

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.bench.runner import Plan, Runner
+from igtl_gateway.bench.sweeps import SWEEPS
 from igtl_gateway.bench.works import WORKS
 from igtl_gateway.cli import main
 
@@ -44,6 +45,10 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
         (["--case", "transform", "--count", "-1"], "--count: found -1"),
         (["--case", "transform", "--duration", "inf"], "--duration: found inf"),
         (["--case", "mixed", "--flood"], "mixed has rates of its own"),
+        (["--case", "transform", "--rounds", "0"], "--rounds: found 0"),
+        (["--case", "stalled-client", "--direction", "igtl-to-ros"], "stalled-client goes ros-to-igtl only"),
+        (["--sweep", "clients", "--direction", "igtl-to-ros"], "--sweep clients goes the other way only"),
+        (["--case", "transform", "--record", "--flame", "x.svg"], "--flame: found 2 measurements, expected one"),
     ],
 )
 def test_what_is_refused(words: list[str], fault: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -55,7 +60,7 @@ def test_the_cases_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "--list"]) == 0
     told = capsys.readouterr().out
     assert "image-fullhd" in told and "mixed" in told
-    assert all(name in told for name in WORKS)
+    assert all(name in told for name in (*WORKS, *SWEEPS))
 
 
 @pytest.mark.ros
@@ -73,9 +78,31 @@ def test_the_table(plans: list[Plan], capsys: pytest.CaptureFixture[str]) -> Non
     head, first, second, cost, *_, load, versions = capsys.readouterr().out.splitlines()
     assert head.split()[:4] == ["case", "direction", "Hz", "sent"]
     assert first.split()[:6] == ["transform", "igtl-to-ros", "flood", "1,000", "999", "30"]
+    assert first.endswith("not lost <= 0, received_per_s >= 20000")
     assert second.startswith("transform +rec")
     assert cost == "transform +rec, igtl-to-ros: p50 1.1 times and p99 1.5 times that without recording"
     assert load.startswith("load ") and "Python" in versions
+
+
+@pytest.mark.ros
+def test_rounds_take_turns(plans: list[Plan], capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--case", "mixed", "--record", "--rounds", "3", "--direction", "ros-to-igtl", "--json"]
+    assert main(["bench", *words]) == 0
+    assert [plan.record for plan in plans] == [False, True] * 3
+    plain, recorded = json.loads(capsys.readouterr().out)["rows"]
+    assert len(plain["rounds"]) == len(recorded["rounds"]) == 3
+    assert (recorded["recording_p50_ratio"], recorded["recording_p99_ratio"]) == (1.1, 1.5)
+    assert (recorded["bounds"]["recording_p99_ratio <= 1.25"], recorded["bounds"]["lost <= 0"]) == (False, False)
+
+
+@pytest.mark.ros
+def test_a_sweep(plans: list[Plan], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "--sweep", "clients", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [row["x"] for row in told["rows"]] == [plan.clients for plan in plans]
+    (fit,) = told["fits"]
+    assert (fit["figure"], fit["r2"]) == ("p50_ms", 1.0)
+    assert fit["b"] == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.ros
