@@ -15,7 +15,7 @@ from typing import Any
 
 from igtl_gateway import __version__
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
-from igtl_gateway.app.hub import Hub
+from igtl_gateway.app.hub import Hub, Sink
 from igtl_gateway.app.recording import offer
 from igtl_gateway.app.video import Video
 from igtl_gateway.clock import Clock
@@ -103,8 +103,12 @@ class Bridge:
         self._timer = threading.Thread(target=self._tick, name="igtl-timer", daemon=True)
         self.commands: CommandService | None = None
         self.video: Video | None = None
-        sinks = (self._dispatch, self._record)
-        self.hub = Hub(Session(self.gateway), clock, (*sinks, on_entry) if on_entry else sinks)
+        sinks: list[Sink] = [self._dispatch]
+        if options.record:
+            sinks.append(self._record)
+        if on_entry:
+            sinks.append(on_entry)
+        self.hub = Hub(Session(self.gateway), clock, sinks)
         self.tcp = TcpEdge(
             on_frame=self.hub.igtl,
             on_link=lambda link, _up, note: self.hub.link(link, note),

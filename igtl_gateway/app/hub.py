@@ -16,19 +16,12 @@ from igtl_gateway.clock import Clock
 from igtl_gateway.gateway import TICK, Session
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.values import value
 
 Sink = Callable[[Entry], None]
 
 
-@value(frozen=True, slots=True)
-class _Input:
-    kind: Kind
-    payload: Sequence[Buffer]
-    channel: str = ""
-    type_name: str = ""
-    links: tuple[int, ...] = ()
-    source_ns: int = 0
+#: Kind, payload, channel, type, links and source stamp of what came in.
+_Input = tuple[Kind, Buffer, str, str, tuple[int, ...], int]
 
 
 class Hub:
@@ -52,19 +45,19 @@ class Hub:
 
     def igtl(self, link: int, message: Buffer) -> None:
         """One whole OpenIGTLink message from a link."""
-        self._bring(_Input(Kind.IGTL_IN, (message,), links=(link,)))
+        self._bring(Kind.IGTL_IN, message, "", "", (link,))
 
     def ros(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> None:
         """One message of a ROS topic."""
-        self._bring(_Input(Kind.ROS_IN, (cdr,), topic, ros_type, source_ns=source_ns))
+        self._bring(Kind.ROS_IN, cdr, topic, ros_type, (), source_ns)
 
     def link(self, link: int, note: Note) -> None:
         """A link came up or went down."""
-        self._bring(_Input(Kind.LINK, (note.pack(),), links=(link,)))
+        self._bring(Kind.LINK, note.pack(), "", "", (link,))
 
     def note(self, note: Note, link: int = 0) -> None:
         """A fact that an edge or the recorder reports."""
-        self._bring(_Input(Kind.EDGE_NOTE, (note.pack(),), links=(link,) if link else ()))
+        self._bring(Kind.EDGE_NOTE, note.pack(), "", "", (link,) if link else ())
 
     def tick(self) -> None:
         """Tell the gateway when a time has come that it waits for."""
@@ -73,28 +66,39 @@ class Hub:
         if due_ns is not None and due_ns <= self._clock.utc_ns():
             self.note(Note(Level.INFO, TICK, "a deadline has come"))
 
-    def _bring(self, given: _Input) -> None:
-        if self._owner == threading.get_ident():
-            self._waiting.append(given)
+    def _bring(
+        self,
+        kind: Kind,
+        payload: Buffer,
+        channel: str,
+        type_name: str,
+        links: tuple[int, ...],
+        source_ns: int = 0,
+    ) -> None:
+        me = threading.get_ident()
+        if self._owner == me:
+            self._waiting.append((kind, payload, channel, type_name, links, source_ns))
             return
         with self._lock:
-            self._owner = threading.get_ident()
+            self._owner = me
             try:
-                self._take(given)
+                self._take(kind, payload, channel, type_name, links, source_ns)
                 while self._waiting:
-                    self._take(self._waiting.popleft())
+                    self._take(*self._waiting.popleft())
             finally:
                 self._owner = 0
 
-    def _take(self, given: _Input) -> None:
+    def _take(
+        self, kind: Kind, payload: Buffer, channel: str, type_name: str, links: tuple[int, ...], source_ns: int
+    ) -> None:
         entries = self._session.input(
             self._clock.utc_ns(),
-            given.kind,
-            given.payload,
-            channel=given.channel,
-            type_name=given.type_name,
-            links=given.links,
-            source_ns=given.source_ns,
+            kind,
+            (payload,),
+            channel=channel,
+            type_name=type_name,
+            links=links,
+            source_ns=source_ns,
         )
         for sink in self._sinks:  # one after the other: what goes out does not wait for the record of what came in
             for entry in entries:
@@ -109,4 +113,4 @@ class Hub:
             self._complained.add(sink)
             text = f"{getattr(sink, '__qualname__', sink)} failed: {type(error).__name__}: {error}"
             note = Note(Level.ERROR, "internal_error", text)
-            self._waiting.append(_Input(Kind.EDGE_NOTE, (note.pack(),)))
+            self._waiting.append((Kind.EDGE_NOTE, note.pack(), "", "", (), 0))

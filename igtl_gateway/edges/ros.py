@@ -34,7 +34,7 @@ from typing import Any
 
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros_receiver import DirectReceiver, ExecutorReceiver, Receiver
-from igtl_gateway.edges.ros_streams import HOLD_BYTES, HOLD_MESSAGES, Counts, Echo, Reader, Writer, first_line
+from igtl_gateway.edges.ros_streams import HOLD_BYTES, HOLD_MESSAGES, Counts, Echo, Reader, Writer, direct, first_line
 from igtl_gateway.errors import RosError
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.note import Level, Note
@@ -182,6 +182,8 @@ class RosEdge:
             thread.join()
         running.receiver.stop()
         self._flush()
+        for writer in self._all_writers():
+            writer.close()
         running.executor.shutdown()
         if pool := getattr(running.executor, "_executor", None):  # rclpy leaves its threads to the interpreter's end
             pool.shutdown(wait=True)
@@ -355,7 +357,7 @@ class RosEdge:
             use_default_callbacks=False,
         )
         publisher = node.create_publisher(_interface(type_name), topic, self._profile(qos), event_callbacks=events)
-        writer = Writer(topic, type_name, publisher, qos, self._count(topic))
+        writer = Writer(topic, type_name, direct(publisher), qos, self._count(topic))
         reader = self._readers.get(topic)
         # a latched message may also reach a subscription that we make later
         if reader is not None or qos.latched:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import lru_cache
 
 from igtl_gateway.buffers import join
 from igtl_gateway.config import MAX_TIMEOUT_S, Config
@@ -148,7 +149,7 @@ class Gateway:
 
     def keep(self, entry: Entry) -> bool:
         """Whether an outgoing OpenIGTLink message must not be dropped at a full send queue."""
-        return entry.type in _KEPT_TYPES or split_query(entry.type) is not None
+        return _is_kept(entry.type)
 
     @property
     def due_ns(self) -> int | None:
@@ -188,7 +189,11 @@ class Gateway:
         stream = self._streams.to_ros(visible(message.type), visible(message.device_name))
         if stream and self.plans.wants(key):
             to = self._circumstances(entry, message, restore(message), stream)
-            self.plans.keep_to_ros(key, plan_to_ros(entry, message, stream, to, self.config, self.ledger))
+            try:
+                plan = plan_to_ros(entry, message, stream, to, self.config, self.ledger)
+            except ConversionError:  # of a message that nobody hears: it was not converted
+                return
+            self.plans.keep_to_ros(key, plan)
 
     def _learn(self, entry: Entry, peer: Peer, message: Message) -> list[Reply]:
         """What a message shows of its sender."""
@@ -782,6 +787,11 @@ class Gateway:
     def _warnings(self, warnings: list[tuple[str, str]], entry: Entry) -> list[Reply]:
         """Notes for what a conversion had to bend, once for each stream and cause."""
         return [reply for code, text in warnings for reply in self._once(entry, Level.WARN, code, text, entry.channel)]
+
+
+@lru_cache(maxsize=1_024)  # asked for every message
+def _is_kept(igtl_type: str) -> bool:
+    return igtl_type in _KEPT_TYPES or split_query(igtl_type) is not None
 
 
 def _has_igtl(replies: Iterable[Reply]) -> bool:

@@ -148,9 +148,10 @@ class TcpEdge:
         Messages leave a link in the order of the calls.  Links that are gone are ignored and counted.
         Raises TypeError or BufferError, with nothing sent, for a buffer that is not contiguous.
         """
-        size = sum([memoryview(buffer).nbytes for buffer in buffers])
         parts: Sequence[Part]
-        if size <= _JOINED:
+        if len(buffers) == 1 and type(buffers[0]) is bytes:  # most messages are: they need no look at all
+            size, parts = len(buffers[0]), (buffers[0],)
+        elif (size := sum([memoryview(buffer).nbytes for buffer in buffers])) <= _JOINED:
             parts = (b"".join(buffers),)
         else:
             # cast() refuses arrays with a zero in their shape
