@@ -13,12 +13,12 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import zip_longest
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.convert.units import UNITS, Lengths
 from igtl_gateway.errors import ChecksumMismatch, GatewayError
@@ -31,6 +31,9 @@ from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.transform import Position, Transform
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 Array = npt.NDArray[Any]
 _Leaf = tuple[str, Any]
@@ -227,7 +230,6 @@ class Decoder:
     def __init__(self, definitions: Mapping[str, str] | None = None, lengths: Lengths = Lengths()) -> None:
         self._definitions = definitions or {}
         self._ros_mm, self._igtl_mm = UNITS[lengths.ros] / UNITS["mm"], UNITS[lengths.igtl] / UNITS["mm"]
-        self._store = get_typestore(Stores.EMPTY)
         self._known: dict[str, bool] = {}
 
     def leaves(self, entry: Entry) -> Iterator[_Leaf]:
@@ -309,8 +311,17 @@ class Decoder:
             raise Undecodable(f"{entry.type}: {type(error).__name__}: {error}") from None
         yield from self._walk(message, "")
 
+    @cached_property
+    def _store(self) -> Typestore:
+        # loaded where something differs, or is shown
+        from rosbags.typesys import Stores, get_typestore
+
+        return get_typestore(Stores.EMPTY)
+
     def _knows(self, ros_type: str) -> bool:
         if ros_type not in self._known:
+            from rosbags.typesys import get_types_from_msg
+
             text = self._definitions.get(ros_type, "")
             try:
                 found = get_types_from_msg(text, ros_type) if text else {}

@@ -11,11 +11,12 @@ that are there all the same.  An output that changed, or that nothing can have c
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.table import TO_ROS
@@ -38,6 +39,10 @@ UNKNOWN = "(not recorded)"
 _MESSAGES = {row.message.TYPE: row.message for row in TO_ROS} | {
     kind.TYPE: kind for kind in (LinkStatusList, Metadata, RawMessage)
 }
+
+#: What is compared of two outputs beside their bytes.
+_COMPARED = ("kind", "channel", "type", "links", "stamp_ns", "source_ns")
+_OUTSIDE = attrgetter(*_COMPARED)
 
 _STREAM_NEWS = "stream"
 _OTHERS = "(others)"
@@ -279,12 +284,20 @@ def compare(recorded: Entry, computed: Entry, cause: int, decoder: Decoder | Non
         for what in ("code", "level", "stream"):
             if getattr(one, what) != getattr(other, what):
                 return differ(f"note.{what}", getattr(one, what), getattr(other, what))
-    for what in ("kind", "channel", "type", "links", "stamp_ns", "source_ns"):
-        if getattr(recorded, what) != getattr(computed, what):
-            return differ(what, getattr(recorded, what), getattr(computed, what))
-    if recorded.kind is Kind.NOTE or recorded.data() == computed.data():
+    if _OUTSIDE(recorded) != _OUTSIDE(computed):
+        for what in _COMPARED:
+            if getattr(recorded, what) != getattr(computed, what):
+                return differ(what, getattr(recorded, what), getattr(computed, what))
+    if recorded.kind is Kind.NOTE or _equal(recorded.payload, computed.payload):
         return None
     return differ(*_first_field(recorded, computed), _measure(recorded, computed, decoder) if decoder else "")
+
+
+def _equal(recorded: Sequence[Buffer], computed: Sequence[Buffer]) -> bool:
+    """Whether the bytes are the same; those from a file, one buffer, are not copied for that."""
+    one = recorded[0] if len(recorded) == 1 else join(recorded)
+    other = join(computed)
+    return memoryview(one).nbytes == len(other) and other.startswith(one)
 
 
 def _measure(recorded: Entry, computed: Entry, decoder: Decoder) -> str:
