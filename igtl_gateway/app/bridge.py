@@ -88,10 +88,18 @@ class Bridge:
         config: what influences the content of messages; stored in the recording.
         options: what does not.
         clock: time of the entries.
-        on_entry: called with every entry, for whoever watches (the command line, a viewer).
+        on_entry: called with every entry, for whoever watches.
+        viewer: the same, for one who wants to see what nobody in ROS hears, too.
     """
 
-    def __init__(self, config: Config, options: BridgeOptions, clock: Clock, on_entry: OnEntry | None = None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        options: BridgeOptions,
+        clock: Clock,
+        on_entry: OnEntry | None = None,
+        viewer: OnEntry | None = None,
+    ) -> None:
         self.options = options
         self.gateway = gateway_of(config)
         self.addresses: list[Address] = []
@@ -106,8 +114,7 @@ class Bridge:
         sinks: list[Sink] = [self._dispatch]
         if options.record:
             sinks.append(self._record)
-        if on_entry:
-            sinks.append(on_entry)
+        sinks += [watcher for watcher in (on_entry, viewer) if watcher]
         self.hub = Hub(Session(self.gateway), clock, sinks)
         self.tcp = TcpEdge(
             on_frame=self.hub.igtl,
@@ -125,7 +132,7 @@ class Bridge:
                 wants=self.wanted,
                 on_note=self._on_edge_note,
             )
-            if isinstance(self.gateway, Gateway) and not (on_entry or options.record):
+            if isinstance(self.gateway, Gateway) and not (viewer or options.record):
                 self.gateway.heard = self._heard
             if options.video:
                 self.video = Video(options.video, config, self.hub, self.ros)

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway import __version__
-from igtl_gateway.app.bridge import Address, Bridge, BridgeOptions, OnEntry
+from igtl_gateway.app.bridge import Address, Bridge, BridgeOptions
+from igtl_gateway.app.interpreter import calm_the_interpreter
 from igtl_gateway.cli import recording
 from igtl_gateway.cli.common import (
     DEFAULT_HOST,
@@ -143,7 +144,8 @@ def run(options: argparse.Namespace) -> int:
                 video=_video(options),
             ),
             clock,
-            _both(watch, window) if window else watch,
+            watch,
+            window,
         )
         try:
             bridge.start()
@@ -156,6 +158,7 @@ def run(options: argparse.Namespace) -> int:
         try:
             with recording.steering(bridge.recorder) as keys:
                 out.started(bridge, config, [*notes, keys] if keys else notes)
+                calm_the_interpreter()
                 while not stop.wait(_STATUS_EVERY_S):
                     out.events(watch.take())
                     seconds = (clock.monotonic_ns() - started_ns) / NS_PER_S
@@ -195,16 +198,6 @@ def _window(config: Config) -> Window:
     from igtl_gateway.view.live import Window
 
     return Window(config)
-
-
-def _both(first: OnEntry, second: OnEntry) -> OnEntry:
-    """Two who watch, as one."""
-
-    def told(entry: Entry) -> None:
-        first(entry)
-        second(entry)
-
-    return told
 
 
 class _Watch:

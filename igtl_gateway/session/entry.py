@@ -18,6 +18,8 @@ from igtl_gateway.values import value
 class Kind(Enum):
     """What an entry is.  The value is its name in the recording."""
 
+    __hash__ = object.__hash__  # that of Enum is written in Python, and every message asks for it
+
     IGTL_IN = "igtl_in"  #: one whole OpenIGTLink message from a peer, before any check
     IGTL_OUT = "igtl_out"  #: one whole OpenIGTLink message to the peers in ``links``
     ROS_IN = "ros_in"  #: one CDR message from a ROS topic
