@@ -165,8 +165,7 @@ class Runner:
             words += ["--record", str(self._folder / "recording.mcap"), "--overwrite"]
         with Program("gateway", ours(*words)) as program:
             gateway = _Gateway(program, Stall())
-            with flame.drawn(program, plan.flame) if plan.flame else nullcontext():
-                yield gateway
+            yield gateway
             program.interrupt()
             told = program.wait_for("stopped", _START_S, gateway.stall.note)
             if plan.record:
@@ -277,17 +276,18 @@ class Runner:
                     for _, other in programs:
                         other.check()  # it may be the cause
                     raise
-        begin = Usage.of(gateway.program.pid) if gateway else None
-        begun_ns = self._clock.monotonic_ns()
-        for _, program in senders:
-            program.order("begin")
-        if gateway and plan.case.stalls:
-            (idler,) = [program for job, program in listeners if job.name == "stalled"]
-            gateway.stall.take_place(idler, plan.extent.seconds, self._rest.wait, self._clock.monotonic_ns)
-        sent = sum(program.wait_for("sent", self._limit_s(job))["messages"] for job, program in senders)
-        self._wait_for_arrivals([program for _, program in listeners], sent * plan.clients, plan)
-        seconds = (self._clock.monotonic_ns() - begun_ns) / NS_PER_S
-        end = Usage.of(gateway.program.pid) if gateway else None
+        with flame.drawn(gateway.program, plan.flame) if gateway and plan.flame else nullcontext():
+            begin = Usage.of(gateway.program.pid) if gateway else None
+            begun_ns = self._clock.monotonic_ns()
+            for _, program in senders:
+                program.order("begin")
+            if gateway and plan.case.stalls:
+                (idler,) = [program for job, program in listeners if job.name == "stalled"]
+                gateway.stall.take_place(idler, plan.extent.seconds, self._rest.wait, self._clock.monotonic_ns)
+            sent = sum(program.wait_for("sent", self._limit_s(job))["messages"] for job, program in senders)
+            self._wait_for_arrivals([program for _, program in listeners], sent * plan.clients, plan)
+            seconds = (self._clock.monotonic_ns() - begun_ns) / NS_PER_S
+            end = Usage.of(gateway.program.pid) if gateway else None
         for _, program in programs:
             program.end()
         return Passed(_passages(programs), seconds, begin, end)

@@ -34,7 +34,7 @@ EXAMPLES = """\
   igtl-gateway bench --case mixed --duration 60 --record --rounds 3   with and without recording, in turns
   igtl-gateway bench --case transform image-vga --peers   with the C++ library and pyigtl as peers, too
   igtl-gateway bench --case start-up replay verify        what is no passage of messages
-  igtl-gateway bench --case transform --rate 1000 --flame out.svg     where the gateway spends its time
+  igtl-gateway bench --case mixed --flame out.svg           where the gateway spends its time
   igtl-gateway bench --sweep payload streams --plot out   what it costs as it grows, with lines and pictures
   igtl-gateway bench --table1 --plot out                  the paper's table: 1000 messages each, 30 Hz"""
 
@@ -195,9 +195,10 @@ def _group(case: Case, directions: tuple[Direction, ...], extent: Extent, option
 
 def _in_flames(groups: list[_Group], works: list[str], options: argparse.Namespace) -> list[_Group]:
     """The one measurement that there is, with a picture of it."""
-    found = len(works) + sum(len(group.plans) for group in groups) * options.rounds
+    runs = sum(1 if plan.case.at_once else len(plan.directions) for group in groups for plan in group.plans)
+    found = len(works) + runs * options.rounds
     if found != 1 or works:
-        raise ConfigError(f"--flame: found {found} measurements, expected one: --case NAME, of messages")
+        raise ConfigError(f"--flame: found {found} measurements, expected one of messages: --case NAME --direction WAY")
     if not flame.tool():
         raise ConfigError("--flame: found no py-spy on the path, it is needed: pip install py-spy")
     (group,) = groups

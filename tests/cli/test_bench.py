@@ -48,7 +48,7 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
         (["--case", "transform", "--rounds", "0"], "--rounds: found 0"),
         (["--case", "stalled-client", "--direction", "igtl-to-ros"], "stalled-client goes ros-to-igtl only"),
         (["--sweep", "clients", "--direction", "igtl-to-ros"], "--sweep clients goes the other way only"),
-        (["--case", "transform", "--record", "--flame", "x.svg"], "--flame: found 2 measurements, expected one"),
+        (["--case", "transform", "--flame", "x.svg"], "--flame: found 2 measurements, expected one"),
     ],
 )
 def test_what_is_refused(words: list[str], fault: str, capsys: pytest.CaptureFixture[str]) -> None:
