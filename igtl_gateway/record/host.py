@@ -63,6 +63,7 @@ def in_process(settings: Settings, clock: Clock) -> Place:
         code = child.wait()
         return f"killed by signal {-code}" if code < 0 else f"exit code {code}"
 
+    queue.warm_up()  # while it starts
     # a process that did not start is told of by the first answer, which does not come
     try:
         ours.send(settings)

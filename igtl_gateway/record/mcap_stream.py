@@ -4,8 +4,8 @@ The library's own writer makes objects of each message and copies a payload seve
 once, behind those before it; a large one is not even that: it ends its chunk, and goes from where it lies into the
 compressor or into the file.
 
-lz4 is for speed: large chunks of a stream that hardly get smaller are not compressed; the next ones of that stream are
-written as they are, and now and then one is tried again.  zstd is for size: everything is compressed, and a chunk goes
+lz4 is for speed: where several large chunks of a stream in a row hardly get smaller, the next ones are written as they
+are, and now and then one is tried again.  zstd is for size: everything is compressed, and a chunk goes
 on behind a large message, since what an input has become has much in common with it.
 """
 
@@ -50,9 +50,11 @@ CHUNK_BYTES = 1 << 20
 #: A message of this part of a chunk's size is large.
 _LARGE = 4
 
-#: Compressed size, of the uncompressed one, from which on compressing is not worth the while ...
+#: Compressed size, of the uncompressed one, from which on compressing is not worth the while.
 _POOR = 0.9
-#: ... and so many further chunks of the stream are written as they are.
+#: After so many such chunks in a row ...
+_TRIES = 4
+#: ... so many are written as they are, before the next is tried.
 _REST = 31
 
 _Compress = Callable[[bytes], bytes]
@@ -89,7 +91,7 @@ class McapStream:
         self._chunk_bytes = chunk_bytes
         self._large = sys.maxsize if compression == "zstd" else chunk_bytes // _LARGE
         self._compression, self._compress = _COMPRESS[compression]
-        self._resting: dict[int, int] = {}  # chunks that are not to be compressed, by the channel of the large message
+        self._poor: dict[int, int] = {}  # large chunks in a row that gained little, by channel of the large message
         self._chunk = bytearray()
         self._messages: defaultdict[int, list[int]] = defaultdict(list)  # of the chunk, by channel: time, place, time …
         self._schemas: list[Schema] = []
@@ -256,16 +258,20 @@ class McapStream:
     def _compressed(self, channel: int, rest: Buffer, size: int) -> tuple[str, tuple[Buffer, ...]]:
         """How the chunk is compressed, and the parts of what is to be written."""
         plain = (self._chunk, rest) if rest else (self._chunk,)
-        resting = self._resting.get(channel, 0)
-        if self._compress is None or (resting and size >= self._large):
-            if resting:
-                self._resting[channel] = resting - 1
+        if self._compress is None:
+            return "", plain
+        poor = self._poor.get(channel, 0) if size >= self._large else 0
+        if _TRIES <= poor < _TRIES + _REST:
+            self._poor[channel] = poor + 1
             return "", plain
         data = self._compress(b"".join(plain))
-        if size >= self._large and len(data) > size * _POOR:
-            self._resting[channel] = _REST
-            return "", plain
-        return self._compression, (data,)
+        if size < self._large:
+            return self._compression, (data,)
+        if len(data) <= size * _POOR:
+            self._poor[channel] = 0
+            return self._compression, (data,)
+        self._poor[channel] = min(poor + 1, _TRIES)
+        return "", plain
 
     def _put(self, data: Buffer) -> None:
         self._file.write(data)

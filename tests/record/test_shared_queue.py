@@ -41,6 +41,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[Pair]:
     monkeypatch.setattr(shared_queue, "_SLACK_BYTES", 4096)
     monkeypatch.setattr(shared_queue, "_KEPT_BYTES", 8192)
     monkeypatch.setattr(shared_queue, "_FREE_BYTES", 5000)
+    monkeypatch.setattr(shared_queue, "_ENOUGH_BYTES", 12_000)
     pair = Pair(max_bytes=20_000, largest=10_000)
     yield pair
     os.close(pair.memory)
@@ -159,6 +160,38 @@ def test_what_a_burst_took_goes_back_to_the_system() -> None:
     for _ in range(100):
         assert pair.putter.put(picture) and pair.get()
     assert taken() < 100 << 20
+
+
+def test_under_a_load_that_never_ends_the_same_memory_serves_again() -> None:
+    pair = Pair(max_bytes=256 << 20)
+    picture = samples.igtl(1, body=bytes(1 << 20))
+    for _ in range(8):
+        assert pair.putter.put(picture)
+    for _ in range(100):
+        assert pair.putter.put(picture) and pair.get()
+    assert os.fstat(pair.memory).st_blocks * 512 < 40 << 20
+
+
+def test_after_going_back_the_whole_bound_fits() -> None:
+    pair = Pair(max_bytes=64 << 20)
+    picture = samples.igtl(1, body=bytes(1 << 20))
+    for _ in range(20):
+        assert pair.putter.put(picture) and pair.putter.put(picture) and pair.get()
+    while pair.putter.waiting[1] < 62 << 20:
+        assert pair.putter.put(picture)
+
+
+def test_what_is_lent_is_the_memory_of_the_queue() -> None:
+    pair = Pair()
+    pair.getter.lends = True
+    for body in (bytes(100_000), b"small"):
+        assert pair.putter.put(samples.igtl(1, body=body))
+    large, small = pair.getter.get(), pair.getter.get()
+    assert isinstance(large, Entry) and isinstance(small, Entry)
+    assert (type(large.payload[0]), type(small.payload[0])) == (memoryview, bytes)
+    kept = shared_queue.owned(large)
+    assert kept == samples.flat(samples.igtl(1, body=bytes(100_000))) and type(kept.payload[0]) is bytes
+    assert shared_queue.owned(small) is small
 
 
 def test_the_bell_rings_once() -> None:
