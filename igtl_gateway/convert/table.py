@@ -53,12 +53,14 @@ from igtl_gateway.wire.trajectory import Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 from igtl_gateway.wire.video import Video
 
-#: A reader that lags half a second at 1 kHz of tracking loses nothing.
-_STATES = Qos(depth=500)
+#: A reader that lags two seconds at 1 kHz of tracking loses nothing.
+_STATES = Qos(depth=2000)
 #: Texts are few and each counts.
 _TEXTS = Qos(depth=100)
-#: Old pictures are worth nothing to a reader that lags, and cost megabytes each.
-_PICTURES = Qos(depth=5)
+#: Old pictures are worth nothing to a reader that lags, and cost megabytes each: a third of a second at 30 Hz.
+_PICTURES = Qos(depth=10)
+#: Clouds are smaller: a second at 30 Hz.
+_CLOUDS = Qos(depth=30)
 #: Plans and surfaces are sent once and wanted by whoever comes later.
 _SURFACES = Qos(depth=5, latched=True)
 #: As surfaces, but each may cost hundreds of megabytes.
@@ -208,7 +210,7 @@ TO_ROS: tuple[RosRow, ...] = (
         rosmsg.PointCloud2,
         "points",
         clouds.polydata_to_cloud,
-        _PICTURES,
+        _CLOUDS,
         lossy="cells, attributes of cells",
         applies=surfaces.is_cloud,
     ),
@@ -482,14 +484,14 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         rosmsg.PointCloud2,
         "POLYDATA",
         clouds.cloud_to_polydata,
-        _PICTURES,
+        _CLOUDS,
         f"rows and columns, points that are not finite, {_HEADER_1}; fields become float32",
     ),
     IgtlRow(
         rosmsg.PointCloud2,
         "POINT",
         clouds.cloud_to_points,
-        _PICTURES,
+        _CLOUDS,
         f"rows and columns, points that are not finite, fields but colour and diameter, {_HEADER_1}",
     ),
     IgtlRow(rosmsg.Mesh, "POLYDATA", surfaces.mesh_to_igtl, _SURFACES, "double precision"),
