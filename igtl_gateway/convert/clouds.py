@@ -275,10 +275,10 @@ class _Columns:
 
     @property
     def positions(self) -> tuple[Array, ...]:
-        """x, y and z, as one array (n, 3) where they stand side by side."""
+        """x, y and z, as one array (n, 3) where there is nothing else in the data."""
         x, y, z = (self.fields[name] for name in _XYZ)
         size = x.dtype.itemsize
-        if x.dtype == y.dtype == z.dtype and (y.offset, z.offset) == (x.offset + size, x.offset + 2 * size):
+        if x.dtype == y.dtype == z.dtype and (y.offset, z.offset, self.step) == (size, 2 * size, 3 * size):
             return (self._view(x, len(_XYZ)),)
         return tuple(self[name] for name in _XYZ)
 
@@ -303,12 +303,10 @@ def _colours(columns: _Columns) -> Array | None:
     for name in reversed(_COLOURS):
         if columns.is_packed(name):
             packed = columns[name]
-            # the words as the bytes B, G, R, A
-            words = np.ascontiguousarray(packed.view(packed.dtype.str[0] + "u4"), "<u4").view(np.uint8).reshape(-1, 4)
-            colours = np.empty_like(words)
-            colours[:, :3] = words[:, 2::-1]
-            colours[:, 3] = 255 if name == "rgb" else words[:, 3]
-            return colours
+            words = packed.view(packed.dtype.str[0] + "u4").astype(np.uint32)
+            colours = words << 8  # of 0xAARRGGBB
+            colours |= 255 if name == "rgb" else words >> 24
+            return colours.astype(">u4").view(np.uint8).reshape(-1, 4)
     return None
 
 
@@ -332,9 +330,9 @@ def unit_colours(colours: Array) -> Array:
 
 def _packed(colours: Array) -> Array:
     """(n, 3 or 4) uint8 RGB(A) as 0xAARRGGBB words (alpha 255 where there is none)."""
-    words = np.empty((len(colours), 4), np.uint8)
-    words[:, :3] = colours[:, 2::-1]
-    words[:, 3] = colours[:, 3] if colours.shape[1] > 3 else 255
+    words = np.full((len(colours), 4), 255, np.uint8)
+    for place, channel in zip((2, 1, 0, 3), colours.T, strict=False):
+        words[:, place] = channel
     return words.reshape(-1).view("<u4")
 
 

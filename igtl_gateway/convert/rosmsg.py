@@ -187,9 +187,15 @@ class PointCloud2:
         read = Reader(cdr, cls.TYPE)
         header = Header.read(read)
         height, width = read.unpack("II", 4)
-        fields = tuple(PointField(read.string(), *read.unpack("IB3xI", 4)) for _ in range(read.count()))
+        fields = tuple([_field(bytes(read.octets()), *read.unpack("IB3xI", 4)) for _ in range(read.count())])
         is_bigendian, point_step, row_step = read.unpack("?3xII", 4)
         return cls(header, height, width, fields, is_bigendian, point_step, row_step, read.octets(), read.bool())
+
+
+@lru_cache(maxsize=256)
+def _field(name: bytes, offset: int, datatype: int, count: int) -> PointField:
+    """A field of a cloud: the same come with every message."""
+    return PointField(name.rstrip(b"\x00").decode("utf-8", "surrogateescape"), offset, datatype, count)
 
 
 @lru_cache(maxsize=64)

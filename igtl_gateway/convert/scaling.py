@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,16 +21,25 @@ def into_ros(lengths: Lengths, values: Array, out: Array) -> Array:
 
     The same numbers as ``Lengths.to_ros`` gives, rounded to what ``out`` holds.  Returns ``out``.
     """
-    return _scale(values, lengths.to_ros(1.0), lengths.to_igtl(1.0), out)
+    times, by = _factors(lengths.ros, lengths.igtl)
+    return _scale(values, times, by, out)
 
 
 def into_igtl(lengths: Lengths, values: Array, out: Array) -> Array:
     """The inverse, as ``Lengths.to_igtl``."""
-    return _scale(values, lengths.to_igtl(1.0), lengths.to_ros(1.0), out)
+    by, times = _factors(lengths.ros, lengths.igtl)
+    return _scale(values, times, by, out)
+
+
+@cache
+def _factors(ros: str, igtl: str) -> tuple[float, float]:
+    """ROS units per OpenIGTLink unit, and the other way round: one of the two is a whole number."""
+    lengths = Lengths(ros, igtl)
+    return lengths.to_ros(1.0), lengths.to_igtl(1.0)
 
 
 def _scale(values: Array, times: float, by: float, out: Array) -> Array:
-    # One of the two is a whole number.  From float32 to float32 nothing is rounded twice: what float64 has more of bits
+    # From float32 to float32 nothing is rounded twice: what float64 has more of bits
     # is more than twice as many and two, so that a float32 quotient or product is what a float64 one rounds to.
     single = values.dtype.kind == "f" and values.dtype.itemsize == out.dtype.itemsize == _SINGLE
     number = np.float32 if single else np.float64

@@ -10,6 +10,7 @@ import dataclasses
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -69,7 +70,8 @@ TIME = CdrType(
 
 def fixed(name: str, count: int, *, as_name: str = "") -> CdrType:
     """``count`` equal numbers in a row, as a tuple: an array of fixed length, or a struct of equal fields."""
-    layout = struct.Struct(f"<{count}{_CODES[name]}")
+    code = f"{count}{_CODES[name]}"
+    layout = struct.Struct("<" + code)
     align = layout.size // count
     shown = as_name or f"{name}[{count}]"
 
@@ -79,7 +81,7 @@ def fixed(name: str, count: int, *, as_name: str = "") -> CdrType:
         except struct.error:
             raise ConversionError(f"found {values!r}, expected {count} numbers that fit {shown}") from None
 
-    return CdrType(shown, write, lambda read: read.unpack(f"{count}{_CODES[name]}", align))
+    return CdrType(shown, write, lambda read: read.unpack(code, align))
 
 
 #: geometry_msgs/Point and Vector3: x, y, z.
@@ -134,8 +136,8 @@ class Struct:
 
     def write(self, out: Writer) -> None:
         """Append the fields."""
-        for item, kind in zip(dataclasses.fields(self), self.FIELDS, strict=True):  # type: ignore[arg-type]
-            kind.write(out, getattr(self, item.name))
+        for name, kind in zip(_names(type(self)), self.FIELDS, strict=True):
+            kind.write(out, getattr(self, name))
 
     @classmethod
     def read(cls, cdr: Reader) -> Self:
@@ -155,6 +157,12 @@ class Struct:
     def unpack(cls, cdr: Buffer) -> Self:
         """From CDR bytes.  Raises ConversionError where they are none of this type."""
         return cls.read(Reader(cdr, cls.TYPE))
+
+
+@cache
+def _names(of: type[Struct]) -> tuple[str, ...]:
+    """Names of the fields in their order."""
+    return tuple(item.name for item in dataclasses.fields(of))  # type: ignore[arg-type]
 
 
 def _write_struct(out: Writer, value: Struct) -> None:

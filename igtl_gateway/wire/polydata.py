@@ -116,7 +116,11 @@ class Cells:
         if isinstance(cells, np.ndarray) and cells.ndim == 2:
             data = np.empty((cells.shape[0], cells.shape[1] + 1), U4)
             data[:, 0] = cells.shape[1]
-            data[:, 1:] = cells
+            if len(cells) > cells.shape[1]:  # column by column where these are the longer ones: twice as fast
+                for column, indices in enumerate(cells.T, start=1):
+                    data[:, column] = indices
+            else:
+                data[:, 1:] = cells
             return cls(len(cells), data.reshape(-1))
         flat = [value for cell in cells for value in (len(cell), *cell)]
         return cls(len(cells), np.array(flat, U4))
