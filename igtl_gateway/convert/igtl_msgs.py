@@ -7,12 +7,13 @@ stamps in UTC ns (0 = unset), poses are (x, y, z, qx, qy, qz, qw).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
+from igtl_gateway.convert.cdr import Reader, Writer
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import (
     BOOL,
@@ -137,6 +138,20 @@ class LabeledPoint(Struct):
     position: Point
     diameter: float
     owner: str
+
+    def write(self, out: Writer) -> None:
+        """Written out, as ``read``: points come by the thousands where surfaces are digitised."""
+        out.string(self.name)
+        out.string(self.group)
+        _RGBA.write(out, self.rgba)
+        out.f64s(*self.position, self.diameter)
+        out.string(self.owner)
+
+    @classmethod
+    def read(cls, cdr: Reader) -> Self:
+        name, group, rgba = cdr.string(), cdr.string(), cdr.unpack("4B", 1)
+        x, y, z, diameter = cdr.unpack("4d", 8)
+        return cls(name, group, rgba, (x, y, z), diameter, cdr.string())
 
 
 @dataclass(frozen=True, slots=True)

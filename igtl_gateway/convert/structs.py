@@ -6,11 +6,9 @@ numbers stay numpy views on the received bytes, octets stay views, whatever the 
 
 from __future__ import annotations
 
-import dataclasses
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -133,10 +131,12 @@ class Struct:
     __slots__ = ()
     TYPE: ClassVar[str]
     FIELDS: ClassVar[tuple[CdrType, ...]]
+    #: The names of the fields in their order, by ``dataclass``.
+    __match_args__: ClassVar[tuple[str, ...]]
 
     def write(self, out: Writer) -> None:
         """Append the fields."""
-        for name, kind in zip(_names(type(self)), self.FIELDS, strict=True):
+        for name, kind in zip(self.__match_args__, self.FIELDS, strict=True):
             kind.write(out, getattr(self, name))
 
     @classmethod
@@ -157,12 +157,6 @@ class Struct:
     def unpack(cls, cdr: Buffer) -> Self:
         """From CDR bytes.  Raises ConversionError where they are none of this type."""
         return cls.read(Reader(cdr, cls.TYPE))
-
-
-@cache
-def _names(of: type[Struct]) -> tuple[str, ...]:
-    """Names of the fields in their order."""
-    return tuple(item.name for item in dataclasses.fields(of))  # type: ignore[arg-type]
 
 
 def _write_struct(out: Writer, value: Struct) -> None:
