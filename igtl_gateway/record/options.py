@@ -24,7 +24,8 @@ class RecordOptions:
     """See the command line.
 
     Attributes:
-        compression: of the chunks.
+        compression: of the chunks; lz4 is for speed, and leaves large ones of streams as they are that gain nothing by
+            it; zstd is for size, and compresses all.
         chunk_bytes: size of a chunk before compression.
         flush_s: everything older is in the file, come what may.
         fsync: when what is in the file is on the disk itself.
