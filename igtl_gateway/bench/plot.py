@@ -37,7 +37,8 @@ def latency_plots(rows: Sequence[Row]) -> dict[str, str]:
 _HEIGHT, _CHART_LEFT, _CHART_TOP, _CHART_FOOT = 420, 70, 70, 46
 _TICKS = 5
 _STEPS = 60  # of a line of which logarithms make a curve
-_COLOURS = ("#1f77b4", "#d62728", "#888888", "#bbbbbb")
+_COLOURS = ("#1f77b4", "#d62728")
+_GREY = "#888888"
 _FIGURES = {
     "gateway_cpu_percent": "CPU of the gateway, % of a core",
     "p50_ms": "p50 of one-way latency, ms",
@@ -50,6 +51,7 @@ class Series:
     """Points of one colour, and the line through them: ``a``, ``b`` and ``r2`` of ``sweeps.line``."""
 
     name: str
+    colour: str
     points: tuple[tuple[float, float], ...]
     fit: dict[str, Any]
 
@@ -59,14 +61,15 @@ def sweep_plots(rows: Sequence[Row], fits: Sequence[dict[str, Any]]) -> dict[str
     plots = {}
     for name, sweep in SWEEPS.items():
         for chart in sweep.charts:
-            series = []
+            series: list[Series] = []
             for fit in fits:
                 if fit["sweep"] == name and fit["figure"] in chart:
                     field, direction = fit["figure"], fit["direction"]
                     swept = [row for row in rows if (row.get("sweep"), row.get("direction")) == (name, direction)]
                     points = tuple((row["x"], row[field]) for row in swept if row.get(field) is not None)
-                    what = f"{_FIGURES[field]}, {direction}" if field != chart[0] else direction
-                    series.append(Series(what, points, fit))
+                    main = field == chart[0]
+                    colour = _COLOURS[sum(one.colour != _GREY for one in series)] if main else _GREY
+                    series.append(Series(direction if main else _FIGURES[field], colour, points, fit))
             if series:
                 title = f"{_FIGURES[chart[0]]}: {sweep.text}"
                 plots[f"sweep-{name}-{chart[0]}.svg"] = lines(title, sweep.x, series, sweep.logarithmic)
@@ -89,19 +92,19 @@ def lines(title: str, x_axis: str, series: Sequence[Series], logarithmic: bool) 
         parts.append(f'<text x="{_CHART_LEFT - 8}" y="{at + 4:.1f}" text-anchor="end">{value:g}</text>')
     middle = (_CHART_LEFT + _WIDTH - _RIGHT) / 2
     parts.append(f'<text x="{middle:.0f}" y="{_HEIGHT - 10}" text-anchor="middle">{escape(x_axis)}</text>')
-    for index, (one, colour) in enumerate(zip(series, _COLOURS, strict=False)):
+    for index, one in enumerate(series):
         left, top = _CHART_LEFT + 390 * (index % 2), 26 + 16 * (index // 2)
         a, b, r2 = (one.fit[name] for name in ("a", "b", "r2"))
         words = f"{one.name}: {a:.3g} + {b:.3g} x, r² = {r2:.3f}"
-        parts.append(f'<rect x="{left}" y="{top}" width="10" height="10" fill="{colour}"/>')
+        parts.append(f'<rect x="{left}" y="{top}" width="10" height="10" fill="{one.colour}"/>')
         parts.append(f'<text x="{left + 14}" y="{top + 9}">{escape(words)}</text>')
         curve = [(x, a + b * x) for x in along.steps]
         seen = [(x, y) for x, y in curve if upwards.low <= y <= upwards.high]
         path = " L".join(f"{along.place(x):.1f} {upwards.place(y):.1f}" for x, y in seen)
         if path:
-            parts.append(f'<path d="M{path}" stroke="{colour}" fill="none" stroke-dasharray="4 3"/>')
+            parts.append(f'<path d="M{path}" stroke="{one.colour}" fill="none" stroke-dasharray="4 3"/>')
         for x, y in one.points:
-            parts.append(f'<circle cx="{along.place(x):.1f}" cy="{upwards.place(y):.1f}" r="3.5" fill="{colour}"/>')
+            parts.append(f'<circle cx="{along.place(x):.1f}" cy="{upwards.place(y):.1f}" r="3.5" fill="{one.colour}"/>')
     return "\n".join([*parts, "</svg>"]) + "\n"
 
 

@@ -86,7 +86,7 @@ class Passed:
 
     Attributes:
         passages: by device and client.
-        seconds: from the first message to the last arrival.
+        seconds: from the order to begin to the last arrival.
         begin, end: what the gateway had used, where there is one.
     """
 
@@ -286,11 +286,13 @@ class Runner:
                 gateway.stall.take_place(idler, plan.extent.seconds, self._rest.wait, self._clock.monotonic_ns)
             sent = sum(program.wait_for("sent", self._limit_s(job))["messages"] for job, program in senders)
             self._wait_for_arrivals([program for _, program in listeners], sent * plan.clients, plan)
-            seconds = (self._clock.monotonic_ns() - begun_ns) / NS_PER_S
             end = Usage.of(gateway.program.pid) if gateway else None
         for _, program in programs:
             program.end()
-        return Passed(_passages(programs), seconds, begin, end)
+        passages = _passages(programs)
+        # not until now: where something is lost, we have waited for it
+        last_ns = max((int(one.received.max()) for one in passages.values() if len(one.received)), default=begun_ns)
+        return Passed(passages, (last_ns - begun_ns) / NS_PER_S, begin, end)
 
     def _wait_for_arrivals(self, listeners: Sequence[Program], sent: int, plan: Plan) -> None:
         large = any(payload(stream.kind).size > _LARGE_BYTES for stream in plan.case.streams) and not plan.case.stalls
@@ -366,12 +368,12 @@ def warm(stream: Stream) -> int:
 def _usage(passed: Passed, arrived: int) -> Row:
     """What the gateway used meanwhile, by all streams together."""
     begin, end = passed.begin, passed.end
-    if begin is None or end is None:
+    if begin is None or end is None or not arrived:
         return {}
     cpu_s = end.cpu_s - begin.cpu_s
     return {
         "gateway_cpu_percent": round(100 * cpu_s / passed.seconds, 1),
-        "gateway_cpu_us_per_message": round(1e6 * cpu_s / arrived, 1) if arrived else None,
+        "gateway_cpu_us_per_message": round(1e6 * cpu_s / arrived, 1),
         "recorder_cpu_percent": round(100 * (end.children_cpu_s - begin.children_cpu_s) / passed.seconds, 1),
         "gateway_rss_mb": round(end.rss_mb, 1),
         "gateway_rss_growth_mb": round(end.rss_mb - begin.rss_mb, 1),

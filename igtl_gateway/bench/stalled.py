@@ -39,9 +39,10 @@ class Stall:
         self.resumed_ns = now()
 
     def note(self, event: Event) -> None:
-        """An event of the gateway's: some say what was dropped on a link so far."""
-        if dropped := event.get("data", {}).get("dropped"):
-            self.dropped |= {(event["links"][0], stream): number for stream, number in dropped.items()}
+        """An event of the gateway's: some say what was dropped on a link so far; without a link it is the recorder."""
+        for link in event.get("links", ()):
+            dropped = event["data"].get("dropped", {})
+            self.dropped |= {(link, stream): number for stream, number in dropped.items()}
 
     def told(self, what: Stream, passage: Passage) -> dict[str, Any]:
         """Of one stream to the client that stopped: what was sent after it went on, and what of that arrived."""

@@ -121,22 +121,34 @@ SWEEPS: dict[str, Sweep] = {
 
 
 def fits(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """For each sweep, direction and figure: the line ``a + b x`` with the least squares, and how much it explains."""
+    """For each sweep, direction and figure: the line ``a + b x`` with the least squares, and how much it explains.
+
+    The floor is that of both directions, and told once.
+    """
     told = []
     for name, sweep in SWEEPS.items():
+        floors = 0
         for direction in Direction:
             swept = [row for row in rows if (row.get("sweep"), row.get("direction")) == (name, direction.value)]
-            for field in (field for chart in sweep.charts for field in chart):
-                points = [(row["x"], row[field]) for row in swept if row.get(field) is not None]
-                if len(points) > 1:
-                    told.append({"sweep": name, "direction": direction.value, "figure": field} | line(points))
+            for figure in (figure for chart in sweep.charts for figure in chart):
+                points = [(row["x"], row[figure]) for row in swept if row.get(figure) is not None]
+                floors += figure == _FLOOR and bool(points)
+                if len(points) > 1 and (figure != _FLOOR or floors == 1):
+                    of = {"sweep": name, "direction": direction.value, "figure": figure}
+                    told.append(of | line(points, relative=sweep.logarithmic))
     return told
 
 
-def line(points: Sequence[tuple[float, float]]) -> dict[str, float]:
-    """``a``, ``b`` and ``r2`` of points; where all are at one height, ``r2`` is 1."""
+def line(points: Sequence[tuple[float, float]], relative: bool = False) -> dict[str, float]:
+    """``a``, ``b`` and ``r2`` of points; where all are at one height, ``r2`` is 1.
+
+    Args:
+        points: x and y.
+        relative: what is as small as possible are the squares of relative differences: else the largest sizes alone
+            would say where the line is.
+    """
     x, y = np.array(points, np.float64).T
-    b, a = np.polyfit(x, y, 1)
+    b, a = np.polyfit(x, y, 1, w=1 / y if relative else None)
     spread = float(((y - y.mean()) ** 2).sum())
     rest = float(((y - a - b * x) ** 2).sum())
     r2 = 1 - rest / spread if spread > _FLAT * float((y**2).sum()) else 1.0

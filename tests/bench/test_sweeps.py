@@ -18,6 +18,7 @@ def test_a_line_through_points() -> None:
     assert line([(0, 1), (10, 3), (20, 5)]) == {"a": 1.0, "b": 0.2, "r2": 1.0}
     bent = line([(0, 0), (1, 1), (2, 4), (3, 9)])
     assert 0.8 < bent["r2"] < 1 and bent["b"] == pytest.approx(3)
+    assert line([(1, 1), (2, 1), (100, 200), (200, 100)], relative=True)["a"] < 2  # where it is small it must fit
     assert line([(1, 2), (5, 2)])["r2"] == 1  # flat, and no more than that
 
 
@@ -45,6 +46,7 @@ def test_what_was_swept_is_drawn_with_its_lines() -> None:
         for way in Direction
     ]
     found = fits(rows)
+    assert len(found) == 2 + 1 + 4
     assert {(fit["sweep"], fit["figure"]): fit["b"] for fit in found} == {
         ("payload", "p50_ms"): 1e-6,
         ("payload", "floor_p50_ms"): 5e-7,
@@ -58,5 +60,5 @@ def test_what_was_swept_is_drawn_with_its_lines() -> None:
         "sweep-streams-p50_ms.svg",
     ]
     payloads = ElementTree.fromstring(plots["sweep-payload-p50_ms.svg"])
-    assert len(list(payloads.iter(f"{SVG}circle"))) == 2 * 2 * 3
+    assert len(list(payloads.iter(f"{SVG}circle"))) == 3 * 3  # two directions, one floor
     assert any("r² = 1.000" in str(text.text) for text in payloads.iter(f"{SVG}text"))
