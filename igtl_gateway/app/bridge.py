@@ -26,7 +26,7 @@ from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import Limits, TcpEdge
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError
-from igtl_gateway.gateway import LINKS_TOPIC, Gateway, Session, gateway_of
+from igtl_gateway.gateway import LINKS_TOPIC, LISTENED, Gateway, Session, gateway_of
 from igtl_gateway.gateway.tf_out import TF_QOS
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
@@ -131,6 +131,7 @@ class Bridge:
                 on_message=self._from_ros,
                 wants=self.wanted,
                 on_note=self._on_edge_note,
+                on_listener=self._on_listener,
             )
             if isinstance(self.gateway, Gateway) and not (viewer or options.record):
                 self.gateway.heard = self._heard
@@ -229,6 +230,11 @@ class Bridge:
     def _heard(self, topic: str, ros_type: str) -> bool:
         """Whether a message to ROS is of use to anybody, we ourselves included."""
         return ros_type in _OWN_USE or self.ros is None or self.ros.heard(topic)
+
+    def _on_listener(self, topic: str) -> None:
+        """Somebody listens: let what was not made for nobody be made."""
+        if isinstance(self.gateway, Gateway) and self.gateway.heard:
+            self.hub.note(Note(Level.INFO, LISTENED, f"somebody listens to {topic}", topic))
 
     def _tick(self) -> None:
         """Keep the gateway's deadlines."""

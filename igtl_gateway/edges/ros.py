@@ -27,7 +27,7 @@ import re
 import subprocess
 import sys
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -53,6 +53,7 @@ _CDR_HEADER = 4
 
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv)/([A-Z][A-Za-z0-9]*)")
 
+_LISTENED = 10_000  # matches not told of yet: at most those of a quarter of a second
 _CALLS_AT_ONCE = 8  # of services; a call may wait for a peer
 _CALLS_WAITING = 100  # of each service; one that is pushed out of DDS's queue is never answered
 
@@ -102,6 +103,8 @@ class RosEdge:
         wants: asked for every topic and type that others publish, until it answers: the QoS to subscribe with,
             else None.  Reliability and durability are weakened to what all publishers offer.
         on_note: called with facts (subscribed, unknown type, losses …), from any thread.
+        on_listener: called with the topic when somebody begins to listen to what we publish, within a quarter of a
+            second.
         direct: receive by our own wait set; False (or an rclpy without its internals) by the executor.
     """
 
@@ -113,6 +116,7 @@ class RosEdge:
         on_message: OnMessage,
         wants: Wants,
         on_note: OnNote,
+        on_listener: Callable[[str], None] | None = None,
         direct: bool = True,
     ) -> None:
         self._node_name = node_name
@@ -120,6 +124,8 @@ class RosEdge:
         self._on_message = on_message
         self._wants = wants
         self._on_note = on_note
+        self._on_listener = on_listener
+        self._listened: deque[str] = deque(maxlen=_LISTENED)  # topics to be told of
         self._direct = direct
         # The stamps of DDS are compared with it, so no other clock would do.
         self._clock = SystemClock()
@@ -291,7 +297,7 @@ class RosEdge:
     def heard(self, topic: str) -> bool:
         """Whether a message published now might reach anybody: cheap, and exact once discovery is through.
 
-        True, too, while subscribers are waited for, and of topics whose last message is kept for those that come.
+        True, too, while subscribers are waited for.  ``on_listener`` tells of those that come later.
         """
         writer = self._writers.get(topic)
         return writer is None or writer.heard
@@ -353,7 +359,7 @@ class RosEdge:
     def _make_writer(self, node: Any, topic: str, type_name: str, qos: Qos) -> Writer:
         events = self._rclpy.event_handler.PublisherEventCallbacks(
             incompatible_qos=lambda event: self._note_incompatible(topic, "a subscriber", event),
-            matched=lambda _event: self._on_matched(),
+            matched=lambda event: self._on_matched(topic, event.current_count_change),
             use_default_callbacks=False,
         )
         publisher = node.create_publisher(_interface(type_name), topic, self._profile(qos), event_callbacks=events)
@@ -540,6 +546,7 @@ class RosEdge:
                     text = f"looking at the graph: {first_line(error)}"
                     self._note_once(Level.ERROR, "ros_callback_failed", text, "graph")
                 self._poll_events()
+                self._tell_of_listeners()
                 self._note_losses()
             bursting = self._release()
             with self._matched:
@@ -559,7 +566,14 @@ class RosEdge:
         except Exception as error:  # of one callback, or of rclpy internals that have changed
             self._note_once(Level.ERROR, "ros_callback_failed", f"events: {first_line(error)}", "events")
 
-    def _on_matched(self) -> None:
+    def _tell_of_listeners(self) -> None:
+        """Not under our lock, which those that we tell may need in another thread."""
+        while self._on_listener and self._listened:
+            self._on_listener(self._listened.popleft())
+
+    def _on_matched(self, topic: str, change: int) -> None:
+        if change > 0 and self._on_listener:
+            self._listened.append(topic)
         self._wake.set()
         with self._matched:
             self._matched.notify_all()

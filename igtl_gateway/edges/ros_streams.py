@@ -186,8 +186,8 @@ class Writer:
 
     @property
     def heard(self) -> bool:
-        """Whether a message might reach anybody: now, or, where it waits or is kept, later."""
-        return not self.ready or self.qos.latched or self.publisher.get_subscription_count() > 0
+        """Whether a message might reach anybody: now, or, where it waits, later."""
+        return not self.ready or self.publisher.get_subscription_count() > 0
 
     def send(self, cdr: bytes, clock: Clock) -> str:
         """Hand over to the middleware; returns what went wrong, or ``""``."""

@@ -5,7 +5,7 @@ inputs alone, so that the same inputs with the same configuration give the same 
 in a verification.  ``Session`` adds the numbering and is the door that all three come through.
 """
 
-from igtl_gateway.gateway.core import LINK_DOWN, LINK_UP, LINKS_TOPIC, TICK, Gateway
+from igtl_gateway.gateway.core import LINK_DOWN, LINK_UP, LINKS_TOPIC, LISTENED, TICK, Gateway
 from igtl_gateway.gateway.relay import PARTNER, RelayGateway, gateway_of
 from igtl_gateway.gateway.session import Session, stream_name
 
@@ -13,6 +13,7 @@ __all__ = [
     "LINKS_TOPIC",
     "LINK_DOWN",
     "LINK_UP",
+    "LISTENED",
     "PARTNER",
     "TICK",
     "Gateway",

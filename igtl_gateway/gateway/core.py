@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -57,6 +57,9 @@ LINK_UP, LINK_DOWN = "link_up", "link_down"
 #: Code of the edge notes that tell the gateway that ``due_ns`` has come.
 TICK = "tick"
 
+#: Code of the edge notes that tell, where ``Gateway.heard`` is asked, that somebody began to listen to ``stream``.
+LISTENED = "listened"
+
 #: Who is connected, for ROS.
 LINKS_TOPIC = "/igtl/links"
 _LINKS_QOS = Qos(depth=10, latched=True)
@@ -85,7 +88,8 @@ class Gateway:
     """See the package.
 
     ``heard``, where it is set, says of a topic and its ROS type whether anybody listens: what nobody would hear is not
-    made then.  It is no input, so sessions that are recorded leave it unset: they make, and hold, everything.
+    made then, and of latched topics only the last message, for the first listener (``LISTENED``).  It is no input, so
+    sessions that are recorded leave it unset: they make, and hold, everything.
     """
 
     def __init__(self, config: Config) -> None:
@@ -95,6 +99,8 @@ class Gateway:
         self._peers = Peers(config)
         self._streams = Streams(config)
         self.plans = Plans()
+        # latched topic → what its last message is to be made of, once somebody listens; as many as there are topics
+        self._unmade: dict[str, tuple[Entry, RosRow, object, ToRos]] = {}
         self._latest: dict[str, Entry] = {}  # topic → its last message; as many as there are bridged topics
         self._volumes: dict[str, VolumeAssembler] = {}  # device → the volume that its updates are part of
         self._frames: set[str] = set()  # frame ids of what went out
@@ -261,17 +267,20 @@ class Gateway:
         for row, topic in outputs:
             if not row.applies(content):
                 continue
-            if self._is_heard(topic, row.message.TYPE):
-                try:
-                    converted = row.convert(content, to)
-                except ConversionError as error:
-                    refused.append((row, error))
-                    continue
-            else:
-                converted = []
+            if not self._is_heard(topic, row.message.TYPE):
+                full = full or row.role is Role.FULL
+                qos = self._streams.qos(topic)
+                if qos and qos.latched:
+                    self._unmade[topic] = entry, row, content, to
+                continue
+            try:
+                messages = _made(row, content, to)
+            except ConversionError as error:
+                refused.append((row, error))
+                continue
             full = full or row.role is Role.FULL
-            for message in converted if isinstance(converted, list) else (converted,):
-                to.made[message.TYPE] = message
+            self._unmade.pop(topic, None)
+            for message in messages:
                 replies.append(self._published(topic, message, to.stamp_ns))
                 if self._tf and isinstance(message, TFMessage):
                     frames += self._send_frames(entry, message, static=False)
@@ -749,8 +758,22 @@ class Gateway:
         told = Note.unpack(entry.data())
         if told.code == TICK:
             return self._on_tick(entry)
+        if told.code == LISTENED:
+            return self._make(told.stream)
         self.ledger.count("edges", told.stream, told.code)
         return []
+
+    def _make(self, topic: str) -> list[Reply]:
+        """The last message of a latched topic, for the first who listens to it."""
+        entry, row, content, to = self._unmade.pop(topic, (None, None, None, None))
+        if entry is None or row is None or to is None:
+            return []
+        try:
+            messages = _made(row, content, to)
+        except ConversionError as error:
+            text = f"not published as {row.message.TYPE}: {error}"
+            return [note(Level.ERROR, "conversion", text, entry.channel, entry.links)]
+        return [self._published(topic, message, to.stamp_ns) for message in messages]
 
     def _on_tick(self, entry: Entry) -> list[Reply]:
         """Do what is due: give up commands that nobody answered, ping peers that want to be."""
@@ -787,6 +810,14 @@ class Gateway:
     def _warnings(self, warnings: list[tuple[str, str]], entry: Entry) -> list[Reply]:
         """Notes for what a conversion had to bend, once for each stream and cause."""
         return [reply for code, text in warnings for reply in self._once(entry, Level.WARN, code, text, entry.channel)]
+
+
+def _made(row: RosRow, content: object, to: ToRos) -> Sequence[RosMessage]:
+    """What a row makes of a content; other rows may look at it.  Raises ConversionError."""
+    converted = row.convert(content, to)
+    messages = converted if isinstance(converted, list) else [converted]
+    to.made.update((message.TYPE, message) for message in messages)
+    return messages
 
 
 @lru_cache(maxsize=1_024)  # asked for every message

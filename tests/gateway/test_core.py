@@ -13,9 +13,11 @@ from igtl_gateway.convert import plans, rosmsg
 from igtl_gateway.convert.igtl_msgs import RawMessage, VideoFrame, Volume
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.gateway import LISTENED
 from igtl_gateway.gateway.metadata import FULL_NAME
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Item, Message, Raw, decode, encode
 from igtl_gateway.wire.bind import Bind, Child
@@ -482,3 +484,33 @@ def test_a_defect_of_ours_costs_one_message(monkeypatch: pytest.MonkeyPatch) -> 
     assert script.igtl(TRANSFORM) == ["note internal_error"]
     monkeypatch.undo()
     assert script.igtl(TRANSFORM) == ["ros /igtl/in/ProbeToTracker/transform"]
+
+
+# -- what nobody hears --------------------------------------------------------------------------------------------
+
+
+def test_where_nobody_is_to_be_shown_it_only_what_is_heard_is_made() -> None:
+    script = Script(news=True)
+    heard = {"/igtl/in/ProbeToTracker/transform"}
+    script.gateway.heard = lambda topic, _type: topic in heard
+    script.igtl(TRANSFORM)
+    assert [entry.channel for entry in script.last if entry.kind is Kind.ROS_OUT] == list(heard)
+    heard.clear()
+    script.igtl(TRANSFORM)
+    assert script.last == []
+    counts = script.gateway.ledger.to_dict()["igtl_in"]["TRANSFORM/ProbeToTracker"]
+    assert counts == {"received": 2, "decoded": 2, "converted": 1, "unheard": 1}
+
+
+def test_who_listens_late_to_a_latched_topic_gets_its_last_message() -> None:
+    script = Script()
+    script.gateway.heard = lambda _topic, _type: False
+    for x in (1.0, 2.0):
+        assert (
+            script.igtl(Message("POINT", "Landmarks", Points.of(np.array([[x, 0.0, 0.0]])), ns_to_ticks(T0_NS))) == []
+        )
+    listened = Note(Level.INFO, LISTENED, "", "/igtl/in/Landmarks/points")
+    assert script.feed(Kind.EDGE_NOTE, (listened.pack(),)) == ["ros /igtl/in/Landmarks/points"]
+    cloud = rosmsg.PointCloud2.unpack(script.last[0].data())
+    assert np.frombuffer(cloud.data, "<f4")[0] == np.float32(0.002)
+    assert script.feed(Kind.EDGE_NOTE, (listened.pack(),)) == []
