@@ -20,6 +20,7 @@ class Bound:
         cases: patterns, one of which the name of the case matches.
         stream: pattern for what was sent.
         flood: for floods (True), for what has a rate (False), for both (None).
+        recording: the same, for what was measured with a recording.
     """
 
     field: str
@@ -28,6 +29,7 @@ class Bound:
     stream: str = "*"
     least: bool = False
     flood: bool | None = None
+    recording: bool | None = None
 
     @property
     def text(self) -> str:
@@ -42,6 +44,7 @@ class Bound:
             any(fnmatch(row["case"], case) for case in self.cases)
             and fnmatch(row.get("stream", row["case"]), self.stream)
             and self.flood in (None, row["rate_hz"] is None)
+            and self.recording in (None, row.get("recording", False))
         )
 
 
@@ -62,7 +65,7 @@ BOUNDS: Sequence[Bound] = (
     Bound("recording_p50_ratio", 1.10),
     Bound("recording_p99_ratio", 1.25),
     Bound("recorder_dropped", 0),
-    Bound("gateway_rss_peak_mb", 400, ("stalled-client",)),
+    Bound("gateway_rss_peak_mb", 400, ("stalled-client",), recording=False),
     Bound("lost after resume", 0, ("stalled-client",), stream="transform"),
 )
 

@@ -26,8 +26,8 @@ _WARM_S, _WARM_MOST, _WARM_FLOOD = 0.5, 200, 20
 _START_S = 120.0  # a first start compiles igtl_msgs
 _HEARD_S = 60.0
 _LOOK_S = 0.25
-#: Nothing more arrives after so long a silence.
-_SILENCE_S = 3.0
+#: Nothing more arrives after so long a silence: what DDS has to send again may wait for a heartbeat, every 3 s.
+_SILENCE_S = 8.0
 _LARGE_SILENCE_S, _LARGE_BYTES = 20.0, 4 << 20
 #: Messages that the floor is measured with, at most: its median is all that is used; and for how long in a flood.
 _FLOOR_COUNT, _FLOOR_FLOOD_S = 300, 3.0

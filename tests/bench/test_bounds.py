@@ -30,6 +30,7 @@ def test_a_flood_is_judged_by_its_rate() -> None:
 def test_of_the_client_that_stopped_only_what_came_after_counts() -> None:
     after = {"sent_after_resume": 5, "delivered_after_resume": 4, "gateway_rss_peak_mb": 300.0}
     found = judged(row("stalled-client", 100.0, stream="transform", delivered=2, **after))["bounds"]
+    assert "gateway_rss_peak_mb <= 400" not in judged(row("stalled-client", recording=True, **after))["bounds"]
     assert found == {"gateway_rss_peak_mb <= 400": True, "lost after resume <= 0": False}
 
 
