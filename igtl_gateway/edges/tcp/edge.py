@@ -168,8 +168,8 @@ class TcpEdge:
     ) -> None:
         """`send` several messages, each with its stream, none to be dropped: small ones go in one system call.
 
-        Where ``send`` waits for room in the queue, this waits for room in the kernel for small ones, until ``hurry``
-        says that there is no time for that; what finds no room in the queue either is then not taken.
+        Where ``send`` waits for room in the queue, this waits for room in the kernel, until ``hurry`` says that there
+        is no time for that; what finds no room in the queue either is then not taken.
         """
         run: list[bytes] = []
         streams: list[str] = []
@@ -178,18 +178,22 @@ class TcpEdge:
                 run.append(join(buffers))
                 streams.append(stream)
             else:
-                self._send_run(links, run, streams, hurry)
+                self._send_run(links, b"".join(run), list(accumulate(map(len, run))), streams, hurry)
                 run, streams = [], []
-                self.send(links, buffers, stream, True)
-        self._send_run(links, run, streams, hurry)
+                data = memoryview(buffers[0]).cast("B") if len(buffers) == 1 else join(buffers)
+                self._send_run(links, data, [len(data)], [stream], hurry)
+        self._send_run(links, b"".join(run), list(accumulate(map(len, run))), streams, hurry)
 
     def _send_run(
-        self, links: Sequence[int], messages: Sequence[bytes], streams: Sequence[str], hurry: Callable[[], bool]
+        self,
+        links: Sequence[int],
+        data: Part,
+        ends: Sequence[int],
+        streams: Sequence[str],
+        hurry: Callable[[], bool],
     ) -> None:
-        if not messages:
+        if not ends:
             return
-        data = b"".join(messages)
-        ends = list(accumulate(map(len, messages)))
         waits = self._blocking and not self._loop.inside()
         for number in links:
             link = self._links.get(number)

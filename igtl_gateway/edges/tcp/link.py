@@ -117,7 +117,7 @@ class Link:
                 poll.poll(_BLOCKED_POLL_MS)
 
     def send_run(
-        self, data: bytes, ends: Sequence[int], streams: Sequence[str], waits: bool, hurry: Callable[[], bool]
+        self, data: Part, ends: Sequence[int], streams: Sequence[str], waits: bool, hurry: Callable[[], bool]
     ) -> int:
         """Send or queue messages that stand one behind the other, none to be dropped: how many the link took.
 

@@ -336,7 +336,7 @@ def test_several_messages_go_together(world: World, ends: str) -> None:
     peer = world.peer(port, 4096)
     assert edge.wait_links(1, DEADLINE_S)
     hurry = threading.Event()
-    sizes = [4000 if number % 100 else 20_000 for number in range(6000)]
+    sizes = [4000 if number % 100 else 200_000 for number in range(3000)]
     messages = [message(number, size) for number, size in enumerate(sizes)]
 
     def replay() -> None:
