@@ -25,6 +25,8 @@ _SIZE = _HEAD.size + _MATRIX.size + _SUB.size
 SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8"}
 BIG_ENDIAN, LITTLE_ENDIAN = 1, 2
 RAS, LPS = 1, 2
+_COORDINATES = (RAS, LPS)
+_ITEM_SIZES = {scalar: np.dtype(name).itemsize for scalar, name in SCALARS.items()}
 _ORDER = {BIG_ENDIAN: ">", LITTLE_ENDIAN: "<"}
 
 Triple = tuple[int, int, int]
@@ -105,27 +107,37 @@ class Image:
 
     def check(self) -> None:
         """Raises MalformedBody where fields contradict each other or the pixels."""
-        for place, found, expected, good in (
-            ("offset 2, components", self.num_components, "1 or more", self.num_components >= 1),
-            ("offset 3, scalar type", self.scalar_type, f"one of {sorted(SCALARS)}", self.scalar_type in SCALARS),
-            ("offset 4, endian", self.endian, "1 (big) or 2 (little)", self.endian in _ORDER),
-            ("offset 5, coordinate system", self.coordinate, "1 (RAS) or 2 (LPS)", self.coordinate in (RAS, LPS)),
+        if not (
+            self.num_components >= 1
+            and self.scalar_type in SCALARS
+            and self.endian in _ORDER
+            and self.coordinate in _COORDINATES
         ):
-            if not good:
-                raise MalformedBody(f"IMAGE content, {place}", found, expected)
+            self._refuse()
         for axis, offset, size, full in zip("ijk", self.subvol_offset, self.sub_size, self.dimensions, strict=True):
             if offset + size > full:
                 raise MalformedBody(
                     f"IMAGE content, sub-volume along {axis}", f"{offset} + {size}", f"at most {full}, the full size"
                 )
-        size = memoryview(self.pixels).nbytes
-        if size != self.expected_bytes:
-            raise MalformedBody("IMAGE pixels", f"{size} bytes", f"{self.expected_bytes} bytes for {self.sub_size}")
+        found, expected = memoryview(self.pixels).nbytes, self.expected_bytes
+        if found != expected:
+            raise MalformedBody("IMAGE pixels", f"{found} bytes", f"{expected} bytes for {self.sub_size}")
+
+    def _refuse(self) -> None:
+        """Raises MalformedBody for the first field that is not one of its values."""
+        for place, found, expected, good in (
+            ("offset 2, components", self.num_components, "1 or more", self.num_components >= 1),
+            ("offset 3, scalar type", self.scalar_type, f"one of {sorted(SCALARS)}", self.scalar_type in SCALARS),
+            ("offset 4, endian", self.endian, "1 (big) or 2 (little)", self.endian in _ORDER),
+            ("offset 5, coordinate system", self.coordinate, "1 (RAS) or 2 (LPS)", self.coordinate in _COORDINATES),
+        ):
+            if not good:
+                raise MalformedBody(f"IMAGE content, {place}", found, expected)
 
     @property
     def expected_bytes(self) -> int:
         """Bytes of the pixels that the fields announce."""
-        return math.prod(self.sub_size) * self.num_components * np.dtype(SCALARS[self.scalar_type]).itemsize
+        return math.prod(self.sub_size) * self.num_components * _ITEM_SIZES[self.scalar_type]
 
     def pack(self) -> list[Buffer]:
         self.check()
