@@ -71,8 +71,8 @@ BOUNDS: Sequence[Bound] = (
 
 
 def judged(row: Row) -> Row:
-    """A row of a measurement with its ``bounds``: what should be → whether it is."""
-    if not row.get("direction"):
+    """A row of a measurement, with our own programs, with its ``bounds``: what should be → whether it is."""
+    if not row.get("direction") or row.get("peer"):
         return row
     values = derived(row)
     found = {
