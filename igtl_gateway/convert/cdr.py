@@ -145,18 +145,24 @@ def _two_texts(offset: int, first: str, second: str) -> bytes:
 _two_names = lru_cache(maxsize=4_096)(_two_texts)
 
 
+@lru_cache(maxsize=256)
+def _layout(order: str, layout: str) -> struct.Struct:
+    return struct.Struct(order + layout)
+
+
 class Reader:
     """Reads fields in the order of the message definition from CDR bytes (either byte order).
 
     Raises ConversionError where the bytes end too early or a length is impossible.
     """
 
-    __slots__ = ("_data", "_offset", "_order", "_type")
+    __slots__ = ("_data", "_offset", "_order", "_size", "_type")
 
     def __init__(self, data: Buffer, type_name: str) -> None:
         self._data = memoryview(data)
+        self._size = self._data.nbytes
         self._type = type_name
-        if self._data.nbytes < _HEADER_SIZE or self._data[0] != 0 or self._data[1] not in (0, 1):
+        if self._size < _HEADER_SIZE or self._data[0] != 0 or self._data[1] not in (0, 1):
             raise ConversionError(
                 f"{type_name}: found encapsulation {bytes(self._data[:4]).hex() or 'nothing'}, "
                 "expected 0000 (big-endian CDR) or 0001 (little-endian CDR)"
@@ -166,19 +172,19 @@ class Reader:
 
     def _take(self, size: int, align: int) -> int:
         """Offset of the next ``size`` bytes, aligned; moves behind them."""
-        offset = self._offset + (-(self._offset - _HEADER_SIZE) % align)
+        offset = self._offset + (_HEADER_SIZE - self._offset) % align
         end = offset + size
-        if end > self._data.nbytes:
+        if end > self._size:
             raise ConversionError(
-                f"{self._type}: CDR ends at byte {self._data.nbytes}, expected {size} more bytes at offset {offset}"
+                f"{self._type}: CDR ends at byte {self._size}, expected {size} more bytes at offset {offset}"
             )
         self._offset = end
         return offset
 
     def unpack(self, layout: str, align: int) -> tuple[Any, ...]:
         """Fixed fields without padding between them (``layout`` as in ``struct``, without byte order)."""
-        layout = self._order + layout
-        return struct.unpack_from(layout, self._data, self._take(struct.calcsize(layout), align))
+        packing = _layout(self._order, layout)
+        return packing.unpack_from(self._data, self._take(packing.size, align))
 
     def u8(self) -> int:
         return self._data[self._take(1, 1)]
@@ -187,7 +193,8 @@ class Reader:
         return self.u8() != 0
 
     def u32(self) -> int:
-        return int(self.unpack("I", 4)[0])
+        (value,) = _layout(self._order, "I").unpack_from(self._data, self._take(4, 4))
+        return value  # type: ignore[no-any-return]
 
     def i32(self) -> int:
         return int(self.unpack("i", 4)[0])

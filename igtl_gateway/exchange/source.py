@@ -15,13 +15,10 @@ from typing import Protocol
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import DamagedRecording, GatewayError
-from igtl_gateway.gateway import LINK_DOWN, LINK_UP, stream_name
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP, head_of
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import ticks_to_ns
-from igtl_gateway.wire import Header
-from igtl_gateway.wire.fields import visible
 
 MESSAGES, BYTES = "messages", "bytes"
 
@@ -126,9 +123,8 @@ def numbered(items: Iterable[Item]) -> Iterator[Entry]:
 
 def from_peer(time_ns: int, link: int, message: Buffer) -> Item:
     """A message of an OpenIGTLink peer, named and stamped by its header."""
-    header = Header.unpack(message)
-    source_ns = ticks_to_ns(header.ticks)
-    return Item(time_ns, Kind.IGTL_IN, message, stream_name(header), visible(header.type), (link,), source_ns)
+    stream, igtl_type, source_ns = head_of(message)
+    return Item(time_ns, Kind.IGTL_IN, message, stream, igtl_type, (link,), source_ns)
 
 
 def link_up(time_ns: int, link: int, facts: dict[str, str]) -> Item:

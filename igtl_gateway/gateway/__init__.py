@@ -7,7 +7,7 @@ in a verification.  ``Session`` adds the numbering and is the door that all thre
 
 from igtl_gateway.gateway.core import LINK_DOWN, LINK_UP, LINKS_TOPIC, LISTENED, TICK, Gateway
 from igtl_gateway.gateway.relay import PARTNER, RelayGateway, gateway_of
-from igtl_gateway.gateway.session import Session, stream_name
+from igtl_gateway.gateway.session import Session, head_of
 
 __all__ = [
     "LINKS_TOPIC",
@@ -20,5 +20,5 @@ __all__ = [
     "RelayGateway",
     "Session",
     "gateway_of",
-    "stream_name",
+    "head_of",
 ]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
+from functools import lru_cache
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.gateway.core import Gateway
@@ -10,8 +12,10 @@ from igtl_gateway.gateway.plans import NAMES, Plans
 from igtl_gateway.gateway.relay import RelayGateway
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.stamp import ticks_to_ns
-from igtl_gateway.wire import Header
+from igtl_gateway.wire import HEADER_SIZE, Header
 from igtl_gateway.wire.fields import visible
+
+_TICKS, _TICKS_AT = struct.Struct(">Q"), 34
 
 
 class Session:
@@ -44,9 +48,7 @@ class Session:
             self._seq, self._stamp_ns = entries[-1].seq, entries[-1].stamp_ns
             return entries
         if kind is Kind.IGTL_IN:
-            header = Header.unpack(payload[0])
-            channel, type_name = stream_name(header), visible(header.type)
-            source_ns = ticks_to_ns(header.ticks)
+            channel, type_name, source_ns = head_of(payload[0])
         entry = Entry(
             self._seq + 1,
             stamp_ns,
@@ -88,6 +90,20 @@ class Session:
         return entries
 
 
-def stream_name(header: Header) -> str:
-    """``TYPE/device`` of an OpenIGTLink header, as people read it."""
-    return f"{visible(header.type)}/{visible(header.device_name)}"
+def head_of(message: Buffer) -> tuple[str, str, int]:
+    """What the header of an OpenIGTLink message names: stream, type, and its stamp in UTC ns.
+
+    Raises TruncatedMessage below 58 bytes.
+    """
+    if len(message) < HEADER_SIZE:
+        Header.unpack(message)  # which says what is wrong
+    stream, igtl_type = _named(bytes(message[NAMES]))
+    (ticks,) = _TICKS.unpack_from(message, _TICKS_AT)
+    return stream, igtl_type, ticks_to_ns(ticks)
+
+
+@lru_cache(maxsize=4_096)
+def _named(names: bytes) -> tuple[str, str]:
+    """Stream and type of the first bytes of a header: the same come again and again."""
+    header = Header.unpack(names.ljust(HEADER_SIZE, b"\0"))
+    return f"{visible(header.type)}/{visible(header.device_name)}", visible(header.type)
