@@ -90,12 +90,15 @@ HOMES: dict[str, tuple[str, ...]] = {
     "uuid": (),
     # Libraries
     "av": ("edges.video",),
-    "fastcrc": ("wire",),
+    "fastcrc": ("wire", "record.mcap_stream", "replay.chunks"),
+    "lz4": ("record.mcap_stream",),
     "pyigtl": ("bench.pyigtl_side",),  # somebody else's peer
     "mcap": (
         "exchange",
         "record.mcap_copy",
+        "record.mcap_stream",
         "record.mcap_writer",
+        "replay.chunks",
         "replay.lookup",
         "replay.mcap_reader",
         "replay.salvage",
@@ -120,7 +123,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
     "rosbags": ("exchange", "record.rostypes", "replay", "cli"),
     "ruamel": ("exchange.rosbag2",),  # brought by rosbags, as zstandard is by mcap
-    "zstandard": ("exchange.rosbag2",),
+    "zstandard": ("exchange.rosbag2", "record.mcap_stream"),
 }
 
 #: What the levels up to the gateway may not use, on top: the environment, other threads, other processes.

@@ -57,8 +57,8 @@ from igtl_gateway.wire.video import Video
 _STATES = Qos(depth=2000)
 #: Texts are few and each counts.
 _TEXTS = Qos(depth=100)
-#: Old pictures are worth nothing to a reader that lags, and cost megabytes each: a third of a second at 30 Hz.
-_PICTURES = Qos(depth=10)
+#: Old pictures are worth nothing to a reader that lags, and cost megabytes each: a fifth of a second at 30 Hz.
+_PICTURES = Qos(depth=6)
 #: Clouds are smaller: a second at 30 Hz.
 _CLOUDS = Qos(depth=30)
 #: Plans and surfaces are sent once and wanted by whoever comes later.

@@ -14,7 +14,9 @@ from typing import Any, Protocol
 
 #: Fields of the events of rclpy that say how much is new; an event that is polled without news has zeros.
 _CHANGES = ("total_count_change", "current_count_change")
-_TAKE_AT_MOST = 32  # messages of one topic before the next topic has its turn
+# One topic before the next has its turn: so many messages, or one that is as large as a picture.
+_TAKE_AT_MOST = 32
+_TAKE_BYTES = 256 * 2**10
 
 OnError = Callable[[Exception], None]
 
@@ -100,8 +102,8 @@ class DirectReceiver:
         """Whether this rclpy has what the class needs."""
         implementation = rclpy.impl.implementation_singleton.rclpy_implementation
         needed = {
-            "WaitSet": ("clear_entities", "add_subscription", "add_guard_condition", "wait", "is_ready"),
-            "Subscription": ("take_message",),
+            "WaitSet": ("clear_entities", "add_subscription", "add_guard_condition", "wait", "get_ready_entities"),
+            "Subscription": ("take_message", "pointer"),
         }
         return all(
             hasattr(getattr(implementation, name, None), method)
@@ -134,27 +136,32 @@ class DirectReceiver:
 
     def _run(self) -> None:
         sources: list[tuple[Any, Any, Callable[..., None]]] = []
+        by_pointer: dict[int, tuple[Any, Any, Callable[..., None]]] = {}
         wait_set = None
         while not self._stopping:
             if wait_set is None or sources is not self._sources:
                 sources = self._sources
                 wait_set = self._implementation.WaitSet(len(sources), 1, 0, 0, 0, 0, self._context.handle)
+                by_pointer = {source[0].pointer: source for source in sources}
             wait_set.clear_entities()
             wait_set.add_guard_condition(self._wake.handle)
             for handle, _, _ in sources:
                 wait_set.add_subscription(handle)
             wait_set.wait(-1)  # lets go of the GIL
-            for index, (handle, message_type, callback) in enumerate(sources):
-                if wait_set.is_ready("subscription", index):
-                    try:
-                        self._take(handle, message_type, callback)
-                    except Exception as error:  # the middleware refuses one topic: the others go on
-                        self._on_error(error)
+            for pointer in wait_set.get_ready_entities("subscription"):
+                try:
+                    self._take(*by_pointer[pointer])
+                except Exception as error:  # the middleware refuses one topic: the others go on
+                    self._on_error(error)
 
     def _take(self, handle: Any, message_type: Any, callback: Callable[..., None]) -> None:
         # What is left after a turn makes the next wait return at once, so every topic comes to its turn.
+        size = 0
         for _ in range(_TAKE_AT_MOST):
             taken = handle.take_message(message_type, True)
             if taken is None or self._stopping:
                 return
             callback(*taken)
+            size += len(taken[0])
+            if size > _TAKE_BYTES:
+                return
