@@ -15,6 +15,8 @@ verification use what was in force that day.
     publish_tf = true              # poses appear on /tf too
     command_timeout_s = 5.0        # a COMMAND without a reply is given up
     relay = false                  # true: no bridge; peers and a server talk through us, bytes unchanged
+    deny_in = []                   # types that peers may not send, such as ["COMMAND", "TRANSFORM"] or ["*"]
+    deny_out = []                  # types that peers are not sent
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first row that matches counts
     topic = "/camera/image_raw"    # * stands for one level, ** for any number
@@ -151,6 +153,8 @@ class Config:
     publish_tf: bool = True
     command_timeout_s: float = 5.0
     relay: bool = False
+    deny_in: tuple[str, ...] = ()
+    deny_out: tuple[str, ...] = ()
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()
@@ -161,6 +165,10 @@ class Config:
         if not 0 < self.command_timeout_s < MAX_TIMEOUT_S:
             found = f"{self.command_timeout_s:g}"
             raise ConfigError(f"gateway.command_timeout_s: found {found}, expected above 0 and below {MAX_TIMEOUT_S:g}")
+        for name in ("deny_in", "deny_out"):
+            for glob in getattr(self, name):
+                if not _is_type_glob(glob):
+                    raise ConfigError(f"gateway.{name}: found {glob!r}, expected a type or a glob: COMMAND, GET_*")
         for index, peer in enumerate(self.peers):
             _check_choices(f"peers[{index}]", peer, optional=False)
         for index, frames in enumerate(self.tf_out):
@@ -308,6 +316,11 @@ def _is_topic(topic: str) -> bool:
     return topic.startswith(("/", "**")) and not any(character.isspace() for character in topic)
 
 
+def _is_type_glob(glob: str) -> bool:
+    """Whether ``glob`` can match the type of a message: twelve bytes, no blanks."""
+    return glob.isascii() and glob.isprintable() and bool(glob) and not set(glob) & set(" /,")
+
+
 def _is_template(topic: str) -> bool:
     """Whether ``topic`` has nothing but plain names in its braces; no attributes, indices or formats."""
     try:
@@ -380,7 +393,7 @@ def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:
     return pairs
 
 
-_TEXT_LISTS = frozenset({"frames", "kinds"})
+_TEXT_LISTS = frozenset({"deny_in", "deny_out", "frames", "kinds"})
 _TYPE_NAMES: dict[type, str] = {
     str: "text in quotes",
     bool: "true or false",

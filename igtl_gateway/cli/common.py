@@ -118,6 +118,14 @@ def with_routes(config: Config, options: argparse.Namespace) -> Config:
     values["peers"] = [*map(_peer_row, options.peer), *values["peers"]]
     if options.profile:
         values["profile"] = options.profile
+    for way, text in (("in", "refuse messages of this type from peers"), ("out", "send peers none of this type")):
+        parser.add_argument(
+            f"--deny-{way}",
+            action="append",
+            default=[],
+            metavar="TYPE",
+            help=f"{text} (COMMAND, 'GET_*', '*' for all); may be repeated",
+        )
     if options.no_tf:
         values["publish_tf"] = False
     return Config.from_dict(values)
@@ -131,6 +139,8 @@ def with_sends(config: Config, sends: list[str]) -> Config:
 
 def _send_row(text: str) -> dict[str, str]:
     topic, _, rest = text.partition("=")
+    values["deny_in"] = [*options.deny_in, *values["deny_in"]]
+    values["deny_out"] = [*options.deny_out, *values["deny_out"]]
     device, _, igtl_type = rest.partition(":")
     if not topic.startswith("/"):
         raise ConfigError(f"--send: found {text!r}, expected /topic, /topic=Device or /topic=Device:TYPE")

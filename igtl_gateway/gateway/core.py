@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
-from igtl_gateway.buffers import join
+from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.config import MAX_TIMEOUT_S, Config
 from igtl_gateway.convert import commands as command_conversions
 from igtl_gateway.convert.assembly import VolumeAssembler
@@ -33,6 +33,7 @@ from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.gateway import queries
 from igtl_gateway.gateway.commands import CommandBook, Pending
+from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.metadata import Restored, restore
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.plans import NAMES, POSE_TOPICS, POSES, Plans, plan_to_igtl, plan_to_ros
@@ -107,6 +108,7 @@ class Gateway:
         self._video_sizes: dict[str, Size] = {}  # topic → size of its last key frame
         self._tf = TfOut(config, tuple(self._streams.device(row.request().device) for row in config.tf_out))
         self._from_peers, self._to_peers = CommandBook(), CommandBook()
+        self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)
         self._said: set[tuple[str, str, int]] = set()
         self._streams.advertise(LINKS_TOPIC, _LINKS_QOS)
         self._handlers: dict[Kind, Callable[[Entry], list[Reply]]] = {
@@ -160,9 +162,15 @@ class Gateway:
     @property
     def due_ns(self) -> int | None:
         """The gateway time (UTC ns) at which it wants a tick, None if none; see ``TICK``."""
-        pings = (peer.said_ns + peer.profile.ping_ns for peer in self._peers.all() if peer.profile.ping_ns)
+        pings = (peer.said_ns + peer.profile.ping_ns for peer in self._pinged())
         times = (self._from_peers.due_ns, self._to_peers.due_ns, min(pings, default=None))
         return min((time for time in times if time is not None), default=None)
+
+    def _pinged(self) -> Iterable[Peer]:
+        """The peers that want to hear something from time to time."""
+        if self._denied_out.type("GET_STATUS"):
+            return ()
+        return (peer for peer in self._peers.all() if peer.profile.ping_ns)
 
     # -- OpenIGTLink → ROS --------------------------------------------------------------------------------------
 
@@ -177,6 +185,9 @@ class Gateway:
         self.ledger.count(_IN, entry.channel, "decoded")
         peer = self._peers.get(link)
         news = self._learn(entry, peer, message) if peer else []
+        if denied := self._denied_in.message(message):
+            self.ledger.drop(_IN, entry.channel, "denied")
+            return news + self._deny(entry, peer, message, denied)
         if peer and (refused := self._refused(entry, peer, message)):
             self.ledger.drop(_IN, entry.channel, "command_refused")
             return news + refused
@@ -188,6 +199,29 @@ class Gateway:
         if peer and not news and fate in _GOOD_FATES and entry.type in POSES and not self._tf:
             self._plan_to_ros(entry, message)
         return news + replies + (self._respond(entry, peer, message) if peer else [])
+
+    def _deny(self, entry: Entry, peer: Peer | None, message: Message, denied: str) -> list[Reply]:
+        """What is said of a message that may not come in; whoever asks or commands is told so."""
+        igtl_type = visible(message.type)
+        inside = f" with {denied} inside" if denied != igtl_type else ""
+        text = f"{igtl_type}{inside} from {peer.address or 'the peer' if peer else 'a peer'} is denied (deny_in)"
+        said = self._once(entry, Level.WARN, "denied", text, igtl_type, entry.links[0])
+        if peer is None:
+            return said
+        if isinstance(message.content, Command) and igtl_type == "COMMAND":
+            name, device = visible(message.content.name), visible(message.device_name)
+            pending = Pending(peer.link, message.content.command_id, device, name, entry.stamp_ns)
+            return said + self._reply(entry, pending, CommandReply.FAIL, "COMMAND is denied")
+        query = split_query(message.type)
+        return said + self._deny_query(entry, peer, message, *query) if query else said
+
+    def _deny_query(self, entry: Entry, peer: Peer, message: Message, prefix: str, igtl_type: str) -> list[Reply]:
+        """A query refused: by its RTS_ where it has one, else by a STATUS."""
+        if prefix == "RTS":
+            return []
+        device = short_device_name(visible(message.device_name))
+        outs = queries.denial(prefix, igtl_type, device, entry.stamp_ns)
+        return self._each(entry, outs, lambda out: self._to(entry, [peer], [out]))
 
     def _plan_to_ros(self, entry: Entry, message: Message) -> None:
         """Keep what is the same for the next pose of this device."""
@@ -367,6 +401,10 @@ class Gateway:
         prefix, igtl_type = query
         # a name of odd bytes is longer as text: what answers it has to fit the wire
         device, now_ns = short_device_name(visible(message.device_name)), entry.stamp_ns
+        if prefix in ("GET", "STT") and self._denied_out.type(igtl_type):
+            text = f"{message.type} refused: {igtl_type} is sent to nobody (deny_out)"
+            said = self._once(entry, Level.WARN, "denied", text, visible(message.type), peer.link)
+            return said + self._deny_query(entry, peer, message, prefix, igtl_type)
         match prefix:
             case "GET":
                 outs = queries.answer(igtl_type, device, now_ns, lambda *key: self._latest_of(entry, *key))
@@ -478,6 +516,9 @@ class Gateway:
             return []
         try:
             outgoing = stream.conversion.convert(stream.conversion.message.unpack(entry.payload[0]), to)
+            igtl_type = outgoing.igtl_type or stream.conversion.igtl_type
+            if self._denied_out and self._denied_out.content(igtl_type, outgoing.content):
+                return self._deny_ros(entry, stream, outgoing, igtl_type)
             special = _SPECIAL.get(stream.conversion.igtl_type)
             if special:
                 replies = special(self, entry, stream, outgoing)
@@ -498,6 +539,18 @@ class Gateway:
         else:
             self.ledger.drop(_ROS_IN, topic, "not_wanted")
         return replies + self._warnings(to.warnings, entry)
+
+    def _deny_ros(self, entry: Entry, stream: ToIgtlStream, outgoing: Outgoing, igtl_type: str) -> list[Reply]:
+        """What is said of a ROS message that peers may not be sent; who commands is told at once."""
+        self.ledger.drop(_ROS_IN, entry.channel, "denied")
+        text = f"{entry.channel} is not sent: {igtl_type} is denied (deny_out)"
+        replies = self._once(entry, Level.WARN, "denied", text, f"{entry.channel} {igtl_type}")
+        command = outgoing.content
+        if isinstance(command, Command) and igtl_type == "COMMAND":
+            device = outgoing.device_name or stream.full_name
+            asked = Pending(outgoing.link, command.command_id, device, visible(command.name), entry.stamp_ns)
+            replies += self._tell(entry, asked, CommandReply.FAIL, "COMMAND is denied")
+        return replies
 
     def _addressed(self, outgoing: Outgoing) -> Iterable[Peer]:
         """The peers that a message is for."""
@@ -545,6 +598,11 @@ class Gateway:
         """Messages to peers, with notes for those that must not have them."""
         replies: list[Reply] = []
         for out in outs:
+            if self._denied_out.type(out.igtl_type):  # whatever its way was: nothing denied leaves
+                self.ledger.drop(_OUT, out.channel, "denied")
+                text = f"{out.channel} is not sent: {out.igtl_type} is denied (deny_out)"
+                replies += self._once(entry, Level.WARN, "denied", text, out.igtl_type)
+                continue
             sent = send(out, peers, entry.stamp_ns, asked=asked)
             for reply in sent.replies:
                 self.ledger.count(_OUT, reply.channel, "sent", len(reply.links))
@@ -650,6 +708,10 @@ class Gateway:
             return [note(Level.ERROR, "conversion", f"not sent: {error}", topic)]
         header = Header.unpack(data)
         igtl_type = visible(header.type)
+        if self._denied_out and self._denied_raw(igtl_type, data):
+            self.ledger.drop(_ROS_IN, topic, "denied")
+            text = f"{topic} is not sent: {igtl_type} is denied (deny_out)"
+            return self._once(entry, Level.WARN, "denied", text, f"{topic} {igtl_type}")
         wanted = {int(link) for link in raw.links}
         peers = [peer for peer in self._peers.all() if not wanted or peer.link in wanted]
         links = [peer.link for peer in peers if header.version <= peer.version and peer.profile.may_send(igtl_type)]
@@ -660,6 +722,15 @@ class Gateway:
         channel = f"{igtl_type}/{visible(header.device_name)}"
         self.ledger.count(_OUT, channel, "sent", len(links))
         return [Reply(Kind.IGTL_OUT, channel, igtl_type, (data,), tuple(links), ticks_to_ns(header.ticks))]
+
+    def _denied_raw(self, igtl_type: str, data: Buffer) -> bool:
+        """Whether a whole message may not go out; a BIND that cannot be looked into may not."""
+        if igtl_type != "BIND":
+            return self._denied_out.type(igtl_type)
+        try:
+            return bool(self._denied_out.message(decode(data, check_crc=False)))
+        except WireError:
+            return True
 
     def _send_command(self, entry: Entry, stream: ToIgtlStream, outgoing: Outgoing) -> list[Reply]:
         """A COMMAND: numbered if it has no number, remembered until its reply."""
@@ -788,8 +859,8 @@ class Gateway:
             replies += self._tell(entry, pending, CommandReply.TIMEOUT, text)
             said = f"command {pending.command_id} ({pending.name!r}): {text} from the peer"
             replies.append(note(Level.WARN, "command_timeout", said, f"COMMAND/{pending.device}", (pending.link,)))
-        for peer in list(self._peers.all()):
-            if peer.profile.ping_ns and peer.said_ns + peer.profile.ping_ns <= now_ns:
+        for peer in list(self._pinged()):
+            if peer.said_ns + peer.profile.ping_ns <= now_ns:
                 replies += self._to(entry, [peer], [Outbound("GET_STATUS", "", Nothing(), now_ns)])
         return replies
 

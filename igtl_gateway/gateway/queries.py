@@ -38,7 +38,7 @@ from igtl_gateway.wire.tracking import (
 from igtl_gateway.wire.transform import Position, Transform
 
 OK, ERROR = 0, 1
-_STATUS_OK, _STATUS_NOT_FOUND = 1, 4
+_STATUS_OK, _STATUS_NOT_FOUND, _STATUS_ACCESS_DENIED = 1, 4, 5
 _NAME_BYTES = 19  # of 20: the reference reader drops a name that fills its field
 _LONG_NAME_BYTES = 63
 
@@ -79,6 +79,13 @@ def refusal(igtl_type: str, device: str, now_ns: int, peer: Peer) -> Outbound:
         return Outbound(igtl_type, device, Raw(b""), now_ns)
     text = f"there is no {igtl_type} {device}".rstrip()
     return Outbound("STATUS", device, Status(_STATUS_NOT_FOUND, 0, "NotFound", text), now_ns)
+
+
+def denial(prefix: str, igtl_type: str, device: str, now_ns: int) -> list[Outbound]:
+    """What says "you may not": the RTS_ of a stream, else a STATUS."""
+    outs = acknowledgement(igtl_type, device, now_ns, ERROR) if prefix != "GET" else []
+    text = f"{query_name(prefix, igtl_type)} is denied"
+    return outs or [Outbound("STATUS", device, Status(_STATUS_ACCESS_DENIED, 0, "AccessDenied", text), now_ns)]
 
 
 def acknowledgement(igtl_type: str, device: str, now_ns: int, status: int) -> list[Outbound]:

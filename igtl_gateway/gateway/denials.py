@@ -1,0 +1,75 @@
+"""Read-only mode: types that are not let through, so that a viewer cannot command a robot.
+
+The settings ``deny_in`` (from peers) and ``deny_out`` (to peers) are globs of type names, in either case of letters.  A
+type is denied under each name that stands for it (``QTRANS`` with ``POSITION``, ``GET_TRANS`` with ``GET_TRANSFORM``),
+and a BIND with each of its children: what a reader would unpack must not come in by the back door.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from igtl_gateway.errors import WireError
+from igtl_gateway.globs import matches
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.bind import Bind, Child
+from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.query import split_query
+from igtl_gateway.wire.registry import ALIASES
+
+#: Names whose answer is remembered; a peer that invents names must not fill the memory.
+_MAX_KNOWN = 1_024
+
+
+class Denials:
+    """What one direction denies.  False where nothing is denied at all."""
+
+    def __init__(self, globs: Sequence[str]) -> None:
+        self._globs = tuple(glob.upper() for glob in globs)
+        self._known: dict[str, bool] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._globs)
+
+    def type(self, igtl_type: str) -> bool:
+        """Whether messages of this type are denied."""
+        if not self._globs:
+            return False
+        denied = self._known.get(igtl_type)
+        if denied is None:
+            denied = any(matches(glob, name.upper()) for name in _names(igtl_type) for glob in self._globs)
+            if len(self._known) < _MAX_KNOWN:
+                self._known[igtl_type] = denied
+        return denied
+
+    def message(self, message: Message) -> str:
+        """The denied type that a message is, or has in it; ``""`` if it may pass."""
+        return self.content(visible(message.type), message.content) if self._globs else ""
+
+    def content(self, igtl_type: str, content: Body) -> str:
+        """The same of a content and its type."""
+        if self.type(igtl_type):
+            return igtl_type
+        if self._globs and isinstance(content, Bind):
+            return next(filter(None, map(self._child, content.children)), "")
+        return ""
+
+    def _child(self, child: Child) -> str:
+        name = visible(child.type)
+        if self.type(name):
+            return name
+        if name != "BIND":
+            return ""
+        try:
+            return self.content(name, child.body())
+        except WireError:  # nobody can read it
+            return ""
+
+
+def _names(igtl_type: str) -> set[str]:
+    """Every name of a type."""
+    names = {igtl_type, ALIASES.get(igtl_type, igtl_type)}
+    if query := split_query(igtl_type):
+        names |= {"_".join(query), f"{query[0]}_{ALIASES.get(query[1], query[1])}"}
+    return names
