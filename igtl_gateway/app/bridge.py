@@ -125,6 +125,7 @@ class Bridge:
             allow=options.allow,
         )
         self.ros: RosEdge | None = None
+        self._all_made = viewer is not None or options.record is not None  # also what nobody in ROS hears
         if options.ros:
             self.ros = RosEdge(
                 node_name=options.node_name,
@@ -133,7 +134,7 @@ class Bridge:
                 on_note=self._on_edge_note,
                 on_listener=self._on_listener,
             )
-            if isinstance(self.gateway, Gateway) and not (viewer or options.record):
+            if isinstance(self.gateway, Gateway) and not self._all_made:
                 self.gateway.heard = self._heard
             if options.video:
                 self.video = Video(options.video, config, self.hub, self.ros)
@@ -251,7 +252,8 @@ class Bridge:
             self.tcp.send(entry.links, entry.payload, entry.channel, self.gateway.keep(entry))
         elif entry.kind is Kind.ROS_OUT and self.ros:
             qos = self.gateway.qos(entry.channel) or _RECORDED
-            self.ros.publish(entry.channel, entry.type, entry.data(), qos)
+            if not (self._all_made and self.ros.pass_over(entry.channel, qos)):
+                self.ros.publish(entry.channel, entry.type, entry.data(), qos)
             if self.commands:
                 self.commands.watch(entry)
             if self.video:

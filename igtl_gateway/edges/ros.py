@@ -302,6 +302,17 @@ class RosEdge:
         writer = self._writers.get(topic)
         return writer is None or writer.heard
 
+    def pass_over(self, topic: str, qos: Qos) -> bool:
+        """Whether a message of a topic need not be published, which is counted then.
+
+        What is not latched and has no reader goes nowhere in DDS either, only more slowly (6 µs, after a pause 100).
+        """
+        writer = self._writers.get(topic)
+        if writer is None or qos.latched or writer.heard:
+            return False
+        writer.counts.unheard += 1
+        return True
+
     def wait_for_subscribers(self, topic: str, count: int, timeout_s: float) -> bool:
         """Wait until ``count`` readers are matched; False if that took longer than ``timeout_s``, or at stop."""
         with self._matched:

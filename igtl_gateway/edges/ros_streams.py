@@ -68,10 +68,11 @@ class Counts:
 
     Attributes:
         received: handed on to the gateway.
-        published: handed over to the middleware.  With ``held`` and ``failed`` this is all that we were asked for.
+        published: handed over to the middleware.  With ``held``, ``unheard`` and ``failed`` all that we were asked for.
         held: waiting for subscribers now.
         lost: sent by others but never received.
         failed: refused by the middleware, or by a fault of ours.
+        unheard: not handed over, for nobody was there to hear it, now or later.
     """
 
     received: int = 0
@@ -79,6 +80,7 @@ class Counts:
     held: int = 0
     lost: int = 0
     failed: int = 0
+    unheard: int = 0
 
 
 class Echo:

@@ -205,7 +205,7 @@ def test_nothing_is_lost_at_full_speed(peer: Peer, edge: RosEdge, heard: Heard) 
     assert peer.readers("/flood/in", 1)
     peer.publish_many("/flood/in", POSE, "child_frame_id", 2000)
     assert heard.until(lambda: heard.count("/flood/in") == 2000)
-    assert edge.counters()["/flood/in"] == {"received": 2000, "published": 0, "held": 0, "lost": 0, "failed": 0}
+    assert {fate: count for fate, count in edge.counters()["/flood/in"].items() if count} == {"received": 2000}
     peer.subscribe("/flood/out", TRANSFORM, {"depth": DEEP.depth})
     wait_known(edge, "/flood/out")
     sent = heard.of("/flood/in")

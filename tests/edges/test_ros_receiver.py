@@ -16,6 +16,8 @@ TIMEOUT_S = 10.0
 class Subscription:
     """A queue of messages; also its own handle."""
 
+    pointer = 0
+
     def __init__(self, queued: list[str], callback: Callable[..., None], fails: bool = False) -> None:
         self.queue = deque(queued)
         self.callback = callback
@@ -23,6 +25,7 @@ class Subscription:
         self.handle = self
         self.fails = fails
         self.event_handlers: list[Event] = []
+        self.pointer = id(self)
 
     def take_message(self, _message_type: Any, _raw: bool) -> tuple[str, None] | None:
         if self.fails:
@@ -69,7 +72,7 @@ class WaitSet:
     def __init__(self, *sizes: Any) -> None:
         self.room = sizes[0]
         self.entries: list[Subscription] = []
-        self.ready: list[bool] = []
+        self.ready: list[int] = []
 
     def clear_entities(self) -> None:
         self.entries = []
@@ -85,10 +88,10 @@ class WaitSet:
         if not any(entry.queue for entry in self.entries):
             assert self.guard.wait(TIMEOUT_S)
         self.guard.clear()
-        self.ready = [bool(entry.queue) for entry in self.entries]
+        self.ready = [entry.pointer for entry in self.entries if entry.queue]
 
-    def is_ready(self, _kind: str, index: int) -> bool:
-        return self.ready[index]
+    def get_ready_entities(self, _kind: str) -> list[int]:
+        return self.ready
 
 
 def stand_in(wait_set: type = WaitSet) -> Any:
