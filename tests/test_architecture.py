@@ -37,6 +37,7 @@ LEVELS = {
     "gateway": 3,
     "review": 3,  # of a plan, on arrays
     "ros_interfaces.definitions": 3,  # files of definitions, for whoever reads or compiles them
+    "doctor": 4,
     "edges": 4,  # the helpers that its edges share
     "edges.ros": 4,
     "edges.tcp": 4,
@@ -106,6 +107,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "numpy": (
         "wire",
         "convert",
+        "doctor",
         "gateway",
         "edges",
         "exchange",

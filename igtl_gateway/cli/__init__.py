@@ -29,6 +29,8 @@ VERBS = {
     "export": "write a session in the formats of other programs",
     "recover": "make a whole file of a damaged one, and tell what is lost",
     "info": "what is in a recording",
+    "doctor": "connect to a peer, or wait for one, and say what is wrong",
+    "lint": "the rules of doctor on a recording",
     "view": "a session in rerun: its window, a file, a page, a picture",
     "review": "is every stitch of a suture plan on the tissue, and how sure is the camera",
     "decode": "print the messages of a raw OpenIGTLink byte stream as JSON lines",

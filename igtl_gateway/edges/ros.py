@@ -36,7 +36,7 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros_receiver import DirectReceiver, ExecutorReceiver, Receiver
 from igtl_gateway.edges.ros_streams import HOLD_BYTES, HOLD_MESSAGES, Counts, Echo, Reader, Writer, direct, first_line
 from igtl_gateway.errors import RosError
-from igtl_gateway.qos import Qos
+from igtl_gateway.qos import Endpoint, Qos
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
 
@@ -448,6 +448,39 @@ class RosEdge:
                 if (count := node.count_publishers(topic) - own[topic]) > 0
                 for type_name in types
             ]
+
+    def endpoints(self) -> list[Endpoint]:
+        """Publishers and subscriptions of all topics, as far as discovery has come; our own node's left out."""
+        with self._lock:
+            if self._running is None:
+                return []
+            node = self._running.node
+            own = (node.get_name(), node.get_namespace())
+            return [
+                Endpoint(
+                    topic,
+                    info.topic_type,
+                    f"{info.node_namespace.rstrip('/')}/{info.node_name}",
+                    publishes,
+                    self._qos_of(info.qos_profile),
+                )
+                for topic, _ in node.get_topic_names_and_types()
+                for publishes, infos in (
+                    (True, node.get_publishers_info_by_topic(topic)),
+                    (False, node.get_subscriptions_info_by_topic(topic)),
+                )
+                for info in infos
+                if (info.node_name, info.node_namespace) != own
+            ]
+
+    def _qos_of(self, profile: Any) -> Qos:
+        """What we know of an rclpy profile."""
+        policies = self._rclpy.qos
+        return Qos(
+            profile.depth,
+            profile.reliability == policies.ReliabilityPolicy.RELIABLE,
+            profile.durability == policies.DurabilityPolicy.TRANSIENT_LOCAL,
+        )
 
     def _look(self) -> None:
         """Subscribe to what is new in the graph and wanted."""

@@ -1,0 +1,119 @@
+"""What is told in the end: peers, streams, findings, and the probable cause."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from igtl_gateway.doctor.observer import Observer, Stream
+from igtl_gateway.doctor.rules import Finding, Severity, judge
+from igtl_gateway.stamp import NS_PER_MS
+
+#: Findings of one rule that are told one by one to people; the rest are counted.
+SHOWN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The judgement on a session.
+
+    Attributes:
+        seen: what it rests on.
+        findings: in the order of the rules.
+    """
+
+    seen: Observer
+    findings: tuple[Finding, ...]
+
+    @classmethod
+    def of(cls, seen: Observer) -> Report:
+        """Judge what was seen."""
+        return cls(seen, tuple(judge(seen)))
+
+    @property
+    def cause(self) -> Finding | None:
+        """The finding that explains most: the first error, else the first warning."""
+        for severity in (Severity.ERROR, Severity.WARNING):
+            for finding in self.findings:
+                if finding.rule.severity is severity:
+                    return finding
+        return None
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is an error among the findings."""
+        return any(finding.rule.severity is Severity.ERROR for finding in self.findings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        seen, cause = self.seen, self.cause
+        return {
+            "nothing_arrives": not seen.good,
+            "cause": cause.to_dict() if cause else None,
+            "findings": [finding.to_dict() for finding in self.findings],
+            "peers": [
+                {
+                    "link": peer.number,
+                    "peer": peer.address,
+                    "role": peer.role,
+                    "connected": bool(peer.up_ns and not peer.down_ns),
+                    "messages": peer.messages,
+                    "header_versions": {str(version): count for version, count in sorted(peer.heard.items())},
+                    "reason": peer.reason,
+                }
+                for peer in seen.peers.values()
+            ],
+            "streams": [_stream(stream) for stream in seen.streams.values()],
+        }
+
+    def lines(self) -> Iterator[str]:
+        """For people."""
+        for peer in self.seen.peers.values():
+            side = "connected to us" if peer.role == "server" else "we connected to it"
+            versions = ", ".join(f"header version {version}" for version in sorted(peer.heard))
+            yield f"  {peer.name}: {side}; {peer.messages:,} messages{', ' if versions else ''}{versions}"
+        width = max((len(stream.name) for stream in self.seen.streams.values()), default=0)
+        for stream in self.seen.streams.values():
+            rate = f"{stream.rate_hz:,.1f} Hz" if stream.rate_hz else ""
+            facts = _stream(stream)
+            yield f"  {stream.name:<{width}} {stream.messages:>7,} {rate:>10}  {facts['crc']}, {facts['stamps']}"
+        last, number = "", 0
+        for finding in self.findings:
+            rule, hit = finding.rule, finding.hit
+            number = number + 1 if rule.id == last else 1
+            if number == 1:
+                yield f"{rule.severity.value.upper():<7} {rule.id}  {rule.title}"
+                yield f"        {rule.advice}  [{rule.section}]"
+            if number <= SHOWN:
+                yield f"        - {hit.where}: {hit.text}"
+            elif number == SHOWN + 1:
+                more = sum(other.rule is rule for other in self.findings) - SHOWN
+                yield f"        - and {more:,} more, see --json"
+            last = rule.id
+        cause = self.cause
+        if cause:
+            why = "why nothing arrives" if not self.seen.good else "what to look at first"
+            yield f"{why}: {cause.rule.title} ({cause.rule.id}): {cause.hit.text}"
+        else:
+            yield "nothing found that is wrong"
+
+
+def _stream(stream: Stream) -> dict[str, Any]:
+    stamps, bad = stream.stamps, stream.bad_crc
+    if not stamps.set:
+        told = "unstamped"
+    else:
+        told = f"age {stamps.youngest_ns / NS_PER_MS:,.1f} to {stamps.oldest_ns / NS_PER_MS:,.1f} ms"
+        told += f", {stamps.unset:,} unstamped" if stamps.unset else ""
+    return {
+        "link": stream.link,
+        "stream": stream.name,
+        "messages": stream.messages,
+        "bytes": stream.bytes,
+        "rate_hz": round(stream.rate_hz, 3),
+        "header_versions": sorted(stream.versions),
+        "crc": f"CRC of {bad:,} wrong" if bad else "CRC right",
+        "decoded": stream.good,
+        "stamps": told,
+    }

@@ -1,0 +1,320 @@
+"""``doctor`` names the cause, in prepared situations with real sockets and a real ROS graph."""
+
+from __future__ import annotations
+
+import http.server
+import json
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from igtl_gateway.buffers import join
+from igtl_gateway.cli import main
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.stamp import ns_to_ticks
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.text import String
+from igtl_gateway.wire.transform import Transform
+
+HERE = "127.0.0.1"
+DEADLINE_S = 20.0
+#: How long the doctor looks at nobody, or at one who is silent.
+LOOK = ("--seconds", "0.3")
+#: How long it would look for messages that do not come.
+AWAIT = ("--seconds", str(DEADLINE_S), "--messages")
+
+Act = Callable[[socket.socket], None]
+
+
+def pose(name: str = "ProbeToTracker", x: float = 120.0, **other: Any) -> Message:
+    matrix = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, x, 80.0 * x / 120.0, -40.0 * x / 120.0)
+    ticks = ns_to_ticks(SystemClock().utc_ns())
+    return Message("TRANSFORM", name, Transform(matrix), **{"ticks": ticks, "header_version": 1} | other)
+
+
+def wire(*messages: Message) -> bytes:
+    return b"".join(bytes(join(encode(message))) for message in messages)
+
+
+def says(data: bytes) -> Act:
+    """A peer that says this, and stays until we go."""
+
+    def act(sock: socket.socket) -> None:
+        sock.sendall(data)
+        while sock.recv(1 << 16):
+            pass
+
+    return act
+
+
+def leaves_at(version: int) -> Act:
+    """A peer that goes at the first message of a header version."""
+
+    def act(sock: socket.socket) -> None:
+        while head := sock.recv(1 << 16):
+            if int.from_bytes(head[:2], "big") == version:
+                return
+
+    return act
+
+
+@contextmanager
+def serving(act: Act) -> Iterator[str]:
+    """The place of a server that does this with its first connection."""
+    with socket.create_server((HERE, 0)) as listener:
+
+        def serve() -> None:
+            with listener.accept()[0] as sock:
+                sock.settimeout(DEADLINE_S)
+                act(sock)
+
+        listener.settimeout(DEADLINE_S)
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield f"{HERE}:{listener.getsockname()[1]}"
+        thread.join()
+
+
+def free_place() -> str:
+    with socket.create_server((HERE, 0)) as sock:
+        return f"{HERE}:{sock.getsockname()[1]}"
+
+
+@contextmanager
+def calling(place: str, act: Act) -> Iterator[None]:
+    """A client that connects as soon as somebody is there, and does this."""
+    stopped = threading.Event()
+    host, _, port = place.rpartition(":")
+
+    def call() -> None:
+        while not stopped.wait(0.005):
+            try:
+                sock = socket.create_connection((host, int(port)), DEADLINE_S)
+            except OSError:
+                continue
+            with sock:
+                if sock.getsockname() != sock.getpeername():  # a free port can be connected to itself
+                    act(sock)
+                    return
+
+    thread = threading.Thread(target=call)
+    thread.start()
+    try:
+        yield
+    finally:
+        stopped.set()
+        thread.join()
+
+
+class Verdict:
+    """What the doctor says."""
+
+    def __init__(self, code: int, told: dict[str, Any]) -> None:
+        self.code = code
+        self.told = told
+        self.cause = told["cause"]["id"] if told["cause"] else ""
+        self.text = told["cause"]["text"] if told["cause"] else ""
+        self.ids = [finding["id"] for finding in told["findings"]]
+
+
+@pytest.fixture
+def doctor(capsys: pytest.CaptureFixture[str]) -> Callable[..., Verdict]:
+    def ask(*arguments: str) -> Verdict:
+        code = main(["doctor", *arguments, "--json", *(() if "--seconds" in arguments else LOOK)])
+        return Verdict(code, json.loads(capsys.readouterr().out))
+
+    return ask
+
+
+Doctor = Callable[..., Verdict]
+
+
+def test_a_healthy_peer(doctor: Doctor, capsys: pytest.CaptureFixture[str]) -> None:
+    with serving(says(wire(pose(), pose(x=130.0)))) as place:
+        verdict = doctor(place, *AWAIT, "2")
+    assert (verdict.code, verdict.ids, verdict.told["nothing_arrives"]) == (0, [], False)
+    (stream,) = verdict.told["streams"]
+    assert (stream["stream"], stream["messages"], stream["header_versions"]) == ("TRANSFORM/ProbeToTracker", 2, [1])
+    (peer,) = verdict.told["peers"]
+    assert (peer["peer"], peer["role"], peer["messages"]) == (place, "client", 2)
+    with serving(says(wire(pose()))) as place:
+        assert main(["doctor", place, *AWAIT, "1"]) == 0
+    out = capsys.readouterr().out
+    assert "TRANSFORM/ProbeToTracker" in out and "nothing found that is wrong" in out
+
+
+def test_no_listener(doctor: Doctor) -> None:
+    place = free_place()
+    verdict = doctor(place)
+    assert (verdict.code, verdict.cause, verdict.told["nothing_arrives"]) == (1, "IGTL-E101", True)
+    assert place in verdict.text and "refused" in verdict.text
+
+
+def test_both_are_clients(doctor: Doctor) -> None:
+    place = free_place()
+    with calling(place, says(b"")):
+        assert doctor(place).cause == "IGTL-E102"
+
+
+def test_both_are_servers(doctor: Doctor) -> None:
+    """At another address, or at our own."""
+    with serving(says(b"")) as place:
+        verdict = doctor("--listen", free_place(), place)
+        assert (verdict.cause, place in verdict.text) == ("IGTL-E103", True)
+    with serving(says(b"")) as place:
+        verdict = doctor("--listen", place)
+        assert (verdict.cause, "IGTL-E104" in verdict.ids) == ("IGTL-E103", False)
+
+
+def test_nobody_connects(doctor: Doctor) -> None:
+    place = free_place()
+    assert doctor("--listen", place).cause == "IGTL-E105"
+    assert doctor("--listen", place, free_place()).cause == "IGTL-E105"
+
+
+def test_a_client_that_is_silent(doctor: Doctor) -> None:
+    place = free_place()
+    heard: list[bytes] = []
+
+    def listen(sock: socket.socket) -> None:
+        while data := sock.recv(1 << 16):
+            heard.append(data)
+
+    with calling(place, listen):
+        verdict = doctor("--listen", place)
+    assert (verdict.code, verdict.cause, verdict.ids) == (1, "IGTL-E106", ["IGTL-E106"])
+    assert heard[0][:8] == b"\0\1STATUS", "it was spoken to"
+    with calling(place, listen):
+        heard.clear()
+        doctor("--listen", place, "--speak", "0")
+    assert heard == []
+
+
+def test_header_versions_that_do_not_fit(doctor: Doctor) -> None:
+    data = wire(pose())
+    for sent, cause in (
+        (b"\0\3" + data[2:], "IGTL-E201"),
+        (b"\0\2" + data[2:], "IGTL-E202"),
+        (b"\0\1" + wire(pose(header_version=2))[2:], "IGTL-E202"),
+    ):
+        with serving(says(sent)) as place:
+            verdict = doctor(place, *AWAIT, "1")
+        assert (verdict.code, verdict.cause, verdict.told["nothing_arrives"]) == (1, cause, True)
+
+
+def test_a_peer_that_reads_another_header_version(doctor: Doctor) -> None:
+    with serving(leaves_at(2)) as place:
+        verdict = doctor(place, "--speak", "2", "--seconds", "0.6")
+    assert (verdict.cause, "version 2" in verdict.text) == ("IGTL-E203", True)
+
+
+@pytest.mark.parametrize(
+    ("messages", "cause", "code"),
+    [
+        ([pose(ticks=0)], "IGTL-W301", 0),
+        ([pose("ReferenceFrameToStereoCamera"[:20])], "IGTL-W401", 0),
+        ([pose(x=0.12 + number / 100) for number in range(10)], "IGTL-W501", 0),
+        ([pose(x=float("nan"))], "IGTL-E503", 1),
+    ],
+    ids=["stamps zero", "name over 20 bytes", "metres as millimetres", "not a number"],
+)
+def test_what_a_peer_sends(doctor: Doctor, messages: list[Message], cause: str, code: int) -> None:
+    now_ns = SystemClock().utc_ns()
+    ticks = [ns_to_ticks(now_ns + number) for number in range(len(messages))]
+    fresh = [replace(message, ticks=message.ticks and tick) for message, tick in zip(messages, ticks, strict=True)]
+    with serving(says(wire(*fresh))) as place:
+        verdict = doctor(place, *AWAIT, str(len(messages)))
+    assert (verdict.code, verdict.cause, verdict.ids) == (code, cause, [cause])
+
+
+def test_crc_off(doctor: Doctor) -> None:
+    data = bytearray(wire(pose()))
+    for crc, cause in ((bytes(8), "IGTL-E206"), (b"\1" * 8, "IGTL-E207")):
+        data[50:58] = crc
+        with serving(says(bytes(data))) as place:
+            verdict = doctor(place, *AWAIT, "1")
+        assert (verdict.code, verdict.cause, verdict.ids) == (1, cause, [cause])
+        assert verdict.told["nothing_arrives"]
+
+
+def test_a_web_server(doctor: Doctor) -> None:
+    class Quiet(http.server.BaseHTTPRequestHandler):
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    with http.server.HTTPServer((HERE, 0), Quiet) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        verdict = doctor(f"{HERE}:{server.server_port}")
+        server.shutdown()
+        thread.join()
+    assert (verdict.code, verdict.cause, "HTTP" in verdict.text) == (1, "IGTL-E107", True)
+
+
+@pytest.mark.parametrize(
+    ("data", "name"),
+    [
+        (b"SSH-2.0-OpenSSH_9.2p1 Debian-2+deb12u3\r\n", "SSH"),
+        (b"\xb0\0\0\0\x12\0\0\0callerid=/listener" + bytes(80), "ROS 1"),
+        (b"GET /chat HTTP/1.1\r\nHost: 127.0.0.1:18944\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\r\n", "HTTP"),
+    ],
+    ids=["ssh", "ros 1", "websocket"],
+)
+def test_another_protocol(doctor: Doctor, data: bytes, name: str) -> None:
+    place = free_place()
+    with calling(place, says(data)):
+        verdict = doctor("--listen", place)
+    assert (verdict.code, verdict.cause, verdict.ids) == (1, "IGTL-E107", ["IGTL-E107"])
+    assert name in verdict.text
+
+
+@pytest.mark.ros
+def test_qos_that_does_not_fit(doctor: Doctor) -> None:
+    from geometry_msgs.msg import TransformStamped
+    from rclpy.context import Context
+    from rclpy.node import Node
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from std_msgs.msg import String as RosString
+
+    context = Context()
+    context.init(args=[])
+    node = Node("display", context=context)
+    try:
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        topics = {"Probe": (TransformStamped, latched), "Pointer": (RosString, 1), "Tool": (TransformStamped, 1)}
+        for device, (kind, qos) in topics.items():
+            node.create_subscription(kind, f"/igtl/in/{device}/transform", lambda _: None, qos)
+        with serving(says(wire(*map(pose, topics)))) as place:
+            verdict = doctor(place, "--ros", "--seconds", "1.5")
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    errors = [finding for finding in verdict.told["findings"] if finding["severity"] == "error"]
+    assert verdict.code == 1
+    assert [finding["id"] for finding in errors] == ["IGTL-E601"] * 2, "Tool is as it should be"
+    told = {finding["where"]: finding["text"] for finding in errors}
+    assert "durability" in told["/igtl/in/Probe/transform"] and "/display" in told["/igtl/in/Probe/transform"]
+    assert "std_msgs/msg/String expected" in told["/igtl/in/Pointer/transform"]
+    assert not verdict.told["nothing_arrives"]
+
+
+def test_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor"]) == 2
+    assert "HOST:PORT" in capsys.readouterr().err
+    assert main(["doctor", "127.0.0.1:1", "--seconds", "0"]) == 2
+    assert main(["doctor", "--listen", "0.0.0.0:0"]) == 2, "open to others, and nobody is allowed"
+
+
+def test_a_text_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+    message = Message("STRING", "x" * 20, String.of("a"))
+    with serving(says(wire(message))) as place:
+        assert main(["doctor", place, *AWAIT, "1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"  {place}: we connected to it; 1 messages, header version 1")
+    assert any(line.startswith("WARNING IGTL-W401") for line in lines)
+    assert lines[-1].startswith("what to look at first: ")
