@@ -68,7 +68,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="say this in the recording, too: operator=Kim, phantom=B",
     )
     globs("--overwrite", action="store_true", help="replace an existing recording")
-    globs("--compression", choices=("none", "lz4", "zstd"), default=given.compression, help="(%(default)s)")
+    globs(
+        "--compression",
+        choices=("none", "lz4", "zstd"),
+        default=given.compression,
+        help="of chunks (%(default)s, which rests where nothing gets smaller)",
+    )
     globs(
         "--flush-interval",
         type=float,
