@@ -17,16 +17,20 @@ verification use what was in force that day.
     relay = false                  # true: no bridge; peers and a server talk through us, bytes unchanged
     deny_in = []                   # types that peers may not send, such as ["COMMAND", "TRANSFORM"] or ["*"]
     deny_out = []                  # types that peers are not sent
+    watch = true                   # say what looks odd: units that jump, stamps that run back; see docs/guard.md
+    diagnostics = true             # once a second on /diagnostics; these two: live sessions only unless set
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first row that matches counts
     topic = "/camera/image_raw"    # * stands for one level, ** for any number
     device = "Camera"              # default: from the topic
     type = "IMAGE"                 # default: by the conversion table
+    max_age_s = 0.5                # what is older on arrival is not sent; default 0: whatever its age
 
     [[to_ros]]                     # OpenIGTLink → ROS
     device = "Probe*"
     topic = "/probe/{device}/{kind}"
     frame_id = "tracker"
+    max_age_s = 0.5                # as above
     kinds = ["+slices"]            # messages on request besides the usual ones; without +: only these
 
     [[tf_out]]                     # frames of /tf and /tf_static → OpenIGTLink, chains composed
@@ -77,6 +81,9 @@ PROFILES = (AUTO, "default", "slicer", "plus", "brainlab", "holoscan", "legacy-v
 #: A COMMAND that takes longer than a day has no reply.
 MAX_TIMEOUT_S = 86_400.0
 
+#: Longest age that can be asked for: of a year; what is older than that has no clock.
+MAX_AGE_S = 365 * 86_400.0
+
 #: Deepest queue of a ROS stream: beyond it a slow reader costs memory without end.
 MAX_DEPTH = 100_000
 
@@ -99,6 +106,7 @@ class ToIgtlRow(_Row):
     device: str = ""
     type: str = ""
     metadata: tuple[tuple[str, str], ...] = ()
+    max_age_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +119,7 @@ class ToRosRow(_Row):
     frame_id: str = ""
     child_frame_id: str = ""
     kinds: tuple[str, ...] = ()
+    max_age_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +150,11 @@ class PeerRow:
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """The configuration of a session; see the module for the meaning of each setting."""
+    """The configuration of a session; see the module for the meaning of each setting.
+
+    ``watch`` and ``diagnostics`` add outputs of their own.  Where they are not set (None) there are none: so it was
+    in recordings from before there were these settings.  Live sessions set them; see ``live``.
+    """
 
     base_frame: str = "igtl"
     ros_unit: str = "m"
@@ -155,6 +168,8 @@ class Config:
     relay: bool = False
     deny_in: tuple[str, ...] = ()
     deny_out: tuple[str, ...] = ()
+    watch: bool | None = None
+    diagnostics: bool | None = None
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()
@@ -181,6 +196,11 @@ class Config:
                     raise ConfigError(f"{name}[{index}].qos.depth: found {row.qos.depth}, expected 1 to {MAX_DEPTH:,}")
         if self.max_streams < 1:
             raise ConfigError(f"gateway.max_streams: found {self.max_streams}, expected 1 or more")
+        ages = [(f"to_igtl[{index}]", sent.max_age_s) for index, sent in enumerate(self.to_igtl)]
+        ages += [(f"to_ros[{index}]", shown.max_age_s) for index, shown in enumerate(self.to_ros)]
+        for place, age_s in ages:
+            if not 0.0 <= age_s <= MAX_AGE_S:
+                raise ConfigError(f"{place}.max_age_s: found {age_s:g}, expected 0 (any age) to {MAX_AGE_S:g}")
         for index, sent in enumerate(self.to_igtl):
             if not _is_topic(sent.topic):
                 raise ConfigError(f"to_igtl[{index}].topic: found {sent.topic!r}, expected one such as /camera/image")
@@ -220,6 +240,17 @@ class Config:
     def stamp_of(self, row: _Row) -> str:
         """Which stamp the messages of a row get: ``"source"`` or ``"received"``."""
         return row.stamp or self.stamp
+
+    def live(self, *, ros: bool) -> Config:
+        """The configuration of a live session: what it leaves open about watchers and diagnostics is settled."""
+        watch = True if self.watch is None else self.watch
+        return dataclasses.replace(self, watch=watch, diagnostics=ros and self.diagnostics is not False)
+
+    def as_watched_as(self, other: Config) -> Config:
+        """The configuration with what it leaves open about watchers and diagnostics as in another one."""
+        watch = other.watch if self.watch is None else self.watch
+        diagnostics = other.diagnostics if self.diagnostics is None else self.diagnostics
+        return dataclasses.replace(self, watch=watch, diagnostics=diagnostics)
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values: what is stored in a recording."""
@@ -375,6 +406,8 @@ def _value(place: str, name: str, wanted: type, given: Any) -> Any:
         return float(given)
     if wanted in _TYPE_NAMES and type(given) is not wanted:
         raise ConfigError(f"{place}: found {given!r}, expected a {_TYPE_NAMES[wanted]}")
+    if name in _SWITCHES and not (given is None or type(given) is bool):
+        raise ConfigError(f"{place}: found {given!r}, expected true or false")
     if name in _TEXT_LISTS:
         if not (isinstance(given, list | tuple) and all(isinstance(item, str) for item in given)):
             raise ConfigError(f'{place}: found {given!r}, expected texts such as ["a", "b"]')
@@ -394,6 +427,8 @@ def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:
 
 
 _TEXT_LISTS = frozenset({"deny_in", "deny_out", "frames", "kinds"})
+#: Settings that are neither true nor false until somebody says so.
+_SWITCHES = frozenset({"diagnostics", "watch"})
 _TYPE_NAMES: dict[type, str] = {
     str: "text in quotes",
     bool: "true or false",

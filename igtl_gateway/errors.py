@@ -10,6 +10,7 @@
     │   ├── MessageTooLarge         announced body size above the limit
     │   └── MalformedBody           a length, count or value that the format forbids
     ├── ConversionError             a message that has no counterpart on the other side
+    │   └── NotFinite               numbers that are none (NaN), or without end
     ├── RosError                    the ROS 2 side: missing installation, unknown type, refused name
     ├── ViewerError                 rerun and its viewer: not installed, nothing to draw with, no answer
     └── RecordingError              a session file (fault of the file or of the disk)
@@ -75,6 +76,15 @@ class MalformedBody(WireError):
 
 class ConversionError(GatewayError):
     """A well-formed message that cannot be expressed on the other side."""
+
+    #: What the loss ledger calls it.
+    code = "conversion"
+
+
+class NotFinite(ConversionError):
+    """A number of a pose is NaN or infinite."""
+
+    code = "not_finite"
 
 
 class RosError(GatewayError):

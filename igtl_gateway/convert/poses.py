@@ -14,7 +14,7 @@ from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.igtl_msgs import Pose
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.units import Number
-from igtl_gateway.errors import ConversionError
+from igtl_gateway.errors import ConversionError, NotFinite
 from igtl_gateway.wire.transform import Position, Transform
 
 Quaternion = tuple[float, float, float, float]
@@ -50,7 +50,7 @@ def pose_of_matrix(wire_matrix: Sequence[float], to: ToRos, place: str) -> Pose:
     """
     m = wire_matrix
     if not all(map(math.isfinite, m)):
-        raise ConversionError(f"{place}: found {list(m)}, expected finite numbers")
+        raise NotFinite(f"{place}: found {list(m)}, expected finite numbers")
     rotation = quaternion_of([[m[row], m[row + 3], m[row + 6]] for row in range(3)], to, place)
     to_ros = to.lengths.to_ros
     return (to_ros(m[9]), to_ros(m[10]), to_ros(m[11]), *rotation)
@@ -62,7 +62,7 @@ def pose_of_position(position: Sequence[float], quaternion: Sequence[float], to:
     Raises ConversionError for a quaternion of no length or numbers that are not finite.
     """
     if not all(map(math.isfinite, (*position, *quaternion))):
-        raise ConversionError(f"{place}: found {(*position, *quaternion)}, expected finite numbers")
+        raise NotFinite(f"{place}: found {(*position, *quaternion)}, expected finite numbers")
     x, y, z = position
     to_ros = to.lengths.to_ros
     return (to_ros(x), to_ros(y), to_ros(z), *positive(unit(quaternion, place)))
@@ -110,7 +110,7 @@ def _finite(pose: Pose, to: ToIgtl, place: str) -> tuple[tuple[float, ...], Quat
     to_igtl = to.lengths.to_igtl
     translation = to_igtl(x), to_igtl(y), to_igtl(z)
     if not all(map(math.isfinite, (*translation, *pose[3:]))):
-        raise ConversionError(f"{place}: found {pose}, expected finite numbers")
+        raise NotFinite(f"{place}: found {pose}, expected finite numbers")
     if max(map(abs, translation)) >= BEYOND_FLOAT32:
         raise ConversionError(f"{place}: found {pose}, expected lengths that float32 holds")
     return translation, unit(pose[3:], place)

@@ -19,7 +19,7 @@ from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.config import MAX_TIMEOUT_S, Config
 from igtl_gateway.convert import commands as command_conversions
 from igtl_gateway.convert.assembly import VolumeAssembler
-from igtl_gateway.convert.common_msgs import TFMessage
+from igtl_gateway.convert.common_msgs import PoseStamped, TFMessage
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
 from igtl_gateway.convert.frames import MAX_FRAMES
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
@@ -27,13 +27,14 @@ from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadat
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.raw import message_of, raw_message
 from igtl_gateway.convert.rosmsg import Header as RosHeader
-from igtl_gateway.convert.rosmsg import RosMessage
+from igtl_gateway.convert.rosmsg import RosMessage, TransformStamped
 from igtl_gateway.convert.table import IgtlRow, Role, RosRow, row_to_igtl
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.gateway import queries
 from igtl_gateway.gateway.commands import CommandBook, Pending
 from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.guard import STALE, Finding, Guard, Place, Watched
 from igtl_gateway.gateway.metadata import Restored, restore
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.plans import NAMES, POSE_TOPICS, POSES, Plans, plan_to_igtl, plan_to_ros
@@ -52,6 +53,7 @@ from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.query import Nothing, split_query
+from igtl_gateway.wire.transform import Position, Transform
 from igtl_gateway.wire.video import Video
 
 LINK_UP, LINK_DOWN = "link_up", "link_down"
@@ -109,6 +111,7 @@ class Gateway:
         self._tf = TfOut(config, tuple(self._streams.device(row.request().device) for row in config.tf_out))
         self._from_peers, self._to_peers = CommandBook(), CommandBook()
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)
+        self._guard = Guard(watch=config.watch is True)
         self._said: set[tuple[str, str, int]] = set()
         self._streams.advertise(LINKS_TOPIC, _LINKS_QOS)
         self._handlers: dict[Kind, Callable[[Entry], list[Reply]]] = {
@@ -229,8 +232,9 @@ class Gateway:
         stream = self._streams.to_ros(visible(message.type), visible(message.device_name))
         if stream and self.plans.wants(key):
             to = self._circumstances(entry, message, restore(message), stream)
+            watched = self._guard.of(to.link, entry.channel, stream.row.max_age_s)
             try:
-                plan = plan_to_ros(entry, message, stream, to, self.config, self.ledger)
+                plan = plan_to_ros(entry, message, stream, to, self.config, self.ledger, watched)
             except ConversionError:  # of a message that nobody hears: it was not converted
                 return
             self.plans.keep_to_ros(key, plan)
@@ -255,6 +259,28 @@ class Gateway:
             text = f"more than {self.config.max_streams} streams: {entry.channel} is recorded, not published"
             return self._once(entry, Level.WARN, "too_many_streams", text, "", link), "too_many_streams"
         to = self._circumstances(entry, message, told, stream)
+        found: list[Reply] = []
+        name = entry.channel if entry.payload else f"{igtl_type}/{told.device_name}"  # of a child of a BIND: its own
+        if watched := self._guard.of(link, name, stream.row.max_age_s):
+            own_ns, place = told.stamp_ns or ticks_to_ns(message.ticks), _place_of(message.content)
+            withheld, found = self._looked_at(entry, watched, own_ns, to.stamp_ns, place)
+            if withheld:
+                return found, STALE
+        replies, fate = self._converted_to_ros(entry, message, told, stream, to)
+        return replies + found, fate
+
+    def _looked_at(
+        self, entry: Entry, watched: Watched, own_ns: int, told_ns: int, place: Place | None
+    ) -> tuple[bool, list[Reply]]:
+        """Whether a message is too old to be forwarded, and what the guard says of it."""
+        withheld, findings = watched.judge(entry.stamp_ns, own_ns)
+        findings += watched.see(entry.stamp_ns, told_ns, place)
+        return withheld, [_found(entry, finding) for finding in findings]
+
+    def _converted_to_ros(
+        self, entry: Entry, message: Message, told: Restored, stream: ToRosStream, to: ToRos
+    ) -> tuple[list[Reply], str]:
+        """The conversion of a message that is fresh enough, and its fate."""
         content = message.content
         try:
             if isinstance(content, Bind):
@@ -272,9 +298,8 @@ class Gateway:
             replies = self._publish(entry, content, to, stream, outputs)
             return replies, _CONVERTED if replies or self.heard is None else _UNHEARD
         except (ConversionError, WireError) as error:
-            return [
-                note(Level.ERROR, "conversion", f"not published: {error}", entry.channel, entry.links)
-            ], "conversion"
+            said = note(Level.ERROR, "conversion", f"not published: {error}", entry.channel, entry.links)
+            return [said], _reason(error)
 
     def _circumstances(self, entry: Entry, message: Message, told: Restored, stream: ToRosStream) -> ToRos:
         source_ns = told.stamp_ns or ticks_to_ns(message.ticks)
@@ -440,7 +465,11 @@ class Gateway:
             stream = self._streams.to_igtl(entry.channel, entry.type)
             if stream is None or device not in ("", stream.device, stream.full_name):
                 continue
-            (native if stream.conversion.igtl_type == igtl_type else other).extend(self._outbounds(entry, igtl_type))
+            outs = self._outbounds(entry, igtl_type)
+            if stream.row.max_age_s and not stream.latched:  # who asks later must not get as new what has become old
+                least_ns = cause.stamp_ns - round(stream.row.max_age_s * NS_PER_S)
+                outs = [out for out in outs if out.stamp_ns >= least_ns]
+            (native if stream.conversion.igtl_type == igtl_type else other).extend(outs)
         native += [
             out for out in self._tf.latest() if out.igtl_type == igtl_type and device in ("", out.device, out.full_name)
         ]
@@ -509,16 +538,32 @@ class Gateway:
                 return self._once(entry, Level.WARN, "too_many_streams", text, "ros")
             self.ledger.count(_ROS_IN, topic, "recorded_only")
             return []
-        self._latest[topic] = entry
         to = ToIgtl(stream.lengths)
-        if not self._peers and stream.conversion.igtl_type != "COMMAND":
-            self.ledger.drop(_ROS_IN, topic, "no_peer")
-            return []
+        lonely = not self._peers and stream.conversion.igtl_type != "COMMAND"
+        found: list[Reply] = []
+        if not stream.row.max_age_s:  # what is too old must not become the latest
+            self._latest[topic] = entry
+            if lonely:
+                self.ledger.drop(_ROS_IN, topic, "no_peer")
+                return []
         try:
-            outgoing = stream.conversion.convert(stream.conversion.message.unpack(entry.payload[0]), to)
+            message = stream.conversion.message.unpack(entry.payload[0])
+            outgoing = stream.conversion.convert(message, to)
             igtl_type = outgoing.igtl_type or stream.conversion.igtl_type
             if self._denied_out and self._denied_out.content(igtl_type, outgoing.content):
                 return self._deny_ros(entry, stream, outgoing, igtl_type)
+            watched = self._guard.of(0, topic, stream.row.max_age_s)
+            if watched:
+                own_ns = outgoing.stamp_ns or entry.source_ns
+                told_ns = self.config.pick_stamp(stream.row, own_ns, entry.stamp_ns)
+                withheld, found = self._looked_at(entry, watched, own_ns, told_ns, _place_of(message))
+                if withheld:
+                    self.ledger.drop(_ROS_IN, topic, STALE)
+                    return found
+                self._latest[topic] = entry
+            if lonely:
+                self.ledger.drop(_ROS_IN, topic, "no_peer")
+                return found
             special = _SPECIAL.get(stream.conversion.igtl_type)
             if special:
                 replies = special(self, entry, stream, outgoing)
@@ -529,16 +574,16 @@ class Gateway:
                 key = (topic, entry.type)
                 if entry.type in POSE_TOPICS and self.plans.wants(key):
                     peers = tuple(self._peers.all())
-                    plan = plan_to_igtl(entry, stream, out, peers, self.config, self.ledger, self._latest)
+                    plan = plan_to_igtl(entry, stream, out, peers, self.config, self.ledger, self._latest, watched)
                     self.plans.keep_to_igtl(key, plan)
         except (ConversionError, WireError) as error:
-            self.ledger.drop(_ROS_IN, topic, "conversion")
-            return [note(Level.ERROR, "conversion", f"not sent: {error}", topic)]
+            self.ledger.drop(_ROS_IN, topic, _reason(error))
+            return [note(Level.ERROR, "conversion", f"not sent: {error}", topic), *found]
         if _has_igtl(replies):
             self.ledger.count(_ROS_IN, topic, "converted")
         else:
             self.ledger.drop(_ROS_IN, topic, "not_wanted")
-        return replies + self._warnings(to.warnings, entry)
+        return replies + self._warnings(to.warnings, entry) + found
 
     def _deny_ros(self, entry: Entry, stream: ToIgtlStream, outgoing: Outgoing, igtl_type: str) -> list[Reply]:
         """What is said of a ROS message that peers may not be sent; who commands is told at once."""
@@ -801,6 +846,7 @@ class Gateway:
                 self._peers.down(link)
                 self._said = {said for said in self._said if said[2] != link}
                 self._from_peers.gone(link)
+                self._guard.gone(link)
                 for pending in self._to_peers.gone(link):
                     replies += self._tell(entry, pending, CommandReply.NO_PEER, "the peer has gone")
         return [*replies, self._links(entry.stamp_ns)]
@@ -881,6 +927,33 @@ class Gateway:
     def _warnings(self, warnings: list[tuple[str, str]], entry: Entry) -> list[Reply]:
         """Notes for what a conversion had to bend, once for each stream and cause."""
         return [reply for code, text in warnings for reply in self._once(entry, Level.WARN, code, text, entry.channel)]
+
+
+def _found(entry: Entry, finding: Finding) -> Reply:
+    """The note of what the guard found."""
+    level, code, text = finding
+    return note(level, code, text, entry.channel, entry.links)
+
+
+def _reason(error: ConversionError | WireError) -> str:
+    """What the ledger calls a message that could not be converted."""
+    return error.code if isinstance(error, ConversionError) else ConversionError.code
+
+
+def _place_of(content: object) -> Place | None:
+    """The translation of a single pose, in whatever unit."""
+    match content:
+        case Transform():
+            x, y, z = content.wire_matrix[9:]
+        case Position():
+            x, y, z = content.position
+        case TransformStamped():
+            x, y, z = content.translation
+        case PoseStamped():
+            x, y, z = content.pose[:3]
+        case _:
+            return None
+    return x, y, z
 
 
 def _made(row: RosRow, content: object, to: ToRos) -> Sequence[RosMessage]:

@@ -5,12 +5,16 @@ message of a stream: which rows, names, frames, peers.  For poses, which come a 
 answers of the last message are kept as a *plan*.  A plan gives exactly the entries, and the ledger exactly the
 counts, that the general way would have given, or None: then the message takes the general way.
 
+What the guard looks at (`igtl_gateway.gateway.guard`), a plan lets it look at, too: where there is anything to be said
+of a message it gives no entries, and the general way has the message; the plan stays.
+
 Plans hold until something changes that their answers came from: a peer that comes, goes, shows itself or asks for
 streams ends all plans to OpenIGTLink.  What leads to ROS depends on nothing that changes.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -22,6 +26,7 @@ from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.context import ToRos
 from igtl_gateway.convert.express import MATRIX, QUATERNION, pose_to_igtl, pose_to_ros
 from igtl_gateway.convert.rosmsg import TransformStamped
+from igtl_gateway.gateway.guard import Watched
 from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.reply import Reply
 from igtl_gateway.gateway.sender import Outbound, send
@@ -65,6 +70,11 @@ _TO_IGTL: dict[Callable[..., Any], int] = {
 POSES = {"TRANSFORM": MATRIX, "POSITION": QUATERNION, "QTRANS": QUATERNION}
 POSE_TOPICS = frozenset({TransformStamped.TYPE, PoseStamped.TYPE})
 _LITTLE_ENDIAN = b"\x00\x01"
+#: A translation in OpenIGTLink, and at the beginning of a pose in CDR.
+_PLACE_IGTL, _PLACE_ROS = struct.Struct(">3f"), struct.Struct("<3d")
+_POSE_SIZE = 56
+#: Where the translation is among the numbers in OpenIGTLink.
+_PLACE_AT = {MATRIX: 36, QUATERNION: 0}
 
 
 class Plans:
@@ -114,10 +124,12 @@ class ToRosPlan:
         "_forms",
         "_numbers",
         "_own",
+        "_place_at",
         "_ratio",
         "_sample",
         "_told",
         "_type",
+        "_watched",
     )
 
     def __init__(
@@ -130,9 +142,11 @@ class ToRosPlan:
         check_crc: bool,
         own: bool,
         ledger: Ledger,
+        watched: Watched | None,
     ) -> None:
         self._sample = sample
         self._numbers = numbers
+        self._watched, self._place_at = watched, numbers[0] + _PLACE_AT[numbers[1]]
         self._channel, self._type = entry.channel, entry.type
         self._forms = tuple(form for _, _, form in forms)
         self._told = tuple((topic, ros_type, form, ledger.counter("ros_out", topic)) for topic, ros_type, form in forms)
@@ -153,6 +167,13 @@ class ToRosPlan:
         if made is None:
             return None
         source_ns, told_ns = made[0], made[1]
+        watched = self._watched
+        if watched is not None:
+            if (told_ns < watched.last_ns or stamp_ns >= watched.look_ns) and not watched.calm(
+                stamp_ns, told_ns, payload[0], _PLACE_IGTL, self._place_at
+            ):
+                return []
+            watched.last_ns = told_ns
         count = self._count
         count["received"] = count.get("received", 0) + 1
         count["decoded"] = count.get("decoded", 0) + 1
@@ -184,6 +205,7 @@ class ToIgtlPlan:
         ledger: Ledger,
         channel: str,
         latest: dict[str, Entry],
+        watched: Watched | None,
     ) -> None:
         self._sample = sample
         self._names = names
@@ -195,6 +217,7 @@ class ToIgtlPlan:
         self._own = own
         self._count = ledger.counter("ros_in", channel)
         self._latest = latest
+        self._watched, self._place_at = watched, len(sample) - _POSE_SIZE
 
     def __call__(
         self, seq: int, stamp_ns: int, payload: Sequence[Buffer], channel: str, ros_type: str, source_ns: int
@@ -213,6 +236,13 @@ class ToIgtlPlan:
         if made is None:
             return None
         told_ns = made[0]
+        watched = self._watched
+        if watched is not None:
+            if (told_ns < watched.last_ns or stamp_ns >= watched.look_ns) and not watched.calm(
+                stamp_ns, told_ns, payload[0], _PLACE_ROS, self._place_at
+            ):
+                return []
+            watched.last_ns = told_ns
         count = self._count
         count["received"] = count.get("received", 0) + 1
         count["converted"] = count.get("converted", 0) + 1
@@ -240,7 +270,13 @@ class ToIgtlPlan:
 
 
 def plan_to_ros(
-    entry: Entry, message: Message, stream: ToRosStream, to: ToRos, config: Config, ledger: Ledger
+    entry: Entry,
+    message: Message,
+    stream: ToRosStream,
+    to: ToRos,
+    config: Config,
+    ledger: Ledger,
+    watched: Watched | None = None,
 ) -> ToRosPlan | None:
     """The plan that follows from a message that was converted without a word; None where there can be none."""
     data, size = entry.payload[0], POSES.get(entry.type, 0)
@@ -259,7 +295,9 @@ def plan_to_ros(
     if to.warnings:
         return None
     own = config.stamp_of(stream.row) == "source"
-    return ToRosPlan(data, (at, size), entry, forms, to.lengths.ratio_to_ros, config.check_crc, own, ledger)
+    if stream.row.max_age_s and not own:  # judged by a stamp that is not told
+        return None
+    return ToRosPlan(data, (at, size), entry, forms, to.lengths.ratio_to_ros, config.check_crc, own, ledger, watched)
 
 
 def plan_to_igtl(
@@ -270,6 +308,7 @@ def plan_to_igtl(
     config: Config,
     ledger: Ledger,
     latest: dict[str, Entry],
+    watched: Watched | None = None,
 ) -> ToIgtlPlan | None:
     """The plan that follows from a message that was sent without a word; None where there can be none."""
     cdr, size = entry.payload[0], _TO_IGTL.get(stream.conversion.convert, 0)
@@ -293,7 +332,10 @@ def plan_to_igtl(
         at = HEADER_SIZE + (0 if version_1 else EXTENDED_SIZE)
         told.append((one, (template, at, 0 if version_1 else _difference(template, join(other.payload)))))
     own = config.stamp_of(stream.row) == "source"
-    return ToIgtlPlan(cdr, names, size, told, peers, stream.lengths.ratio_to_igtl, own, ledger, entry.channel, latest)
+    if stream.row.max_age_s and not own:
+        return None
+    ratio = stream.lengths.ratio_to_igtl
+    return ToIgtlPlan(cdr, names, size, told, peers, ratio, own, ledger, entry.channel, latest, watched)
 
 
 #: Stamps of 19 digits, no two the same at the same place: they show where in a message the stamp is.

@@ -73,7 +73,7 @@ class Session:
         links: tuple[int, ...],
         source_ns: int,
     ) -> list[Entry] | None:
-        """What the plan of the stream says, if it has one that fits."""
+        """What the plan of the stream says, if it has one that fits; nothing where the general way has to say more."""
         plans, entries = self._plans, None
         if kind is Kind.ROS_IN:
             topic_key = (channel, type_name)

@@ -37,7 +37,9 @@ _ODD = [
 
 angles = st.floats(-4.0, 4.0)
 lengths = st.sampled_from([0.0, -0.0, 1e-40, 3.5, -1e3, 3e38, 1e39, math.nan, math.inf]) | st.floats(-1e3, 1e3)
-stamps = st.sampled_from([0, -5, 1, 999_999_999, T0_NS, T0_NS + 123_456_789, 2**32 * NS_PER_S - 1])
+stamps = st.sampled_from(
+    [0, -5, 1, 999_999_999, T0_NS, T0_NS, T0_NS + 123_456_789, T0_NS + NS_PER_S, 2**32 * NS_PER_S - 1]
+)
 
 
 @st.composite
@@ -114,6 +116,13 @@ CONFIGS = (
             ToIgtlRow(),
         ),
     ),
+    Config(watch=True),
+    Config(
+        watch=True,
+        to_ros=(ToRosRow(device="A", max_age_s=3.0),),
+        to_igtl=(ToIgtlRow(topic="/igtl/out/P*", max_age_s=2.0, stamp="receive"), ToIgtlRow(max_age_s=1.0)),
+    ),
+    Config(to_ros=(ToRosRow(max_age_s=0.1),), to_igtl=(ToIgtlRow(max_age_s=0.05),)),
 )
 
 
@@ -127,7 +136,7 @@ def played(steps: list[Step], config: Config, heard: set[str] | None, planned: b
     session = Session(gateway)
     told: list[Any] = []
     for index, step in enumerate([("link", LINK_UP, 1), ("link", LINK_UP, 2), *steps]):
-        now_ns = T0_NS + index * 1_000
+        now_ns = T0_NS + index * 40_000_000
         match step:
             case ("igtl", data, link):
                 entries = session.input(now_ns, Kind.IGTL_IN, (data,), links=(link,))

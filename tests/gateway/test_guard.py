@@ -1,0 +1,243 @@
+"""The guard: old poses are withheld, odd streams are told of, once per episode; the express lane sees the same."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from igtl_gateway.buffers import join
+from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.convert import rosmsg
+from igtl_gateway.gateway import LINK_UP, Gateway, Session
+from igtl_gateway.gateway.guard import CODES, STILL_LOOKS, is_unit_jump
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.query import Nothing
+from igtl_gateway.wire.transform import Transform
+from tests.script import T0_NS, Script
+
+ROTATION = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+WATCHING = Config(watch=True)
+
+
+def pose(stamp_ns: int, place: tuple[float, float, float] = (100.0, 200.0, 300.0), device: str = "Tool") -> Message:
+    return Message("TRANSFORM", device, Transform((*ROTATION, *place)), ns_to_ticks(stamp_ns))
+
+
+def tool(stamp_ns: int) -> rosmsg.TransformStamped:
+    return rosmsg.TransformStamped(rosmsg.Header(stamp_ns, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
+
+
+# -- maximum age --------------------------------------------------------------------------------------------------
+
+
+def test_what_is_too_old_is_withheld_and_told_once_until_it_is_fresh_again() -> None:
+    script = Script(Config(to_ros=(ToRosRow(max_age_s=0.5),)))
+    assert script.igtl(pose(script.now_ns)) == ["ros /igtl/in/Tool/transform"]
+    assert script.igtl(pose(script.now_ns - NS_PER_S)) == ["note stale"]
+    assert script.notes[0].level is Level.ERROR and script.notes[0].stream == "TRANSFORM/Tool"
+    assert [script.igtl(pose(script.now_ns - NS_PER_S)) for _ in range(3)] == [[], [], []]
+    assert script.igtl(pose(script.now_ns)) == ["ros /igtl/in/Tool/transform", "note fresh"]
+    assert "withheld 4 messages" in script.notes[0].text
+    assert script.igtl(pose(script.now_ns)) == ["ros /igtl/in/Tool/transform"]
+    counts = script.gateway.ledger.to_dict()["igtl_in"]["TRANSFORM/Tool"]
+    assert counts == {"received": 7, "decoded": 7, "converted": 3, "dropped": {"stale": 4}}
+
+
+def test_on_the_way_out_too_and_it_does_not_become_the_latest() -> None:
+    script = Script(Config(to_igtl=(ToIgtlRow(max_age_s=0.5),)))
+    script.up(1)
+    assert script.ros("/igtl/out/Tool", tool(script.now_ns - NS_PER_S)) == ["note stale"]
+    query = Message("GET_TRANS", "Tool", Nothing())
+    assert "note query_unanswered" in script.igtl(query)
+    assert script.ros("/igtl/out/Tool", tool(script.now_ns)) == ["igtl TRANSFORM/Tool v1 to 1", "note fresh"]
+    assert "igtl TRANSFORM/Tool v1 to 1" in script.igtl(query)
+    script.now_ns += NS_PER_S  # what was fresh is old now, and must not be told as the latest
+    assert "igtl TRANSFORM/Tool v1 to 1" not in script.igtl(query)
+    assert script.gateway.ledger.to_dict()["ros_in"]["/igtl/out/Tool"]["dropped"] == {"stale": 1}
+
+
+def test_the_stamp_of_the_middleware_counts_where_the_message_has_none() -> None:
+    script = Script(Config(to_igtl=(ToIgtlRow(max_age_s=0.5, stamp="receive"),)))
+    script.up(1)
+    assert script.ros("/igtl/out/Tool", tool(0), source_ns=script.now_ns - NS_PER_S) == ["note stale"]
+
+
+def test_without_stamps_there_is_no_age_which_is_said_once() -> None:
+    script = Script(Config(to_ros=(ToRosRow(max_age_s=0.5),)))
+    assert script.igtl(pose(0)) == ["ros /igtl/in/Tool/transform", "note age_unknown"]
+    assert script.igtl(pose(0)) == ["ros /igtl/in/Tool/transform"]
+
+
+def test_a_latched_message_is_sent_again_to_a_late_link_whatever_its_age() -> None:
+    row = ToIgtlRow(max_age_s=0.5, qos=Qos(latched=True))
+    script = Script(Config(to_igtl=(row,)))
+    assert script.ros("/igtl/out/Tool", tool(script.now_ns)) == []  # nobody is there
+    script.now_ns += 60 * NS_PER_S
+    assert script.up(1) == ["igtl TRANSFORM/Tool v1 to 1"]
+    assert script.gateway.ledger.to_dict()["ros_in"]["/igtl/out/Tool"] == {"received": 1, "dropped": {"no_peer": 1}}
+
+
+def test_an_episode_belongs_to_a_link_and_a_row_to_its_devices() -> None:
+    script = Script(Config(to_ros=(ToRosRow(device="Probe*", max_age_s=0.5), ToRosRow())))
+    old_ns = script.now_ns - NS_PER_S
+    assert script.igtl(pose(old_ns, device="Other")) == ["ros /igtl/in/Other/transform"]
+    assert script.igtl(pose(old_ns, device="Probe1"), 1) == ["note stale"]
+    assert script.igtl(pose(old_ns, device="Probe1"), 2) == ["note stale"]
+    script.up(1)
+    script.down(1)
+    assert script.igtl(pose(old_ns, device="Probe1"), 1) == ["note stale"]
+
+
+# -- watchers -----------------------------------------------------------------------------------------------------
+
+
+TEXTS: list[str] = []
+
+
+def watched(script: Script, messages: list[Message], every_ns: int = 200 * NS_PER_MS) -> list[str]:
+    """Codes of the guard's notes on messages in a row; their sentences are in ``TEXTS``."""
+    told = []
+    for message in messages:
+        script.now_ns += every_ns - NS_PER_MS
+        script.igtl(message)
+        told += [note for note in script.notes if note.code in CODES]
+    TEXTS[:] = [note.text for note in told]
+    return [note.code for note in told]
+
+
+def coming(script: Script, number: int, every_ns: int = 200 * NS_PER_MS, **facts: Any) -> list[Message]:
+    """Messages stamped at the time of their arrival."""
+    return [pose(script.now_ns + index * every_ns, **facts) for index in range(1, number + 1)]
+
+
+def test_nothing_is_said_without_watch_nor_of_good_streams() -> None:
+    assert Config().watch is None
+    odd = [pose(T0_NS + 5 * NS_PER_S), pose(T0_NS, (0.1, 0.2, 0.3)), pose(T0_NS - NS_PER_S)]
+    assert watched(Script(), odd) == []
+    script = Script(WATCHING)
+    assert watched(script, coming(script, 60)) == []
+    assert watched(script, [pose(0)] * 60) == []  # unset is none of these
+
+
+def test_metres_for_millimetres_are_seen_and_the_episode_ends() -> None:
+    script = Script(WATCHING)
+    assert watched(script, coming(script, 3)) == []
+    assert watched(script, coming(script, 1, place=(0.101, 0.2, 0.299))) == ["unit_jump"]
+    assert "a factor of 1001" in TEXTS[0] and "metres" in TEXTS[0]
+    assert watched(script, coming(script, 1)) == []  # and back: of the same episode
+    assert watched(script, coming(script, 60)) == ["calm"]
+    assert "2 times" in TEXTS[0]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "jumps"),
+    [
+        ((0.3, 0.1, 0.0), (300.0, 100.0, 0.0), True),
+        ((300.0, 100.0, 0.0), (0.3, 0.1, 0.0), True),
+        ((300.0, 100.0, 0.0), (310.0, 100.0, 0.0), False),
+        ((0.0, 0.0, 0.0), (300.0, 100.0, 0.0), False),  # from nowhere: a pose that begins
+        ((0.3, 0.1, 0.0), (0.0, 0.0, 300.0), False),  # elsewhere: it moved
+        ((0.3, 0.1, 0.0), (-300.0, -100.0, 0.0), False),
+        ((0.3, 0.1, 0.0), (3e5, 1e5, 0.0), False),
+        ((0.3, 0.1, 0.0), (float("nan"), 0.0, 0.0), False),
+        ((float("inf"), 0.0, 0.0), (float("inf"), 0.0, 0.0), False),
+    ],
+)
+def test_what_a_jump_of_the_unit_is(before: Any, after: Any, jumps: bool) -> None:
+    assert is_unit_jump(before, after) is jumps
+
+
+def test_stamps_that_run_backwards() -> None:
+    script = Script(WATCHING)
+    assert watched(script, coming(script, 2)) == []
+    back = pose(script.now_ns - 50 * NS_PER_MS)
+    assert watched(script, [back], NS_PER_MS) == ["stamp_backwards"]
+    assert watched(script, coming(script, 1)) == []
+    assert watched(script, [pose(script.now_ns - NS_PER_MS)], NS_PER_MS) == []
+    assert watched(script, coming(script, 60)) == ["calm"]
+
+
+def test_stamps_that_stand_still_but_not_those_of_whole_seconds() -> None:
+    script = Script(WATCHING)
+    frozen = pose(script.now_ns)
+    assert watched(script, [frozen] * STILL_LOOKS) == []
+    assert watched(script, [frozen] * 30) == ["stamp_still"]
+    assert watched(script, coming(script, 60)) == ["calm"]
+    script = Script(WATCHING)
+    every_ns = 10 * NS_PER_MS
+    whole = [pose((T0_NS + index * every_ns) // NS_PER_S * NS_PER_S) for index in range(1, 500)]
+    assert watched(script, whole, every_ns) == []
+
+
+def test_stamps_in_the_future() -> None:
+    script = Script(WATCHING)
+    ahead = [pose(script.now_ns + (index + 10) * 200 * NS_PER_MS) for index in range(5)]
+    assert watched(script, ahead) == ["stamp_future"]
+    assert "are the clocks set" in TEXTS[0]
+
+
+def test_numbers_that_are_none_have_a_reason_of_their_own() -> None:
+    script = Script(WATCHING)
+    assert script.igtl(pose(script.now_ns, (float("nan"), 0.0, 0.0))) == ["note conversion"]
+    script.up(1)
+    nowhere = replace(tool(script.now_ns), translation=(float("inf"), 0.0, 0.0))
+    assert script.ros("/igtl/out/Tool", nowhere) == ["note conversion"]
+    ledger = script.gateway.ledger.to_dict()
+    assert ledger["igtl_in"]["TRANSFORM/Tool"]["dropped"] == {"not_finite": 1}
+    assert ledger["ros_in"]["/igtl/out/Tool"]["dropped"] == {"not_finite": 1}
+
+
+# -- the express lane ---------------------------------------------------------------------------------------------
+
+ROWS = Config(watch=True, to_ros=(ToRosRow(device="Old*", max_age_s=0.3),), to_igtl=(ToIgtlRow(max_age_s=0.3),))
+
+
+def inputs(seed: int) -> list[tuple[int, Kind, bytes, str]]:
+    """A thousand poses at 50 Hz in both directions, of a source with moods that last for a while."""
+    chance = random.Random(seed)
+    now_ns, made, place, lag_ns, frozen_ns = T0_NS, [], (100.0, 200.0, 300.0), 0, 0
+    for _ in range(1_000):
+        now_ns += 20 * NS_PER_MS if chance.random() > 0.005 else 11 * NS_PER_S
+        mood = chance.random()
+        if mood < 0.01:
+            place = (0.1, 0.2, 0.3) if place[0] > 1 else (100.0, 200.0, 300.0)
+        elif mood < 0.02:
+            lag_ns = chance.choice([0, NS_PER_S, -NS_PER_S, 290 * NS_PER_MS])
+        elif mood < 0.03:
+            frozen_ns = 0 if frozen_ns else now_ns + 60 * NS_PER_MS
+        stamp_ns = 0 if 0.03 < mood < 0.032 else frozen_ns or now_ns - lag_ns
+        device = chance.choice(["Tool", "OldTool"])
+        made.append((now_ns, Kind.IGTL_IN, join(encode(pose(stamp_ns, place, device))), ""))
+        made.append((now_ns + 1, Kind.ROS_IN, replace(tool(stamp_ns), translation=place).pack(), "/igtl/out/Tool"))
+    return made
+
+
+def test_a_verification_which_knows_no_plans_finds_the_same_notes() -> None:
+    assert set().union(*map(verified, range(3))) >= CODES
+
+
+def verified(seed: int) -> set[str]:
+    """The codes of the notes of a session, which a verification has to find too."""
+    gateway = Gateway(ROWS)
+    session = Session(gateway)
+    general: list[Entry] = []
+    handle = gateway.handle
+    gateway.handle = lambda entry: general.append(entry) or handle(entry)  # type: ignore[method-assign, func-returns-value]
+    up = Note(Level.INFO, LINK_UP, "", data={"peer": "127.0.0.1:1", "role": "server"}).pack()
+    log = session.input(T0_NS, Kind.LINK, (up,), links=(1,))
+    for now_ns, kind, data, topic in inputs(seed):
+        links, ros_type = ((1,), "") if kind is Kind.IGTL_IN else ((), rosmsg.TransformStamped.TYPE)
+        log += session.input(now_ns, kind, (data,), channel=topic, type_name=ros_type, links=links)
+    assert len(general) < 1_400  # of 2,000: the others, though watched, went by plans
+    again = Gateway(ROWS)
+    told = [output for entry in log if entry.kind.is_input for output in (entry, *again.handle(entry))]
+    assert [(e.seq, e.kind, e.channel, e.data()) for e in told] == [(e.seq, e.kind, e.channel, e.data()) for e in log]
+    assert again.ledger.to_dict() == gateway.ledger.to_dict()
+    return {Note.unpack(entry.data()).code for entry in log if entry.kind is Kind.NOTE}
