@@ -82,7 +82,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "selectors": ("edges.tcp.loop",),
     "socket": ("edges.tcp", "bench.programs"),  # a measurement has a peer that costs nothing
     "socketserver": (),
-    "ssl": (),
+    "ssl": ("edges.tcp.tls",),
     "rclpy": ("edges.ros",),
     # Time and chance: the core is a pure function of its inputs
     "time": ("clock",),

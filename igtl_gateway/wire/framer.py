@@ -5,17 +5,20 @@ that need not be.  Small messages arrive many at a time in one 64 KiB chunk and 
 A message that does not fit the chunk gets storage of its own, as soon as its header is there, and the rest of
 it is received in place.  Storage above 16 MiB grows with the bytes that really arrive.
 
-Only the body size of the header (``u64`` big-endian at offset 42) is looked at: version, type and CRC-64 are
-judged where the message is decoded, so that a corrupt message can be recorded as it came.
+Only the body size of the header (``u64`` big-endian at offset 42) is looked at, and the type where the size is above
+the least limit: version, type and CRC-64 are judged where the message is decoded, so that a corrupt message can be
+recorded as it came.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from struct import Struct
 
 import numpy as np
 
 from igtl_gateway.errors import MessageTooLarge
+from igtl_gateway.globs import matches
 
 HEADER_SIZE = 58
 
@@ -31,6 +34,7 @@ _EAGER = 16 * 2**20
 
 _BODY_SIZE = Struct(">Q")
 _BODY_SIZE_AT = 42
+_TYPE = slice(2, 14)
 
 
 class Framer:
@@ -39,21 +43,24 @@ class Framer:
     Call ``buffer``, let the socket write there, call ``received`` with the number of bytes.  Messages are
     ``bytes`` (small) or a read-only ``memoryview`` with storage of its own; neither is ever written to again.
 
-    A header that announces a body above ``max_body`` bytes raises MessageTooLarge before anything is reserved.
+    A header that announces a body above ``max_body`` bytes raises MessageTooLarge before anything is reserved;
+    ``rows`` of types (globs) and bytes say what holds for those instead, the first that matches.
     Messages that came whole before that header are returned first: then it is the next call, of any of
     ``buffer``, ``received`` and ``feed``, that raises.  From there on the place of the next header is unknown,
     so every further call raises again.
     """
 
-    def __init__(self, max_body: int = DEFAULT_MAX_BODY) -> None:
+    def __init__(self, max_body: int = DEFAULT_MAX_BODY, rows: Sequence[tuple[str, int]] = ()) -> None:
         self._max_body = max_body
+        self._rows = tuple(rows)
+        self._least = min([max_body, *(size for _, size in rows)])  # no body up to here needs a look at its type
         self._chunk = memoryview(bytearray(_CHUNK))
         # the unfinished message begins at 0 of the storage: the chunk, or storage of its own
         self._storage = self._chunk
         self._filled = 0
         self._need = HEADER_SIZE  # nothing can be decided below this many bytes
         self._total = 0  # size of the message that has storage of its own
-        self._too_large: int | None = None  # the body size that ended it all
+        self._too_large: tuple[str, str, str] | None = None  # what ended it all: place, found and expected
 
     @property
     def pending(self) -> int:
@@ -103,8 +110,7 @@ class Framer:
 
     def _check(self) -> None:
         if self._too_large is not None:
-            limit = f"at most {self._max_body} bytes"
-            raise MessageTooLarge("header, body size", f"{self._too_large} bytes", limit)
+            raise MessageTooLarge(*self._too_large)
 
     def _cut(self) -> list[bytes | memoryview]:
         """Take the whole messages out of the chunk and leave the unfinished one at its start."""
@@ -114,8 +120,7 @@ class Framer:
         start, total = 0, HEADER_SIZE
         while filled - start >= HEADER_SIZE:
             (body,) = _BODY_SIZE.unpack_from(chunk, start + _BODY_SIZE_AT)
-            if body > self._max_body:
-                self._too_large = body
+            if body > self._least and self._exceeds(body, bytes(chunk[start : start + HEADER_SIZE])):
                 break
             total = HEADER_SIZE + body
             if filled - start < total:
@@ -135,6 +140,14 @@ class Framer:
         if not messages:
             self._check()
         return messages
+
+    def _exceeds(self, body: int, header: bytes) -> bool:
+        """Whether a body is too long for its type: then there is nothing to be read any more."""
+        name = header[_TYPE].partition(b"\0")[0].decode("utf-8", "replace")
+        limit = next((size for glob, size in self._rows if matches(glob, name)), self._max_body)
+        if body > limit:
+            self._too_large = (f"header of {name!r}, body size", f"{body} bytes", f"at most {limit} bytes")
+        return body > limit
 
     def _reserve(self, have: memoryview) -> None:
         """Larger storage for the unfinished message, of which ``have`` is there."""

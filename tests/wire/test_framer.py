@@ -158,3 +158,13 @@ def test_impossible_count(count: int) -> None:
 def test_version_and_type_are_not_judged() -> None:
     odd = b"\xff" * 42 + struct.pack(">QQ", 2, 0) + b"ab"
     assert Framer().feed(odd) == [odd]
+
+
+def test_the_longest_body_may_depend_on_the_type() -> None:
+    rows = (("STRING", 100), ("GET_*", 10), ("IMAGE", 10_000))
+    for name, limit in ((b"STRING", 100), (b"GET_TRANS", 10), (b"IMAGE", 10_000), (b"OTHER", 1_000), (b"", 1_000)):
+        framer = Framer(1_000, rows)
+        assert framer.feed(header(limit, name) + bytes(limit)) == [header(limit, name) + bytes(limit)]
+        for _ in range(2):
+            with pytest.raises(MessageTooLarge, match=f"found {limit + 1} bytes, expected at most {limit} bytes"):
+                framer.feed(header(limit + 1, name))

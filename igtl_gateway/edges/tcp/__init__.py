@@ -10,6 +10,9 @@ totals) may be held while taking a link's lock, never the other way round.  No c
 and callbacks are made by the I/O thread only; so a callback may take the caller's lock and ``send``, while another
 thread sends under that same lock.
 
+TLS (``tls``) is a socket of another kind below a link: the handshake comes before the link, and bytes that are
+encrypted but not yet sent are flushed by the I/O thread.
+
 A relay (``relay``) makes pairs of links, each client with a connection of its own to one server.  There the I/O thread
 sends, and reads a link only while its partner's queue is empty.
 
@@ -19,5 +22,6 @@ part that it happened in mends itself, see ``Link.failed``, ``Listener.failed``,
 
 from igtl_gateway.edges.tcp.edge import TcpEdge
 from igtl_gateway.edges.tcp.facts import Limits, LinkCounters, LinkInfo
+from igtl_gateway.edges.tcp.tls import TlsFiles
 
-__all__ = ["Limits", "LinkCounters", "LinkInfo", "TcpEdge"]
+__all__ = ["Limits", "LinkCounters", "LinkInfo", "TcpEdge", "TlsFiles"]

@@ -14,6 +14,7 @@ from igtl_gateway.edges.tcp.link import Link
 from igtl_gateway.edges.tcp.loop import WRITE, Loop
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.sockets import place_of, resolve
+from igtl_gateway.edges.tcp.tls import Handshake, TlsSocket
 from igtl_gateway.session.note import Level, Note
 
 _CONNECT_TIMEOUT_S = 5.0  # the kernel's own would be two minutes
@@ -26,17 +27,18 @@ class Dialer:
     """Connects, and hands the connection to ``up`` (socket, address, itself); of the I/O thread alone.
 
     ``link`` is the connection that lives, if any; the edge sets it.  With ``gave_up`` there is one attempt only,
-    and this is told (itself, the cause) where it comes to nothing.
+    and this is told (itself, the cause) where it comes to nothing.  ``secure`` puts TLS on the connection.
     """
 
     def __init__(
         self,
         host: str,
         port: int,
-        up: Callable[[socket.socket, str, Dialer], None],
+        up: Callable[[socket.socket | TlsSocket, str, Dialer], None],
         loop: Loop,
         reporter: Reporter,
         gave_up: Callable[[Dialer, str], None] | None = None,
+        secure: Callable[[socket.socket], TlsSocket] | None = None,
     ) -> None:
         self.target = place_of((host, port))
         self.link: Link | None = None
@@ -46,6 +48,8 @@ class Dialer:
         self._loop = loop
         self._reporter = reporter
         self._gave_up = gave_up
+        self._secure = secure
+        self._handshake: Handshake | None = None
         self._delay_s = _RETRY_FIRST_S
         self._causes: set[str] = set()  # noted already in this outage
         self._addresses: list[tuple[int, Any]] = []  # family and address, still to be tried in this attempt
@@ -69,6 +73,9 @@ class Dialer:
             self._loop.unwatch(self._sock)
             self._sock.close()
             self._sock = None
+        if self._handshake:
+            self._handshake.cancel()
+            self._handshake = None
 
     def redial(self) -> None:
         """Its link has gone."""
@@ -131,7 +138,21 @@ class Dialer:
             return
         self._loop.unwatch(sock)
         self._sock = None
-        self._up(sock, place_of(address), self)
+        if not self._secure:
+            self._up(sock, place_of(address), self)
+            return
+        secured = self._secure(sock)
+        done = partial(self._shaken, secured, place_of(address))
+        self._handshake = Handshake(secured, self._loop, done, self._distrusted, self.failed)
+        self._handshake.begin(_CONNECT_TIMEOUT_S)
+
+    def _shaken(self, sock: TlsSocket, place: str) -> None:
+        self._handshake = None
+        self._up(sock, place, self)
+
+    def _distrusted(self, reason: str, detail: str) -> None:
+        self.hang_up()
+        self._dial_next(f"{reason} ({detail})" if detail else reason)
 
     def _timed_out(self, sock: socket.socket) -> None:
         if self._sock is sock:

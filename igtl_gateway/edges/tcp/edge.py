@@ -14,13 +14,15 @@ from igtl_gateway.buffers import Buffer, join, total_size
 from igtl_gateway.clock import Clock
 from igtl_gateway.edges.tcp.dialer import Dialer
 from igtl_gateway.edges.tcp.facts import Limits, LinkCounters, LinkInfo, Role
-from igtl_gateway.edges.tcp.link import FLUSH_S, Link, Surroundings
+from igtl_gateway.edges.tcp.link import FLUSH_S, Link, Surroundings, TlsLink
 from igtl_gateway.edges.tcp.listener import Listener
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.outbox import Part
+from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.relay import Relay
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.sockets import PORT_MAX, AllowList, listening_socket, place_of, tune
+from igtl_gateway.edges.tcp.tls import Context, Handshake, TlsFiles, TlsSocket
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
@@ -28,6 +30,10 @@ from igtl_gateway.stamp import NS_PER_S
 _DRAIN_S = 0.25  # how long stop() waits for peers to close their side
 _JOINED = 4096  # bytes of a message up to which one copied buffer is sent faster than several (3.5 µs against 5.5)
 _LIMITS = Limits()
+_NO_FILES = TlsFiles()
+
+#: Takes a connection and the address of its peer.
+Up = Callable[[socket.socket | TlsSocket, str], None]
 
 
 class TcpEdge:
@@ -42,12 +48,13 @@ class TcpEdge:
         on_frame: link number and one whole message, unchecked; the buffer is the receiver's to keep.
         on_link: a peer came (True) or went; the note's data has ``peer``, ``local``, ``role``, and, when it went,
             ``reason`` and the counts.
-        on_note: link number (0 if none) and a fact: ``truncated``, ``too_large``, ``stalled``, ``out_of_memory``,
-            ``queue_drop``, ``queue_full``, ``refused``, ``accept_failed``, ``connect_failed``, ``callback_failed``,
-            ``internal_error``.
+        on_note: link number (0 if none) and a fact: ``truncated``, ``too_large``, ``stalled``, ``idle``,
+            ``out_of_memory``, ``queue_drop``, ``queue_full``, ``rate_limited``, ``refused``, ``accept_failed``,
+            ``connect_failed``, ``callback_failed``, ``internal_error``.
         clock: see above.
         limits: what a peer can cost.
         allow: networks (CIDR) whose peers may connect beside this host's own, or ``"any"``.
+        tls: files for the connections that are to have TLS.
         when_full: ``"drop"``: ``send`` never waits, see ``Outbox``; ``"block"``: ``send`` waits for room and
             nothing is lost while the link lives (except in callbacks, which must not wait for themselves).
 
@@ -64,10 +71,12 @@ class TcpEdge:
         limits: Limits = _LIMITS,
         allow: Sequence[str] = (),
         when_full: Literal["drop", "block"] = "drop",
+        tls: TlsFiles = _NO_FILES,
     ) -> None:
         self._on_link = on_link
         self._limits = limits
         self._allow = AllowList(allow)
+        self._tls = tls
         self._blocking = when_full == "block"
 
         self._changed = threading.Condition()  # guards _links, _ignored, _gone; told when a waiter should look again
@@ -77,44 +86,61 @@ class TcpEdge:
 
         self._loop = Loop(clock, self._run, self._failed)
         self._reporter = Reporter(self._loop, on_note)
-        self._around = Surroundings(self._loop, self._reporter, limits, on_frame, self._notify, self._down)
+        self._refusals = Refusals(self._reporter)
+        self._around = Surroundings(
+            self._loop,
+            self._reporter,
+            self._refusals,
+            limits,
+            limits.body_rows(),
+            on_frame,
+            self._notify,
+            self._down,
+        )
         self._last_number = 0
         self._listeners: list[Listener] = []
         self._dialers: list[Dialer] = []
         self._relays: list[Relay] = []
+        self._handshakes: dict[TlsSocket, Handshake] = {}  # of the clients that are about to come
         self._flush_s = 0.0
         self._finished = False
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
-    def listen(self, host: str, port: int) -> tuple[str, int]:
+    def listen(self, host: str, port: int, *, tls: bool = False) -> tuple[str, int]:
         """Serve peers at this address; port 0 chooses a free one.  Returns the address and port bound.
 
+        With ``tls`` they have to speak it, and to have a certificate where there is a CA for that.
         Raises ConfigError if the address is invalid or taken, or open to other hosts without an allow-list, and
         after ``stop``.
         """
-        return self._listen(host, port, self._up)
+        return self._listen(host, port, self._up, tls)
 
-    def relay(self, host: str, port: int, to: tuple[str, int]) -> tuple[str, int]:
+    def relay(
+        self, host: str, port: int, to: tuple[str, int], *, tls: bool = False, tls_to: bool = False
+    ) -> tuple[str, int]:
         """Serve peers at this address, each with a connection of its own to the server ``to``.
 
         The two links of a pair are announced together, the client's first; the note of the server's has the
         number of the client's as ``partner``.  When one goes, so does the other.  A link is read no faster than its
         partner takes what is sent to it; so what comes from one must be sent to the other, within ``on_frame``.
 
-        Returns and raises as ``listen``.
+        With ``tls`` clients speak it, with ``tls_to`` the server does.  Returns and raises as ``listen``.
         """
         if not 1 <= to[1] <= PORT_MAX:
             raise ConfigError(f"connect {to[0]}: found port {to[1]}, expected 1 to {PORT_MAX}")
-        relay = Relay(*to, self._up_pair, self._loop, self._reporter)
-        bound = self._listen(host, port, relay.take)
+        secure = self._securer(to[0]) if tls_to else None
+        relay = Relay(*to, self._up_pair, self._loop, self._reporter, secure)
+        bound = self._listen(host, port, relay.take, tls)
         self._relays.append(relay)
         return bound
 
-    def _listen(self, host: str, port: int, up: Callable[[socket.socket, str], None]) -> tuple[str, int]:
+    def _listen(self, host: str, port: int, up: Up, tls: bool) -> tuple[str, int]:
+        context = self._tls.server() if tls else None
         sock = listening_socket(host, port, self._allow)
         bound: tuple[str, int] = sock.getsockname()[:2]
-        listener = Listener(sock, self._allow, self._crowded, up, self._loop, self._reporter)
+        greet = partial(self._greet, up, context) if context else up
+        listener = Listener(sock, self._allow, self._crowded, greet, self._loop, self._reporter, self._refusals)
         with self._changed:
             if self._loop.stopping:
                 sock.close()
@@ -123,14 +149,25 @@ class TcpEdge:
         self._loop.post(listener.open, listener.failed)
         return bound
 
-    def connect(self, host: str, port: int) -> None:
+    def _securer(self, host: str) -> Callable[[socket.socket], TlsSocket]:
+        """What puts TLS on a connection to that host.  Raises ConfigError."""
+        context = self._tls.client()
+
+        def secure(sock: socket.socket) -> TlsSocket:
+            tune(sock)
+            return TlsSocket(sock, context, server_side=False, host=host)
+
+        return secure
+
+    def connect(self, host: str, port: int, *, tls: bool = False) -> None:
         """Stay connected to this server: try until it is there, and again whenever it goes.
 
         Raises ConfigError for a port out of range, and after ``stop``.  Anything else may mend itself, and is noted.
         """
         if not 1 <= port <= PORT_MAX:
             raise ConfigError(f"connect {host}: found port {port}, expected 1 to {PORT_MAX}")
-        dialer = Dialer(host, port, self._up, self._loop, self._reporter)
+        secure = self._securer(host) if tls else None
+        dialer = Dialer(host, port, self._up, self._loop, self._reporter, secure=secure)
         with self._changed:
             if self._loop.stopping:
                 raise ConfigError(f"connect {dialer.target}: the edge was stopped; a new one is needed")
@@ -208,6 +245,20 @@ class TcpEdge:
             counts = {number: link.counters() for number, link in self._links.items()}
             return {0: self._gone + LinkCounters(ignored=dict(self._ignored))} | counts
 
+    def disconnect(self, links: Sequence[int], reason: str, timeout_s: float = 0.0) -> bool:
+        """Close these links, each once its peer has what is queued for it; False if that took longer.
+
+        The reason is for the note.  Servers that they were made to with ``connect`` are connected to again.
+        """
+        for number in links:
+            if link := self._links.get(number):
+                self._loop.post(partial(link.finish, reason), link.failed)
+        return self._wait(lambda: not any(number in self._links for number in links), timeout_s)
+
+    def refused(self) -> dict[str, int]:
+        """Connections that were not let in, by reason."""
+        return dict(sorted(self._refusals.counts.items()))
+
     def flush(self, timeout_s: float) -> bool:
         """Wait until nothing is queued for any link; False if that took too long."""
         return self._wait(lambda: not self._queued(), timeout_s)
@@ -250,7 +301,7 @@ class TcpEdge:
         return [link for link in self._links.values() if link.announced]
 
     def _queued(self) -> bool:
-        return any(not link.outbox.empty for link in self._links.values())
+        return any(not link.all_sent for link in self._links.values())
 
     # ── the I/O thread ────────────────────────────────────────────────────────────────────────────────────────
 
@@ -261,8 +312,9 @@ class TcpEdge:
         self._finish()
 
     def _sweep(self) -> None:
-        """Close the links that fell silent inside a message."""
-        self._loop.later(min(self._limits.stall_s / 4, 1.0), self._sweep)
+        """Close the links that fell silent."""
+        limits = self._limits
+        self._loop.later(min(limits.stall_s / 4, limits.idle_s / 4 or 1.0, 1.0), self._sweep)
         for link in list(self._links.values()):
             self._loop.run(link.sweep, link.failed)
 
@@ -274,17 +326,40 @@ class TcpEdge:
         """Why no further peer may connect, or ``""``."""
         most = self._limits.max_clients
         clients = sum(link.role == "server" for link in self._links.values())
-        clients += sum(relay.waiting for relay in self._relays)
+        clients += sum(relay.waiting for relay in self._relays) + len(self._handshakes)
         return f"{most} clients are connected already" if clients >= most else ""
 
-    def _up(self, sock: socket.socket, peer: str, dialer: Dialer | None = None) -> None:
+    def _greet(self, up: Up, context: Context, sock: socket.socket, peer: str) -> None:
+        """A client came that has to speak TLS first."""
+        tune(sock)
+        secured = TlsSocket(sock, context, server_side=True)
+
+        def done() -> None:
+            del self._handshakes[secured]
+            up(secured, peer)
+
+        def refused(reason: str, detail: str) -> None:
+            del self._handshakes[secured]
+            self._refusals.refuse(secured, peer, reason, detail)
+
+        def failed(exc: Exception) -> None:
+            self._reporter.note_error(exc)
+            if handshake := self._handshakes.pop(secured, None):
+                handshake.cancel()
+
+        self._handshakes[secured] = handshake = Handshake(secured, self._loop, done, refused, failed)
+        handshake.begin(self._limits.handshake_s)
+
+    def _up(self, sock: socket.socket | TlsSocket, peer: str, dialer: Dialer | None = None) -> None:
         """A connection was made: give it a number, and tell."""
         link = self._link(sock, peer, "client" if dialer else "server")
         if dialer:
             dialer.link = link
         self._announce(link)
 
-    def _up_pair(self, client: socket.socket, peer: str, server: socket.socket, target: str) -> None:
+    def _up_pair(
+        self, client: socket.socket | TlsSocket, peer: str, server: socket.socket | TlsSocket, target: str
+    ) -> None:
         """A client came, and a connection to its server was made."""
         try:
             one = self._link(client, peer, "server")
@@ -300,11 +375,15 @@ class TcpEdge:
         one.partner, other.partner = other, one
         self._announce(other, partner=one.number)
 
-    def _link(self, sock: socket.socket, peer: str, role: Role) -> Link:
+    def _link(self, sock: socket.socket | TlsSocket, peer: str, role: Role) -> Link:
         """A link of the next number, not yet announced."""
         try:
-            tune(sock)
-            link = Link(self._last_number + 1, sock, role, peer, self._around)
+            link: Link
+            if isinstance(sock, TlsSocket):
+                link = TlsLink(self._last_number + 1, sock, role, peer, self._around)
+            else:
+                tune(sock)
+                link = Link(self._last_number + 1, sock, role, peer, self._around)
             link.open()
         except Exception:
             self._loop.unwatch(sock)
@@ -316,7 +395,7 @@ class TcpEdge:
         return link
 
     def _announce(self, link: Link, **facts: int) -> None:
-        data = {"peer": link.peer, "local": link.local, "role": link.role} | facts
+        data = {"peer": link.peer, "local": link.local, "role": link.role} | link.facts | facts
         text = f"{link.peer} connected to {link.local}" if link.role == "server" else f"connected to {link.peer}"
         note = Note(Level.INFO, "link_up", text, data=data)
         self._reporter.call("on_link", self._on_link, link.number, True, note)
@@ -324,7 +403,7 @@ class TcpEdge:
         self._notify()
 
     def _down(self, link: Link, note: Note) -> None:
-        """The link has closed: keep its counts, and tell."""
+        """The link has closed: keep its counts, and tell, before its partner can be sent no more."""
         counts = link.counters()
         with self._changed:
             del self._links[link.number]
@@ -332,9 +411,9 @@ class TcpEdge:
         for dialer in self._dialers:
             if dialer.link is link:
                 self._loop.run(dialer.redial, dialer.failed)
+        self._reporter.call("on_link", self._on_link, link.number, False, note)
         if link.partner:
             self._loop.run(partial(link.partner.finish, "the other side has gone"), link.partner.failed)
-        self._reporter.call("on_link", self._on_link, link.number, False, note)
         self._notify()
 
     def _notify(self) -> None:
@@ -351,6 +430,8 @@ class TcpEdge:
             dialer.hang_up()
         for relay in self._relays:
             relay.close()
+        for handshake in self._handshakes.values():
+            handshake.cancel()
         self._turns(self._queued, self._flush_s)
         for link in self._links.values():
             link.end_sending()

@@ -11,6 +11,22 @@ from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
 
 Role = Literal["server", "client"]
 
+_MIB = 2**20
+
+#: Longest bodies of the types that are never as long as ``max_body``, in bytes: whoever announces more has lost its
+#: place in the stream, or means no good.  A type (a glob of types) that is not here may be as long as ``max_body``.
+MAX_BODIES: tuple[tuple[str, int], ...] = (
+    # Of fixed size, or with length fields of 16 bits: below 65.6 kB, and at most 1 MiB of metadata accepted beside it
+    *((name, 2 * _MIB) for name in ("TRANSFORM", "POSITION", "QTRANS", "STATUS", "STRING", "SENSOR", "CAPABIL*")),
+    *((f"{prefix}_*", 2 * _MIB) for prefix in ("GET", "STT", "STP")),
+    *((name, 2 * _MIB) for name in ("COLORT*", "CLIENTINFO")),
+    # Lists: 123,000 points of 136 bytes, 239,000 tools of 70; long texts and scripts in commands
+    *((name, 16 * _MIB) for name in ("POINT", "TRAJ", "TDATA", "QTDATA", "IMGMETA", "LBMETA", "VIDEOMETA")),
+    *((name, 16 * _MIB) for name in ("COMMAND", "RTS_*")),
+    # One picture, encoded or not: 8K in YUV 4:2:0 is 50 MB
+    ("VIDEO", 64 * _MIB),
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -21,19 +37,39 @@ class Limits:
         queue_bytes: what waits for one link; ten images in full HD, a second or two at a frame rate.
         queue_messages: the same in messages; four seconds of transforms at 1 kHz.
         stall_s: longest silence inside a message; TCP itself recovers from a lost packet well within it.
+        idle_s: longest time in which nothing is received and nothing sent; 0: as long as it likes.  A viewer that
+            waits for a scan to begin is silent for minutes, so that no time would be right for everybody.
+        handshake_s: longest time that TLS may take to begin; a handshake is two round trips.
         max_body: longest body of a message received, in bytes; see ``DEFAULT_MAX_BODY``.
+        bodies: longest bodies of single types (globs), the first that matches; what is not here is as in
+            ``MAX_BODIES``, or ``max_body``.
+        messages_per_s: messages that are taken from one link in a second; one that sends more is read more slowly,
+            and TCP makes it wait.  Far above what a session has, and below what would take the time of the others.
     """
 
     max_clients: int = 32
     queue_bytes: int = 64 * 2**20
     queue_messages: int = 4096
     stall_s: float = 10.0
+    idle_s: float = 0.0
+    handshake_s: float = 10.0
     max_body: int = DEFAULT_MAX_BODY
+    bodies: tuple[tuple[str, int], ...] = ()
+    messages_per_s: int = 50_000
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
+        for name in set(self.__slots__) - {"bodies", "idle_s"}:
             if not getattr(self, name) > 0:
                 raise ConfigError(f"limit {name}: found {getattr(self, name)}, expected more than 0")
+        if not self.idle_s >= 0:
+            raise ConfigError(f"limit idle_s: found {self.idle_s}, expected 0 (none) or more")
+        for glob, size in self.bodies:
+            if not size > 0:
+                raise ConfigError(f"limit bodies, {glob}: found {size}, expected more than 0")
+
+    def body_rows(self) -> tuple[tuple[str, int], ...]:
+        """Types and their longest bodies, for the framer."""
+        return self.bodies + tuple((glob, min(size, self.max_body)) for glob, size in MAX_BODIES)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,10 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.edges.tcp.facts import Limits, LinkCounters, Role
 from igtl_gateway.edges.tcp.loop import READ, WRITE, Loop
 from igtl_gateway.edges.tcp.outbox import IOV_MAX, Message, Outbox, Part
+from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S, Reporter, error_note
 from igtl_gateway.edges.tcp.sockets import place_of
+from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN, TlsSocket
 from igtl_gateway.errors import MessageTooLarge
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
@@ -28,7 +30,10 @@ FLUSH_S = 1.0  # how long what is queued is tried to be sent when the end has co
 _BLOCKED_POLL_MS = 100  # how soon a waiting sender sees that its link was closed
 _BODY_SIZE_AT = slice(42, 50)  # in the header, big-endian
 _ERRORS_MAX = 3  # unexpected errors of ours in a link's life; this one ends it
-_FAULTS = frozenset({"too_large", "out_of_memory", "stalled", "queue_full", "internal_error"})  # notes that end a link
+#: Notes that end a link.
+_FAULTS = frozenset({"too_large", "out_of_memory", "stalled", "idle", "queue_full", "internal_error", "refused"})
+_TLS_HELLO, _TLS_ALERT = b"\x16\x03", b"\x15\x03"  # no header version of OpenIGTLink
+_BURST_S = 1.0  # so long may a peer have said nothing and then say it all at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +41,7 @@ class Surroundings:
     """What all links of an edge share.
 
     Attributes:
+        bodies: longest bodies of single types, of the limits.
         on_frame: the edge's callback.
         drained: told when a queue has run empty.
         closed: told last, with the note for ``on_link``.
@@ -43,7 +49,9 @@ class Surroundings:
 
     loop: Loop
     reporter: Reporter
+    refusals: Refusals
     limits: Limits
+    bodies: Sequence[tuple[str, int]]
     on_frame: Callable[[int, Buffer], None]
     drained: Callable[[], None]
     closed: Callable[[Link, Note], None]
@@ -55,7 +63,9 @@ class Link:
     ``_lock`` guards ``outbox``, ``_mute``, ``_reason``, ``_flagged``, ``_drops_watched`` and sending.
     """
 
-    def __init__(self, number: int, sock: socket.socket, role: Role, peer: str, around: Surroundings) -> None:
+    def __init__(
+        self, number: int, sock: socket.socket | TlsSocket, role: Role, peer: str, around: Surroundings
+    ) -> None:
         self.number = number
         self.role: Role = role
         self.peer = peer
@@ -73,12 +83,19 @@ class Link:
         self._flagged = False  # the I/O thread watches for room in the socket, or was asked to
         self._drops_watched = False  # the I/O thread knows that there are drops to note
         # of the I/O thread alone
-        self._framer = Framer(around.limits.max_body)
+        self._framer = Framer(around.limits.max_body, around.bodies)
         self._room = self._framer.buffer()
         self._up_ns = self._heard_ns = self._loop.now()
         self._received_messages = 0
         self._received_bytes = 0
         self._drops_noted = 0
+        self._credit = around.limits.messages_per_s * _BURST_S  # messages that may come at once
+        self._counted_ns = self._up_ns
+        self._resting = False  # it has sent too many messages, and is not read for a moment
+        self._rests = 0
+        self._rest_noted_ns = 0
+        self._moved = (0, 0)  # bytes in and out when they were last seen to change …
+        self._moved_ns = self._up_ns  # … and when that was
         self._open = True
         self._reading = True
         self._writing = False
@@ -86,6 +103,11 @@ class Link:
         self._leaving = False  # we send no more than what is queued; what the peer still sends is read
         self._torn = False  # bytes are on their way in or out: an error here loses the place in the stream
         self._errors = 0
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What is known of the connection beside its addresses."""
+        return {}
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
@@ -164,6 +186,16 @@ class Link:
                 descriptor = self._sock.fileno()
             self._await_room(descriptor)
 
+    @property
+    def all_sent(self) -> bool:
+        """Whether the kernel has all that was to be sent."""
+        return self.outbox.empty and not self._backlog
+
+    @property
+    def _backlog(self) -> int:
+        """Bytes that left the queue and are not the kernel's yet."""
+        return 0
+
     def counters(self) -> LinkCounters:
         with self._lock:
             box = self.outbox
@@ -233,10 +265,17 @@ class Link:
         return self._received_bytes > 0 or self._loop.now() - self._up_ns >= least_s * NS_PER_S
 
     def sweep(self) -> None:
-        """Close if the peer fell silent inside a message."""
-        silent_s = (self._loop.now() - self._heard_ns) / NS_PER_S
-        if self._framer.pending and self._reading and silent_s > self._around.limits.stall_s:
+        """Close if the peer fell silent inside a message, or altogether."""
+        limits, now = self._around.limits, self._loop.now()
+        silent_s = (now - self._heard_ns) / NS_PER_S
+        if self._framer.pending and self._listening and silent_s > limits.stall_s:
             self._fault(Level.WARN, "stalled", f"{self.peer} sent half a message, then nothing")
+        elif limits.idle_s:
+            moved = (self._received_bytes, self.outbox.sent_bytes)
+            if moved != self._moved:
+                self._moved, self._moved_ns = moved, now
+            elif (now - self._moved_ns) / NS_PER_S > limits.idle_s and self._listening:
+                self._fault(Level.WARN, "idle", f"{self.peer} said nothing and heard nothing for {limits.idle_s:g} s")
 
     def end_sending(self) -> None:
         """The edge stops: send no more, and let the peer know."""
@@ -247,7 +286,7 @@ class Link:
                 self._sock.shutdown(socket.SHUT_WR)
 
     def finish(self, reason: str) -> None:
-        """The partner has gone: send what is queued, let the peer know, and close when it does, or soon."""
+        """Send what is queued, let the peer know, and close when it does, or soon: the partner has gone, say."""
         if not self._open or self._ended or self._leaving:
             return
         self._leaving = True
@@ -263,7 +302,7 @@ class Link:
         if not self._open:
             return
         with self._lock:
-            now_sent = self.outbox.sent_bytes
+            now_sent = self.outbox.sent_bytes - self._backlog
         if now_sent > sent_bytes:
             self._loop.later(FLUSH_S, partial(self._linger, now_sent), self.failed)
         else:
@@ -273,6 +312,35 @@ class Link:
         """Read on, after the partner's queue was in the way."""
         if self._open and not self._reading and not self._ended:
             self._reading = True
+            self._heard_ns = self._loop.now()
+            self._watch()
+
+    @property
+    def _listening(self) -> bool:
+        """Whether what the peer sends is read now."""
+        return self._reading and not self._resting
+
+    def _count(self, messages: int) -> None:
+        """Let a peer that sends too many messages wait: what it sends stays in the kernel, and TCP tells it."""
+        rate = self._around.limits.messages_per_s
+        self._credit = min(rate * _BURST_S, self._credit + (self._heard_ns - self._counted_ns) * rate / NS_PER_S)
+        self._credit -= messages
+        self._counted_ns = self._heard_ns
+        if self._credit >= 0 or not self._open:
+            return
+        self._resting = True
+        self._rests += 1
+        self._watch()
+        self._loop.later(-self._credit / rate, self._rested, self.failed)
+        if self._rests == 1 or self._heard_ns - self._rest_noted_ns >= NOTE_EVERY_S * NS_PER_S:
+            self._rest_noted_ns = self._heard_ns
+            text = f"{self.peer} sends more than {rate:,} messages a second: it is read no faster"
+            data = {"peer": self.peer, "limit": rate, "rests": self._rests}
+            self._reporter.note(self.number, Note(Level.WARN, "rate_limited", text, data=data))
+
+    def _rested(self) -> None:
+        self._resting = False
+        if self._open and not self._ended:
             self._heard_ns = self._loop.now()
             self._watch()
 
@@ -335,12 +403,18 @@ class Link:
         self._heard_ns = self._loop.now()
         self._received_bytes += count
         try:
-            for message in self._framer.received(count):
+            messages = self._framer.received(count)
+            for message in messages:
                 self._received_messages += 1
                 self._reporter.call("on_frame", self._around.on_frame, self.number, message)
             self._room = self._framer.buffer()
+            self._count(len(messages))
         except MessageTooLarge as exc:
-            self._fault(Level.ERROR, "too_large", f"message too large: {exc}")
+            if self._framer.pending_head().startswith(_TLS_HELLO) and not self._received_messages:
+                self._around.refusals.counts[TLS_TO_PLAIN] += 1
+                self._fault(Level.WARN, "refused", f"connection of {self.peer} refused: {TLS_TO_PLAIN}")
+            else:
+                self._fault(Level.ERROR, "too_large", f"message too large: {exc}")
         except MemoryError:
             self._fault(Level.ERROR, "out_of_memory", "no memory for the message that the peer announces")
         self._torn = False
@@ -359,7 +433,7 @@ class Link:
 
     def _watch(self) -> None:
         """Wait for what is of interest now."""
-        events = (READ if self._reading else 0) | (WRITE if self._writing else 0)
+        events = (READ if self._listening else 0) | (WRITE if self._writing else 0)
         if events:
             self._loop.watch(self._sock, events, self._ready, self.failed)
         else:
@@ -368,7 +442,7 @@ class Link:
     def _half_close(self) -> None:
         """Tell the peer that no more comes, once it has all."""
         with self._lock:
-            if self.outbox.empty:
+            if self.all_sent:
                 with suppress(OSError):
                     self._sock.shutdown(socket.SHUT_WR)
 
@@ -377,7 +451,7 @@ class Link:
         with self._lock:
             self._mute = True
             self._reason = self._reason or "closed by the peer"
-            self._ended = not self.outbox.empty
+            self._ended = not self.all_sent
         if not self._ended:
             self.close()
             return
@@ -397,7 +471,7 @@ class Link:
             if not box.empty:
                 box.advance(self._write(box.parts()))
             self._torn = False
-            if not box.empty:
+            if not (box.empty and self._flushed()):
                 return
             if not self._ended:
                 self._flagged = self._writing = False
@@ -409,6 +483,10 @@ class Link:
         if self.partner:
             self.partner.resume()
         self._around.drained()
+
+    def _flushed(self) -> bool:
+        """Whether there is no backlog any more; under the lock."""
+        return True
 
     def _watch_room(self) -> None:
         if self._open and not self._ended:
@@ -441,6 +519,8 @@ class Link:
         if self._framer.pending:
             data = self._unfinished()
             text = f"{self.peer} went inside a message: {data['received']} of {data['expected'] or '?'} bytes"
+            if self._framer.pending_head().startswith(_TLS_ALERT) and not self._received_messages:
+                text += "; it speaks TLS"
             self._reporter.note(self.number, Note(Level.WARN, "truncated", text, data=data))
 
     def _unfinished(self) -> dict[str, Any]:
@@ -448,3 +528,53 @@ class Link:
         head = self._framer.pending_head()
         expected = HEADER_SIZE + int.from_bytes(head[_BODY_SIZE_AT], "big") if len(head) == HEADER_SIZE else None
         return {"received": self._framer.pending, "expected": expected, "head": head.hex(), "peer": self.peer}
+
+
+class TlsLink(Link):
+    """A connection with TLS: bytes may be between the queue and the kernel, and between the kernel and the framer."""
+
+    def __init__(self, number: int, sock: TlsSocket, role: Role, peer: str, around: Surroundings) -> None:
+        super().__init__(number, sock, role, peer, around)
+        self._tls = sock
+
+    @property
+    def facts(self) -> dict[str, str]:
+        return self._tls.facts()
+
+    @property
+    def _backlog(self) -> int:
+        return self._tls.pending
+
+    def _write(self, parts: Sequence[Part]) -> int:
+        sent = super()._write(parts)
+        self._flush_soon()
+        return sent
+
+    def _flush_soon(self) -> None:
+        """Let the I/O thread send what the kernel did not take; under the lock."""
+        if self._tls.pending and not self._flagged:
+            self._flagged = True
+            self._loop.post(self._watch_room, self.failed)
+
+    def _flushed(self) -> bool:
+        try:
+            return self._tls.flush()
+        except OSError:  # the end is found by who receives
+            self._mute = True
+            return True
+
+    def _read(self) -> None:
+        super()._read()
+        while self._open and self._listening and self._tls.more:
+            super()._read()
+        with self._lock:
+            self._flush_soon()
+
+    def _watch(self) -> None:
+        super()._watch()
+        if self._listening and self._tls.more:
+            self._loop.post(self._read_on, self.failed)
+
+    def _read_on(self) -> None:
+        if self._open and self._listening and self._tls.more:
+            self._read()

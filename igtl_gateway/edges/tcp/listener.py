@@ -6,6 +6,7 @@ import socket
 from collections.abc import Callable
 
 from igtl_gateway.edges.tcp.loop import READ, Loop
+from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S, Reporter
 from igtl_gateway.edges.tcp.sockets import AllowList, place_of
 from igtl_gateway.session.note import Level, Note
@@ -25,6 +26,7 @@ class Listener:
         up: Callable[[socket.socket, str], None],
         loop: Loop,
         reporter: Reporter,
+        refusals: Refusals,
     ) -> None:
         self._sock = sock
         self._allow = allow
@@ -32,6 +34,7 @@ class Listener:
         self._up = up
         self._loop = loop
         self._reporter = reporter
+        self._refusals = refusals
 
     def open(self) -> None:
         if not self._loop.stopping:
@@ -59,21 +62,12 @@ class Listener:
             return
         peer = place_of(address)
         if address[0] not in self._allow:
-            self._refuse(sock, peer, "not in the allow-list")
+            self._refusals.refuse(sock, peer, "not in the allow-list")
         elif reason := self._crowded():
-            self._refuse(sock, peer, reason)
+            self._refusals.refuse(sock, peer, reason)
         else:
             self._up(sock, peer)
 
     def _pause(self) -> None:
         self._loop.unwatch(self._sock)
         self._loop.later(NOTE_EVERY_S, self.open, self.failed)
-
-    def _refuse(self, sock: socket.socket, peer: str, reason: str) -> None:
-        sock.close()
-
-        def make(count: int) -> Note:
-            data = {"peer": peer, "reason": reason, "count": count}
-            return Note(Level.WARN, "refused", f"connection of {peer} refused: {reason}", data=data)
-
-        self._reporter.note_slowly(f"refused: {reason}", make)

@@ -14,6 +14,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Protocol
 
 from igtl_gateway.clock import Clock
 from igtl_gateway.stamp import NS_PER_S
@@ -24,6 +25,13 @@ READ = selectors.EVENT_READ
 WRITE = selectors.EVENT_WRITE
 
 _CALM_S = 0.1  # pause after a turn that failed as a whole: the next may fail as quickly
+
+
+class Watchable(Protocol):
+    """A socket, or what stands for one."""
+
+    def fileno(self) -> int: ...
+
 
 Action = Callable[[], None]
 Rescue = Callable[[Exception], None]
@@ -88,9 +96,7 @@ class Loop:
         due_ns = self.now() + round(delay_s * NS_PER_S)
         heapq.heappush(self._timers, (due_ns, self._serial, action, rescue or self._on_error))
 
-    def watch(
-        self, sock: socket.socket, events: int, action: Callable[[int], None], rescue: Rescue | None = None
-    ) -> None:
+    def watch(self, sock: Watchable, events: int, action: Callable[[int], None], rescue: Rescue | None = None) -> None:
         """From now on call the action when the socket is ready for one of these events, with those it is ready for."""
         data = (action, rescue or self._on_error)
         try:
@@ -98,7 +104,7 @@ class Loop:
         except KeyError:
             self._selector.register(sock, events, data)
 
-    def unwatch(self, sock: socket.socket) -> None:
+    def unwatch(self, sock: Watchable) -> None:
         """Forget the socket; always before it is closed."""
         with suppress(KeyError):
             self._selector.unregister(sock)

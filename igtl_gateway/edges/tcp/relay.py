@@ -8,10 +8,11 @@ from collections.abc import Callable
 from igtl_gateway.edges.tcp.dialer import Dialer
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.reporter import Reporter
+from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.session.note import Level, Note
 
 #: Socket and address of a client, and of the server.
-_UpPair = Callable[[socket.socket, str, socket.socket, str], None]
+_UpPair = Callable[[socket.socket | TlsSocket, str, socket.socket | TlsSocket, str], None]
 
 
 class Relay:
@@ -21,22 +22,31 @@ class Relay:
     reached is closed, which is what it would have seen of the server itself.
     """
 
-    def __init__(self, host: str, port: int, up: _UpPair, loop: Loop, reporter: Reporter) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        up: _UpPair,
+        loop: Loop,
+        reporter: Reporter,
+        secure: Callable[[socket.socket], TlsSocket] | None = None,
+    ) -> None:
         self._host = host
         self._port = port
         self._up = up
         self._loop = loop
         self._reporter = reporter
-        self._waiting: dict[Dialer, tuple[socket.socket, str]] = {}
+        self._secure = secure  # puts TLS on the connections to the server
+        self._waiting: dict[Dialer, tuple[socket.socket | TlsSocket, str]] = {}
 
     @property
     def waiting(self) -> int:
         """Clients for which a connection is being made."""
         return len(self._waiting)
 
-    def take(self, client: socket.socket, peer: str) -> None:
+    def take(self, client: socket.socket | TlsSocket, peer: str) -> None:
         """A client has come."""
-        dialer = Dialer(self._host, self._port, self._made, self._loop, self._reporter, self._gave_up)
+        dialer = Dialer(self._host, self._port, self._made, self._loop, self._reporter, self._gave_up, self._secure)
         self._waiting[dialer] = (client, peer)
         self._loop.run(dialer.dial, dialer.failed)
 
@@ -46,7 +56,7 @@ class Relay:
             dialer.hang_up()
             self._gave_up(dialer, "stopped")
 
-    def _made(self, server: socket.socket, target: str, dialer: Dialer) -> None:
+    def _made(self, server: socket.socket | TlsSocket, target: str, dialer: Dialer) -> None:
         client, peer = self._waiting.pop(dialer)
         self._up(client, peer, server, target)
 

@@ -99,7 +99,10 @@ def _ip(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
 
 def _network(text: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network:
     try:
-        return ipaddress.ip_network(text)
+        network = ipaddress.ip_network(text)
+        mapped = getattr(network.network_address, "ipv4_mapped", None)
+        # peers are looked at without the IPv6 form of an IPv4 address, see _ip
+        return ipaddress.ip_network((mapped, network.prefixlen - 96)) if mapped else network
     except ValueError as exc:
         raise ConfigError(
             f'allow: found {text!r} ({exc}), expected "any" or a network such as 192.168.1.0/24'

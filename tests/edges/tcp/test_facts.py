@@ -6,9 +6,36 @@ import pytest
 
 from igtl_gateway.edges.tcp import Limits
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.globs import matches
+from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
 
 
-@pytest.mark.parametrize("name", ["max_clients", "queue_bytes", "queue_messages", "stall_s", "max_body"])
+@pytest.mark.parametrize(
+    "name",
+    ["max_clients", "queue_bytes", "queue_messages", "stall_s", "handshake_s", "max_body", "messages_per_s"],
+)
 def test_limits_are_positive(name: str) -> None:
     with pytest.raises(ConfigError, match=f"limit {name}"):
         Limits(**{name: 0})
+
+
+def test_a_time_for_idleness_is_none_or_positive() -> None:
+    assert Limits().idle_s == Limits(idle_s=0).idle_s == 0
+    with pytest.raises(ConfigError, match="limit idle_s: found -1"):
+        Limits(idle_s=-1)
+
+
+def test_bodies_by_type() -> None:
+    with pytest.raises(ConfigError, match="limit bodies, STRING: found 0"):
+        Limits(bodies=(("STRING", 0),))
+
+    def longest(name: str, limits: Limits) -> int:
+        rows = limits.body_rows()
+        return next((size for glob, size in rows if matches(glob, name)), limits.max_body)
+
+    usual, small, own = Limits(), Limits(max_body=1000), Limits(max_body=1000, bodies=(("IMAGE", 5000),))
+    assert longest("STRING", usual) == longest("GET_TRANS", usual) == 2 * 2**20
+    assert longest("RTS_COMMAND", usual) == 16 * 2**20
+    assert longest("IMAGE", usual) == longest("POLYDATA", usual) == longest("SOMETHING", usual) == DEFAULT_MAX_BODY
+    assert longest("STRING", small) == longest("IMAGE", small) == 1000, "one setting makes all of them smaller"
+    assert (longest("IMAGE", own), longest("STRING", own)) == (5000, 1000), "what is set for a type holds for it"

@@ -60,6 +60,57 @@ def test_oversize_header_costs_its_own_link(world: World, size: int) -> None:
     assert [link.number for link in edge.links()] == [1]
 
 
+def test_a_string_may_not_be_as_long_as_an_image(world: World) -> None:
+    _, seen, port = world.server(limits=Limits(max_body=10_000, bodies=(("STRING", 1_000),)))
+    peer = world.peer(port)
+    peer.send(message(1, 10_000, b"IMAGE") + message(2, 1_000, b"STRING") + header(1_001, b"STRING"))
+    (note,) = seen.wait("too_large")
+    assert "'STRING', body size: found 1001 bytes, expected at most 1000 bytes" in note.text
+    assert len(seen.of("frame")) == 2 and peer.receive() is None
+
+
+def test_who_sends_too_many_messages_is_read_no_faster_and_loses_nothing(world: World) -> None:
+    clock = ManualClock()
+    _, seen, port = world.server(clock=clock, limits=Limits(messages_per_s=10))
+    flood, calm = world.peer(port), world.peer(port)
+    seen.wait("up", 2)
+    flood.send(b"".join(message(number) for number in range(25)))
+    (note,) = seen.wait("rate_limited", 1, 1)
+    assert note.data == {"peer": note.data["peer"], "limit": 10, "rests": 1}
+    flood.send(message(99))
+    for turn in range(3):  # the others are heard
+        calm.send(message(turn))
+        seen.wait("frame", turn + 1, 2)
+    assert len(seen.of("frame", 1)) == 25, "beyond the limit by what one reception held"
+    clock.advance(1_400_000_000)  # 15 messages above the limit are 1.5 s
+    calm.send(message(3))
+    seen.wait("frame", 4, 2)
+    calm.send(message(4))
+    seen.wait("frame", 5, 2)
+    assert len(seen.of("frame", 1)) == 25
+    clock.advance(200_000_000)
+    calm.send(message(5))
+    assert number_of(seen.wait("frame", 26, 1)[-1]) == 99
+    assert seen.of("down") == []
+
+
+def test_who_neither_speaks_nor_listens_is_let_go_where_that_is_wanted(world: World) -> None:
+    clock = ManualClock()
+    edge, seen, port = world.server(clock=clock, limits=Limits(idle_s=60))
+    world.peer(port)
+    talks, hears = world.peer(port), world.peer(port)
+    seen.wait("up", 3)
+    for turn in range(5):
+        clock.advance(20 * 10**9)
+        edge.send([3], [message(turn)], "a", True)
+        talks.send(message(turn))
+        seen.wait("frame", turn + 1, 2)
+        assert number_of(hears.receive()) == turn
+    (note,) = seen.wait("idle")
+    assert "60 s" in note.text and seen.wait("down", 1, 1)[0].data["reason"] == "idle"
+    assert [link.number for link in edge.links()] == [2, 3]
+
+
 @pytest.mark.parametrize(("part", "expected"), [(20, None), (58, 106), (100, 106)])
 def test_peer_gone_inside_a_message(world: World, part: int, expected: int | None) -> None:
     _, seen, port = world.server()

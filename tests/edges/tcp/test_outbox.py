@@ -22,10 +22,10 @@ def test_slow_reader_loses_old_transforms_and_no_string(world: World, monkeypatc
     for number in range(1, 1001):
         edge.send([1], [message(number, 48, b"TRANSFORM")], "TRANSFORM/tool", False)
         if number % 100 == 0:
-            edge.send([1], [message(number)], "STRING/plan", True)
+            edge.send([1], [message(number, name=b"STRING")], "STRING/plan", True)
         if number == 100:
             seen.wait("queue_drop")  # of the first drops, before there are more
-        edge.send([2], [message(number)], "STRING/plan", True)
+        edge.send([2], [message(number, name=b"STRING")], "STRING/plan", True)
         assert edge.flush(0) or edge.counters()[1].queued_messages <= 51
     (first, *_) = seen.wait("queue_drop")
     assert set(first.data["dropped"]) == {"TRANSFORM/tool"}
@@ -100,7 +100,7 @@ def test_queue_full_of_what_must_not_be_dropped_ends_the_link(world: World) -> N
     assert edge.wait_links(2, DEADLINE_S)
     edge.send([1], [message(0, BIG)], "STRING/plan", True)
     for number in range(11):
-        edge.send([1], [message(number)], "STRING/plan", True)
+        edge.send([1], [message(number, name=b"STRING")], "STRING/plan", True)
     (note,) = seen.wait("queue_full")
     (down,) = seen.wait("down")
     assert "must not be dropped" in note.text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from igtl_gateway.edges.tcp.sockets import AllowList
 from igtl_gateway.errors import ConfigError
 from tests.edges.tcp.world import HERE, World
 
@@ -19,6 +20,7 @@ def test_port_in_use(world: World) -> None:
     ("host", "port", "words"),
     [
         ("0.0.0.0", 0, "allow networks"),
+        ("::", 0, "allow networks"),
         ("no.such.host.invalid", 0, "expected an address of this machine"),
         ("203.0.113.77", 0, "open to other hosts"),
         (HERE, 65536, "expected 0"),
@@ -53,3 +55,26 @@ def test_ipv6(world: World) -> None:
 def test_allow_list_with_nonsense(world: World) -> None:
     with pytest.raises(ConfigError, match=r"allow: found '192\.168\.1\.5/24'"):
         world.edge(allow=["192.168.1.5/24"])
+
+
+@pytest.mark.parametrize(
+    ("allow", "host", "allowed"),
+    [
+        ([], "127.0.0.1", True),
+        ([], "127.200.3.4", True),
+        ([], "::1", True),
+        ([], "::ffff:127.0.0.1", True),  # how a socket for both families sees it
+        ([], "192.168.1.7", False),
+        ([], "::ffff:192.168.1.7", False),
+        (["192.168.1.0/24"], "192.168.1.7", True),
+        (["192.168.1.0/24"], "::ffff:192.168.1.7", True),
+        (["::ffff:192.168.1.0/120"], "192.168.1.7", True),
+        (["192.168.1.0/24"], "192.168.2.7", False),
+        (["0.0.0.0/0"], "2001:db8::1", False),
+        (["2001:db8::/32"], "2001:db8::1", True),
+        (["fe80::/10"], "fe80::1%eth0", True),
+        (["any"], "2001:db8::1", True),
+    ],
+)
+def test_who_is_allowed(allow: list[str], host: str, allowed: bool) -> None:
+    assert (host in AllowList(allow)) is allowed

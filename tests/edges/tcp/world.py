@@ -19,11 +19,11 @@ HERE = "127.0.0.1"
 BIG = 8 * 2**20  # more than loopback sockets hold by themselves
 
 
-def header(body_size: int, name: bytes = b"STRING") -> bytes:
+def header(body_size: int, name: bytes = b"IMAGE") -> bytes:
     return struct.pack(">H12s20sQQQ", 1, name, b"device", 0, body_size, 0)
 
 
-def message(number: int = 0, size: int = 48, name: bytes = b"STRING") -> bytes:
+def message(number: int = 0, size: int = 48, name: bytes = b"IMAGE") -> bytes:
     """A message that carries its number."""
     return header(max(size, 8), name) + struct.pack(">Q", number) + bytes(max(size, 8) - 8)
 

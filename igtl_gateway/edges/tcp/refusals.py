@@ -1,0 +1,38 @@
+"""Peers that are not let in: closed, counted by reason, and told of."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import suppress
+from typing import Protocol
+
+from igtl_gateway.edges.tcp.reporter import Reporter
+from igtl_gateway.session.note import Level, Note
+
+
+class _Closes(Protocol):
+    def close(self) -> None: ...
+
+
+class Refusals:
+    """The book of an edge; ``counts`` by reason may be read by any thread, the rest is of the I/O thread alone.
+
+    Reasons come from a small fixed set; what differs from peer to peer is the ``detail`` beside them.
+    """
+
+    def __init__(self, reporter: Reporter) -> None:
+        self.counts: Counter[str] = Counter()
+        self._reporter = reporter
+
+    def refuse(self, sock: _Closes, peer: str, reason: str, detail: str = "") -> None:
+        """Close the connection of a peer, and say why: now, and while it repeats once a second with the count."""
+        self.counts[reason] += 1
+        with suppress(OSError):
+            sock.close()
+
+        def make(count: int) -> Note:
+            data = {"peer": peer, "reason": reason, "count": count} | ({"detail": detail} if detail else {})
+            text = f"connection of {peer} refused: {reason}" + (f" ({detail})" if detail else "")
+            return Note(Level.WARN, "refused", text, data=data)
+
+        self._reporter.note_slowly(f"refused: {reason}", make)
