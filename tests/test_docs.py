@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
+from igtl_gateway.doctor import RULES
 from igtl_gateway.gateway import metadata
 from igtl_gateway.gateway.profiles import PROFILES
 from igtl_gateway.wire.layout import Field
@@ -15,8 +16,8 @@ from igtl_gateway.wire.registry import BODIES
 from tests.wire import conformance
 from tools import docs
 
-MESSAGES, CONVERSIONS = docs.messages(), docs.conversions()
-PAGES = pytest.mark.parametrize("page", [MESSAGES, CONVERSIONS], ids=["messages", "conversions"])
+MESSAGES, CONVERSIONS, DOCTOR = docs.messages(), docs.conversions(), docs.doctor()
+PAGES = pytest.mark.parametrize("page", [MESSAGES, CONVERSIONS, DOCTOR], ids=["messages", "conversions", "doctor"])
 
 
 def anchors(page: str) -> set[str]:
@@ -70,6 +71,14 @@ def test_every_definition_is_there() -> None:
     files = [path for folder in ("msg", "srv") for path in (docs.DEFINITIONS / folder).iterdir()]
     assert files
     assert [path.name for path in files if f"/{path.name})" not in CONVERSIONS] == []
+
+
+def test_every_rule_is_there() -> None:
+    numbers = [rule.id[6:] for rule in RULES]
+    assert len(set(numbers)) == len(numbers) and {number[0] for number in numbers} == docs.GROUPS.keys()
+    for rule in RULES:
+        line = next(line for line in DOCTOR.splitlines() if line.startswith(f"| `{rule.id}`"))
+        assert rule.title in line and rule.advice in line
 
 
 @PAGES

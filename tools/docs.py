@@ -1,4 +1,4 @@
-"""docs/messages.md and docs/conversions.md, from the tables that the program itself works with.
+"""docs/messages.md, docs/conversions.md and docs/doctor.md, from the tables that the program itself works with.
 
     .venv/bin/python tools/docs.py             write them anew
     .venv/bin/python tools/docs.py --check     are they current?
@@ -23,6 +23,10 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, IgtlRow, Role, RosRow
+from igtl_gateway.doctor import checks
+from igtl_gateway.doctor.observer import MAX_STREAMS
+from igtl_gateway.doctor.protocols import PROTOCOLS
+from igtl_gateway.doctor.rules import RULES, Rule
 from igtl_gateway.gateway import metadata, queries
 from igtl_gateway.gateway.profiles import CPP_FACTORY, PROFILES, Profile
 from igtl_gateway.qos import Qos
@@ -675,9 +679,133 @@ def _definitions() -> str:
     ).rstrip()
 
 
+# -- docs/doctor.md ---------------------------------------------------------------------------------------------------
+
+#: First digit of a rule's number → what its rules are about.
+GROUPS = {
+    "1": "Links",
+    "2": "Headers and bodies",
+    "3": "Stamps",
+    "4": "Names",
+    "5": "Content",
+    "6": "ROS",
+    "7": "The recording",
+    "8": "Notes",
+}
+
+
+DOCTOR_EXAMPLES = """\
+igtl-gateway doctor 192.168.1.20:18944        # be a client of that server for 5 seconds
+igtl-gateway doctor --listen :18944           # be a server, and wait for a client
+igtl-gateway doctor --listen :18944 10.0.0.7  # the same, and see whether that one is a server itself
+igtl-gateway doctor :18944 --ros              # look at the ROS graph, too
+igtl-gateway lint out.mcap                    # a recording"""
+
+
+def doctor() -> str:
+    """docs/doctor.md."""
+    return document(
+        "# `doctor` and `lint`: what is wrong, and what to do",
+        GENERATED,
+        prose(
+            """`doctor` visits a peer, looks at what it sends and names the probable cause when nothing arrives; `lint`
+            judges a recording by the same rules."""
+        ),
+        textwrap.indent(DOCTOR_EXAMPLES, "    "),
+        prose(
+            """Told are the peers, each stream with its rate, CRC and stamps, the findings, and in the last line what
+            to look at first. `--json` gives all of it as one object: `cause`, `nothing_arrives`, `findings` (`id`,
+            `severity`, `where`, `text`, `advice`, `section`, `data`), `peers`, `streams`. Exit code 0: no finding
+            is an error; 1: one is; 2: usage. `--config FILE` takes the units, devices and topics of a bridge's
+            configuration, `--seconds` and `--messages` say how long to look."""
+        ),
+        "## The rules",
+        prose(
+            """The letter is the severity: E, messages do not get through or are wrong; W, they get through and may
+            mislead; I, good to know. A number keeps its meaning for ever."""
+        ),
+        *(
+            f"### {title}\n\n{_rules([rule for rule in RULES if rule.id[6] == digit])}"
+            for digit, title in GROUPS.items()
+        ),
+        prose(
+            """Where several apply, the first of this order is named as the cause, errors before warnings: """
+            + ", ".join(rule.id.removeprefix("IGTL-") for rule in RULES)
+            + "."
+        ),
+        "## Roles",
+        prose(
+            """One side listens, the other connects. Where nobody is by half of the time, `doctor` takes the other
+            role: as a client that finds no server it listens at the same port, as a server that nobody visits it
+            connects to the address named behind the options, or to whoever has the port already. So it tells two
+            clients and two servers from a peer that is not there. It listens on loopback only, unless `--allow`
+            names a network."""
+        ),
+        "## Silence",
+        prose(
+            """A peer that has sent nothing by half of the time is sent one STATUS (code 1, `doctor`), which every
+            program knows and none minds; it ends with an empty line, so that a web server answers, too. `--speak 2`
+            sends it with header version 2, `--speak 0` leaves it out. Nothing else is sent, no query in particular:
+            some crash 3D Slicer. Silence of a peer is no finding in a recording, where it may have been a display."""
+        ),
+        "## Other protocols",
+        prose(
+            """Known by their first bytes: """
+            + ", ".join(name for name, _ in PROTOCOLS)
+            + """. Bytes that are none of these and have no type name where a header has it are named as such. The same
+            is seen in the midst of a stream when a length before it was wrong."""
+        ),
+        "## Units",
+        prose(
+            f"""A tracker is no closer than some centimetres to what it sees. So poses that move and all stay within
+            {checks.SMALL_MM:g} mm of the origin are taken for metres, and those beyond {checks.LARGE_MM / 1000:g} m
+            for lengths that were multiplied twice. A guess: a small offset that moves is named, too. Where the
+            configuration says `igtl_unit = "m"` metres are metres."""
+        ),
+        "## ROS graph",
+        prose(
+            """With `--ros` a node `igtl_doctor` joins the graph; it publishes nothing and subscribes to nothing. The
+            topics that the gateway would publish for what was seen, and those below `/igtl/in/` and `/igtl/out/`,
+            are compared with the publishers and subscriptions that are there, a running bridge among them: type,
+            reliability and durability. The bridge's own subscriptions adapt to the publishers."""
+        ),
+        "## Rates",
+        prose(
+            f"""A pause is one of more than {checks.GAP_FACTOR} mean intervals and more than a second, in streams of at
+            least {checks.RHYTHM} messages."""
+        ),
+        "## Limits",
+        prose(
+            f"""{MAX_STREAMS:,} streams and as many links are looked at one by one. `doctor` decodes every
+            message and tries every conversion, so it can fall behind a peer that a bridge would keep up with; then
+            the peer waits."""
+        ),
+    )
+
+
+def _rules(rules: Sequence[Rule]) -> str:
+    rows = [
+        (f"`{rule.id}`", rule.title, rule.advice, _section(rule.section))
+        for rule in sorted(rules, key=lambda rule: rule.id[6:])
+    ]
+    return table(("rule", "finds", "what to do", "see"), rows)
+
+
+def _section(section: str) -> str:
+    """The place as a link."""
+    place, _, title = section.partition(": ")
+    if place.startswith("Protocol/"):
+        name = place.removeprefix("Protocol/")
+        return f"[{name}]({DOCUMENTS}/{name})" + (f", {title}" if title else "")
+    name = place.removeprefix("docs/")
+    if name == "doctor.md":
+        return f"[{title}](#{anchor(title)})"
+    return f"[{title or name}]({name}" + (f"#{anchor(title)})" if title else ")")
+
+
 # -- files ------------------------------------------------------------------------------------------------------------
 
-PAGES = {"conversions.md": conversions, "messages.md": messages}
+PAGES = {"conversions.md": conversions, "doctor.md": doctor, "messages.md": messages}
 
 
 def stale(folder: Path = DOCS) -> list[str]:

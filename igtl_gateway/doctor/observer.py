@@ -20,6 +20,7 @@ from igtl_gateway.errors import ChecksumMismatch, WireError
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, metadata
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
+from igtl_gateway.session.timing import Timing
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import HEADER_SIZE, Header, Message, decode
 from igtl_gateway.wire.fields import visible
@@ -47,57 +48,6 @@ class Intent:
 
     role: Role
     place: str
-
-
-@dataclass(slots=True)
-class Stamps:
-    """The sender's stamps of one stream; times in nanoseconds.
-
-    Attributes:
-        count, unset: messages, and those of them without a stamp.
-        repeated: stamps that are the one before.
-        backwards: stamps that are earlier than the one before.
-        worst_ns: the longest step back.
-        step_ns: the shortest step forward; 0 = there was none.
-        whole_seconds: stamps without a fraction.
-        youngest_ns, oldest_ns: least and greatest age on arrival; negative = from the future.
-    """
-
-    count: int = 0
-    unset: int = 0
-    repeated: int = 0
-    backwards: int = 0
-    worst_ns: int = 0
-    step_ns: int = 0
-    whole_seconds: int = 0
-    youngest_ns: int = 0
-    oldest_ns: int = 0
-    _last_ns: int = 0
-
-    @property
-    def set(self) -> int:
-        """Messages with a stamp."""
-        return self.count - self.unset
-
-    def add(self, source_ns: int, arrived_ns: int) -> None:
-        self.count += 1
-        if not source_ns:
-            self.unset += 1
-            return
-        age_ns = arrived_ns - source_ns
-        first = self.set == 1
-        self.youngest_ns = age_ns if first else min(self.youngest_ns, age_ns)
-        self.oldest_ns = age_ns if first else max(self.oldest_ns, age_ns)
-        self.whole_seconds += source_ns % NS_PER_S == 0
-        if not first:
-            step_ns = source_ns - self._last_ns
-            self.repeated += step_ns == 0
-            if step_ns < 0:
-                self.backwards += 1
-                self.worst_ns = max(self.worst_ns, -step_ns)
-            elif step_ns:
-                self.step_ns = min(self.step_ns, step_ns) if self.step_ns else step_ns
-        self._last_ns = source_ns
 
 
 @dataclass(slots=True)
@@ -155,7 +105,7 @@ class Stream:
         full_names: names in the metadata of those whose name in the header was cut.
         element_names: names inside the body that fill their field.
         not_finite, not_orthonormal, mirrored: poses with NaN or infinity, and those whose rotation is none.
-        stamps, lengths: see there.
+        timing, lengths: see there.
     """
 
     link: int
@@ -181,7 +131,7 @@ class Stream:
     not_finite: int = 0
     not_orthonormal: int = 0
     mirrored: int = 0
-    stamps: Stamps = field(default_factory=Stamps)
+    timing: Timing = field(default_factory=Timing)
     lengths: Lengths = field(default_factory=Lengths)
 
     @property
@@ -359,7 +309,7 @@ class Observer:
         stream.messages += 1
         stream.bytes += len(data)
         stream.versions[header.version] += 1
-        stream.stamps.add(entry.source_ns, entry.stamp_ns)
+        stream.timing.add(entry.source_ns, entry.stamp_ns)
         if header.version in HEADER_VERSIONS:
             message = _decoded(stream, header, data)
             if message is not None:

@@ -51,7 +51,8 @@ def is_openigtlink(head: bytes) -> bool:
     """
     if len(head) < _TYPE_END:
         return head[:1] in (b"", b"\0") and head[1:2] in (b"", b"\1", b"\2")
-    return _TYPE.fullmatch(head[_TYPE_AT:_TYPE_END]) is not None
+    # a version of two letters is the beginning of a text
+    return _TYPE.fullmatch(head[_TYPE_AT:_TYPE_END]) is not None and not _PRINTABLE.fullmatch(head[:_TYPE_END])
 
 
 def protocol_of(head: bytes) -> str:

@@ -8,7 +8,6 @@ from typing import Any
 
 from igtl_gateway.doctor.observer import Observer, Stream
 from igtl_gateway.doctor.rules import Finding, Severity, judge
-from igtl_gateway.stamp import NS_PER_MS
 
 #: Findings of one rule that are told one by one to people; the rest are counted.
 SHOWN = 3
@@ -77,7 +76,7 @@ class Report:
         for stream in self.seen.streams.values():
             rate = f"{stream.rate_hz:,.1f} Hz" if stream.rate_hz else ""
             facts = _stream(stream)
-            yield f"  {stream.name:<{width}} {stream.messages:>7,} {rate:>10}  {facts['crc']}, {facts['stamps']}"
+            yield f"  {stream.name:<{width}} {stream.messages:>7,} {rate:>10}  {facts['crc']}, {stream.timing}"
         last, number = "", 0
         for finding in self.findings:
             rule, hit = finding.rule, finding.hit
@@ -100,12 +99,7 @@ class Report:
 
 
 def _stream(stream: Stream) -> dict[str, Any]:
-    stamps, bad = stream.stamps, stream.bad_crc
-    if not stamps.set:
-        told = "unstamped"
-    else:
-        told = f"age {stamps.youngest_ns / NS_PER_MS:,.1f} to {stamps.oldest_ns / NS_PER_MS:,.1f} ms"
-        told += f", {stamps.unset:,} unstamped" if stamps.unset else ""
+    bad = stream.bad_crc
     return {
         "link": stream.link,
         "stream": stream.name,
@@ -115,5 +109,5 @@ def _stream(stream: Stream) -> dict[str, Any]:
         "header_versions": sorted(stream.versions),
         "crc": f"CRC of {bad:,} wrong" if bad else "CRC right",
         "decoded": stream.good,
-        "stamps": told,
+        "stamps": stream.timing.to_dict(),
     }

@@ -1,0 +1,398 @@
+"""The checks of the rules: pure functions that look at what was observed and give the cases.
+
+Where a check compares with a number, the number stands here with its reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from igtl_gateway.convert.names import MAX_DEVICE_NAME, topic_token
+from igtl_gateway.doctor.observer import MAX_STREAMS, Observer, Peer, Stream
+from igtl_gateway.doctor.protocols import is_openigtlink, protocol_of
+from igtl_gateway.session.note import Level
+from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.message import HEADER_VERSIONS
+from igtl_gateway.wire.registry import BODIES
+
+#: A peer that goes within this time of a message went because of it.
+AT_ONCE_NS = NS_PER_S
+#: A link of less than this is no link, and so many of them are a pattern.
+SHORT_NS, OFTEN = NS_PER_S, 3
+#: Messages older than this on arrival: no network is so slow.
+OLD_NS = NS_PER_S
+#: Beyond this, stamps do not count from 1970.
+EPOCH_NS = 24 * 3600 * NS_PER_S
+#: Of so many messages the stamps tell something; one in ten that stands still is no accident.
+FEW_STAMPS, STILL = 10, 10
+#: Steps of stamps that blur what moves: a hand at 100 mm/s is 1 mm further.
+COARSE_NS = 10 * NS_PER_MS
+#: Poses that stay within this many millimetres of the origin, and still move: nobody tracks so close to a tracker.
+SMALL_MM, FEW_POSES = 5.0, 5
+#: Lengths beyond this, in millimetres, are of no operating room.
+LARGE_MM = 50_000.0
+#: The finest spacing of an image in millimetres: that of a microscope.
+FINE_MM = 0.001
+#: A pause of more than so many mean intervals, and of more than a second, in streams of so many messages.
+GAP_FACTOR, GAP_NS, RHYTHM = 10, NS_PER_S, 20
+
+
+@dataclass(frozen=True, slots=True)
+class Hit:
+    """One case that a rule applies to: where, and what was found there."""
+
+    where: str
+    text: str
+    data: dict[str, Any] = field(default_factory=dict)
+
+
+# ── links ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _of_role(seen: Observer, role: str) -> list[Peer]:
+    return [peer for peer in seen.peers.values() if peer.role == role]
+
+
+def _stranger(peer: Peer) -> str | None:
+    """What the peer speaks instead of OpenIGTLink, ``""`` if that is not known; None if it does speak it."""
+    if not peer.head or is_openigtlink(peer.head):
+        return None
+    return protocol_of(peer.head)
+
+
+def other_protocol(seen: Observer) -> Iterator[Hit]:
+    for peer in seen.peers.values():
+        stranger = _stranger(peer)
+        if stranger is None:
+            continue
+        shown = _shown(peer.head)
+        if peer.messages:
+            text = f"after {peer.messages} messages came what is no header: {shown}; a length before it was wrong"
+        else:
+            text = f"{peer.name} speaks {stranger or 'something else'}: it begins with {shown}"
+        yield Hit(peer.name, text, {"protocol": stranger, "head": peer.head.hex()})
+
+
+def _shown(head: bytes) -> str:
+    return repr(head[:24].decode("ascii", "backslashreplace"))
+
+
+def both_clients(seen: Observer) -> Iterator[Hit]:
+    if seen.intent and seen.intent.role == "client" and not _of_role(seen, "client"):
+        for peer in _of_role(seen, "server"):
+            text = f"nobody listens at {seen.intent.place}, but {peer.name} connects to us: both sides are clients"
+            yield Hit(seen.intent.place, text)
+
+
+def both_servers(seen: Observer) -> Iterator[Hit]:
+    if seen.intent and seen.intent.role == "server" and not _of_role(seen, "server"):
+        for peer in _of_role(seen, "client"):
+            if _stranger(peer) is None:
+                text = f"nobody connects to {seen.intent.place}, but {peer.name} listens: both sides are servers"
+                yield Hit(seen.intent.place, text)
+
+
+def no_listener(seen: Observer) -> Iterator[Hit]:
+    said = seen.said.get("connect_failed")
+    if said and not seen.peers and (seen.intent is None or seen.intent.role == "client"):
+        data = said.first.data
+        yield Hit(str(data.get("peer", "")), f"nobody listens at {data.get('peer')}: {data.get('reason')}")
+
+
+def port_taken(seen: Observer) -> Iterator[Hit]:
+    if (said := seen.said.get("listen_failed")) and not any(both_servers(seen)):
+        yield Hit(said.first.stream, said.first.text)
+
+
+def nobody_connects(seen: Observer) -> Iterator[Hit]:
+    waited = seen.intent and seen.intent.role == "server" and not seen.peers
+    if seen.intent and waited and seen.said.keys().isdisjoint(("listen_failed", "refused")):
+        yield Hit(seen.intent.place, f"nobody connected to {seen.intent.place}")
+
+
+def refused(seen: Observer) -> Iterator[Hit]:
+    if said := seen.said.get("refused"):
+        yield Hit(str(said.first.data.get("peer", "")), said.first.text, {"count": said.count})
+
+
+def silent(seen: Observer) -> Iterator[Hit]:
+    """A recording does not tell whether a silent peer was meant to say anything."""
+    if seen.intent is None:
+        return
+    for peer in seen.peers.values():
+        if not peer.messages and not peer.head and not peer.received_bytes and peer.up_ns:
+            lasted = ((peer.down_ns or seen.ended_ns) - peer.up_ns) / NS_PER_S
+            yield Hit(peer.name, f"{peer.name} is connected and sent nothing in {lasted:.1f} s")
+
+
+def leaves(seen: Observer) -> Iterator[Hit]:
+    """In a recording once is an accident: people stop programs; a program that cannot read on comes again and again."""
+    gone: dict[tuple[str, int], list[Hit]] = {}
+    for peer in seen.peers.values():
+        if not peer.down_ns or not peer.reason.startswith(("closed by the peer", "receiving failed")):
+            continue
+        for version, told_ns in peer.told.items():
+            after_ns = peer.down_ns - told_ns
+            if not peer.heard[version] and 0 <= after_ns <= AT_ONCE_NS:
+                text = f"{peer.name} went {ms(after_ns)} after its first message of header version {version}"
+                if peer.heard:
+                    text += f"; itself it sends version {min(peer.heard)}"
+                host = peer.address.rpartition(":")[0]
+                gone.setdefault((host, version), []).append(Hit(peer.name, text, {"version": version}))
+    for hits in gone.values():
+        if seen.intent or len(hits) >= OFTEN:
+            yield hits[0]
+
+
+def cut(seen: Observer) -> Iterator[Hit]:
+    for peer in seen.peers.values():
+        if peer.head and is_openigtlink(peer.head) and peer.head_why != "too_large":
+            said = seen.said[peer.head_why]
+            yield Hit(peer.name, said.first.text, {"head": peer.head.hex()})
+
+
+def too_large(seen: Observer) -> Iterator[Hit]:
+    for peer in seen.peers.values():
+        if peer.head_why == "too_large" and is_openigtlink(peer.head):
+            yield Hit(peer.name, seen.said["too_large"].first.text, {"head": peer.head.hex()})
+
+
+def slow(seen: Observer) -> Iterator[Hit]:
+    for code in ("queue_full", "queue_drop"):
+        if said := seen.said.get(code):
+            yield Hit(str(said.first.data.get("peer", "")), said.first.text)
+            return
+
+
+def comes_and_goes(seen: Observer) -> Iterator[Hit]:
+    short: dict[str, int] = {}
+    for peer in seen.peers.values():
+        if peer.up_ns and peer.down_ns and peer.down_ns - peer.up_ns < SHORT_NS:
+            host = peer.address.rpartition(":")[0]
+            short[host] = short.get(host, 0) + 1
+    for host, number in short.items():
+        if number >= OFTEN:
+            yield Hit(host, f"{number} links with {host} lasted less than {SHORT_NS / NS_PER_S:g} s")
+
+
+# ── headers ───────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def each(applies: Callable[[Stream], int], text: Callable[[Stream], str]) -> Callable[[Observer], Iterator[Hit]]:
+    """A check of one stream after the other: it applies where the first gives a number, of messages mostly."""
+
+    def check(seen: Observer) -> Iterator[Hit]:
+        for stream in seen.streams.values():
+            if number := applies(stream):
+                yield Hit(stream.name, text(stream), {"link": stream.link, "count": int(number)})
+
+    return check
+
+
+def wrong_versions(stream: Stream) -> list[int]:
+    return sorted(set(stream.versions) - set(HEADER_VERSIONS))
+
+
+def mixed_versions(seen: Observer) -> Iterator[Hit]:
+    for peer in seen.peers.values():
+        if len([version for version in peer.heard if version in HEADER_VERSIONS]) > 1:
+            counts = ", ".join(f"{count} of version {version}" for version, count in sorted(peer.heard.items()))
+            yield Hit(peer.name, f"messages of both header versions: {counts}")
+
+
+def unknown_type(stream: Stream) -> str:
+    if stream.type.upper() in BODIES:
+        return f"the type {stream.type!r} is not written in capitals: peers do not know it"
+    return f"the type {stream.type!r} is none of the protocol: it is passed on as it is, undecoded"
+
+
+# ── stamps ────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def ms(ns: int) -> str:
+    return f"{ns / NS_PER_S:,.1f} s" if abs(ns) >= NS_PER_S else f"{ns / NS_PER_MS:,.1f} ms"
+
+
+def other_epoch(stream: Stream) -> int:
+    timing = stream.timing
+    return timing.stamped if max(abs(timing.least_ns), abs(timing.most_ns)) > EPOCH_NS else 0
+
+
+def in_future(stream: Stream) -> int:
+    return 0 if other_epoch(stream) else stream.timing.future
+
+
+def is_old(stream: Stream) -> int:
+    return stream.timing.stamped if OLD_NS < stream.timing.least_ns and not other_epoch(stream) else 0
+
+
+def is_coarse(stream: Stream) -> int:
+    """What comes at even times has even stamps; what comes at odd times, and has even stamps, was rounded."""
+    timing = stream.timing
+    if timing.stamped < FEW_STAMPS:
+        return 0
+    if timing.repeated * STILL >= timing.stamped:
+        return timing.repeated
+    rounded = timing.step_ns >= COARSE_NS and 2 * (timing.most_ns - timing.least_ns) >= timing.step_ns
+    return timing.stamped if rounded else 0
+
+
+def coarse(stream: Stream) -> str:
+    timing = stream.timing
+    if timing.repeated == timing.stamped - 1:
+        return f"all {timing.stamped} stamps are the same: the sender's clock stands still"
+    step = f"rounded to {ms(timing.step_ns)}" if timing.step_ns else "of a clock that steps seldom"
+    return f"stamps are {step}; {timing.repeated} of {timing.stamped} repeat the one before"
+
+
+# ── names ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def is_full(stream: Stream) -> int:
+    full = len(stream.raw_device.encode("utf-8", "surrogateescape")) >= MAX_DEVICE_NAME
+    return stream.messages if full and not stream.full_names else 0
+
+
+def is_talk(stream: Stream) -> bool:
+    """Whether it is about the conversation, and no stream of data."""
+    return stream.type.startswith(("GET_", "STT_", "STP_", "RTS_")) or stream.type in {"COMMAND", "STATUS"}
+
+
+def same_names(seen: Observer) -> Iterator[Hit]:
+    streams = seen.streams.values()
+    for stream in streams:
+        if len(stream.full_names) > 1:
+            names = " and ".join(map(repr, sorted(stream.full_names)))
+            yield Hit(stream.name, f"two streams under one name: {names} are both sent as {stream.device!r}")
+    links: dict[str, set[int]] = {}
+    for stream in streams:
+        if stream.device and not is_talk(stream):
+            links.setdefault(stream.name, set()).add(stream.link)
+    for name, numbers in links.items():
+        there = [number for number in numbers if _together(seen, number, numbers)]
+        if len(there) > 1:
+            yield Hit(name, f"{len(there)} peers send {name} at the same time; receivers take them for one stream")
+
+
+def _together(seen: Observer, number: int, others: set[int]) -> bool:
+    """Whether the peer was there at the same time as another of them: one that comes back is one peer."""
+    mine = seen.peer(number)
+    return any(
+        mine.up_ns <= (other.down_ns or seen.ended_ns) and other.up_ns <= (mine.down_ns or seen.ended_ns)
+        for other in (seen.peer(one) for one in others if one != number)
+    )
+
+
+def same_tokens(seen: Observer) -> Iterator[Hit]:
+    devices: dict[str, set[str]] = {}
+    for stream in seen.streams.values():
+        devices.setdefault(topic_token(stream.device), set()).add(stream.device)
+    for token, names in devices.items():
+        if len(names) > 1:
+            text = f"{' and '.join(map(repr, sorted(names)))} differ only in what a ROS topic cannot hold"
+            yield Hit(token, f"{text}; the later one gets a hash")
+
+
+def odd_name(stream: Stream) -> int:
+    raw = stream.raw_device + stream.raw_type
+    odd = "\x00" in raw or not all(char.isprintable() for char in raw)
+    return stream.messages if odd else 0
+
+
+# ── content ───────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def is_small(stream: Stream) -> int:
+    lengths = stream.lengths
+    few = lengths.messages < FEW_POSES if lengths.poses else lengths.positions < FEW_POSES
+    return 0 if few or not lengths.moved or not 0 < lengths.largest < SMALL_MM else lengths.messages
+
+
+def is_fine(stream: Stream) -> int:
+    spacing = stream.lengths.smallest_spacing
+    return 0 if spacing is None or spacing >= FINE_MM else stream.messages
+
+
+def has_gap(stream: Stream) -> int:
+    if stream.messages < RHYTHM:
+        return 0
+    mean_ns = (stream.last_ns - stream.first_ns) / (stream.messages - 1)
+    return int(stream.longest_pause_ns > max(GAP_FACTOR * mean_ns, GAP_NS))
+
+
+# ── ROS ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def qos_clash(seen: Observer) -> Iterator[Hit]:
+    for clash in seen.graph.clashes() if seen.graph else ():
+        text = f"nothing passes from {clash.publisher} to {clash.subscriber}: {clash.why}"
+        yield Hit(clash.topic, text, {"publisher": clash.publisher, "subscriber": clash.subscriber})
+    if said := seen.said.get("ros_incompatible_qos"):
+        yield Hit(said.first.stream, said.first.text, {"count": said.count})
+
+
+def unconverted(seen: Observer) -> Iterator[Hit]:
+    for topic, kind in sorted(seen.graph.unconverted.items()) if seen.graph else ():
+        yield Hit(topic, f"{topic} is to be sent to OpenIGTLink, but nothing converts {kind}")
+    said = seen.said.get("no_conversion")
+    if said and said.first.stream.startswith("/"):
+        yield Hit(said.first.stream, said.first.text, {"count": said.count})
+
+
+def unheard(seen: Observer) -> Iterator[Hit]:
+    for topic in seen.graph.unheard() if seen.graph else ():
+        yield Hit(topic, f"nobody in ROS subscribes to {topic}")
+
+
+def nothing_out(seen: Observer) -> Iterator[Hit]:
+    if seen.graph is not None and not seen.graph.sent:
+        yield Hit("/igtl/out", "no ROS node publishes a topic that the gateway sends to OpenIGTLink")
+
+
+def ros_refused(seen: Observer) -> Iterator[Hit]:
+    for code in ("ros_unknown_type", "ros_refused"):
+        if said := seen.said.get(code):
+            yield Hit(said.first.stream, said.first.text, {"count": said.count})
+
+
+# ── the recording ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def damaged(seen: Observer) -> Iterator[Hit]:
+    if seen.damage:
+        yield Hit("recording", seen.damage)
+
+
+def lost(seen: Observer) -> Iterator[Hit]:
+    for what, number in seen.losses.items():
+        yield Hit(what, f"{number:,} messages lost: {what}", {"count": number})
+
+
+def crowded(seen: Observer) -> Iterator[Hit]:
+    if seen.crowded:
+        yield Hit("streams", f"more than {MAX_STREAMS:,} streams or links: the rest was not looked at")
+
+
+def no_messages(seen: Observer) -> Iterator[Hit]:
+    if seen.intent is None and not seen.streams:
+        yield Hit("recording", "no OpenIGTLink message came in: there is little to judge")
+
+
+#: Codes of notes that a rule of their own tells of, or that say what the messages themselves show.
+_TOLD = frozenset({
+    "accept_failed", "bad_crc", "connect_failed", "listen_failed", "malformed", "no_conversion", "queue_drop",
+    "queue_full", "refused", "ros_incompatible_qos", "ros_refused", "ros_unknown_type", "stalled", "too_large",
+    "truncated",
+})  # fmt: skip
+
+
+def other_notes(seen: Observer) -> Iterator[Hit]:
+    streams = seen.streams.values()
+    explained = {one.name for one in streams if one.not_finite or one.not_orthonormal or one.mirrored}
+    for code, said in seen.said.items():
+        if code not in _TOLD and said.first.level >= Level.WARN and said.first.stream not in explained:
+            where = visible(said.first.stream) or code
+            yield Hit(where, f"{said.first.text} ({code})", {"code": code, "count": said.count})

@@ -1,0 +1,54 @@
+"""``lint``: the rules on recordings, whole and damaged."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from igtl_gateway.cli import main
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+
+
+def linted(capsys: pytest.CaptureFixture[str], path: Path) -> tuple[int, dict[str, Any]]:
+    code = main(["lint", str(path), "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_a_recording_without_fault(capsys: pytest.CaptureFixture[str]) -> None:
+    code, told = linted(capsys, FIXTURES / "star.mcap")
+    assert (code, told["findings"], told["cause"], told["nothing_arrives"]) == (0, [], None, False)
+    assert {stream["stream"] for stream in told["streams"]} >= {"STRING/Navigation", "POINT/PlanPoints"}
+    assert main(["lint", str(FIXTURES / "star.mcap")]) == 0
+    out = capsys.readouterr().out
+    assert "star.mcap: 3 OpenIGTLink streams\n" in out and out.endswith("nothing found that is wrong\n")
+
+
+def test_errors_are_found_and_told(capsys: pytest.CaptureFixture[str]) -> None:
+    code, told = linted(capsys, FIXTURES / "every-type.mcap")
+    ids = [finding["id"] for finding in told["findings"]]
+    assert code == 1 and {"IGTL-E207", "IGTL-E210", "IGTL-W504", "IGTL-W505"} <= set(ids)
+    assert told["cause"]["id"] == "IGTL-E207" and told["cause"]["where"] == "STRING/Greeting"
+    assert main(["lint", str(FIXTURES / "every-type.mcap")]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("ERROR   IGTL-E207  CRC wrong") for line in lines)
+    assert any(line.endswith("more, see --json") for line in lines)
+
+
+def test_a_damaged_recording_is_judged_as_far_as_it_can_be_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "cut.mcap"
+    data = (FIXTURES / "paper-types.mcap").read_bytes()
+    path.write_bytes(data[: len(data) * 3 // 4])
+    code, told = linted(capsys, path)
+    assert (code, told["cause"]["id"]) == (1, "IGTL-E701")
+    assert told["streams"]
+
+
+def test_what_is_no_recording_is_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["lint", str(tmp_path / "absent.mcap")]) == 2
+    assert "absent.mcap" in capsys.readouterr().err

@@ -1,0 +1,232 @@
+"""The checks on prepared sessions: what each finds, and that it finds nothing in a healthy one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from igtl_gateway.buffers import join
+from igtl_gateway.config import Config
+from igtl_gateway.doctor import Observer
+from igtl_gateway.doctor.observer import Intent
+from igtl_gateway.doctor.rules import RULES, judge
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP
+from igtl_gateway.gateway.metadata import FULL_NAME
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.wire import Item, Message, Raw, encode
+from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.text import Status, String
+from igtl_gateway.wire.tracking import TRACKING_DTYPE, TrackingData
+from igtl_gateway.wire.transform import Position, Transform
+from tests.script import T0_NS
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+PEER = "10.0.0.2:50000"
+
+
+def pose(x: float = 200.0, diagonal: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Transform:
+    a, b, c = diagonal
+    return Transform((a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c, x, 2 * x, -x))
+
+
+class Scene:
+    """A session by hand: each step is 20 ms after the last, and stamped 5 ms before it arrives."""
+
+    def __init__(self, intent: Intent | None = None, **config: Any) -> None:
+        self.seen = Observer(Config(**config), intent)
+        self.now_ns = T0_NS
+
+    def add(self, kind: Kind, data: bytes, link: int = 1, channel: str = "", source_ns: int = 0) -> Scene:
+        self.now_ns += 20 * NS_PER_MS
+        self.seen.add(Entry(1, self.now_ns, kind, channel, "", (data,), (link,) if link else (), source_ns))
+        return self
+
+    def up(self, link: int = 1, role: str = "server", peer: str = PEER) -> Scene:
+        return self.add(Kind.LINK, Note(Level.INFO, LINK_UP, "up", data={"peer": peer, "role": role}).pack(), link)
+
+    def down(self, link: int = 1, reason: str = "closed by the peer", **data: Any) -> Scene:
+        return self.add(Kind.LINK, Note(Level.INFO, LINK_DOWN, "down", data={"reason": reason, **data}).pack(), link)
+
+    def note(self, code: str, link: int = 0, level: Level = Level.WARN, **data: Any) -> Scene:
+        return self.add(Kind.EDGE_NOTE, Note(level, code, f"what {code} says", "", data).pack(), link)
+
+    def says(
+        self, content: Body, device: str = "Probe", kind: str = "TRANSFORM", age_ns: int = 5 * NS_PER_MS, **more: Any
+    ) -> Scene:
+        stamp_ns = self.now_ns + 20 * NS_PER_MS - age_ns
+        link = more.pop("link", 1)
+        stamp_ns = more.pop("stamp_ns", stamp_ns)
+        message = Message(kind, device, content, ns_to_ticks(stamp_ns), **more)
+        return self.add(Kind.IGTL_IN, join(encode(message)), link, f"{kind}/{device}", stamp_ns)
+
+    def hears(self, version: int, link: int = 1) -> Scene:
+        message = Message("STATUS", "", Status(1), header_version=version)
+        return self.add(Kind.IGTL_OUT, join(encode(message)), link)
+
+    def after(self, ns: int) -> Scene:
+        self.now_ns += ns
+        return self
+
+    @property
+    def found(self) -> list[str]:
+        return [finding.rule.id.removeprefix("IGTL-") for finding in judge(self.seen)]
+
+
+CLIENT, SERVER = Intent("client", "10.0.0.2:18944"), Intent("server", "127.0.0.1:18944")
+
+
+def scene(intent: Intent | None = None, **config: Any) -> Scene:
+    return Scene(intent, **config).up(role=intent.role if intent else "server")
+
+
+def poses(made: Scene, xs: Iterable[float], **more: Any) -> Scene:
+    for x in xs:
+        made.says(pose(x), **more)
+    return made
+
+
+def whole_seconds(made: Scene, every_ns: int) -> Scene:
+    for _ in range(40):
+        made.after(every_ns - 20 * NS_PER_MS).says(pose(), stamp_ns=made.now_ns // NS_PER_S * NS_PER_S)
+    return made
+
+
+def tools(name: bytes) -> TrackingData:
+    elements = np.zeros(1, TRACKING_DTYPE)
+    elements["name"], elements["matrix"][:, [0, 4, 8]], elements["matrix"][:, 9] = name, 1.0, 100.0
+    return TrackingData(elements)
+
+
+STEPS = range(12)
+FULL = (Item.of(FULL_NAME, "ReferenceFrameToStereoCamera"), Item.of(FULL_NAME, "ReferenceFrameToOther"))
+
+#: What happened → the rules that apply, in their order.
+CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
+    "healthy": (lambda: poses(scene(CLIENT), range(100, 130)).down(), []),
+    "nobody there": (lambda: Scene(CLIENT).note("connect_failed", peer="10.0.0.2:18944"), ["E101"]),
+    "never there, recorded": (lambda: Scene().note("connect_failed", peer="x"), ["E101", "I704"]),
+    "port taken": (lambda: Scene(SERVER).note("listen_failed"), ["E104"]),
+    "refused": (lambda: Scene(SERVER).note("refused", peer=PEER), ["E108"]),
+    "silent, recorded": (lambda: scene().down(), ["I704"]),
+    "a stranger after our role was turned": (
+        lambda: Scene(SERVER).up(role="client").note("truncated", 1, head=b"SSH-2.0-".hex()),
+        ["E107"],
+    ),
+    "lost in the stream": (
+        lambda: poses(scene(), [100]).note("too_large", 1, head=bytes(range(58)).hex()),
+        ["E107"],
+    ),
+    "announces too much": (lambda: poses(scene(), [1e2]).note("too_large", 1, head="0001" + b"IMAGE".hex()), ["E110"]),
+    "cut": (lambda: poses(scene(), [100]).note("truncated", 1, head="0001" + b"IMAGE".hex()), ["W109"]),
+    "leaves at a version": (lambda: scene(CLIENT).hears(2).down(received_bytes=1), ["E203"]),
+    "left by chance": (lambda: poses(scene(), [100]).hears(2).down(), []),
+    "left later": (lambda: scene(CLIENT).hears(2).after(2 * NS_PER_S).down(received_bytes=1), []),
+    "comes and goes": (
+        lambda: poses(scene(), [100]).down().up(2).down(2).up(3).down(3),
+        ["W112"],
+    ),
+    "reads slowly": (lambda: poses(scene(), [100]).note("queue_drop", peer=PEER), ["W114"]),
+    "both versions": (lambda: poses(poses(scene(), [100]), [200], header_version=2), ["W204"]),
+    "type in small letters": (lambda: scene().says(Raw(b""), kind="Transform"), ["W208"]),
+    "malformed": (lambda: scene().says(Raw(b"abc")), ["E210"]),
+    "stamps stand still": (lambda: poses(scene(), STEPS, stamp_ns=T0_NS), ["W302"]),
+    "stamps of whole seconds": (lambda: whole_seconds(scene(), every_ns=150 * NS_PER_MS), ["W302"]),
+    "stamps of a second each": (lambda: whole_seconds(scene(), every_ns=NS_PER_S), []),
+    "stamps of a regular clockwork": (lambda: poses(scene(), range(100, 130), age_ns=0), []),
+    "stamps in the future": (lambda: scene().says(pose(), age_ns=-NS_PER_S), ["W303"]),
+    "stamps backwards": (lambda: scene().says(pose()).says(pose(), age_ns=100 * NS_PER_MS), ["W304"]),
+    "stamps since the start": (lambda: scene().says(pose(), stamp_ns=77 * NS_PER_S), ["W305"]),
+    "stamps old": (lambda: scene().says(pose(), age_ns=3 * NS_PER_S), ["W306"]),
+    "full name known": (lambda: scene().says(pose(), "n" * 20, header_version=2, metadata=FULL[:1]), []),
+    "two under one name": (
+        lambda: scene().says(pose(), "n" * 20, header_version=2, metadata=FULL[:1])
+        .says(pose(), "n" * 20, header_version=2, metadata=FULL[1:]),
+        ["W402"],
+    ),
+    "two peers, one name": (lambda: poses(poses(scene().up(2), [100]), [100], link=2), ["W402"]),
+    "a peer that came back": (lambda: poses(poses(scene(), [100]).down().after(NS_PER_S).up(2), [100], link=2), []),
+    "no name": (lambda: scene().says(pose(), ""), ["W403"]),
+    "bytes behind a zero": (lambda: scene().says(pose(), "Probe\0old"), ["W404"]),
+    "a name in the body": (lambda: scene().says(tools(b"t" * 20), kind="TDATA"), ["W405"]),
+    "a name in the body that fits": (lambda: scene().says(tools(b"t" * 19), kind="TDATA"), []),
+    "one topic": (lambda: scene().says(pose(), "US probe").says(pose(), "US_probe"), ["W406"]),
+    "metres": (lambda: poses(scene(), [0.1 + step / 100 for step in STEPS]), ["W501"]),
+    "metres by configuration": (lambda: poses(scene(igtl_unit="m"), [0.1 + step / 100 for step in STEPS]), []),
+    "an offset near zero that stays": (lambda: poses(scene(), [0.1] * 12), []),
+    "millimetres twice": (lambda: scene().says(pose(200_000.0)), ["W502"]),
+    "not a number": (lambda: scene().says(Position((float("nan"), 0.0, 0.0)), kind="POSITION"), ["E503"]),
+    "scaled": (lambda: scene().says(pose(diagonal=(2.0, 2.0, 2.0))), ["W504"]),
+    "quaternion of no length": (
+        lambda: scene().says(Position((1e2, 0.0, 0.0), (0.0, 0.0, 0.0, 0.5)), kind="POSITION"),
+        ["W504"],
+    ),
+    "left-handed": (lambda: scene().says(pose(diagonal=(1.0, 1.0, -1.0))), ["W505"]),
+    "spacing in metres": (
+        lambda: scene().says(Image((1, 1, 1), 3, b"\0", wire_matrix=(2e-4, 0, 0, 0, 2e-4, 0, 0, 0, 2e-4, 0, 0, 0)),
+                             kind="IMAGE"),
+        ["W506"],
+    ),
+    "a pause": (lambda: poses(poses(scene(), range(100, 130)).after(3 * NS_PER_S), [100]), ["W507"]),
+    "a note": (lambda: poses(scene(), [100]).note("out_of_memory", level=Level.ERROR), ["W801"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_found(name: str) -> None:
+    make, expected = CASES[name]
+    assert make().found == expected
+
+
+def test_texts_name_what_was_found() -> None:
+    made = poses(scene(CLIENT), [0.1 + step / 100 for step in STEPS], stamp_ns=0)
+    texts = {finding.rule.id: finding.hit.text for finding in judge(made.seen)}
+    assert texts["IGTL-W501"].startswith("all 12 positions are within 0.514 mm of the origin")
+    assert texts["IGTL-W301"] == "12 of 12 messages have the stamp 0, which is unset"
+
+
+def test_the_ledger_and_the_damage_of_a_recording() -> None:
+    made = poses(scene(), [100])
+    made.seen.damage, made.seen.losses = "cut off", {"dropped on the way to link 1": 3}
+    assert made.found == ["E701", "W703"]
+
+
+def test_streams_beyond_the_limit_are_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("igtl_gateway.doctor.observer.MAX_STREAMS", 3)
+    made = scene()
+    for number in range(5):
+        made.says(pose(), f"Probe{number}")
+    assert (made.found, len(made.seen.streams)) == (["W702"], 3)
+
+
+def test_our_own_recordings_are_without_fault() -> None:
+    """every-type has a broken message of each kind on purpose."""
+    for path in sorted(FIXTURES.glob("*.mcap")):
+        if path.stem not in {"every-type", "lego"}:  # the one for its size
+            seen = Observer(Config())
+            with SessionFile.open(path) as file:
+                for entry in file.entries():
+                    seen.add(entry)
+            assert [one.rule.id for one in judge(seen) if one.rule.id not in {"IGTL-W301", "IGTL-W402"}] == [], path
+
+
+def test_the_rules_are_a_table() -> None:
+    assert all(rule.title and rule.advice and rule.section for rule in RULES)
+    assert [finding for rule in RULES for finding in rule.check(Observer(Config(), CLIENT))] == []
+
+
+def test_any_bytes_of_a_message_are_observed_without_error() -> None:
+    data = bytearray(join(encode(Message("STRING", "a", String.of("b"), header_version=2))))
+    for place in range(len(data)):
+        for value in (0, 1, 255):
+            made, bent = scene(), bytes(data[:place] + bytes([value]) + data[place + 1 :])
+            made.add(Kind.IGTL_IN, bent)
+            judge(made.seen)
+            assert sum(peer.messages + bool(peer.head) for peer in made.seen.peers.values()) == 1

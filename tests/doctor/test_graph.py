@@ -1,0 +1,65 @@
+"""The gateway's topics against a graph that is written down."""
+
+from __future__ import annotations
+
+from igtl_gateway.config import Config
+from igtl_gateway.doctor import Observer
+from igtl_gateway.doctor.graph import Graph
+from igtl_gateway.doctor.rules import judge
+from igtl_gateway.gateway import Gateway
+from igtl_gateway.qos import Endpoint, Qos
+
+POSE, STRING = "geometry_msgs/msg/TransformStamped", "std_msgs/msg/String"
+PROBE, OUT = "/igtl/in/Probe/transform", "/igtl/out/Target"
+
+
+def graph(*endpoints: tuple[str, str, bool, Qos]) -> Graph:
+    made = [
+        Endpoint(topic, kind, f"/{'from' if publishes else 'to'}_{number}", publishes, qos)
+        for number, (topic, kind, publishes, qos) in enumerate(endpoints)
+    ]
+    return Graph.of(Gateway(Config()), {}, made)
+
+
+def found(made: Graph) -> list[str]:
+    seen = Observer(Config())
+    seen.graph = made
+    return [one.rule.id.removeprefix("IGTL-") for one in judge(seen) if one.rule.id[6] == "6"]
+
+
+def test_a_subscriber_that_asks_for_what_is_not_offered() -> None:
+    (clash,) = graph((PROBE, POSE, False, Qos(latched=True))).clashes()
+    assert (clash.topic, clash.publisher, clash.subscriber) == (PROBE, "the gateway", "/to_0")
+    assert clash.why == "durability (volatile offered, transient local asked for)"
+    assert list(graph((PROBE, POSE, False, Qos(reliable=False))).clashes()) == []
+
+
+def test_a_subscriber_of_another_type() -> None:
+    (clash,) = graph((PROBE, STRING, False, Qos())).clashes()
+    assert clash.why == f"{POSE} published, {STRING} expected"
+
+
+def test_a_bridge_that_runs_counts_as_it_is() -> None:
+    there = (PROBE, POSE, True, Qos(latched=True))
+    assert list(graph(there, (PROBE, POSE, False, Qos(latched=True))).clashes()) == []
+    (clash,) = graph((PROBE, POSE, True, Qos(reliable=False)), (PROBE, POSE, False, Qos())).clashes()
+    assert (clash.publisher, clash.why) == ("/from_0", "reliability (best effort offered, reliable asked for)")
+
+
+def test_what_is_sent_and_what_cannot_be() -> None:
+    best_effort = Qos(reliable=False)
+    assert found(graph((OUT, POSE, True, best_effort))) == [], "the bridge adapts"
+    assert found(graph((OUT, "nav_msgs/msg/Odometry", True, Qos()))) == ["W604", "I605"]
+    assert found(graph((OUT, POSE, True, best_effort), (OUT, POSE, False, Qos()))) == ["E601"]
+
+
+def test_what_is_not_ours_is_left_alone() -> None:
+    made = graph(("/camera", STRING, True, Qos(reliable=False)), ("/camera", STRING, False, Qos()))
+    assert (made.endpoints, found(made)) == ([], ["I605"])
+    assert found(graph((PROBE, POSE, False, Qos()))) == ["I605"]
+
+
+def test_nobody_listens() -> None:
+    gateway = Gateway(Config())
+    made = Graph.of(gateway, {"/igtl/links": "igtl_msgs/msg/LinkStatusList"}, [])
+    assert (made.unheard(), found(made)) == (["/igtl/links"], ["I603", "I605"])
