@@ -15,6 +15,8 @@ verification use what was in force that day.
     publish_tf = true              # poses appear on /tf too
     command_timeout_s = 5.0        # a COMMAND without a reply is given up
     relay = false                  # true: no bridge; peers and a server talk through us, bytes unchanged
+    faults = ""                    # of a relay, on purpose: "delay=50ms,loss=1%", see docs/faults.md
+    fault_seed = 0                 # which messages they hit
     deny_in = []                   # types that peers may not send, such as ["COMMAND", "TRANSFORM"] or ["*"]
     deny_out = []                  # types that peers are not sent
     watch = true                   # say what looks odd: units that jump, stamps that run back; see docs/guard.md
@@ -62,6 +64,7 @@ from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, Lengths
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.faults import Faults
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 
@@ -166,6 +169,8 @@ class Config:
     publish_tf: bool = True
     command_timeout_s: float = 5.0
     relay: bool = False
+    faults: str = ""
+    fault_seed: int = 0
     deny_in: tuple[str, ...] = ()
     deny_out: tuple[str, ...] = ()
     watch: bool | None = None
@@ -180,6 +185,8 @@ class Config:
         if not 0 < self.command_timeout_s < MAX_TIMEOUT_S:
             found = f"{self.command_timeout_s:g}"
             raise ConfigError(f"gateway.command_timeout_s: found {found}, expected above 0 and below {MAX_TIMEOUT_S:g}")
+        if Faults.parse(self.faults, "gateway.faults") and not self.relay:
+            raise ConfigError(f"gateway.faults: found {self.faults!r}, expected it with relay = true only")
         for name in ("deny_in", "deny_out"):
             for glob in getattr(self, name):
                 if not _is_type_glob(glob):

@@ -12,6 +12,8 @@ the seconds here.
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
 
@@ -83,3 +85,9 @@ def ns_to_ros(ns: int) -> tuple[int, int]:
 def ros_to_ns(sec: int, nanosec: int) -> int:
     """UTC nanoseconds of a builtin_interfaces/Time; ``(0, 0)`` is "unset" and gives 0."""
     return sec * NS_PER_S + nanosec
+
+
+def utc_text(ns: int) -> str:
+    """UTC nanoseconds as people and log programs read them: ``2026-11-21T08:00:00.123456789Z``."""
+    seconds, rest = divmod(ns, NS_PER_S)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"

@@ -32,6 +32,7 @@ LEVELS = {
     "values": 0,
     "session": 1,
     "wire": 1,
+    "faults": 1,
     "config": 2,
     "convert": 2,
     "gateway": 3,

@@ -23,10 +23,10 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import CompressedImage, TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList, MetadataItem
 from igtl_gateway.edges.ros import RosEdge
-from igtl_gateway.edges.tcp import Limits, TcpEdge
+from igtl_gateway.edges.tcp import Limits, TcpEdge, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError
-from igtl_gateway.gateway import LINKS_TOPIC, LISTENED, Gateway, Session, gateway_of
+from igtl_gateway.gateway import CUT, LINKS_TOPIC, LISTENED, Gateway, Session, gateway_of
 from igtl_gateway.gateway.tf_out import TF_QOS
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
@@ -39,6 +39,9 @@ from igtl_gateway.session.note import Level, Note
 
 #: How closely the gateway's deadlines are kept: a ping or a time-out may be late by as much.
 _TICK_S = 0.05
+
+#: The same of a relay with faults, whose messages wait for their moment.
+_FAULTY_TICK_S = 0.001
 
 #: QoS of topics that are recorded only: deep enough for a burst; reliability adapts to the publishers.
 _RECORDED = Qos(depth=100)
@@ -123,6 +126,7 @@ class Bridge:
             clock=clock,
             limits=options.limits,
             allow=options.allow,
+            tls=options.tls,
         )
         self.ros: RosEdge | None = None
         self._all_made = viewer is not None or options.record is not None  # also what nobody in ROS hears
@@ -144,11 +148,17 @@ class Bridge:
         try:
             if self.gateway.config.relay:
                 (server,) = self.options.connect
-                self.addresses = [self.tcp.relay(*address, server) for address in self.options.listen]
+                to = server in self.options.tls_connect
+                self.addresses = [
+                    self.tcp.relay(*address, server, tls=address in self.options.tls_listen, tls_to=to)
+                    for address in self.options.listen
+                ]
             else:
-                self.addresses = [self.tcp.listen(*address) for address in self.options.listen]
+                self.addresses = [
+                    self.tcp.listen(*address, tls=address in self.options.tls_listen) for address in self.options.listen
+                ]
                 for address in self.options.connect:
-                    self.tcp.connect(*address)
+                    self.tcp.connect(*address, tls=address in self.options.tls_connect)
             if self.options.record:  # behind the ports: one that is taken must not cost the recording of yesterday
                 self.recorder = Recorder(
                     self.options.record,
@@ -239,7 +249,7 @@ class Bridge:
 
     def _tick(self) -> None:
         """Keep the gateway's deadlines."""
-        while not self._stopping.wait(_TICK_S):
+        while not self._stopping.wait(_FAULTY_TICK_S if self.gateway.config.faults else _TICK_S):
             self.hub.tick()
 
     def _record(self, entry: Entry) -> None:
@@ -258,6 +268,10 @@ class Bridge:
                 self.commands.watch(entry)
             if self.video:
                 self.video.show(entry)
+        elif entry.kind is Kind.NOTE and self.gateway.config.faults:
+            note = Note.unpack(entry.data())
+            if note.code == CUT:
+                self.tcp.disconnect(entry.links, note.text)
 
     def wanted(self, topic: str, ros_type: str) -> Qos | None:
         """How to subscribe to a topic that was found; said once if it was asked for, but cannot be bridged."""

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -14,12 +14,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 from igtl_gateway import __version__
 from igtl_gateway.app.bridge import Address, Bridge, BridgeOptions
 from igtl_gateway.app.interpreter import calm_the_interpreter
-from igtl_gateway.cli import recording
+from igtl_gateway.app.status import Status
+from igtl_gateway.cli import admission, recording
 from igtl_gateway.cli.common import (
     DEFAULT_HOST,
     DEFAULT_PORT,
     add_addresses,
+    add_faults,
     add_routes,
+    address,
     addresses,
     count,
     load_config,
@@ -28,19 +31,21 @@ from igtl_gateway.cli.common import (
     stop_event,
     with_routes,
 )
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.config import AUTO, Config
 from igtl_gateway.convert.igtl_msgs import Query
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role, RosRow
 from igtl_gateway.edges.ros_env import keep_large_blocks, prepare_environment
-from igtl_gateway.edges.tcp import Limits
 from igtl_gateway.edges.video import CODECS, VideoOptions
 from igtl_gateway.errors import ConfigError, ViewerError
+from igtl_gateway.faults import Faults
+from igtl_gateway.gateway import FAULT
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.stamp import NS_PER_S, utc_text
 
 if TYPE_CHECKING:
+    from igtl_gateway.app.metrics import MetricsServer
     from igtl_gateway.view.live import Window
 
 EXAMPLES = """\
@@ -48,6 +53,9 @@ EXAMPLES = """\
   igtl-gateway bridge --record out.mcap                  … and everything that is said goes into out.mcap
   igtl-gateway bridge --connect 127.0.0.1:18945          client of a PLUS server
   igtl-gateway bridge --listen 0.0.0.0:18944 --allow 192.168.7.0/24
+  igtl-gateway bridge --listen 0.0.0.0:18944 --allow any --tls-cert or1.pem --tls-ca clinic.pem
+                                                         … and only to who has a certificate of the clinic
+  igtl-gateway bridge --deny-in '*'                      viewers see all and command nothing
   igtl-gateway bridge --send /camera/image_raw=Camera    a ROS topic goes out as device Camera
   igtl-gateway bridge --tf-out tool0:base_link           the tool of a robot goes out as tool0Tobase_link
   igtl-gateway bridge --video-codec h264                 images go out as encoded VIDEO
@@ -57,6 +65,9 @@ EXAMPLES = """\
   igtl-gateway bridge --record last.mcap --snapshot 30   the last 30 s, whenever key s is pressed
   igtl-gateway bridge --relay --listen :18944 --connect 127.0.0.1:18945 --record talk.mcap
                                                          record what two OpenIGTLink programs say to each other
+  igtl-gateway bridge --relay --listen :18944 --connect 127.0.0.1:18945 --fault delay=50ms,loss=1% --seed 7
+                                                         … over a bad line, to see what they make of it
+  igtl-gateway bridge --metrics 9464                     counts for Prometheus at http://127.0.0.1:9464/metrics
 
 What a device sends appears on /igtl/in/<device>/<kind>; what is published on /igtl/out/<device> goes out."""
 
@@ -66,7 +77,8 @@ _MAX_CAUSES = 1000  # causes of notes told one by one: a peer that invents devic
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_addresses(parser)
+    add_addresses(parser, admission.place, "[tls://]HOST:PORT")
+    admission.add_arguments(parser)
     parser.add_argument("--record", type=Path, metavar="FILE", help="record everything into this MCAP file")
     parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file")
     add_routes(parser)
@@ -87,23 +99,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="man in the middle: each client of --listen talks to the server of --connect, bytes unchanged; no ROS",
     )
+    add_faults(parser)
     parser.add_argument("--view", action="store_true", help="show everything in rerun's window, live")
     parser.add_argument("--node-name", default="igtl_gateway", metavar="NAME", help="of the ROS node (%(default)s)")
-    parser.add_argument("--queue-mib", type=int, default=64, metavar="MIB", help="send queue of a peer (%(default)s)")
-    parser.add_argument("--max-clients", type=int, default=32, metavar="N", help="peers at once (%(default)s)")
-    parser.add_argument(
-        "--max-body-mib", type=int, default=256, metavar="MIB", help="longest message accepted (%(default)s)"
-    )
-    parser.add_argument(
-        "--queue-messages", type=int, default=4096, metavar="N", help="send queue of a peer (%(default)s)"
-    )
-    parser.add_argument(
-        "--stall-s", type=float, default=10.0, metavar="S", help="longest silence inside a message (%(default)s)"
-    )
     recording.add_arguments(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="stop after so many seconds")
     parser.add_argument("--types", action="store_true", help="list every type and what it becomes, then end")
-    parser.add_argument("--json", action="store_true", help="print events as JSON lines")
+    parser.add_argument(
+        "--metrics",
+        type=address,
+        metavar="[HOST:]PORT",
+        help="counts, rates and queues over HTTP, read-only: /metrics for Prometheus, /status as JSON",
+    )
+    parser.add_argument(
+        "--log-format", choices=("text", "json"), default="text", help="json: one object a line, with its time (text)"
+    )
+    parser.add_argument("--json", dest="log_format", action="store_const", const="json", help="as --log-format json")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -116,8 +127,11 @@ def run(options: argparse.Namespace) -> int:
     listen, connect = addresses(options)
     config = with_routes(load_config(options.config), options)
     if options.relay or config.relay:
-        config, listen = _relayed(config, listen, connect)
+        config, listen = _relayed(config, options, listen, connect)
         options.no_ros = True
+    elif options.fault:
+        raise ConfigError("--fault: found no --relay, expected it: faults are of a line between two programs")
+    tls_listen, tls_connect = admission.secured(options, listen, connect)
     watch = _Watch()
     clock = SystemClock()
     with stop_event() as stop:
@@ -132,13 +146,10 @@ def run(options: argparse.Namespace) -> int:
                 record=options.record,
                 record_topics=("**",) if options.record_all else tuple(options.record_topics),
                 allow=tuple(options.allow),
-                limits=Limits(
-                    max_clients=options.max_clients,
-                    queue_bytes=options.queue_mib << 20,
-                    queue_messages=options.queue_messages,
-                    stall_s=options.stall_s,
-                    max_body=options.max_body_mib << 20,
-                ),
+                limits=admission.limits(options),
+                tls=admission.tls(options),
+                tls_listen=tls_listen,
+                tls_connect=tls_connect,
                 node_name=options.node_name,
                 recording=how,
                 video=_video(options),
@@ -153,19 +164,27 @@ def run(options: argparse.Namespace) -> int:
             if window:
                 window.close()
             raise
-        out: _Output = _JsonOutput() if options.json else _TextOutput(sys.stdout.isatty())
+        out: _Output = _JsonOutput(clock) if options.log_format == "json" else _TextOutput(sys.stdout.isatty())
         started_ns = clock.monotonic_ns()
+        status = Status(bridge, watch, clock)
+        metrics: MetricsServer | None = None
         try:
+            if options.metrics:
+                metrics = _metrics(options, status)
             with recording.steering(bridge.recorder) as keys:
-                out.started(bridge, config, [*notes, keys] if keys else notes)
+                out.started(bridge, config, [*notes, keys] if keys else notes, metrics)
                 calm_the_interpreter()
                 while not stop.wait(_STATUS_EVERY_S):
                     out.events(watch.take())
                     seconds = (clock.monotonic_ns() - started_ns) / NS_PER_S
                     out.status(bridge, watch, seconds)
+                    if metrics:
+                        status.sample()
                     if bridge.over or (options.duration and seconds >= options.duration):
                         break
         finally:
+            if metrics:
+                metrics.close()
             bridge.stop()
             unseen = window.close() if window else ""
         out.events(watch.take())
@@ -176,11 +195,13 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _relayed(
-    config: Config, listen: tuple[Address, ...], connect: tuple[Address, ...]
+    config: Config, options: argparse.Namespace, listen: tuple[Address, ...], connect: tuple[Address, ...]
 ) -> tuple[Config, tuple[Address, ...]]:
     """Configuration and addresses to listen at of a relay."""
     if len(connect) != 1:
         raise ConfigError(f"--relay: found {len(connect)} servers, expected one: --connect HOST:PORT")
+    if Faults.parse(options.fault):
+        config = replace(config, relay=True, faults=options.fault, fault_seed=options.seed)
     return replace(config, relay=True), listen or ((DEFAULT_HOST, DEFAULT_PORT),)
 
 
@@ -192,6 +213,14 @@ def _video(options: argparse.Namespace) -> VideoOptions | None:
     return VideoOptions(options.video_codec, options.video_bit_rate * 1000, options.video_key_interval)
 
 
+def _metrics(options: argparse.Namespace, status: Status) -> MetricsServer:
+    from igtl_gateway.app.metrics import MetricsServer
+
+    host, port = options.metrics
+    status.sample()
+    return MetricsServer(host, port, status, tuple(options.allow))
+
+
 def _window(config: Config) -> Window:
     if find_spec("rerun") is None:
         raise ViewerError("--view: found no rerun, expected the extra 'view': pip install 'igtl-gateway[view]'")
@@ -200,22 +229,32 @@ def _window(config: Config) -> Window:
     return Window(config)
 
 
+@dataclass(frozen=True, slots=True)
+class _Event:
+    """A note in the log."""
+
+    stamp_ns: int
+    kind: Kind
+    note: Note
+    links: tuple[int, ...]
+
+
 class _Watch:
     """Counts entries and keeps the notes among them until they are printed; called under the hub's lock."""
 
     def __init__(self) -> None:
         self.counts: Counter[Kind] = Counter()
         self.refused = 0
-        self._events: deque[tuple[Kind, Note, tuple[int, ...]]] = deque(maxlen=_MAX_EVENTS)
+        self._events: deque[_Event] = deque(maxlen=_MAX_EVENTS)
 
     def __call__(self, entry: Entry) -> None:
         self.counts[entry.kind] += 1
         if entry.kind in _NOTES:
             note = Note.unpack(entry.data())
             self.refused += note.level >= Level.ERROR
-            self._events.append((entry.kind, note, entry.links))
+            self._events.append(_Event(entry.stamp_ns, entry.kind, note, entry.links))
 
-    def take(self) -> list[tuple[Kind, Note, tuple[int, ...]]]:
+    def take(self) -> list[_Event]:
         """The notes since the last call."""
         taken = []
         while self._events:
@@ -229,8 +268,8 @@ _NOTES = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})
 class _Output(Protocol):
     """How a bridge tells what it does."""
 
-    def started(self, bridge: Bridge, config: Config, notes: list[str]) -> None: ...
-    def events(self, events: list[tuple[Kind, Note, tuple[int, ...]]]) -> None: ...
+    def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None: ...
+    def events(self, events: list[_Event]) -> None: ...
     def status(self, bridge: Bridge, watch: _Watch, seconds: float) -> None: ...
     def stopped(self, bridge: Bridge, watch: _Watch) -> None: ...
 
@@ -255,33 +294,39 @@ class _TextOutput:
         if self._terminal and self._status:
             print(self._status, end="", flush=True)
 
-    def started(self, bridge: Bridge, config: Config, notes: list[str]) -> None:
+    def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None:
         print(f"igtl-gateway {__version__}")
-        for host, port in bridge.addresses:
-            print(f"OpenIGTLink  server on {host}:{port}")
+        for (host, port), asked in zip(bridge.addresses, bridge.options.listen, strict=True):
+            print(f"OpenIGTLink  server on {host}:{port}{', TLS' if asked in bridge.options.tls_listen else ''}")
         how = "a connection for each client (--relay)" if config.relay else "reconnecting"
         for host, port in bridge.options.connect:
-            print(f"OpenIGTLink  client of {host}:{port}, {how}")
+            tls = ", TLS" if (host, port) in bridge.options.tls_connect else ""
+            print(f"OpenIGTLink  client of {host}:{port}{tls}, {how}")
         off = "--relay" if config.relay else "--no-ros"
         print(f"ROS 2        node /{bridge.options.node_name}" if bridge.ros else f"ROS 2        off ({off})")
         for note in notes:
             print(f"             {note.partition(' (')[0]}")
         print(f"recording    {bridge.options.record or 'off (--record FILE)'}")
-        for line in profiles(config):
+        if metrics:
+            print(f"metrics      {metrics.url}")
+        if config.faults:
+            print(f"faults       {config.faults}, seed {config.fault_seed}: messages are spoilt on purpose")
+        for line in (*admission.denials(config), *profiles(config)):
             print(line)
         if bridge.ros:
             for line in mapping(config):
                 print(line)
         print("Ctrl-C stops.", flush=True)
 
-    def events(self, events: list[tuple[Kind, Note, tuple[int, ...]]]) -> None:
-        for _, note, links in events:
+    def events(self, events: list[_Event]) -> None:
+        for event in events:
+            note, links = event.note, event.links
             cause = (note.code, note.stream)
             if cause not in self._repeats and len(self._repeats) >= _MAX_CAUSES:
                 cause = (note.code, "(other streams)")
             self._repeats[cause] += 1
             # everything is in the recording; here each cause of trouble is told once
-            if note.level is Level.INFO or self._repeats[cause] == 1:
+            if (note.level is Level.INFO and note.code != FAULT) or self._repeats[cause] == 1:
                 link = f" [link {', '.join(map(str, links))}]" if links else ""
                 self._print(f"{self._MARKS[note.level]} {note.text}{link}")
 
@@ -314,6 +359,8 @@ class _TextOutput:
             f"stopped.  OpenIGTLink: {counts[Kind.IGTL_IN]:,} in, {counts[Kind.IGTL_OUT]:,} out.  "
             f"ROS: {counts[Kind.ROS_IN]:,} in, {counts[Kind.ROS_OUT]:,} out.  refused: {watch.refused:,}"
         )
+        for reason, number in bridge.tcp.refused().items():
+            print(f"  connections refused, {reason}: {number:,}")
         for cause, number in sorted(self._repeats.items()):
             if number > 1 and cause[0] not in ("stream",):
                 print(f"  {' '.join(filter(None, cause))}: {number:,} times")
@@ -331,41 +378,46 @@ class _TextOutput:
 
 
 class _JsonOutput:
-    """The same facts as JSON lines."""
+    """The same facts as JSON lines, each with its UTC time."""
 
-    def started(self, bridge: Bridge, config: Config, notes: list[str]) -> None:
-        print_json(
-            {
-                "event": "started",
-                "version": __version__,
-                "listen": [{"host": host, "port": port} for host, port in bridge.addresses],
-                "connect": [{"host": host, "port": port} for host, port in bridge.options.connect],
-                "ros": bridge.ros is not None,
-                "record": bridge.options.record,
-                "config": config.to_dict(),
-                "environment": notes,
-            }
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+
+    def _print(self, event: str, stamp_ns: int = 0, **facts: Any) -> None:
+        print_json({"time": utc_text(stamp_ns or self._clock.utc_ns()), "event": event} | facts)
+
+    def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None:
+        self._print(
+            "started",
+            version=__version__,
+            listen=[{"host": host, "port": port} for host, port in bridge.addresses],
+            connect=[{"host": host, "port": port} for host, port in bridge.options.connect],
+            ros=bridge.ros is not None,
+            record=bridge.options.record,
+            metrics=metrics.url if metrics else None,
+            config=config.to_dict(),
+            environment=notes,
         )
 
-    def events(self, events: list[tuple[Kind, Note, tuple[int, ...]]]) -> None:
-        for kind, note, links in events:
-            print_json(
-                {
-                    "event": kind.value,
-                    "level": note.level.name,
-                    "code": note.code,
-                    "text": note.text,
-                    "stream": note.stream,
-                    "links": links,
-                    "data": note.data,
-                }
+    def events(self, events: list[_Event]) -> None:
+        for event in events:
+            note = event.note
+            self._print(
+                event.kind.value,
+                event.stamp_ns,
+                level=note.level.name,
+                code=note.code,
+                text=note.text,
+                stream=note.stream,
+                links=event.links,
+                data=note.data,
             )
 
     def status(self, bridge: Bridge, watch: _Watch, seconds: float) -> None:
-        """Programs count for themselves."""
+        """Programs count for themselves, or ask ``--metrics``."""
 
     def stopped(self, bridge: Bridge, watch: _Watch) -> None:
-        told: dict[str, Any] = {"event": "stopped", "counts": {kind.value: watch.counts[kind] for kind in Kind}}
+        told: dict[str, Any] = {"counts": {kind.value: watch.counts[kind] for kind in Kind}}
         if bridge.summary:
             told["recording"] = {
                 "path": bridge.summary.path,
@@ -376,7 +428,7 @@ class _JsonOutput:
                 "bytes": bridge.summary.size,
                 "failure": bridge.summary.failure,
             }
-        print_json(told)
+        self._print("stopped", **told)
 
 
 def mapping(config: Config) -> list[str]:

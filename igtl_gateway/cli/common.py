@@ -7,7 +7,7 @@ import json
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from igtl_gateway.config import PROFILES, Config
 from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.faults import FAULTS
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
 
@@ -32,23 +33,25 @@ def address(text: str) -> tuple[str, int]:
     return host.strip("[]") or DEFAULT_HOST, int(port) if port else DEFAULT_PORT
 
 
-def add_addresses(parser: argparse.ArgumentParser) -> None:
+def add_addresses(
+    parser: argparse.ArgumentParser, kind: Callable[[str], tuple[str, int]] = address, form: str = "HOST:PORT"
+) -> None:
     """``--listen`` and ``--connect``, any number of each."""
     parser.add_argument(
         "--listen",
-        type=address,
+        type=kind,
         action="append",
         default=[],
-        metavar="HOST:PORT",
+        metavar=form,
         help=f"be an OpenIGTLink server here (default, if nothing is given: {DEFAULT_HOST}:{DEFAULT_PORT}); "
         "port 0 takes a free one",
     )
     parser.add_argument(
         "--connect",
-        type=address,
+        type=kind,
         action="append",
         default=[],
-        metavar="HOST:PORT",
+        metavar=form,
         help="be a client of the server there; reconnects for ever",
     )
     parser.add_argument(
@@ -74,6 +77,20 @@ def add_send(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="TOPIC[=DEVICE[:TYPE]]",
         help="send a ROS topic to OpenIGTLink, as this device and type; may be repeated",
+    )
+
+
+def add_faults(parser: argparse.ArgumentParser) -> None:
+    """``--fault`` and ``--seed``."""
+    rows = "; ".join(f"{row.name}={row.unit.value.replace('%', '%%')}: {row.meaning}" for row in FAULTS)
+    parser.add_argument(
+        "--fault",
+        default="",
+        metavar="NAME=VALUE[,…]",
+        help=f"a bad line, on purpose.  {rows}.  TIME: 50ms, 2s, 1h; SHARE%%: 0.5%%",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of --fault: the same hits the same messages (%(default)s)"
     )
 
 
@@ -103,6 +120,14 @@ def add_routes(parser: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT=PROFILE",
         help="what the peer at an address is, or whoever connects there",
     )
+    for way, text in (("in", "refuse messages of this type from peers"), ("out", "send peers none of this type")):
+        parser.add_argument(
+            f"--deny-{way}",
+            action="append",
+            default=[],
+            metavar="TYPE",
+            help=f"{text} (COMMAND, 'GET_*', '*' for all); may be repeated",
+        )
 
 
 def with_routes(config: Config, options: argparse.Namespace) -> Config:
@@ -116,16 +141,10 @@ def with_routes(config: Config, options: argparse.Namespace) -> Config:
     rows = [{"device": device, "kinds": named} for device, named in kinds.items()]
     values["to_ros"] = [*rows, *values["to_ros"]]
     values["peers"] = [*map(_peer_row, options.peer), *values["peers"]]
+    values["deny_in"] = [*options.deny_in, *values["deny_in"]]
+    values["deny_out"] = [*options.deny_out, *values["deny_out"]]
     if options.profile:
         values["profile"] = options.profile
-    for way, text in (("in", "refuse messages of this type from peers"), ("out", "send peers none of this type")):
-        parser.add_argument(
-            f"--deny-{way}",
-            action="append",
-            default=[],
-            metavar="TYPE",
-            help=f"{text} (COMMAND, 'GET_*', '*' for all); may be repeated",
-        )
     if options.no_tf:
         values["publish_tf"] = False
     return Config.from_dict(values)
@@ -139,8 +158,6 @@ def with_sends(config: Config, sends: list[str]) -> Config:
 
 def _send_row(text: str) -> dict[str, str]:
     topic, _, rest = text.partition("=")
-    values["deny_in"] = [*options.deny_in, *values["deny_in"]]
-    values["deny_out"] = [*options.deny_out, *values["deny_out"]]
     device, _, igtl_type = rest.partition(":")
     if not topic.startswith("/"):
         raise ConfigError(f"--send: found {text!r}, expected /topic, /topic=Device or /topic=Device:TYPE")

@@ -9,11 +9,13 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
+from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.player_services import PlayerServices
 from igtl_gateway.app.replay_plan import plan, planned
 from igtl_gateway.cli.common import (
     add_addresses,
+    add_faults,
     add_send,
     count,
     print_json,
@@ -27,11 +29,13 @@ from igtl_gateway.cli.replay_sides import Side, open_sides
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.faults import CLOCK_STEP, Fate, Faults
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.moment import moment
 from igtl_gateway.replay.playback import checked_rate
 from igtl_gateway.replay.restamp import MODES, Restamper
 from igtl_gateway.replay.simclock import DEFAULT_HZ, period_ns, with_ticks
+from igtl_gateway.session.entry import Entry
 from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
@@ -44,6 +48,7 @@ EXAMPLES = """\
   igtl-gateway replay out.mcap --to igtl --restamp now             stamps of today, for peers that refuse old ones
   igtl-gateway replay out.mcap --to igtl --step                    one message for each press of →
   igtl-gateway replay out.mcap --to igtl --through-gateway         recorded inputs through today's converters
+  igtl-gateway replay out.mcap --to igtl --fault loss=1%,jitter=20ms,corrupt=0.1% --seed 7   over a bad line
   igtl-gateway replay bag.mcap --to igtl --send /camera/image=Cam  a rosbag2 MCAP file: its topics as devices
   igtl-gateway replay out.mcap --to igtl --streams 'IMAGE/*'       some streams only
 
@@ -113,6 +118,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--streams", action="append", default=[], metavar="GLOB", help="only these: TYPE/device, device or topic"
     )
+    add_faults(parser)
     parser.add_argument(
         "--no-digest",
         action="store_true",
@@ -133,10 +139,13 @@ def run(options: argparse.Namespace) -> int:
             _tell(options, "stopped before the replay began")
             return 1
 
+        faults = Faults.parse(options.fault)
+        faulty = FaultyFeed(faults, options.seed, lambda fate: _tell_fault(options, fate)) if faults else None
         role = "client" if options.connect and not options.listen else "server"
 
         def feed(from_ns: int | None) -> Any:
             entries = planned(file, config, how, options.streams, from_ns, end_ns, role)
+            entries = faulty(entries) if faulty else entries
             return with_ticks(entries, from_ns, period_ns(options.clock)) if options.clock else entries
 
         player = Player(
@@ -160,7 +169,7 @@ def run(options: argparse.Namespace) -> int:
             player.run()
         finally:
             complete = side.finish() and not stop.is_set()
-            _report(options, player, complete)
+            _report(options, player, complete, faulty)
     if complete and not player.played.messages:
         raise GatewayError(f"{options.file}: nothing in it goes to {options.to}: see `igtl-gateway info`, and --send")
     return 0 if complete or options.loop else 1
@@ -179,6 +188,11 @@ def _check(options: argparse.Namespace) -> None:
         period_ns(options.clock)
         if options.to == "igtl":
             raise ConfigError("--clock: found --to igtl, expected --to ros or --to both: /clock is a ROS topic")
+    faults = Faults.parse(options.fault)
+    if faults and options.to == "ros":
+        raise ConfigError("--fault: found --to ros, expected --to igtl or --to both: faults are of OpenIGTLink lines")
+    if faults.clock_step_ns and options.restamp == "now":
+        raise ConfigError(f"--fault: {CLOCK_STEP}: found --restamp now, which sets all stamps anew, expected another")
     if options.start_paused and not options.step and options.to == "igtl" and not is_ours():
         raise ConfigError("--start-paused: needs a terminal for the keys, or --to ros for the services")
 
@@ -258,12 +272,18 @@ def _tell_jump(options: argparse.Namespace, file: SessionFile, jump: Jump) -> No
         _tell(options, f"= jump ({jump.why}): from {_at(file, jump.from_ns)} to {_at(file, to_ns)}")
 
 
+def _tell_fault(options: argparse.Namespace, fate: Fate[Entry]) -> None:
+    if options.json:
+        entry = fate.message
+        print_json({"event": "fault", "stream": entry.channel, "entry": entry.seq, "faults": fate.news})
+
+
 def _at(file: SessionFile, recorded_ns: int | None) -> str:
     """A moment for people, from the beginning of the file."""
     return "the beginning" if recorded_ns is None else f"{(recorded_ns - file.start_ns) / NS_PER_S:+.3f} s"
 
 
-def _report(options: argparse.Namespace, player: Player, complete: bool) -> None:
+def _report(options: argparse.Namespace, player: Player, complete: bool, faulty: FaultyFeed | None) -> None:
     played = player.played
     if options.json:
         told: dict[str, Any] = {
@@ -280,11 +300,17 @@ def _report(options: argparse.Namespace, player: Player, complete: bool) -> None
                 side: {"messages": part.messages, "bytes": part.bytes, "sha256": part.digest}
                 for side, part in sorted(player.sides.items())
             }
+        if faulty:
+            told["faults"] = {"fault": options.fault, "seed": options.seed, "counts": faulty.counts}
         print_json(told)
         return
     print(f"{'sent' if complete else 'stopped after'} {count(played.messages, 'message')}, {size(played.bytes)}")
     if played.unheard:
         print(f"  {played.unheard:,} of them while no peer was connected")
+    if faulty:
+        counts = faulty.counts
+        hit = ", ".join(f"{name} {counts[name]:,}" for name in sorted(counts) if name != "messages" and counts[name])
+        print(f"faults (seed {options.seed}): of {count(counts['messages'], 'message')}: {hit or 'none hit'}")
     for stream, number in sorted(played.by_stream.items()):
         print(f"  {stream:<40} {number:>8,}")
     if options.to == "both" and played.digest:

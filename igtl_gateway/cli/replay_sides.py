@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from threading import Event
 
+from igtl_gateway.app.faulty import all_with_cuts, disconnector, with_cuts
 from igtl_gateway.app.replay_plan import (
     PLAYED_QOS,
     Plan,
@@ -94,6 +95,9 @@ def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell:
             return None
     send = igtl_sender(edge, stop if options.speed_of_light else None)
     send_all = None if options.speed_of_light else igtl_sender_of_many(edge, stop)
+    if options.fault:
+        disconnect = disconnector(edge, stop)
+        send, send_all = with_cuts(send, disconnect), send_all and all_with_cuts(send_all, disconnect)
     return Side(send, lambda: edge.flush(0.0 if stop.is_set() else _FLUSH_S), send_all=send_all)
 
 

@@ -6,10 +6,12 @@ in a verification.  ``Session`` adds the numbering and is the door that all thre
 """
 
 from igtl_gateway.gateway.core import LINK_DOWN, LINK_UP, LINKS_TOPIC, LISTENED, TICK, Gateway
-from igtl_gateway.gateway.relay import PARTNER, RelayGateway, gateway_of
+from igtl_gateway.gateway.relay import CUT, FAULT, PARTNER, RelayGateway, gateway_of
 from igtl_gateway.gateway.session import Session, head_of
 
 __all__ = [
+    "CUT",
+    "FAULT",
     "LINKS_TOPIC",
     "LINK_DOWN",
     "LINK_UP",

@@ -6,15 +6,23 @@ function of its inputs like the other one, and recordings of it replay and verif
 
 Types may be denied: ``deny_in`` on the way from the clients to the server, ``deny_out`` on the way back.  Such a
 message goes nowhere, and nobody is answered for it: a relay has no words of its own.
+
+With ``faults`` in the configuration it is a bad line between the two, see ``igtl_gateway.faults``: a message then
+leaves with the input that makes it due, be it a tick, and as it became on the way.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.errors import WireError
+from igtl_gateway.faults import Fate, FaultLine, Faults
 from igtl_gateway.gateway.core import LINK_DOWN, LINK_UP, Gateway
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.reply import Reply, note
+from igtl_gateway.gateway.stamps import moved
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
@@ -24,29 +32,41 @@ from igtl_gateway.wire import decode
 #: In the note of a link that was made for another one: the number of that one.
 PARTNER = "partner"
 
+#: Codes of the notes that say what a fault did to a message, and of those that ask the edge to close their links.
+FAULT, CUT = "fault", "fault_disconnect"
+
 _IN, _OUT = "igtl_in", "igtl_out"
 
 
 class RelayGateway:
-    """See the module.  It has no ROS side, wants no ticks and loses nothing while both links live."""
+    """See the module.  It has no ROS side, and but for faults it wants no ticks and loses nothing while both live."""
 
     def __init__(self, config: Config) -> None:
         self.config = config
         self.ledger = Ledger()
-        self.due_ns: int | None = None
         self._partners: dict[int, int] = {}
         self._servers: set[int] = set()  # links to the server
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)
         self._said: set[tuple[str, str, int]] = set()
+        self._faults = Faults.parse(config.faults)
+        self._lines: dict[int, FaultLine[Entry]] = {}  # link → the way of the messages to it
+        self._cut: set[int] = set()  # links that are being closed
 
     def handle(self, entry: Entry) -> list[Entry]:
         """The entries that ``entry`` causes, numbered and stamped directly behind it."""
         replies: list[Reply] = []
+        for link, line in self._lines.items():
+            replies += self._leave(link, line.due(entry.stamp_ns))
         if entry.kind is Kind.LINK:
-            self._on_link(entry)
+            replies += self._on_link(entry)
         elif entry.kind is Kind.IGTL_IN:
-            replies = self._relay(entry)
+            replies += self._relay(entry)
         return [reply.entry(entry, step) for step, reply in enumerate(replies, start=1)]
+
+    @property
+    def due_ns(self) -> int | None:
+        """The gateway time (UTC ns) at which it wants a tick, None if none; see ``TICK``."""
+        return min((line.due_ns for line in self._lines.values() if line.due_ns is not None), default=None)
 
     def subscription(self, topic: str, ros_type: str) -> Qos | None:
         """No topic is bridged."""
@@ -64,16 +84,23 @@ class RelayGateway:
         """No message may be dropped."""
         return True
 
-    def _on_link(self, entry: Entry) -> None:
+    def _on_link(self, entry: Entry) -> list[Reply]:
         told = Note.unpack(entry.data())
         link = entry.links[0]
         if told.code == LINK_UP and isinstance(partner := told.data.get(PARTNER), int):
             self._partners |= {link: partner, partner: link}
             self._servers.add(link)
         elif told.code == LINK_DOWN:
-            self._partners.pop(self._partners.pop(link, 0), None)
+            partner = self._partners.pop(link, 0)
+            self._partners.pop(partner, None)
             self._servers.discard(link)
+            self._cut.discard(link)
             self._said = {said for said in self._said if said[2] != link}
+            if line := self._lines.pop(link, None):
+                self._lose(line, LINK_DOWN)
+            if line := self._lines.get(partner):  # what it said last is still to arrive
+                return self._leave(partner, line.rest())
+        return []
 
     def _relay(self, entry: Entry) -> list[Reply]:
         link = entry.links[0]
@@ -86,15 +113,55 @@ class RelayGateway:
         if (denied := self._denied(entry)) is not None:
             self.ledger.drop(_IN, entry.channel, "denied")
             return self._once(entry, "denied", denied)
+        if self._faults:
+            if partner in self._cut:
+                self.ledger.drop(_IN, entry.channel, CUT)
+                return []
+            line = self._lines.get(partner)
+            if line is None:
+                line = self._lines[partner] = FaultLine(self._faults, self.config.fault_seed, f"{partner}", moved)
+            return self._leave(partner, line.take(entry.stamp_ns, entry, entry.data()))
+        return self._sent(entry, entry.payload, partner)
+
+    def _sent(self, entry: Entry, payload: Sequence[Buffer], partner: int) -> list[Reply]:
+        """A message goes to the partner of its link."""
         self.ledger.count(_IN, entry.channel, "relayed")
         self.ledger.count(_OUT, entry.channel, "sent")
-        sent = Reply(Kind.IGTL_OUT, entry.channel, entry.type, entry.payload, (partner,), entry.source_ns)
+        sent = Reply(Kind.IGTL_OUT, entry.channel, entry.type, payload, (partner,), entry.source_ns)
         try:
             decode(entry.payload[0], check_crc=self.config.check_crc)
         except WireError as error:
             # the bytes are for the other side to judge; each kind of fault is told once, all are in the recording
             return [sent, *self._once(entry, error.code, f"relayed as it is: {error}")]
         return [sent]
+
+    def _leave(self, link: int, fates: list[Fate[Entry]]) -> list[Reply]:
+        """Messages leave a line with faults, or are lost."""
+        replies: list[Reply] = []
+        for fate in fates:
+            entry = fate.message
+            if link in self._cut:
+                self.ledger.drop(_IN, entry.channel, CUT)
+                continue
+            for fault, words in fate.news.items():
+                text = f"{fault}: {entry.channel}, message {entry.seq}: {words}"
+                replies.append(note(Level.INFO, FAULT, text, entry.channel, (link,)))
+            if fate.lost:
+                self.ledger.drop(_IN, entry.channel, "fault_loss")
+            else:
+                payload = entry.payload if fate.data is None else (fate.data,)
+                replies += self._sent(entry, payload, link)
+            if fate.disconnect:
+                self._cut.add(link)
+                text = "connection closed on purpose: --fault"
+                replies.append(note(Level.INFO, CUT, text, entry.channel, (link,)))
+                self._lose(self._lines[link], CUT)
+        return replies
+
+    def _lose(self, line: FaultLine[Entry], reason: str) -> None:
+        """What still waits in a line does not arrive."""
+        for fate in line.rest():
+            self.ledger.drop(_IN, fate.message.channel, reason)
 
     def _denied(self, entry: Entry) -> str | None:
         """Why a message may not pass, None if it may."""

@@ -1,33 +1,26 @@
 """New stamps for old messages: as they were, the time of sending, or all moved by one constant.
 
-Only stamps change.  In an OpenIGTLink message that is the tick word of the header, which no checksum covers, and where
-there is one the ROS stamp in the metadata, with the checksum of the body.  In a ROS message these are all stamps that
-it has (``stamp_places``), in the CDR bytes as they are.  Stamp 0 is "unset" and stays so when moved.
+Only stamps change: in an OpenIGTLink message those that ``gateway.stamps`` tells, in a ROS message all that it has
+(``stamp_places``), in the CDR bytes as they are.  Stamp 0 is "unset" and stays so when moved.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import struct
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Literal
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import GatewayError
-from igtl_gateway.gateway.metadata import STAMP
+from igtl_gateway.gateway.stamps import restamped
 from igtl_gateway.replay.stamp_places import StampPlaces
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.stamp import ns_to_ros, ns_to_ticks, ros_to_ns, ticks_to_ns
-from igtl_gateway.wire import decode, encode
-from igtl_gateway.wire.message import HEADER_SIZE, Item
+from igtl_gateway.stamp import ns_to_ros, ros_to_ns
 
 Mode = Literal["keep", "now", "shift"]
 MODES: tuple[Mode, ...] = ("keep", "now", "shift")
 
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
-_TICKS = struct.Struct(">Q")
-_TICKS_AT = 34  # in the header of OpenIGTLink
 
 
 class Restamper:
@@ -65,7 +58,7 @@ class Restamper:
             return stamp_ns + (self._shift_ns or 0) if stamp_ns else 0
 
         if entry.kind in _IGTL:
-            return _igtl(entry.data(), moved)
+            return (restamped(entry.data(), moved),)
         return (self._ros(entry, moved),)
 
     def _ros(self, entry: Entry, moved: Callable[[int], int]) -> bytes:
@@ -86,30 +79,3 @@ class Restamper:
 def _order(data: bytes) -> str:
     """Byte order of CDR, by its encapsulation."""
     return "<" if data[1] & 1 else ">"
-
-
-def _igtl(data: bytes, moved: Callable[[int], int]) -> tuple[Buffer, ...]:
-    if len(data) < HEADER_SIZE:
-        return (data,)
-    (ticks,) = _TICKS.unpack_from(data, _TICKS_AT)
-    new = _TICKS.pack(ns_to_ticks(moved(ticks_to_ns(ticks))))
-    body = _restamped_metadata(data, moved) or data
-    return (body[:_TICKS_AT] + new + body[_TICKS_AT + _TICKS.size :],)
-
-
-def _restamped_metadata(data: bytes, moved: Callable[[int], int]) -> bytes | None:
-    """The message with the ROS stamp in its metadata moved; None where there is none, or the message is damaged."""
-    if STAMP.encode() not in data:
-        return None
-    try:
-        message = decode(data)
-        items = tuple(_item(item, moved) for item in message.metadata)
-        return b"".join(encode(dataclasses.replace(message, metadata=items))) if items != message.metadata else None
-    except GatewayError:
-        return None
-
-
-def _item(item: Item, moved: Callable[[int], int]) -> Item:
-    if item.key != STAMP or not (item.text.isascii() and item.text.isdigit()):
-        return item
-    return Item.of(STAMP, str(moved(int(item.text))))

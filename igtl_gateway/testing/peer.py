@@ -10,11 +10,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal
 
-from igtl_gateway.buffers import Buffer, join
+from igtl_gateway.app.faulty import CUT, FaultyFeed, disconnector
+from igtl_gateway.buffers import Buffer
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.errors import ConfigError, WireError
+from igtl_gateway.faults import Faults
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import once, select, spoken_to, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
@@ -37,6 +39,7 @@ class ReplayPeer:
         received: what the program under test sent, decoded, in order.
         notes: what happened besides: links, and messages that could not be decoded.
         sent: messages played so far.
+        faults: what ``fault`` did so far, by its name.
 
     Args:
         recording: a recording of ours, or an MCAP file of ROS messages alone, which go through the gateway.
@@ -47,6 +50,7 @@ class ReplayPeer:
             of ``bridge --relay`` the words of the server are played, and to ``connect`` those of the client.
         config: of a recording without OpenIGTLink messages, instead of the recorded one: a ``Config`` or a file.
         connect: (host, port) to connect to, again and again until it is there; None: serve at a free port.
+        fault, seed: play it over a bad line: ``"loss=1%,corrupt=0.5%"``, as ``igtl-gateway replay --fault --seed``.
 
     Raises UnsupportedRecording, DamagedRecording or ConfigError.
     """
@@ -61,12 +65,16 @@ class ReplayPeer:
         side: Side = "gateway",
         config: Config | Path | str | None = None,
         connect: tuple[str, int] | None = None,
+        fault: str = "",
+        seed: int = 0,
     ) -> None:
         if rate is not None and not 0 < rate < float("inf"):
             raise ConfigError(f"rate: found {rate}, expected a number above 0, or None")
         self.received: list[Message] = []
         self.notes: list[Note] = []
         self.sent = 0
+        self._faulty = FaultyFeed(Faults.parse(fault, "fault"), seed)
+        self.faults = self._faulty.counts
         self._streams, self._rate, self._header, self._side = tuple(streams), rate, header, side
         self._role = "client" if connect else "server"
         self._changed = threading.Condition()
@@ -164,7 +172,8 @@ class ReplayPeer:
 
     def _send_all(self) -> None:
         origin: tuple[int, int] | None = None
-        for entry in self._entries():
+        disconnect = disconnector(self._edge, self._stop)
+        for entry in self._faulty(self._formed(entry) for entry in self._entries()):
             if self._rate is not None:
                 origin = origin or (entry.stamp_ns, self._clock.monotonic_ns())
                 due_ns = origin[1] + round((entry.stamp_ns - origin[0]) / self._rate)
@@ -172,8 +181,10 @@ class ReplayPeer:
             if self._stop.is_set():
                 return
             links = [link.number for link in self._edge.links() if link.connected]
-            self._edge.send(links, self._formed(entry.payload), entry.channel, True)
+            self._edge.send(links, entry.payload, entry.channel, True)
             self.sent += 1
+            if entry.links == CUT:
+                disconnect()
         self._edge.flush(TIMEOUT_S)
 
     def _entries(self) -> Iterator[Entry]:
@@ -186,19 +197,21 @@ class ReplayPeer:
             entries = spoken_to(self._role, entries)
         elif Kind.IGTL_OUT not in present:
             entries = through_gateway(entries, self._config, has_links=Kind.LINK in present)
-        outputs = select(once(entries), frozenset({Kind.IGTL_OUT}), self._streams)
+        outputs = select(entries if self._config.relay else once(entries), frozenset({Kind.IGTL_OUT}), self._streams)
         return (entry for entry in outputs if entry.stamp_ns >= self._file.start_ns)  # not those of its prologue
 
-    def _formed(self, payload: Sequence[Buffer]) -> Sequence[Buffer]:
+    def _formed(self, entry: Entry) -> Entry:
         """In the header version asked for; what cannot be decoded goes as it is."""
-        data = join(payload)
-        if self._header in (None, Header.unpack(data).version):
-            return (data,)
+        if self._header is None:
+            return entry
+        data = entry.data()
         try:
+            if self._header == Header.unpack(data).version:
+                return entry
             message = decode(data)
         except WireError:
-            return (data,)
-        return encode(replace(message, header_version=self._header, layout=None))
+            return entry
+        return replace(entry, payload=encode(replace(message, header_version=self._header, layout=None)))
 
     # ── the edge's thread ───────────────────────────────────────────────────────────────────────────────────────
 

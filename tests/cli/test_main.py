@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import VERBS, main
-from igtl_gateway.cli.bridge import _TextOutput
+from igtl_gateway.cli.bridge import _Event, _TextOutput
 from igtl_gateway.cli.simulate import facts
 from igtl_gateway.config import Config
 from igtl_gateway.record.mcap_writer import SessionWriter
@@ -159,7 +159,7 @@ def test_a_peer_that_invents_names_does_not_flood_the_terminal(capsys: pytest.Ca
     terminal = _TextOutput(terminal=False)
     for index in range(5000):
         note = Note(Level.ERROR, "bad_crc", f"message refused: {index}", f"STRING/{index}")
-        terminal.events([(Kind.NOTE, note, (1,))])
+        terminal.events([_Event(0, Kind.NOTE, note, (1,))])
     assert capsys.readouterr().out.count("\n") <= 1001
 
 

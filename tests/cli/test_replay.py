@@ -13,9 +13,13 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from igtl_gateway.app.faulty import FaultyFeed
+from igtl_gateway.cli import main
+from igtl_gateway.faults import Faults
 from igtl_gateway.replay.latched import STATE_TYPES
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import once, select
@@ -68,13 +72,19 @@ def everything(peer: socket.socket) -> bytes:
 
 def received(*arguments: str) -> tuple[bytes, dict[str, object]]:
     """What a server receives from a replay that connects to it, and what the replay says of itself."""
+    data, (told,) = received_lines(*arguments)
+    return data, told
+
+
+def received_lines(*arguments: str) -> tuple[bytes, list[dict[str, Any]]]:
+    """The same, with all that the replay says."""
     with server() as listener, replay(*arguments, "--to", "igtl", "--connect", target(listener), "--json") as process:
         peer, _ = listener.accept()
         with peer:
             data = everything(peer)
         out, err = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, err
-        return data, json.loads(out)
+        return data, [json.loads(line) for line in out.splitlines()]
 
 
 def recorded(path: Path, *streams: str) -> bytes:
@@ -90,6 +100,37 @@ def test_two_rates_deliver_identical_bytes_in_identical_order() -> None:
     assert slow == fast == wanted
     assert told["sha256"] == hashlib.sha256(wanted).hexdigest()
     assert told["bytes"] == len(wanted)
+
+
+def test_over_a_bad_line_the_same_seed_does_the_same_at_every_rate() -> None:
+    faults = "delay=30ms,jitter=10ms,loss=5%,reorder=5%,corrupt=2%,clock-step=-1h@2s"
+    arguments = (str(STAR), "--streams", "TRANSFORM/*", "--fault", faults, "--seed", "7")
+    with SessionFile.open(STAR) as file:
+        outputs = list(select(once(file.entries()), frozenset({Kind.IGTL_OUT}), ["TRANSFORM/*"]))
+    feed = FaultyFeed(Faults.parse(faults), 7)
+    wanted = b"".join(entry.data() for entry in feed(outputs))
+    assert feed.counts["loss"] > 10 < feed.counts["corrupt"]
+    slow, told = received_lines(*arguments, "--rate", "20")
+    fast, _ = received_lines(*arguments, "--as-fast-as-possible")
+    assert slow == fast == wanted
+    assert told[-1]["faults"] == {"fault": faults, "seed": 7, "counts": feed.counts}
+    assert told[-1]["sha256"] == hashlib.sha256(wanted).hexdigest()
+    assert sum("corrupt" in line.get("faults", {}) for line in told[:-1]) == feed.counts["corrupt"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wrong"),
+    [
+        (("--fault", "los=1%"), "--fault: found 'los'"),
+        (("--fault", "loss=1%", "--to", "ros"), "--fault: found --to ros, expected --to igtl"),
+        (("--fault", "clock-step=1h", "--restamp", "now"), "--fault: clock-step: found --restamp now"),
+    ],
+)
+def test_faults_that_cannot_be_are_refused(
+    arguments: tuple[str, ...], wrong: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(("replay", str(STAR), "--to", "igtl", *arguments)) == 2
+    assert wrong in capsys.readouterr().err
 
 
 def test_through_todays_gateway_comes_the_same() -> None:

@@ -6,7 +6,19 @@ import pytest
 
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config
-from igtl_gateway.gateway import LINK_DOWN, LINK_UP, PARTNER, Gateway, RelayGateway, Session, gateway_of
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.gateway import (
+    CUT,
+    FAULT,
+    LINK_DOWN,
+    LINK_UP,
+    PARTNER,
+    TICK,
+    Gateway,
+    RelayGateway,
+    Session,
+    gateway_of,
+)
 from igtl_gateway.replay.verify import verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
@@ -129,3 +141,97 @@ def test_the_relay_has_no_other_side() -> None:
     assert gateway.qos("/igtl/in/A/string") is None
     assert not gateway.lacks_conversion("/igtl/out/A", "std_msgs/msg/String")
     assert gateway.due_ns is None
+
+
+# -- with faults ----------------------------------------------------------------------------------------------
+
+
+class FaultyRelay(Relay):
+    """Its time is the test's."""
+
+    def __init__(self, faults: str, seed: int = 1) -> None:
+        super().__init__(Config(relay=True, faults=faults, fault_seed=seed))
+        self.now_ns = T0_NS
+        self.pair(1, 2)
+
+    def feed(self, kind: Kind, payload: bytes, link: int) -> list[Entry]:
+        entries = self.session.input(self.now_ns, kind, (payload,), links=(link,) if link else ())
+        self.log += entries
+        return entries[1:]
+
+    def tick(self) -> list[Entry]:
+        """At the moment that it waits for."""
+        assert self.gateway.due_ns
+        self.now_ns = self.gateway.due_ns
+        return self.feed(Kind.EDGE_NOTE, Note(Level.INFO, TICK, "a deadline has come").pack(), 0)
+
+    def verified(self) -> bool:
+        return verify(self.log, self.gateway.config).good
+
+    def fates(self) -> object:
+        return self.gateway.ledger.to_dict()["igtl_in"]["STRING/Greeting"]
+
+
+def test_a_delayed_message_leaves_with_the_tick_that_it_is_due_at() -> None:
+    relay = FaultyRelay("delay=50ms")
+    assert relay.igtl(HELLO, 1) == []
+    relay.now_ns += 10_000_000
+    assert relay.igtl(HELLO, 2) == []
+    (to_server,) = relay.tick()
+    assert (to_server.kind, to_server.links, to_server.data()) == (Kind.IGTL_OUT, (2,), HELLO)
+    assert to_server.stamp_ns == T0_NS + 50_000_000 + 1 + 2, (
+        "the input, two links before it, and the step behind a tick"
+    )
+    (to_client,) = relay.tick()
+    assert to_client.links == (1,)
+    assert relay.gateway.due_ns is None
+    assert relay.fates() == {"received": 2, "relayed": 2}
+    assert relay.verified()
+
+
+def test_what_is_done_to_a_message_is_told_and_what_is_recorded_is_what_was_sent() -> None:
+    relay = FaultyRelay("corrupt=100%")
+    told, sent = relay.igtl(HELLO, 1)
+    assert Note.unpack(told.data()).code == FAULT
+    assert "corrupt: STRING/Greeting" in Note.unpack(told.data()).text
+    assert sent.data() != HELLO
+    assert relay.verified()
+    lossy = FaultyRelay("loss=100%")
+    assert codes(lossy.igtl(HELLO, 1)) == [FAULT]
+    assert lossy.fates() == {"received": 1, "dropped": {"fault_loss": 1}}
+    assert lossy.verified()
+
+
+def test_a_connection_is_closed_on_purpose_and_what_comes_behind_is_lost() -> None:
+    relay = FaultyRelay("delay=50ms,disconnect=50%", seed=4)
+    outs: list[Entry] = []
+    for _ in range(8):
+        outs += relay.igtl(HELLO, 1)
+    outs += relay.tick()
+    outs += relay.igtl(HELLO, 1)
+    sent = [entry for entry in outs if entry.kind is Kind.IGTL_OUT]
+    assert 0 < len(sent) < 8
+    assert codes(outs) == [FAULT, CUT]
+    assert outs[-1].links == (2,)
+    relay.down(2)
+    assert codes(relay.igtl(HELLO, 1)) == ["no_partner"]
+    dropped = {CUT: 9 - len(sent), "no_partner": 1}
+    assert relay.fates() == {"received": 10, "relayed": len(sent), "dropped": dropped}
+    assert relay.verified()
+
+
+def test_the_last_words_of_a_peer_that_leaves_still_arrive() -> None:
+    relay = FaultyRelay("delay=50ms")
+    relay.igtl(HELLO, 1)
+    relay.igtl(HELLO, 2)
+    assert [(entry.kind, entry.links) for entry in relay.down(1)] == [(Kind.IGTL_OUT, (2,))]
+    assert relay.fates() == {"received": 2, "relayed": 1, "dropped": {LINK_DOWN: 1}}
+    assert relay.gateway.due_ns is None
+    assert relay.verified()
+
+
+def test_faults_are_for_relays() -> None:
+    with pytest.raises(ConfigError, match=r"gateway\.faults: found 'loss=1%', expected it with relay = true"):
+        Config(faults="loss=1%")
+    with pytest.raises(ConfigError, match=r"gateway\.faults: loss: found '1'"):
+        Config(relay=True, faults="loss=1")

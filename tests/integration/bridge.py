@@ -343,6 +343,13 @@ class RawPeer:
             if device in (None, wire.device) and type_name in (None, wire.type):
                 return wire
 
+    def everything(self) -> bytes:
+        """All that comes until the other side closes."""
+        data = bytearray()
+        while part := self.socket.recv(1 << 20):
+            data += part
+        return bytes(data)
+
     def closed_by_peer(self) -> bool:
         """Read until the other side closes; False if it does not."""
         try:

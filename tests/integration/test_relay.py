@@ -142,6 +142,36 @@ def test_a_replay_says_the_words_of_the_side_that_it_stands_for(server: Server, 
         assert peer.closed_by_peer()
 
 
+def test_over_a_bad_line_the_recording_has_what_was_really_sent(
+    server: Server, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bad.mcap"
+    faults = ("--fault", "delay=20ms,jitter=5ms,loss=10%,reorder=10%,corrupt=10%,disconnect=2%", "--seed", "3")
+    with closing(relay(server.port, "--record", str(path), *faults)) as bridge:
+        with RawPeer(bridge.port) as client, closing(server.accepted()) as behind:
+            client.send(b"".join(string(f"number {number}") for number in range(200)))
+            heard = behind.everything()
+            assert client.closed_by_peer()
+        bridge.wait_code("fault_disconnect")
+        bridge.wait_code("link_down", count=2)
+        assert bridge.end().code == 0
+    with SessionFile.open(path) as file:
+        entries = list(file.entries())
+        assert file.ledger
+        (ledger,) = file.ledger["streams"]["igtl_in"].values()
+    sent = [entry for entry in entries if entry.kind is Kind.IGTL_OUT]
+    assert b"".join(entry.data() for entry in sent) == heard
+    assert 0 < len(sent) < 200
+    assert ledger["received"] == ledger["relayed"] + sum(ledger["dropped"].values())
+    assert ledger["relayed"] == len(sent)
+    assert main(("verify", str(path))) == 0
+    assert main(("info", str(path))) == 0
+    capsys.readouterr()
+    replay = ("replay", str(path), "--to", "igtl", "--as-fast-as-possible", "--connect", f"127.0.0.1:{server.port}")
+    with closing(gateway(*replay)), closing(server.accepted()) as peer:
+        assert peer.everything() == heard, "several messages of a stream behind one tick are several"
+
+
 @needs_library
 def test_the_library_and_pyigtl_talk_through_it() -> None:
     with ReferencePeer.server() as far, closing(relay(far.port)) as bridge:

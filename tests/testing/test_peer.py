@@ -9,9 +9,11 @@ from typing import Any
 
 import pytest
 
+from igtl_gateway.app.faulty import CUT, FaultyFeed
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.faults import Faults
 from igtl_gateway.gateway import PARTNER
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Kind
@@ -192,3 +194,31 @@ def test_what_is_wrong_is_said_before_anything_is_served(tmp_path: Path) -> None
         ReplayPeer(tmp_path / "none.mcap")
     with pytest.raises(ConfigError, match="found 0, expected a number above 0"):
         ReplayPeer(STAR, rate=0)
+
+
+def test_a_bad_line_of_a_seed_is_the_same_line_over_every_connection(program: Any) -> None:
+    fault = "loss=10%,corrupt=5%,truncate=1%,disconnect=1%"
+    with SessionFile.open(STAR) as file:
+        outputs = [e for e in file.entries() if e.kind is Kind.IGTL_OUT and e.type == "TRANSFORM"]
+    feed = FaultyFeed(Faults.parse(fault), 4)
+    parts, part = [], b""
+    for entry in feed(outputs):
+        part += entry.data()
+        if entry.links == CUT:
+            parts.append(part)
+            part = b""
+    assert 3 < len(parts) < 40
+    with ReplayPeer(STAR, streams=["TRANSFORM/*"], fault=fault, seed=4) as peer:
+        client = program(peer)
+        peer.play()
+        for wanted in parts:
+            heard = b""
+            while data := client.socket.recv(1 << 16):
+                heard += data
+            assert heard == wanted
+            client.socket.close()
+            client = program(peer)
+        peer.wait_done()
+        assert peer.faults == feed.counts
+    with pytest.raises(ConfigError, match="fault: loss"):
+        ReplayPeer(STAR, fault="loss=2")

@@ -1,0 +1,319 @@
+"""Faults on purpose, for tests of the programs at the other end: late, lost, swapped, cut, corrupt, disconnected.
+
+A `FaultLine` is a line with faults on manual time: messages in at their moments, for each of them one `Fate` out, in
+the order in which they leave.  It reads no clock and no random source.  Whether a fault hits a message is told by a
+hash of the seed, the name of the line, the number of the message on it and the fault: the same seed does the same to
+the same messages on every machine, and one fault more changes nothing about where the others hit.
+
+Messages keep their order, as over TCP, except where ``reorder`` says otherwise.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+from hashlib import blake2b
+from typing import Generic, TypeVar
+
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.stamp import NS_PER_S
+
+
+class Unit(Enum):
+    """How the value of a fault is written."""
+
+    TIME = "TIME"
+    SHARE = "SHARE%"
+    STEP = "TIME[@TIME]"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A row of the table."""
+
+    name: str
+    unit: Unit
+    meaning: str
+
+
+DELAY, JITTER, LOSS, REORDER, TRUNCATE, CORRUPT, DISCONNECT, CLOCK_STEP = (
+    "delay",
+    "jitter",
+    "loss",
+    "reorder",
+    "truncate",
+    "corrupt",
+    "disconnect",
+    "clock-step",
+)
+
+#: All faults there are.
+FAULTS = (
+    Fault(DELAY, Unit.TIME, "every message leaves so much later"),
+    Fault(JITTER, Unit.TIME, "and up to so much more, another time for each; their order stays"),
+    Fault(LOSS, Unit.SHARE, "so many messages are not sent at all"),
+    Fault(REORDER, Unit.SHARE, "so many change places with the message behind them"),
+    Fault(TRUNCATE, Unit.SHARE, "so many end in their middle, and the connection with them"),
+    Fault(CORRUPT, Unit.SHARE, "in so many one bit is flipped, in the body or its CRC, so that the CRC is wrong"),
+    Fault(DISCONNECT, Unit.SHARE, "behind so many the connection is closed"),
+    Fault(CLOCK_STEP, Unit.STEP, "the sender's clock jumps, all stamps are moved; @: so long after the first message"),
+)
+
+#: What a line does of its own accord, where it would hold too much.
+EARLY = "early"
+
+#: Longest delay and longest jitter: what arrives later than this is not late any more, it is absent.
+MAX_DELAY_NS = 60 * NS_PER_S
+#: Longest step of a clock, and longest wait for it; stamps end in 1970 and in 2106.
+MAX_STEP_NS = 50 * 365 * 86_400 * NS_PER_S
+#: How long a message waits for another one that overtakes it.
+OVERTAKEN_WITHIN_NS = NS_PER_S
+#: Bytes that one line holds back; half a second of full-HD pictures at 60 Hz are 187 MB.  Beyond it, the oldest go.
+MAX_HELD_BYTES = 256 * 2**20
+
+_NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": NS_PER_S, "min": 60 * NS_PER_S, "h": 3600 * NS_PER_S}
+_TIME = re.compile(r"([+-]?)(\d+(?:\.\d+)?)(ns|us|ms|s|min|h)", re.ASCII)
+_SHARE = re.compile(r"(\d+(?:\.\d+)?)%", re.ASCII)
+
+#: In the header of OpenIGTLink: what comes before has the size of the body, and a flipped bit there loses all behind.
+_CRC_AT = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """What a line does to its messages.  Shares are from 0 to 1."""
+
+    delay_ns: int = 0
+    jitter_ns: int = 0
+    loss: float = 0.0
+    reorder: float = 0.0
+    truncate: float = 0.0
+    corrupt: float = 0.0
+    disconnect: float = 0.0
+    clock_step_ns: int = 0
+    clock_step_at_ns: int = 0
+
+    @classmethod
+    def parse(cls, text: str, place: str = "--fault") -> Faults:
+        """From ``"delay=50ms,loss=1%"``; "" is none.  Raises ConfigError, naming ``place``."""
+        rows = {fault.name: fault for fault in FAULTS}
+        given: dict[str, float | int] = {}
+        seen = set()
+        for part in text.split(",") if text.strip() else []:
+            name, equals, value = (word.strip() for word in part.partition("="))
+            if name not in rows:
+                raise ConfigError(f"{place}: found {name!r}, expected NAME=VALUE, one of {', '.join(rows)}")
+            if name in seen:
+                raise ConfigError(f"{place}: found {name} twice, expected it once")
+            seen.add(name)
+            where = f"{place}: {name}"
+            if not equals:
+                raise ConfigError(f"{where}: found no value, expected {name}={rows[name].unit.value}")
+            match rows[name].unit:
+                case Unit.SHARE:
+                    given[name] = _share(value, where)
+                case Unit.TIME:
+                    given[f"{name}_ns"] = _time(value, where, 0, MAX_DELAY_NS)
+                case Unit.STEP:
+                    step, at, moment = value.partition("@")
+                    given["clock_step_ns"] = _time(step, where, -MAX_STEP_NS, MAX_STEP_NS)
+                    given["clock_step_at_ns"] = _time(moment, f"{where}: @", 0, MAX_STEP_NS) if at else 0
+        return cls(**given)  # type: ignore[arg-type]
+
+    def __bool__(self) -> bool:
+        return self != _NONE
+
+
+_NONE = Faults()
+
+
+def _share(text: str, place: str) -> float:
+    found = _SHARE.fullmatch(text)
+    share = float(found[1]) / 100 if found else -1.0
+    if not 0 <= share <= 1:
+        raise ConfigError(f"{place}: found {text!r}, expected a share from 0% to 100%, such as 0.5%")
+    return share
+
+
+def _time(text: str, place: str, least_ns: int, most_ns: int) -> int:
+    found = _TIME.fullmatch(text)
+    if not found or (least_ns == 0 and found[1] == "-"):
+        example = "50ms" if least_ns == 0 else "-1h or 250ms"
+        raise ConfigError(f"{place}: found {text!r}, expected a time such as {example} ({', '.join(_NS)})")
+    time_ns = round(float(found[2]) * _NS[found[3]]) * (-1 if found[1] == "-" else 1)
+    if not least_ns <= time_ns <= most_ns:
+        raise ConfigError(f"{place}: found {text!r}, expected at most {most_ns // NS_PER_S:,} s")
+    return time_ns
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Fate(Generic[T]):
+    """What became of one message.
+
+    Attributes:
+        message: as it was given.
+        at_ns: when it leaves (or was lost).
+        late_ns: of that, how much later than it came.
+        data: its bytes now; None: as they were.
+        lost: it does not leave at all.
+        disconnect: the connection is closed behind it.
+        done: the faults that hit it, except for delay and jitter: name and a few words, which are "" where a clock
+            has stepped before.
+    """
+
+    message: T
+    at_ns: int
+    late_ns: int = 0
+    data: bytes | None = None
+    lost: bool = False
+    disconnect: bool = False
+    done: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def news(self) -> dict[str, str]:
+        """Of ``done`` what is worth telling."""
+        return {name: words for name, words in self.done if words}
+
+
+class FaultLine(Generic[T]):
+    """One direction of one connection, or of a replay.
+
+    Time never runs backwards here: an earlier moment counts as the last one.
+
+    Args:
+        faults: what happens.
+        seed: which of all courses that this may take.
+        name: of the line: lines of one seed have courses of their own.
+        moved: gives the bytes of a message with its stamps moved by so many ns, for ``clock-step``.
+        most_bytes: see ``MAX_HELD_BYTES``.
+    """
+
+    def __init__(
+        self,
+        faults: Faults,
+        seed: int,
+        name: str,
+        moved: Callable[[bytes, int], bytes],
+        most_bytes: int = MAX_HELD_BYTES,
+    ) -> None:
+        self._faults = faults
+        self._key = f"{seed}/{name}"
+        self._moved = moved
+        self._most_bytes = most_bytes
+        self._number = 0
+        self._first_ns: int | None = None
+        self._now_ns = 0
+        self._last_ns = 0  # nothing that comes from now on leaves before
+        self._waiting: deque[tuple[Fate[T], int]] = deque()  # with their bytes, in the order in which they leave
+        self._overtaken: tuple[Fate[T], int] | None = None  # leaves behind the next one
+        self._held_bytes = 0
+        self._stepped = False
+
+    @property
+    def due_ns(self) -> int | None:
+        """When the next message leaves, unless others come; None where none waits."""
+        moments = [self._waiting[0][0].at_ns] if self._waiting else []
+        if self._overtaken:
+            moments.append(self._overtaken[0].at_ns + OVERTAKEN_WITHIN_NS)
+        return min(moments, default=None)
+
+    def take(self, now_ns: int, message: T, data: bytes) -> list[Fate[T]]:
+        """A message comes: what leaves, or is lost, up to now."""
+        left = self.due(now_ns)
+        now_ns = self._now_ns
+        self._number += 1
+        self._first_ns = now_ns if self._first_ns is None else self._first_ns
+        if self._hits(LOSS, self._faults.loss):
+            return [*left, Fate(message, now_ns, lost=True, done=((LOSS, f"{len(data)} bytes not sent"),))]
+        fate = self._spoilt(message, data, now_ns)
+        self._last_ns = fate.at_ns
+        held = (fate, len(data))
+        self._held_bytes += len(data)
+        if self._overtaken:
+            (behind, size), self._overtaken = self._overtaken, None
+            words = (REORDER, "sent behind the message that came after it")
+            self._waiting += (held, (self._at(behind, fate.at_ns, words), size))
+        elif not fate.disconnect and self._hits(REORDER, self._faults.reorder):
+            self._overtaken = held
+        else:
+            self._waiting.append(held)
+        left += self.due(now_ns)
+        while self._waiting and self._held_bytes > self._most_bytes:
+            words = (EARLY, f"more than {self._most_bytes} bytes were held back")
+            left.append(self._at(self._leave(), now_ns, words))
+        return left
+
+    def due(self, now_ns: int) -> list[Fate[T]]:
+        """What leaves up to now."""
+        self._now_ns = now_ns = max(now_ns, self._now_ns)
+        if self._overtaken and self._overtaken[0].at_ns + OVERTAKEN_WITHIN_NS <= now_ns:
+            self._nobody_overtook()
+        left = []
+        while self._waiting and self._waiting[0][0].at_ns <= now_ns:
+            left.append(self._leave())
+        return left
+
+    def rest(self) -> list[Fate[T]]:
+        """No more comes: all that is left, each to leave at its moment."""
+        if self._overtaken:
+            self._nobody_overtook()
+        return [self._leave() for _ in range(len(self._waiting))]
+
+    def _leave(self) -> Fate[T]:
+        fate, size = self._waiting.popleft()
+        self._held_bytes -= size
+        return fate
+
+    def _nobody_overtook(self) -> None:
+        assert self._overtaken
+        (fate, size), self._overtaken = self._overtaken, None
+        self._waiting.append((self._at(fate, fate.at_ns + OVERTAKEN_WITHIN_NS), size))
+        self._last_ns = self._waiting[-1][0].at_ns
+
+    @staticmethod
+    def _at(fate: Fate[T], at_ns: int, *done: tuple[str, str]) -> Fate[T]:
+        return replace(fate, at_ns=at_ns, late_ns=fate.late_ns + at_ns - fate.at_ns, done=(*fate.done, *done))
+
+    def _spoilt(self, message: T, data: bytes, now_ns: int) -> Fate[T]:
+        """The message as it will leave, and when."""
+        faults, done, new = self._faults, [], data
+        if faults.clock_step_ns and now_ns - (self._first_ns or 0) >= faults.clock_step_at_ns:
+            stepped = self._moved(data, faults.clock_step_ns)
+            if stepped != data:
+                new = stepped
+                words = (
+                    "" if self._stepped else f"from here on stamps are moved by {faults.clock_step_ns / NS_PER_S:+g} s"
+                )
+                done.append((CLOCK_STEP, words))
+                self._stepped = True
+        if self._hits(CORRUPT, faults.corrupt) and len(new) > _CRC_AT:
+            at, bit = divmod(int(self._chance("bit") * 8 * (len(new) - _CRC_AT)), 8)
+            at += _CRC_AT
+            new = b"".join((new[:at], bytes((new[at] ^ 1 << bit,)), new[at + 1 :]))
+            done.append((CORRUPT, f"bit {bit} of byte {at} flipped"))
+        disconnect = self._hits(DISCONNECT, faults.disconnect)
+        if self._hits(TRUNCATE, faults.truncate) and len(new) > 1:
+            cut = 1 + int(self._chance("cut") * (len(new) - 1))
+            done.append((TRUNCATE, f"cut off behind byte {cut} of {len(new)}, connection closed"))
+            new, disconnect = new[:cut], True
+        elif disconnect:
+            done.append((DISCONNECT, "connection closed behind it"))
+        late_ns = faults.delay_ns
+        if faults.jitter_ns:
+            late_ns += int(self._chance(JITTER) * faults.jitter_ns)
+        at_ns = max(now_ns + late_ns, self._last_ns)
+        return Fate(message, at_ns, at_ns - now_ns, None if new is data else new, False, disconnect, tuple(done))
+
+    def _hits(self, fault: str, share: float) -> bool:
+        return share > 0 and self._chance(fault) < share
+
+    def _chance(self, of: str) -> float:
+        """A number from 0 to below 1 of this message, of nothing but seed, line, number and purpose."""
+        digest = blake2b(f"{self._key}/{self._number}/{of}".encode(), digest_size=8).digest()
+        return (int.from_bytes(digest) >> 11) * 2.0**-53

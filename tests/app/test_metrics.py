@@ -1,0 +1,140 @@
+"""The status over HTTP: what it says, whom it answers, and that nobody can hold it up."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.metrics import METRICS, PREFIX, MetricsServer, prometheus
+from igtl_gateway.app.status import Status
+from igtl_gateway.buffers import join
+from igtl_gateway.cli.bridge import _Watch
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.config import Config
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.text import String
+
+DEADLINE_S = 20.0
+HELLO = join(encode(Message("STRING", 'A "quoted" name', String.of("hello"), 7 << 32)))
+#: A line of a metric: name, labels, number.
+LINE = re.compile(r'([a-z_0-9]+)(\{(?:[a-z]+="(?:[^"\\\n]|\\.)*",?)*\})? ([-+0-9.e]+)')
+
+
+@contextmanager
+def bridge(tmp_path: Path, refused: threading.Event) -> Iterator[tuple[Bridge, Status]]:
+    """A real one, without ROS, that records; ``refused`` is set when it has refused something."""
+    watch, clock = _Watch(), SystemClock()
+
+    def look(entry: Entry) -> None:
+        watch(entry)
+        if watch.refused:
+            refused.set()
+
+    options = BridgeOptions(listen=(("127.0.0.1", 0),), ros=False, record=tmp_path / "out.mcap")
+    one = Bridge(Config(), options, clock, look)
+    one.start()
+    try:
+        yield one, Status(one, watch, clock)
+    finally:
+        one.stop()
+
+
+def ask(server: MetricsServer, path: str, method: str = "GET") -> tuple[int, str]:
+    port = int(server.url.rpartition(":")[2].partition("/")[0])
+    with closing(HTTPConnection("127.0.0.1", port, timeout=DEADLINE_S)) as connection:
+        connection.request(method, path)
+        answer = connection.getresponse()
+        return answer.status, answer.read().decode()
+
+
+def values(page: str) -> dict[str, float]:
+    lines = [LINE.fullmatch(line) for line in page.splitlines() if not line.startswith("#")]
+    assert all(lines), page
+    return {found[1] + (found[2] or ""): float(found[3]) for found in lines if found}
+
+
+def test_a_bridge_is_scraped(tmp_path: Path) -> None:
+    refused = threading.Event()
+    with bridge(tmp_path, refused) as (one, status), closing(MetricsServer("127.0.0.1", 0, status)) as server:
+        with socket.create_connection(one.addresses[0]) as peer:
+            peer.sendall(3 * HELLO + HELLO[:50] + bytes(8) + HELLO[58:])
+            assert refused.wait(DEADLINE_S)
+            status.sample()
+            code, page = ask(server, "/metrics")
+            facts = json.loads(ask(server, "/status")[1])
+    assert code == 200
+    told = values(page)
+    stream = r'direction="igtl_in",stream="STRING/A \"quoted\" name"'
+    assert told[f'{PREFIX}stream_messages_total{{{stream},fate="received"}}'] == 4
+    assert told[f'{PREFIX}stream_dropped_total{{{stream},reason="bad_crc"}}'] == 1
+    assert told[f'{PREFIX}link_received_bytes_total{{link="1"}}'] == 4 * len(HELLO)
+    assert told[f'{PREFIX}entries_total{{kind="igtl_in"}}'] == 4
+    assert told[f"{PREFIX}refused_total"] == 1
+    assert told[f'{PREFIX}recording{{path="{tmp_path / "out.mcap"}"}}'] == 1
+    assert told[f'{PREFIX}link_queue_messages{{link="1"}}'] == 0
+    assert told[f"{PREFIX}uptime_seconds"] > 0
+    assert facts["ledger"]["streams"]["igtl_in"]['STRING/A "quoted" name']["received"] == 4
+    assert facts["peers"][0]["connected"]
+    assert facts["recorder"]["failure"] == ""
+
+
+def test_every_metric_says_what_it_is_and_is_told_without_a_recording() -> None:
+    facts: dict[str, Any] = {
+        "version": "1",
+        "uptime_s": 1.0,
+        "refused": 0,
+        "entries": {"igtl_in": 1},
+        "rates": {"over_s": 5.0, "entries": {"igtl_in": 1.0}, "igtl_in": {"a\\b\n": 2.5}},
+        "ledger": {"streams": {}, "links": {}, "ros_topics": {"/tf": {"published": 3}}},
+        "peers": [],
+        "queues": {},
+        "recorder": None,
+    }
+    page = prometheus(facts)
+    assert values(page)[PREFIX + r'stream_rate{direction="igtl_in",stream="a\\b\n"}'] == 2.5
+    assert "recorder" not in page
+    assert len({metric.name for metric in METRICS}) == len(METRICS)
+    assert all(metric.kind == "counter" for metric in METRICS if metric.name.endswith("_total"))
+
+
+class Nothing(Status):
+    """Of no bridge."""
+
+    def __init__(self) -> None:
+        self.facts = {"version": "1"}
+
+
+def test_other_questions_are_refused() -> None:
+    with closing(MetricsServer("127.0.0.1", 0, Nothing())) as server:
+        assert ask(server, "/")[0] == 404
+        assert ask(server, "/status?x=1") == (200, '{"version": "1"}')
+        assert ask(server, "/status", "HEAD") == (200, "")
+        assert ask(server, "/status", "POST")[0] == 501
+
+
+def test_whoever_asks_slowly_is_cut_off_and_the_next_is_answered() -> None:
+    with closing(MetricsServer("127.0.0.1", 0, Nothing(), deadline_s=0.05)) as server:
+        port = int(server.url.rpartition(":")[2].partition("/")[0])
+        with socket.create_connection(("127.0.0.1", port), DEADLINE_S) as slow:
+            slow.sendall(b"GET /metr")
+            assert slow.recv(1) == b""
+        assert ask(server, "/status")[0] == 200
+
+
+def test_other_hosts_need_an_allowance_and_a_taken_port_is_named() -> None:
+    with pytest.raises(ConfigError, match="open to other hosts, but nobody is allowed"):
+        MetricsServer("0.0.0.0", 0, Nothing())
+    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(ConfigError, match="in use by another program"):
+        MetricsServer("127.0.0.1", taken.getsockname()[1], Nothing())

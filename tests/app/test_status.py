@@ -1,0 +1,44 @@
+"""Samples of a bridge: rates over the last seconds, on manual time."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.status import RATES_OVER_S, Status
+from igtl_gateway.clock import ManualClock
+from igtl_gateway.config import Config
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.stamp import NS_PER_S
+
+
+@dataclass
+class Watch:
+    counts: Counter[Kind] = field(default_factory=Counter)
+    refused: int = 0
+
+
+def test_rates_are_of_the_last_seconds(tmp_path: Path) -> None:
+    clock, watch = ManualClock(1_767_225_600 * NS_PER_S), Watch()
+    bridge = Bridge(Config(), BridgeOptions(ros=False), clock)
+    status = Status(bridge, watch, clock)
+    ledger = bridge.gateway.ledger
+    rates = []
+    for second in range(16):
+        status.sample()
+        rates.append(status.facts["rates"].get("igtl_in", {}).get("STRING/A", 0.0))
+        busy = second < 8
+        ledger.count("igtl_in", "STRING/A", "received", 100 if busy else 0)
+        watch.counts[Kind.IGTL_IN] += 100 if busy else 0
+        clock.advance(NS_PER_S)
+    assert rates[:9] == [0.0, *[100.0] * 8]
+    assert rates[8:14] == [100.0, 80.0, 60.0, 40.0, 20.0, 0.0]
+    assert status.facts["rates"]["over_s"] == RATES_OVER_S
+    assert status.facts["rates"]["entries"]["igtl_in"] == 0
+    assert status.facts["entries"]["igtl_in"] == 800
+    assert status.facts["uptime_s"] == 15
+    assert status.facts["time"] == "2026-01-01T00:00:15.000000000Z"
+    assert status.facts["recorder"] is None
+    bridge.stop()
