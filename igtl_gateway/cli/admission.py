@@ -1,0 +1,133 @@
+"""Options of the bridge about peers: who is let in, how TLS is spoken, what one may cost."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from igtl_gateway.cli.common import address
+from igtl_gateway.config import Config
+from igtl_gateway.edges.tcp import Limits, TlsFiles
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.wire.registry import BODIES
+
+_USUAL = Limits()
+_NEVER = TlsFiles()
+
+
+class Place(tuple[str, int]):
+    """Host and port; ``scheme`` is ``"tls"``, ``"tcp"`` or ``""``."""
+
+    scheme = ""
+
+
+def place(text: str) -> Place:
+    """``[tls://|tcp://]HOST:PORT``, the rest as ``common.address``."""
+    scheme, found, rest = text.partition("://")
+    if found and scheme not in ("tls", "tcp"):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected tls://HOST:PORT, tcp://HOST:PORT or HOST:PORT")
+    made = Place(address(rest if found else text))
+    made.scheme = scheme if found else ""
+    return made
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """TLS and limits."""
+    parser.add_argument("--tls-cert", type=Path, metavar="PEM", help="our certificate: --listen speaks TLS then")
+    parser.add_argument("--tls-key", type=Path, metavar="PEM", help="its key (default: in the same file)")
+    parser.add_argument(
+        "--tls-ca", type=Path, metavar="PEM", help="peers must have a certificate of this CA, servers too"
+    )
+    parser.add_argument(
+        "--tls", action="store_true", help="TLS at every address but tcp://HOST:PORT (tls://HOST:PORT: at that one)"
+    )
+    parser.add_argument("--queue-mib", type=int, default=64, metavar="MIB", help="send queue of a peer (%(default)s)")
+    parser.add_argument(
+        "--queue-messages", type=int, default=4096, metavar="N", help="send queue of a peer (%(default)s)"
+    )
+    parser.add_argument("--max-clients", type=int, default=32, metavar="N", help="peers at once (%(default)s)")
+    parser.add_argument(
+        "--max-body-mib", type=int, default=256, metavar="MIB", help="longest message accepted (%(default)s)"
+    )
+    parser.add_argument(
+        "--max-body",
+        type=_body,
+        action="append",
+        default=[],
+        metavar="TYPE=MIB",
+        help="the same of a type (or 'GET_*'); strings and poses may have 2, lists 16, VIDEO 64; may be repeated",
+    )
+    parser.add_argument(
+        "--max-messages",
+        type=int,
+        default=_USUAL.messages_per_s,
+        metavar="N",
+        help="read from one peer in a second; one that sends more has to wait (%(default)s)",
+    )
+    parser.add_argument(
+        "--stall-s", type=float, default=10.0, metavar="S", help="longest silence inside a message (%(default)s)"
+    )
+    parser.add_argument(
+        "--idle-s", type=float, default=0.0, metavar="S", help="close a link that is silent both ways so long (0: no)"
+    )
+
+
+def _body(text: str) -> tuple[str, int]:
+    name, equals, number = text.partition("=")
+    try:
+        if name and equals and (mib := float(number)) > 0:
+            return name, round(mib * 2**20)
+    except (ValueError, OverflowError):
+        pass
+    raise argparse.ArgumentTypeError(f"found {text!r}, expected TYPE=MIB such as STRING=4")
+
+
+def limits(options: argparse.Namespace) -> Limits:
+    """What a peer may cost.  Raises ConfigError."""
+    return Limits(
+        max_clients=options.max_clients,
+        queue_bytes=options.queue_mib << 20,
+        queue_messages=options.queue_messages,
+        stall_s=options.stall_s,
+        idle_s=options.idle_s,
+        max_body=options.max_body_mib << 20,
+        bodies=tuple(options.max_body),
+        messages_per_s=options.max_messages,
+    )
+
+
+def tls(options: argparse.Namespace) -> TlsFiles:
+    """The files of TLS."""
+    return TlsFiles(options.tls_cert, options.tls_key, options.tls_ca)
+
+
+def secured(
+    options: argparse.Namespace, listen: Sequence[tuple[str, int]], connect: Sequence[tuple[str, int]]
+) -> tuple[frozenset[tuple[str, int]], frozenset[tuple[str, int]]]:
+    """The addresses where TLS is spoken: of ours, and of servers.  Raises ConfigError for files that are for none.
+
+    A certificate is for the addresses where we are the server, unless one says ``tcp://``: who has given one must not
+    find out later that all went in the clear.
+    """
+    ours = _with_tls(listen, options.tls or bool(options.tls_cert))
+    servers = _with_tls(connect, options.tls)
+    if tls(options) != _NEVER and not ours and not servers:
+        raise ConfigError("--tls-ca, --tls-cert: found no address with TLS, expected --tls or tls://HOST:PORT")
+    return ours, servers
+
+
+def _with_tls(places: Iterable[tuple[str, int]], usual: bool) -> frozenset[tuple[str, int]]:
+    schemes = [(place, getattr(place, "scheme", "")) for place in places]
+    return frozenset(place for place, scheme in schemes if scheme == "tls" or (usual and scheme != "tcp"))
+
+
+def denials(config: Config) -> list[str]:
+    """What is denied, as lines; a name that stands for no known type may be a slip of the pen."""
+    lines = []
+    for globs, way in ((config.deny_in, "from"), (config.deny_out, "to")):
+        known = [glob if any(map(Denials([glob]).type, BODIES)) else f"{glob} (no type known here)" for glob in globs]
+        if known:
+            lines.append(f"denied       {way} peers: {', '.join(known)}")
+    return lines

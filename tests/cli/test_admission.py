@@ -1,0 +1,68 @@
+"""Who is let in, as the command line says it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.cli import admission
+from igtl_gateway.cli.admission import place
+from igtl_gateway.config import Config
+from igtl_gateway.edges.tcp import Limits, TlsFiles
+from igtl_gateway.errors import ConfigError
+
+
+def parsed(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    admission.add_arguments(parser)
+    return parser.parse_args(words)
+
+
+def test_places() -> None:
+    assert (place("tls://[::1]:7"), place("tls://[::1]:7").scheme) == (("::1", 7), "tls")
+    assert (place("tcp://:7"), place("tcp://:7").scheme) == (("127.0.0.1", 7), "tcp")
+    assert (place("10.0.0.1"), place("10.0.0.1").scheme) == (("10.0.0.1", 18944), "")
+    with pytest.raises(argparse.ArgumentTypeError, match="'http://a:1'"):
+        place("http://a:1")
+
+
+@pytest.mark.parametrize(
+    ("words", "listen", "connect"),
+    [
+        ([], "b", "d"),
+        (["--tls"], "ab", "cd"),
+        (["--tls-cert", "a.pem"], "ab", "d"),  # never in the clear by mistake
+        (["--tls-ca", "ca.pem"], "b", "d"),
+    ],
+)
+def test_where_tls_is_spoken(words: list[str], listen: str, connect: str) -> None:
+    ours = {"a": place(":1"), "b": place("tls://:2"), "-": place("tcp://:3")}
+    servers = {"c": place(":4"), "d": place("tls://:5"), "-": place("tcp://:6")}
+    found = admission.secured(parsed(*words), tuple(ours.values()), tuple(servers.values()))
+    assert found == (frozenset(ours[name] for name in listen), frozenset(servers[name] for name in connect))
+
+
+def test_files_for_no_address_are_a_mistake() -> None:
+    with pytest.raises(ConfigError, match="found no address with TLS"):
+        admission.secured(parsed("--tls-ca", "ca.pem"), (), (place(":1"),))
+    assert admission.tls(parsed("--tls-key", "k")) == TlsFiles(None, Path("k"), None)
+
+
+def test_limits_and_their_defaults(capsys: pytest.CaptureFixture[str]) -> None:
+    assert admission.limits(parsed()) == Limits()
+    words = "--max-body STRING=4 --max-body GET_*=0.5 --max-body-mib 1 --max-messages 9 --idle-s 60 --stall-s 1"
+    bodies = (("STRING", 4 << 20), ("GET_*", 1 << 19))
+    own = Limits(idle_s=60, stall_s=1, max_body=1 << 20, bodies=bodies, messages_per_s=9)
+    assert admission.limits(parsed(*words.split())) == own
+    for wrong in ("STRING", "STRING=", "=4", "STRING=-1", "STRING=nan", "STRING=inf"):
+        with pytest.raises(SystemExit):
+            parsed("--max-body", wrong)
+        assert "expected TYPE=MIB such as STRING=4" in capsys.readouterr().err
+
+
+def test_what_is_denied_is_said_and_slips_are_seen() -> None:
+    assert admission.denials(Config()) == []
+    lines = admission.denials(Config(deny_in=("command", "TRANFORM"), deny_out=("*",)))
+    assert lines == ["denied       from peers: command, TRANFORM (no type known here)", "denied       to peers: *"]
