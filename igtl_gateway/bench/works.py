@@ -219,7 +219,7 @@ def _replayed(shop: Workshop, path: Path, stream: Stream, count: int) -> Row:
         peer = stack.enter_context(Program("peer", [sys.executable, "-m", "igtl_gateway.bench", job.to_json()]))
         place = peer.wait_for("listening", _START_S)
         to = f"{place['host']}:{place['port']}"
-        words = ["replay", str(path), "--to", "igtl", "--connect", to, "--as-fast-as-possible", "--json"]
+        words = ["replay", str(path), "--to", "igtl", "--connect", to, "--as-fast-as-possible", "--no-digest", "--json"]
         player = stack.enter_context(Program("replay", ours(*words)))
         peer.wait_for("ready", _START_S)
         player.gone(_PATIENCE_S)

@@ -117,6 +117,7 @@ def run(options: argparse.Namespace) -> int:
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     clock = SystemClock()
     ambient = _ambient(clock)
+    ticks = _ticks()
     rows: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="igtl-gateway-bench-") as folder:
         runner = Runner(Path(folder), clock, _tell)
@@ -128,6 +129,7 @@ def run(options: argparse.Namespace) -> int:
     rows = [judged(row) for row in rows]
     lines = fits(rows)
     ambient["load_after"] = _load()
+    ambient["stolen_percent"] = _stolen_percent(ticks, _ticks())
     if options.plot:
         options.plot.mkdir(parents=True, exist_ok=True)
         for name, text in (latency_plots(rows) | sweep_plots(rows, lines)).items():
@@ -322,10 +324,27 @@ def _load() -> list[float]:
     return [round(load, 2) for load in os.getloadavg()]
 
 
+def _ticks() -> list[int]:
+    """What all cores did since the start of the machine: user, nice, system, idle, wait, irq, softirq, stolen."""
+    try:
+        first = Path("/proc/stat").read_text("ascii").splitlines()[0]
+    except (OSError, IndexError):
+        return []
+    return [int(word) for word in first.split()[1:9]]
+
+
+def _stolen_percent(before: list[int], after: list[int]) -> float | None:
+    """Of the time in which the cores had something to do: how long the neighbours of a virtual machine had them."""
+    spent = [late - early for early, late in zip(before, after, strict=True)]
+    busy = sum(spent[:3]) + sum(spent[5:]) if spent else 0
+    return round(100 * spent[7] / busy, 1) if busy else None
+
+
 def _words(ambient: dict[str, Any]) -> list[str]:
     packages = ", ".join(f"{name} {version}" for name, version in ambient["packages"].items())
     return [
-        f"load {ambient['load'][0]} before, {ambient['load_after'][0]} after, on {ambient['cores']} cores",
+        f"load {ambient['load'][0]} before, {ambient['load_after'][0]} after, on {ambient['cores']} cores"
+        + (f"; neighbours took {stolen} % of the busy time" if (stolen := ambient["stolen_percent"]) else ""),
         f"igtl-gateway {ambient['igtl_gateway']}, Python {ambient['python']}, {packages}",
     ]
 
