@@ -33,8 +33,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from igtl_gateway.clock import SystemClock
+from igtl_gateway.edges.ros_direct import direct
 from igtl_gateway.edges.ros_receiver import DirectReceiver, ExecutorReceiver, Receiver
-from igtl_gateway.edges.ros_streams import HOLD_BYTES, HOLD_MESSAGES, Counts, Echo, Reader, Writer, direct, first_line
+from igtl_gateway.edges.ros_streams import HOLD_BYTES, HOLD_MESSAGES, Counts, Echo, Reader, Writer, first_line
 from igtl_gateway.errors import RosError
 from igtl_gateway.qos import Endpoint, Qos
 from igtl_gateway.session.note import Level, Note
