@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -198,6 +199,12 @@ def test_all_values_are_read() -> None:
     )
     assert not Faults.parse("")
     assert not Faults.parse("loss=0%")
+
+
+def test_the_document_has_every_fault() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "faults.md").read_text("utf-8")
+    for row in FAULTS:
+        assert f"| `{row.name}` | {row.unit.value} | {row.meaning} |" in page
 
 
 @pytest.mark.parametrize(

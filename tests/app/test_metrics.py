@@ -97,16 +97,28 @@ def test_every_metric_says_what_it_is_and_is_told_without_a_recording() -> None:
         "refused": 0,
         "entries": {"igtl_in": 1},
         "rates": {"over_s": 5.0, "entries": {"igtl_in": 1.0}, "igtl_in": {"a\\b\n": 2.5}},
-        "ledger": {"streams": {}, "links": {}, "ros_topics": {"/tf": {"published": 3}}},
+        "ledger": {
+            "streams": {},
+            "links": {},
+            "ros_topics": {"/tf": {"published": 3}},
+            "refused": {"not_allowed": 2},
+        },
         "peers": [],
         "queues": {},
         "recorder": None,
     }
     page = prometheus(facts)
     assert values(page)[PREFIX + r'stream_rate{direction="igtl_in",stream="a\\b\n"}'] == 2.5
+    assert values(page)[PREFIX + 'peers_refused_total{reason="not_allowed"}'] == 2
     assert "recorder" not in page
     assert len({metric.name for metric in METRICS}) == len(METRICS)
     assert all(metric.kind == "counter" for metric in METRICS if metric.name.endswith("_total"))
+
+
+def test_the_document_has_every_metric() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text("utf-8")
+    for metric in METRICS:
+        assert f"| `{metric.name}` | {metric.kind} | {metric.meaning} |" in page
 
 
 class Nothing(Status):
