@@ -8,7 +8,6 @@ write the metadata.
 from __future__ import annotations
 
 import re
-from xml.sax.saxutils import unescape
 
 from igtl_gateway.convert.columns import fitted
 from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
@@ -135,5 +134,15 @@ def _plus_attributes(text: str) -> dict[str, str]:
     match = _PLUS_REPLY.match(text, 0, _MAX_XML)
     if not match:
         return {}
-    quotes = {"&quot;": '"', "&apos;": "'"}
-    return {name: unescape(one or other, quotes) for name, one, other in _ATTRIBUTE.findall(match[1])}
+    return {name: _unescaped(one or other) for name, one, other in _ATTRIBUTE.findall(match[1])}
+
+
+#: The five entities of XML; & last, or it would make others.
+_ENTITIES = (("&lt;", "<"), ("&gt;", ">"), ("&quot;", '"'), ("&apos;", "'"), ("&amp;", "&"))
+
+
+def _unescaped(text: str) -> str:
+    """An attribute's value.  (The library's function costs 28 ms of every start, for all that it imports.)"""
+    for entity, letter in _ENTITIES:
+        text = text.replace(entity, letter)
+    return text
