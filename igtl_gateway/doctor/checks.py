@@ -88,9 +88,10 @@ def both_clients(seen: Observer) -> Iterator[Hit]:
 
 
 def both_servers(seen: Observer) -> Iterator[Hit]:
+    """Whoever has our own port may be a gateway that runs already, unless it says something."""
     if seen.intent and seen.intent.role == "server" and not _of_role(seen, "server"):
         for peer in _of_role(seen, "client"):
-            if _stranger(peer) is None:
+            if _stranger(peer) is None and (peer.messages or "listen_failed" not in seen.said):
                 text = f"nobody connects to {seen.intent.place}, but {peer.name} listens: both sides are servers"
                 yield Hit(seen.intent.place, text)
 
@@ -122,7 +123,7 @@ def silent(seen: Observer) -> Iterator[Hit]:
     """A recording does not tell whether a silent peer was meant to say anything."""
     if seen.intent is None:
         return
-    for peer in seen.peers.values():
+    for peer in _of_role(seen, seen.intent.role):
         if not peer.messages and not peer.head and not peer.received_bytes and peer.up_ns:
             lasted = ((peer.down_ns or seen.ended_ns) - peer.up_ns) / NS_PER_S
             yield Hit(peer.name, f"{peer.name} is connected and sent nothing in {lasted:.1f} s")

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from igtl_gateway.config import Config
-from igtl_gateway.convert.units import UNITS
+from igtl_gateway.convert.units import UNITS, ieee_754
 from igtl_gateway.doctor.content import NOTHING, Measured, measure
 from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.protocols import is_openigtlink
@@ -33,6 +33,7 @@ MAX_STREAMS = 2_000
 MAX_KEPT = 100
 #: A rotation is one if the products of its directions are within this of 0 and 1: float32 and a tracker's noise.
 ORTHONORMAL = 0.02
+_IDENTITY = np.eye(3)
 
 Role = Literal["server", "client"]
 
@@ -72,11 +73,12 @@ class Lengths:
     _first: Any = None
 
     def add(self, measured: Measured, millimetres: float) -> None:
+        """Look at the lengths of a message, which are finite; so many millimetres are their unit."""
         if measured.spacing:
             spacing = min(measured.spacing) * millimetres
             self.smallest_spacing = min(spacing, self.smallest_spacing or spacing)
         positions = measured.positions
-        if not len(positions) or not measured.is_finite:
+        if not len(positions):
             return
         self.messages += 1
         self.positions += len(positions)
@@ -102,6 +104,7 @@ class Stream:
         misfits: messages whose body is that of the other header version.
         malformed: other messages that cannot be decoded; ``error`` is the first reason.
         unknown: its type has no codec here.
+        millimetres: its unit of length, by the configuration.
         full_names: names in the metadata of those whose name in the header was cut.
         element_names: names inside the body that fill their field.
         not_finite, not_orthonormal, mirrored: poses with NaN or infinity, and those whose rotation is none.
@@ -126,6 +129,7 @@ class Stream:
     malformed: int = 0
     error: str = ""
     unknown: bool = False
+    millimetres: float = 1.0
     full_names: set[str] = field(default_factory=set)
     element_names: set[str] = field(default_factory=set)
     not_finite: int = 0
@@ -248,10 +252,14 @@ class Observer:
 
     def peer(self, number: int) -> Peer:
         """The peer of a link; one that was never announced has no address."""
-        if number not in self.peers and len(self.peers) >= MAX_STREAMS:
-            self.crowded = True
-            return Peer(number)
-        return self.peers.setdefault(number, Peer(number))
+        peer = self.peers.get(number)
+        if peer is None:
+            peer = Peer(number)
+            if len(self.peers) < MAX_STREAMS:
+                self.peers[number] = peer
+            else:
+                self.crowded = True
+        return peer
 
     # ── links and notes ───────────────────────────────────────────────────────────────────────────────────────────
 
@@ -325,8 +333,11 @@ class Observer:
             kind, device = visible(header.type), visible(header.device_name)
             stream = self.streams[key] = Stream(number, kind, device, header.type, header.device_name)
             stream.unknown = kind not in BODIES
+            unit = self.config.lengths(self.config.row_to_ros(kind, device)).igtl
+            stream.millimetres = UNITS[unit] / UNITS["mm"]
         return stream
 
+    @ieee_754
     def _measure(self, stream: Stream, message: Message) -> None:
         for item in message.metadata:
             if item.key == metadata.FULL_NAME and len(stream.full_names) < MAX_KEPT:
@@ -339,11 +350,10 @@ class Observer:
         if not measured.is_finite:
             stream.not_finite += 1
             return
-        unit = self.config.lengths(self.config.row_to_ros(stream.type, stream.device)).igtl
-        stream.lengths.add(measured, UNITS[unit] / UNITS["mm"])
+        stream.lengths.add(measured, stream.millimetres)
         if len(measured.rotations):
             products = measured.rotations.transpose(0, 2, 1) @ measured.rotations
-            if float(np.abs(products - np.eye(3)).max()) > ORTHONORMAL:
+            if float(np.abs(products - _IDENTITY).max()) > ORTHONORMAL:
                 stream.not_orthonormal += 1
             elif float(np.linalg.det(measured.rotations).min()) < 0:
                 stream.mirrored += 1

@@ -71,7 +71,8 @@ class Report:
         for peer in self.seen.peers.values():
             side = "connected to us" if peer.role == "server" else "we connected to it"
             versions = ", ".join(f"header version {version}" for version in sorted(peer.heard))
-            yield f"  {peer.name}: {side}; {peer.messages:,} messages{', ' if versions else ''}{versions}"
+            said = f"{peer.messages:,} message{'' if peer.messages == 1 else 's'}"
+            yield f"  {peer.name}: {side}; {said}{', ' if versions else ''}{versions}"
         width = max((len(stream.name) for stream in self.seen.streams.values()), default=0)
         for stream in self.seen.streams.values():
             rate = f"{stream.rate_hz:,.1f} Hz" if stream.rate_hz else ""

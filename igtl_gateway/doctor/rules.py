@@ -257,7 +257,7 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-W305", "stamps of another epoch", "Protocol/timestamp.md",
-        'stamps are UTC since 1970; take the time of receipt for this stream (`stamp = "receive"`)',
+        'stamps are UTC since 1970: take the time of receipt (`stamp = "receive"`); or what comes is a replay',
         each(
             checks.other_epoch,
             lambda one: f"stamps are {abs(one.timing.most_ns) / checks.EPOCH_NS:,.0f} days away from now",

@@ -166,9 +166,12 @@ def test_both_are_servers(doctor: Doctor) -> None:
     with serving(says(b"")) as place:
         verdict = doctor("--listen", free_place(), place)
         assert (verdict.cause, place in verdict.text) == ("IGTL-E103", True)
-    with serving(says(b"")) as place:
+    with serving(says(wire(pose()))) as place:
         verdict = doctor("--listen", place)
         assert (verdict.cause, "IGTL-E104" in verdict.ids) == ("IGTL-E103", False)
+    with serving(says(b"")) as place:
+        verdict = doctor("--listen", place)
+        assert verdict.ids == ["IGTL-E104"], "silent: it may be our own gateway"
 
 
 def test_nobody_connects(doctor: Doctor) -> None:
@@ -315,6 +318,6 @@ def test_a_text_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     with serving(says(wire(message))) as place:
         assert main(["doctor", place, *AWAIT, "1"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith(f"  {place}: we connected to it; 1 messages, header version 1")
+    assert lines[0].startswith(f"  {place}: we connected to it; 1 message, header version 1")
     assert any(line.startswith("WARNING IGTL-W401") for line in lines)
     assert lines[-1].startswith("what to look at first: ")

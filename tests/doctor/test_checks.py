@@ -163,6 +163,10 @@ CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
     "an offset near zero that stays": (lambda: poses(scene(), [0.1] * 12), []),
     "millimetres twice": (lambda: scene().says(pose(200_000.0)), ["W502"]),
     "not a number": (lambda: scene().says(Position((float("nan"), 0.0, 0.0)), kind="POSITION"), ["E503"]),
+    "both infinities": (
+        lambda: scene().says(Position((float("inf"), float("-inf"), 0.0)), kind="POSITION"),
+        ["E503"],
+    ),
     "scaled": (lambda: scene().says(pose(diagonal=(2.0, 2.0, 2.0))), ["W504"]),
     "quaternion of no length": (
         lambda: scene().says(Position((1e2, 0.0, 0.0), (0.0, 0.0, 0.0, 0.5)), kind="POSITION"),
