@@ -19,8 +19,7 @@ verification use what was in force that day.
     fault_seed = 0                 # which messages they hit
     deny_in = []                   # types that peers may not send, such as ["COMMAND", "TRANSFORM"] or ["*"]
     deny_out = []                  # types that peers are not sent
-    watch = true                   # say what looks odd: units that jump, stamps that run back; see docs/guard.md
-    diagnostics = true             # once a second on /diagnostics; these two: live sessions only unless set
+    watch = true                   # say what looks odd: units that jump, stamps that run back; live only unless set
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first row that matches counts
     topic = "/camera/image_raw"    # * stands for one level, ** for any number
@@ -155,8 +154,8 @@ class PeerRow:
 class Config:
     """The configuration of a session; see the module for the meaning of each setting.
 
-    ``watch`` and ``diagnostics`` add outputs of their own.  Where they are not set (None) there are none: so it was
-    in recordings from before there were these settings.  Live sessions set them; see ``live``.
+    ``watch`` adds notes.  Where it is not set (None) there are none: so it was in recordings from before there was this
+    setting.  Live sessions set it; see ``watched``.
     """
 
     base_frame: str = "igtl"
@@ -174,7 +173,6 @@ class Config:
     deny_in: tuple[str, ...] = ()
     deny_out: tuple[str, ...] = ()
     watch: bool | None = None
-    diagnostics: bool | None = None
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()
@@ -248,16 +246,9 @@ class Config:
         """Which stamp the messages of a row get: ``"source"`` or ``"received"``."""
         return row.stamp or self.stamp
 
-    def live(self, *, ros: bool) -> Config:
-        """The configuration of a live session: what it leaves open about watchers and diagnostics is settled."""
-        watch = True if self.watch is None else self.watch
-        return dataclasses.replace(self, watch=watch, diagnostics=ros and self.diagnostics is not False)
-
-    def as_watched_as(self, other: Config) -> Config:
-        """The configuration with what it leaves open about watchers and diagnostics as in another one."""
-        watch = other.watch if self.watch is None else self.watch
-        diagnostics = other.diagnostics if self.diagnostics is None else self.diagnostics
-        return dataclasses.replace(self, watch=watch, diagnostics=diagnostics)
+    def watched(self, unless_set: bool | None = True) -> Config:
+        """The configuration with ``watch`` settled, where it leaves that open: on in a live session."""
+        return dataclasses.replace(self, watch=unless_set) if self.watch is None else self
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values: what is stored in a recording."""
@@ -413,7 +404,7 @@ def _value(place: str, name: str, wanted: type, given: Any) -> Any:
         return float(given)
     if wanted in _TYPE_NAMES and type(given) is not wanted:
         raise ConfigError(f"{place}: found {given!r}, expected a {_TYPE_NAMES[wanted]}")
-    if name in _SWITCHES and not (given is None or type(given) is bool):
+    if name == "watch" and not (given is None or type(given) is bool):
         raise ConfigError(f"{place}: found {given!r}, expected true or false")
     if name in _TEXT_LISTS:
         if not (isinstance(given, list | tuple) and all(isinstance(item, str) for item in given)):
@@ -434,8 +425,6 @@ def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:
 
 
 _TEXT_LISTS = frozenset({"deny_in", "deny_out", "frames", "kinds"})
-#: Settings that are neither true nor false until somebody says so.
-_SWITCHES = frozenset({"diagnostics", "watch"})
 _TYPE_NAMES: dict[type, str] = {
     str: "text in quotes",
     bool: "true or false",

@@ -1,4 +1,7 @@
-"""The running bridge: both edges, the gateway and the recorder."""
+"""The running bridge: both edges, the gateway and the recorder.
+
+When it has stopped, its ``losses`` are the ledger of the session, with what does not close in it.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +25,14 @@ from igtl_gateway.app.recording import offer
 from igtl_gateway.app.video import Video
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
-from igtl_gateway.convert.common_msgs import CompressedImage, TFMessage
+from igtl_gateway.convert.common_msgs import CompressedImage, DiagnosticArray, TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList, MetadataItem
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import Limits, TcpEdge, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError
 from igtl_gateway.gateway import CUT, LINKS_TOPIC, LISTENED, Gateway, Session, gateway_of
+from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, PERIOD_NS, Diagnostics, PeerFacts
 from igtl_gateway.gateway.tf_out import TF_QOS
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
@@ -37,6 +41,7 @@ from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateRule
 from igtl_gateway.record.worker import RecordingSummary
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
 
 #: How closely the gateway's deadlines are kept: a ping or a time-out may be late by as much.
@@ -47,6 +52,9 @@ _FAULTY_TICK_S = 0.001
 
 #: QoS of topics that are recorded only: deep enough for a burst; reliability adapts to the publishers.
 _RECORDED = Qos(depth=100)
+
+#: QoS of /diagnostics, as the diagnostic updater has it.
+_DIAGNOSTICS = Qos(depth=10)
 
 #: Topics that `--record-all` leaves out, as `ros2 bag record --all` does: hidden ones and the graph's own chatter.
 _NEVER_RECORDED = ("/parameter_events", "/rosout", "**/_*")
@@ -77,6 +85,7 @@ class BridgeOptions:
         node_name: of the ROS node.
         recording: how to record.
         video: how ROS images are encoded as VIDEO (and VIDEO decoded), None to leave both alone.
+        diagnostics: tell ROS on /diagnostics, once a second, how everything is.
     """
 
     listen: tuple[Address, ...] = ()
@@ -92,6 +101,7 @@ class BridgeOptions:
     node_name: str = "igtl_gateway"
     recording: RecordOptions = field(default_factory=RecordOptions)
     video: VideoOptions | None = None
+    diagnostics: bool = False
 
 
 class Bridge:
@@ -124,6 +134,9 @@ class Bridge:
         self._timer = threading.Thread(target=self._tick, name="igtl-timer", daemon=True)
         self.commands: CommandService | None = None
         self.video: Video | None = None
+        self.losses: dict[str, Any] = {}
+        self._diagnostics: Diagnostics | None = None
+        self._diagnostics_due_ns = 0
         self._lane = Lane(self._publish)
         self._late_notes: deque[Note] = deque(maxlen=_LATE_NOTES)
         sinks: list[Sink] = [self._dispatch]
@@ -152,6 +165,8 @@ class Bridge:
             )
             if isinstance(self.gateway, Gateway) and not self._all_made:
                 self.gateway.heard = self._heard
+            if options.diagnostics and isinstance(self.gateway, Gateway):
+                self._diagnostics = Diagnostics(platform.node())
             if options.video:
                 self.video = Video(options.video, config, self.hub, self.ros)
 
@@ -198,6 +213,8 @@ class Bridge:
         ros.advertise(LINKS_TOPIC, LinkStatusList.TYPE, self.gateway.qos(LINKS_TOPIC) or _RECORDED)
         if self.gateway.config.publish_tf:
             ros.advertise("/tf", TFMessage.TYPE, TF_QOS["/tf"])
+        if self._diagnostics:
+            ros.advertise(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, _DIAGNOSTICS)
         if self.recorder:
             offer(ros, self.recorder)
         try:
@@ -225,8 +242,11 @@ class Bridge:
         self._tell_late_notes()
         if self.ros:
             self.ros.stop()
+        if not self.losses:
+            ledger = self.ledger()
+            self.losses = ledger | {"gaps": gaps(ledger)}
         if self.recorder and not self.summary:
-            self.summary = self.recorder.close(self.ledger())
+            self.summary = self.recorder.close(self.losses)
 
     def ledger(self) -> dict[str, Any]:
         """What became of every message, by stream: gateway and edges."""
@@ -236,17 +256,22 @@ class Bridge:
                 "sent_bytes": counts.sent_bytes,
                 "received_messages": counts.received_messages,
                 "received_bytes": counts.received_bytes,
+                "queued_messages": counts.queued_messages,
                 "dropped": dict(sorted(counts.dropped.items())),
                 "ignored": dict(sorted(counts.ignored.items())),
             }
             for link, counts in self.tcp.counters().items()
         }
         refused = self.tcp.refused()
-        return {
-            "streams": self.gateway.ledger.to_dict(),
-            "links": sent,
-            "ros_topics": self.ros.counters() if self.ros else {},
-        } | ({"refused": refused} if refused else {}) | ({"video": self.video.counters()} if self.video else {})
+        return (
+            {
+                "streams": self.gateway.ledger.to_dict(),
+                "links": sent,
+                "ros_topics": self.ros.counters() if self.ros else {},
+            }
+            | ({"refused": refused} if refused else {})
+            | ({"video": self.video.counters()} if self.video else {})
+        )
 
     def _from_ros(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> None:
         """A message that the ROS edge received: pictures for a video are encoded first."""
@@ -267,6 +292,37 @@ class Bridge:
         while not self._stopping.wait(_FAULTY_TICK_S if self.gateway.config.faults else _TICK_S):
             self.hub.tick()
             self._tell_late_notes()
+            if self._diagnostics and self._clock.monotonic_ns() >= self._diagnostics_due_ns:
+                self._diagnose(self._diagnostics)
+
+    def _diagnose(self, diagnostics: Diagnostics) -> None:
+        """Publish on /diagnostics, beside the log; in the timer's thread, under no lock that messages wait for."""
+        self._diagnostics_due_ns = self._clock.monotonic_ns() + PERIOD_NS
+        if not isinstance(self.gateway, Gateway) or not self.ros or not self.ros.heard(DIAGNOSTICS_TOPIC):
+            return
+        counters = self.tcp.counters()
+        peers = [
+            PeerFacts(
+                link.number,
+                link.peer,
+                link.role,
+                counts.sent_messages,
+                counts.received_messages,
+                counts.queued_messages,
+                sum(counts.dropped.values()),
+            )
+            for link in self.tcp.links()
+            if link.connected and (counts := counters.get(link.number))
+        ]
+        recorder = self.recorder.counters() if self.recorder else None
+        try:
+            streams, watched = self.gateway.ledger.to_dict(), self.gateway.guard.items()
+            told = diagnostics.array(self._clock.utc_ns(), streams, watched, peers, recorder)
+            self.ros.publish(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, told.pack(), _DIAGNOSTICS)
+        except Exception as error:  # a defect of ours must not cost the deadlines that this thread keeps
+            self._diagnostics = None
+            text = f"{DIAGNOSTICS_TOPIC} ends: {type(error).__name__}: {error}"
+            self.hub.note(Note(Level.ERROR, "internal_error", text))
 
     def _record(self, entry: Entry) -> None:
         if self.recorder:

@@ -31,6 +31,7 @@ from igtl_gateway.cli.common import (
     stop_event,
     with_routes,
 )
+from igtl_gateway.cli.losses import losses
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.config import AUTO, Config
 from igtl_gateway.convert.igtl_msgs import Query
@@ -73,6 +74,7 @@ What a device sends appears on /igtl/in/<device>/<kind>; what is published on /i
 
 _STATUS_EVERY_S = 0.5
 _MAX_EVENTS = 1000  # notes waiting to be printed; a flood of them must not cost memory
+_MAX_LOSSES = 20  # lines at the end; all are in the recording
 _MAX_CAUSES = 1000  # causes of notes told one by one: a peer that invents device names must not flood the terminal
 
 
@@ -94,6 +96,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--video-key-interval", type=int, default=30, metavar="N", help="frames between key frames (%(default)s)"
     )
     parser.add_argument("--no-ros", action="store_true", help="OpenIGTLink only")
+    parser.add_argument("--no-diagnostics", action="store_true", help="nothing on /diagnostics")
+    parser.add_argument("--no-watch", action="store_true", help="no notes on odd streams: units that jump, odd stamps")
     parser.add_argument(
         "--relay",
         action="store_true",
@@ -126,6 +130,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"--duration: found {options.duration:g}, expected a number of seconds above 0")
     listen, connect = addresses(options)
     config = with_routes(load_config(options.config), options)
+    config = replace(config, watch=False) if options.no_watch else config.watched()
     if options.relay or config.relay:
         config, listen = _relayed(config, options, listen, connect)
         options.no_ros = True
@@ -153,24 +158,27 @@ def run(options: argparse.Namespace) -> int:
                 node_name=options.node_name,
                 recording=how,
                 video=_video(options),
+                diagnostics=not (options.no_ros or options.no_diagnostics),
             ),
             clock,
             watch,
             window,
         )
+        status = Status(bridge, watch, clock)
+        metrics: MetricsServer | None = None
         try:
+            if options.metrics:  # before the recording: a port that is taken must not cost that of yesterday
+                metrics = _metrics(options, status)
             bridge.start()
         except Exception:
+            if metrics:
+                metrics.close()
             if window:
                 window.close()
             raise
         out: _Output = _JsonOutput(clock) if options.log_format == "json" else _TextOutput(sys.stdout.isatty())
         started_ns = clock.monotonic_ns()
-        status = Status(bridge, watch, clock)
-        metrics: MetricsServer | None = None
         try:
-            if options.metrics:
-                metrics = _metrics(options, status)
             with recording.steering(bridge.recorder) as keys:
                 out.started(bridge, config, [*notes, keys] if keys else notes, metrics)
                 calm_the_interpreter()
@@ -375,6 +383,11 @@ class _TextOutput:
                 + (f", LOST {lost:,}" if lost else "")
                 + (f": {summary.failure}" if summary.failure else "")
             )
+        lines = losses(bridge.losses)
+        for line in lines[:_MAX_LOSSES]:
+            print(f"  {line}")
+        if len(lines) > _MAX_LOSSES:
+            print(f"  … and {len(lines) - _MAX_LOSSES:,} more kinds of losses")
 
 
 class _JsonOutput:
@@ -428,7 +441,7 @@ class _JsonOutput:
                 "bytes": bridge.summary.size,
                 "failure": bridge.summary.failure,
             }
-        self._print("stopped", **told)
+        self._print("stopped", **told, ledger=bridge.losses)
 
 
 def mapping(config: Config) -> list[str]:

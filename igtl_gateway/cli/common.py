@@ -193,9 +193,9 @@ def load_config(path: Path | None) -> Config:
 
 def recorded_config(session: dict[str, str], path: Path | None = None) -> Config:
     """The configuration to run a recording with: of the file ``path`` if given, else the recorded one."""
-    if path:
-        return Config.from_toml(path)
     text = session.get("config")
+    if path:  # a file that does not speak of the watchers leaves them as they were that day
+        return Config.from_toml(path).watched(json.loads(text or "{}").get("watch"))
     if text is None:
         return Config()
     try:

@@ -13,26 +13,22 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.cli.common import count, print_json, size
+from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.replay.mcap_reader import PartSummary, SessionFile, recover_hint
 from igtl_gateway.replay.salvage import Salvage
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.session.timing import Timing, best
 from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
   igtl-gateway info out.mcap            streams, rates, gaps, errors, losses, peers, configuration
   igtl-gateway info out.mcap --json     the same for programs
   igtl-gateway info out                 a split recording: its parts as one, and what each of them holds"""
-
-_DIRECTIONS = {
-    Kind.IGTL_IN: "OpenIGTLink in",
-    Kind.IGTL_OUT: "OpenIGTLink out",
-    Kind.ROS_IN: "ROS in",
-    Kind.ROS_OUT: "ROS out",
-}
 
 #: A gap is a pause of more than so many mean intervals (and of more than a second).
 _GAP_FACTOR = 10
@@ -127,6 +123,8 @@ class Content:
     streams: dict[tuple[Kind, str, str], Stream] = field(default_factory=dict)
     notes: list[tuple[int, Kind, Note]] = field(default_factory=list)
     problems: Counter[str] = field(default_factory=Counter)
+    clocks: dict[int, dict[str, Timing]] = field(default_factory=dict)  # link (0: ROS) → stream → its stamps
+    addresses: dict[int, str] = field(default_factory=dict)
     entries: int = 0
 
     @classmethod
@@ -135,18 +133,41 @@ class Content:
         content = cls()
         for entry in entries:
             content.entries += 1
-            if entry.kind in _DIRECTIONS:
+            if entry.kind in DIRECTIONS:
                 key = (entry.kind, entry.channel, entry.type)
                 stream = content.streams.get(key)
                 if stream is None:
                     stream = content.streams[key] = Stream(*key)
                 stream.add(entry)
+                if entry.kind.is_input:
+                    content.time(entry)
             else:
                 note = Note.unpack(entry.data())
+                if entry.kind is Kind.LINK and "peer" in note.data:
+                    content.addresses.update(dict.fromkeys(entry.links, str(note.data["peer"])))
                 if note.level >= Level.WARN:
                     content.problems[note.code] += 1
                 content.notes.append((entry.stamp_ns, entry.kind, note))
         return content
+
+    def time(self, entry: Entry) -> None:
+        """Take the stamp of an input for what it tells of its sender's clock."""
+        streams = self.clocks.setdefault(entry.links[0] if entry.links else 0, {})
+        timing = streams.get(entry.channel)
+        if timing is None:
+            timing = streams[entry.channel] = Timing()
+        timing.add(entry.source_ns, entry.stamp_ns)
+
+    def told_clocks(self) -> list[dict[str, Any]]:
+        """For each peer what the best of its streams tells; ROS is one."""
+        told = []
+        for link, streams in sorted(self.clocks.items()):
+            timing = best(streams.values())
+            if timing:
+                stream = next(name for name, one in streams.items() if one is timing)
+                peer = self.addresses.get(link, "ROS" if link == 0 else "")
+                told.append({"link": link, "peer": peer, "stream": stream, "text": str(timing)} | timing.to_dict())
+        return told
 
 
 def run(options: argparse.Namespace) -> int:
@@ -202,8 +223,10 @@ def _told(path: Path, file: SessionFile | Salvage, content: Content, start_ns: i
             for stamp_ns, kind, note in content.notes
             if kind is Kind.LINK
         ],
+        "clocks": content.told_clocks(),
         "session": file.session,
         "ledger": file.ledger,
+        "gaps": gaps(file.ledger or {}),
     }
 
 
@@ -219,7 +242,7 @@ def _part(part: PartSummary) -> dict[str, Any]:
 
 def _order(item: tuple[tuple[Kind, str, str], Stream]) -> tuple[int, str, str]:
     kind, channel, type_name = item[0]
-    return list(_DIRECTIONS).index(kind), channel, type_name
+    return list(DIRECTIONS).index(kind), channel, type_name
 
 
 def _utc(stamp_ns: int) -> str:
@@ -261,9 +284,10 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
     _print_streams(told["streams"])
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
+        ("clocks", [f"{_peer(clock)} by {clock['stream']}: {clock['text']}" for clock in told["clocks"]]),
         ("problems", [f"{number:>7,}  {code}" for code, number in told["problems"].items()] or ["   none"]),
         ("first of each problem", _firsts(notes, start_ns)),
-        ("losses", _losses(told["ledger"])),
+        ("losses", losses(told["ledger"]) or ["   none"]),
         (
             "skipped",
             [f"{each['topic']} ({count(each['count'], 'message')}): {each['why']}" for each in told["skipped"]],
@@ -305,13 +329,17 @@ def _print_streams(streams: list[dict[str, Any]]) -> None:
     for stream in streams:
         if stream["direction"] != direction:
             direction = stream["direction"]
-            print(f"  {_DIRECTIONS[Kind(direction)]}")
+            print(f"  {DIRECTIONS[Kind(direction)]}")
         rate = f"{stream['rate_hz']:.1f} Hz" if stream["rate_hz"] else ""
         gap = f"GAP of {stream['longest_pause_s']:.1f} s" if stream["gap"] else ""
         ros_type = stream["type"] if "/" in stream["type"] else ""
         facts = ", ".join(fact for fact in (ros_type, stream["stamps"], gap) if fact)
         counts = f"{stream['messages']:>7,} {rate:>10} {size(stream['bytes']):>9}"
         print(f"    {stream['stream']:<{width}} {counts}  {facts}".rstrip())
+
+
+def _peer(clock: dict[str, Any]) -> str:
+    return f"link {clock['link']} {clock['peer']}".rstrip() if clock["link"] else clock["peer"]
 
 
 def _line(stamp_ns: int, note: Note, start_ns: int) -> str:
@@ -324,47 +352,3 @@ def _firsts(notes: list[tuple[int, Kind, Note]], start_ns: int) -> list[str]:
         if note.level >= Level.WARN and note.code not in firsts:
             firsts[note.code] = _line(stamp_ns, note, start_ns)
     return list(firsts.values())
-
-
-#: What the ledger calls it → what people call it; the codes of refused messages stand for themselves.
-_REASONS = {
-    "no_peer": "no OpenIGTLink peer was connected",
-    "no_conversion": "has no conversion to ROS",
-    "empty": "empty body, nothing to publish",
-    "too_many_streams": "more streams than allowed",
-    "conversion": "could not be converted",
-}
-
-
-def _side(direction: str) -> str:
-    return _DIRECTIONS[Kind(direction)] if direction in {kind.value for kind in _DIRECTIONS} else direction
-
-
-def _losses(ledger: dict[str, Any] | None) -> list[str]:
-    if ledger is None:
-        return ["   unknown: the recording has no ledger"]
-    lines = []
-    if layout.CUT_OFF_KEY in ledger:
-        lines.append("   unknown: the bridge was killed; its recorder wrote all that it was given, and closed the file")
-    recovered = ledger.get("recovered")
-    if recovered:
-        places = len(recovered["lost"]) + recovered["more_lost"]
-        lines.append(
-            f"recovered from {recovered['from']} by {recovered['by']}: "
-            + ("nothing was lost" if recovered["whole"] else f"lost in {count(places, 'place')}, see --json")
-        )
-        if "streams" not in ledger:
-            lines.append("   unknown: the recording was not closed, so it has no counts")
-    for direction, streams in ledger.get("streams", {}).items():
-        for stream, fates in streams.items():
-            for reason, number in fates.get("dropped", {}).items():
-                lines.append(f"{number:>7,}  {_side(direction)} {stream}: {_REASONS.get(reason, reason)}")
-    for link, fates in ledger.get("links", {}).items():
-        peer = "links that are gone" if link == "0" else f"link {link}"
-        for fate, reason in (("dropped", "send queue full, or link closed"), ("ignored", "the link was gone already")):
-            for stream, number in fates.get(fate, {}).items():
-                lines.append(f"{number:>7,}  to {peer}, {stream}: {reason}")
-    recorder = ledger.get("recorder", {})
-    if recorder.get("dropped_entries"):
-        lines.append(f"{recorder['dropped_entries']:>7,}  entries that the recorder could not keep up with")
-    return lines or ["   none"]

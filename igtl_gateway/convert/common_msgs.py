@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.convert.cdr import Writer, stamped_pose
+from igtl_gateway.convert.cdr import Reader, Writer, stamped_pose
 from igtl_gateway.convert.igtl_msgs import HEADER, Pose
-from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
 from igtl_gateway.convert.structs import (
     BOOL,
     OCTETS,
@@ -210,3 +210,33 @@ MULTI_ARRAYS: dict[str, type[MultiArray]] = {
         *(("Int32", "int32"), ("UInt32", "uint32"), ("Float32", "float32"), ("Float64", "float64")),
     )
 }
+
+
+def _write_status(out: Writer, status: DiagnosticStatus) -> None:
+    out.u8(status.level)
+    for text in (status.name, status.message, status.hardware_id):
+        out.string(text)
+    out.u32(len(status.values))
+    for pair in status.values:
+        for text in pair:
+            out.string(text)
+
+
+def _read_status(read: Reader) -> DiagnosticStatus:
+    level, name, message, hardware = read.u8(), read.string(), read.string(), read.string()
+    return DiagnosticStatus(
+        level, name, message, hardware, tuple((read.string(), read.string()) for _ in range(read.count()))
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosticArray(Struct):
+    """diagnostic_msgs/msg/DiagnosticArray."""
+
+    TYPE: ClassVar[str] = "diagnostic_msgs/msg/DiagnosticArray"
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (
+        HEADER,
+        several(CdrType("diagnostic_msgs/DiagnosticStatus", _write_status, _read_status)),
+    )
+    header: Header
+    status: tuple[DiagnosticStatus, ...]

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.config import MAX_TIMEOUT_S, Config
@@ -44,7 +45,7 @@ from igtl_gateway.gateway.streams import Streams, ToIgtlStream, ToRosStream
 from igtl_gateway.gateway.tf_out import TF_QOS, TF_TOPICS, TfOut
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import Ledger
+from igtl_gateway.session.ledger import PEERS, Ledger
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S, ticks_to_ns
 from igtl_gateway.wire import Header, Message, Raw, decode, encode
@@ -161,6 +162,11 @@ class Gateway:
     def keep(self, entry: Entry) -> bool:
         """Whether an outgoing OpenIGTLink message must not be dropped at a full send queue."""
         return _is_kept(entry.type)
+
+    @property
+    def guard(self) -> Guard:
+        """What is known of the streams' stamps."""
+        return self._guard
 
     @property
     def due_ns(self) -> int | None:
@@ -650,9 +656,14 @@ class Gateway:
                 continue
             sent = send(out, peers, entry.stamp_ns, asked=asked)
             for reply in sent.replies:
-                self.ledger.count(_OUT, reply.channel, "sent", len(reply.links))
+                self._count_sent(reply.channel, reply.links)
             replies += sent.replies + self._held_back(entry, sent)
         return replies
+
+    def _count_sent(self, channel: str, links: Sequence[int]) -> None:
+        self.ledger.count(_OUT, channel, "sent", len(links))
+        for link in links:
+            self._peers[link].sent += 1
 
     def _held_back(self, entry: Entry, sent: Sent) -> list[Reply]:
         replies = self._warnings(sent.warnings, entry) if sent.warnings else []
@@ -765,7 +776,7 @@ class Gateway:
             return []
         self.ledger.count(_ROS_IN, topic, "converted")
         channel = f"{igtl_type}/{visible(header.device_name)}"
-        self.ledger.count(_OUT, channel, "sent", len(links))
+        self._count_sent(channel, links)
         return [Reply(Kind.IGTL_OUT, channel, igtl_type, (data,), tuple(links), ticks_to_ns(header.ticks))]
 
     def _denied_raw(self, igtl_type: str, data: Buffer) -> bool:
@@ -843,6 +854,7 @@ class Gateway:
             if told.code == LINK_UP:
                 replies += self._welcome(entry, self._peers.up(link, told.data, entry.stamp_ns))
             else:
+                self._settle(link, told.data)
                 self._peers.down(link)
                 self._said = {said for said in self._said if said[2] != link}
                 self._from_peers.gone(link)
@@ -850,6 +862,20 @@ class Gateway:
                 for pending in self._to_peers.gone(link):
                     replies += self._tell(entry, pending, CommandReply.NO_PEER, "the peer has gone")
         return [*replies, self._links(entry.stamp_ns)]
+
+    def _settle(self, link: int, counts: dict[str, Any]) -> None:
+        """What became of all that was sent to a peer that has gone, as its link counted it."""
+        peer = self._peers.get(link)
+        if peer is None or not isinstance(delivered := counts.get("sent_messages"), int):
+            return
+        row = f"{link} {peer.address}"
+        self.ledger.count(PEERS, row, "sent", peer.sent)
+        self.ledger.count(PEERS, row, "delivered", delivered)
+        dropped = sum(counts.get("dropped", {}).values())
+        gone = peer.sent - delivered - dropped  # sent while the link was closing: it took them no more
+        for reason, number in (("queue", dropped), ("link_closed", gone)):
+            if number > 0:
+                self.ledger.drop(PEERS, row, reason, number)
 
     def _welcome(self, entry: Entry, peer: Peer) -> list[Reply]:
         """Plans and surfaces are said once: whoever comes later gets the last of each, as a late subscriber of a

@@ -104,6 +104,11 @@ class Watched:
         self._stale_since_ns = 0
         self._unknown_said = False
 
+    @property
+    def age_ns(self) -> int | None:
+        """How old the last message was that was looked at; None without a stamp, or before the first."""
+        return self.arrived_ns - self._seen_ns if self._seen_ns not in (0, self.arrived_ns) else None
+
     # -- maximum age --------------------------------------------------------------------------------------------
 
     def judge(self, now_ns: int, own_ns: int) -> tuple[bool, list[Finding]]:
@@ -246,12 +251,8 @@ class Guard:
             del self._streams[key]
 
     def items(self) -> Iterable[tuple[tuple[int, str], Watched]]:
-        """Link and name → stream, in the order in which they came."""
-        return self._streams.items()
-
-    def get(self, link: int, stream: str) -> Watched | None:
-        """A stream that was met."""
-        return self._streams.get((link, stream))
+        """Link and name → stream, in the order in which they came; for any thread."""
+        return list(self._streams.items())
 
 
 def is_unit_jump(before: Sequence[float], after: Sequence[float]) -> bool:

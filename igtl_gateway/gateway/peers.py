@@ -45,6 +45,7 @@ class Peer:
         chosen: whether the configuration chose that.
         shown: highest header version received.
         said_ns: gateway time of the last message to it.
+        sent: messages to it so far.
         wishes: by (type, device name asked for).
     """
 
@@ -55,6 +56,7 @@ class Peer:
     chosen: bool
     shown: int = 0
     said_ns: int = 0
+    sent: int = 0
     wishes: dict[tuple[str, str], Wish] = field(default_factory=dict)
 
     @property

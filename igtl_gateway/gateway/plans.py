@@ -248,6 +248,7 @@ class ToIgtlPlan:
         count["converted"] = count.get("converted", 0) + 1
         for peer in self._peers:
             peer.said_ns = stamp_ns
+            peer.sent += 1
         entry = self._latest[channel] = Entry(seq, stamp_ns, Kind.ROS_IN, channel, ros_type, payload, (), source_ns)
         entries = [entry]
         step = 0

@@ -1,12 +1,27 @@
-"""The loss ledger: what became of every message, by stream.
+"""The loss ledger: what became of every message, by stream and by peer.
 
-For each stream that comes in, ``received = converted + recorded_only + unheard + the sum of dropped``: whatever is not
-accounted for is a bug that the ledger shows.  (``unheard``: nobody in ROS listened, and nothing is recorded.)
+* Each stream that comes in: ``received = converted + unheard + recorded_only + relayed + the sum of dropped``.
+  (``unheard``: nobody in ROS listened, and nothing is recorded; what was refused is dropped with its reason.)
+* Each peer that has gone: ``sent = delivered to its socket + the sum of dropped``.
+* All peers together: what the gateway sent is what their links delivered, dropped, ignored and still have queued, and
+  what the links received is what the gateway received.
+
+Whatever is not accounted for is a defect of ours, which ``gaps`` finds.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
+
+#: What became of a message that came in, beside being dropped.
+_FATES = ("converted", "unheard", "recorded_only", "relayed")
+
+#: What a link must have counted for the sums over all of them.
+_LINK_COUNTS = frozenset({"sent_messages", "received_messages", "dropped", "ignored"})
+
+#: Section of the ledger with one row for each peer that has gone: ``"link address"``.
+PEERS = "peers"
 
 #: Streams counted one by one in each direction; a peer that invents names adds to ``OTHERS`` beyond that.
 MAX_STREAMS = 2_000
@@ -63,3 +78,41 @@ class Ledger:
             if fates:
                 told.setdefault(direction, {})[stream] = fates
         return told
+
+
+def gaps(told: Mapping[str, Any]) -> list[str]:
+    """What does not close in the ledger of a session that is over, one sentence each.
+
+    Args:
+        told: as a recording has it: ``{"streams": Ledger.to_dict(), "links": {number: counts}, …}``; what a recording
+            from before there were such counts does not have is not asked for.
+    """
+    streams = told.get("streams", {})
+    found = []
+    for direction in ("igtl_in", "ros_in"):
+        for stream, fates in streams.get(direction, {}).items():
+            received = fates.get("received", 0)
+            known = sum(fates.get(fate, 0) for fate in _FATES) + _dropped(fates)
+            if received != known:
+                found.append(f"{direction} {stream}: received {received:,}, accounted for {known:,}")
+    for peer, fates in streams.get(PEERS, {}).items():
+        sent, known = fates.get("sent", 0), fates.get("delivered", 0) + _dropped(fates)
+        if sent != known:
+            found.append(f"to peer {peer}: sent {sent:,}, accounted for {known:,}")
+    links = told.get("links", {}).values()
+    if not links or not all(link.keys() >= _LINK_COUNTS for link in links):
+        return found
+    sent = sum(fates.get("sent", 0) for fates in streams.get("igtl_out", {}).values())
+    known = sum(link["sent_messages"] + link.get("queued_messages", 0) for link in links)
+    known += sum(sum(link[lost].values()) for link in links for lost in ("dropped", "ignored"))
+    if sent != known:
+        found.append(f"to all peers: sent {sent:,}, accounted for {known:,}")
+    received = sum(fates.get("received", 0) for fates in streams.get("igtl_in", {}).values())
+    known = sum(link["received_messages"] for link in links)
+    if received != known:
+        found.append(f"from all peers: the links received {known:,}, the gateway {received:,}")
+    return found
+
+
+def _dropped(fates: Mapping[str, Any]) -> int:
+    return sum(fates.get("dropped", {}).values())

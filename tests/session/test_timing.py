@@ -8,9 +8,7 @@ from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 T0_NS = 1_767_225_600_000_000_000
 
 
-def heard(
-    messages: int, *, offset_ns: int = 0, ppm: int = 0, step_ns: int = 1, every_ns: int = 10_370_007
-) -> Timing:
+def heard(messages: int, *, offset_ns: int = 0, ppm: int = 0, step_ns: int = 1, every_ns: int = 10_370_007) -> Timing:
     """A sender whose clock is behind by so much; latency of 2 ms and up to 4.9 ms more, in a pattern."""
     timing = Timing()
     for index in range(messages):

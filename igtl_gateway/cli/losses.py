@@ -1,0 +1,66 @@
+"""The loss ledger of a session as lines for people: at the end of a bridge, and of a recording."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from igtl_gateway.cli.common import count
+from igtl_gateway.session import layout
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.ledger import PEERS, gaps
+
+#: What the log calls it → what people call it.
+DIRECTIONS = {
+    Kind.IGTL_IN: "OpenIGTLink in",
+    Kind.IGTL_OUT: "OpenIGTLink out",
+    Kind.ROS_IN: "ROS in",
+    Kind.ROS_OUT: "ROS out",
+}
+
+#: What the ledger calls it → what people call it; the codes of refused messages stand for themselves.
+_REASONS = {
+    "no_peer": "no OpenIGTLink peer was connected",
+    "no_conversion": "has no conversion to ROS",
+    "empty": "empty body, nothing to publish",
+    "too_many_streams": "more streams than allowed",
+    "conversion": "could not be converted",
+    "denied": "denied by the configuration",
+    "not_finite": "numbers that are NaN or infinite",
+    "stale": "older than max_age_s",
+}
+
+
+def _side(direction: str) -> str:
+    return DIRECTIONS[Kind(direction)] if direction in {kind.value for kind in DIRECTIONS} else direction
+
+
+def losses(ledger: dict[str, Any] | None) -> list[str]:
+    """What was lost, and what does not close; nothing where there is nothing to be told."""
+    if ledger is None:
+        return ["   unknown: the recording has no ledger"]
+    lines = []
+    if layout.CUT_OFF_KEY in ledger:
+        lines.append("   unknown: the bridge was killed; its recorder wrote all that it was given, and closed the file")
+    recovered = ledger.get("recovered")
+    if recovered:
+        places = len(recovered["lost"]) + recovered["more_lost"]
+        lines.append(
+            f"recovered from {recovered['from']} by {recovered['by']}: "
+            + ("nothing was lost" if recovered["whole"] else f"lost in {count(places, 'place')}, see --json")
+        )
+        if "streams" not in ledger:
+            lines.append("   unknown: the recording was not closed, so it has no counts")
+    lines += [f"DOES NOT CLOSE: {gap}" for gap in gaps(ledger)]
+    for direction, streams in ledger.get("streams", {}).items():
+        for stream, fates in streams.items() if direction != PEERS else ():  # they are told with their links
+            for reason, number in fates.get("dropped", {}).items():
+                lines.append(f"{number:>7,}  {_side(direction)} {stream}: {_REASONS.get(reason, reason)}")
+    for link, fates in ledger.get("links", {}).items():
+        peer = "links that are gone" if link == "0" else f"link {link}"
+        for fate, reason in (("dropped", "send queue full, or link closed"), ("ignored", "the link was gone already")):
+            for stream, number in fates.get(fate, {}).items():
+                lines.append(f"{number:>7,}  to {peer}, {stream}: {reason}")
+    recorder = ledger.get("recorder", {})
+    if recorder.get("dropped_entries"):
+        lines.append(f"{recorder['dropped_entries']:>7,}  entries that the recorder could not keep up with")
+    return lines

@@ -1,0 +1,163 @@
+"""What ``/diagnostics`` says: one status for each stream that comes in, for each peer, and for the recorder.
+
+Made from the ledger and the guard once a second, beside the session log: counts of a whole session would differ in
+every slice, part or lossy recording of it, and a verification could never tell that from a defect.  Pure: time and
+counts are arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from igtl_gateway.convert.common_msgs import DiagnosticArray
+from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
+from igtl_gateway.gateway.guard import Watched
+from igtl_gateway.session.timing import best
+from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+
+DIAGNOSTICS_TOPIC = "/diagnostics"
+PERIOD_NS = NS_PER_S
+
+OK, WARN, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
+
+#: A stream that had a rhythm and is silent for so long is stale.
+SILENT_NS = 5 * NS_PER_S
+#: Messages in one period that are a rhythm.
+_RHYTHM_HZ = 1.0
+#: Streams with a status of their own; 256 of them are 60 kB a second and 3 ms to make.
+MAX_STREAMS = 256
+#: Reasons that are no trouble: nobody was there, or nobody wanted it.
+_HARMLESS = frozenset({"no_peer", "not_chosen", "not_wanted", "not_for_peer", "part_of_volume", "empty", "denied"})
+
+_SIDES = {"igtl_in": "OpenIGTLink", "ros_in": "ROS"}
+
+
+@dataclass(frozen=True, slots=True)
+class PeerFacts:
+    """What the TCP edge knows of a peer: its link, address, and what its link sent, has queued and dropped."""
+
+    link: int
+    address: str
+    role: str
+    sent: int = 0
+    received: int = 0
+    queued: int = 0
+    dropped: int = 0
+
+
+@dataclass(slots=True)
+class _Seen:
+    """A stream when it was last told of."""
+
+    received: int = 0
+    troubles: int = 0
+    moved_ns: int = 0  # when messages were last seen to have come
+    rhythm: bool = False
+
+
+class Diagnostics:
+    """The statuses of a session; each call tells what happened since the one before."""
+
+    def __init__(self, hardware_id: str) -> None:
+        self._hardware_id = hardware_id
+        self._seen: dict[tuple[str, str], _Seen] = {}
+        self._dropped: dict[str, int] = {}  # of peers and of the recorder, by name
+        self._last_ns = 0
+
+    def array(
+        self,
+        now_ns: int,
+        streams: Mapping[str, Mapping[str, Any]],
+        watched: Iterable[tuple[tuple[int, str], Watched]],
+        peers: Iterable[PeerFacts],
+        recorder: Mapping[str, Any] | None,
+    ) -> DiagnosticArray:
+        """The message for this moment.
+
+        Args:
+            now_ns: UTC ns.
+            streams: the ledger, as ``Ledger.to_dict`` gives it.
+            watched: (link, stream) and what the guard knows of it.
+            peers: those that are there.
+            recorder: its counters, None where nothing is recorded.
+        """
+        seconds = (now_ns - self._last_ns) / NS_PER_S if self._last_ns else 0.0
+        self._last_ns = now_ns
+        by_stream: dict[tuple[str, str], list[Watched]] = {}
+        by_link: dict[int, list[Watched]] = {}
+        for (link, stream), one in watched:
+            by_stream.setdefault(("igtl_in" if link else "ros_in", stream), []).append(one)
+            by_link.setdefault(link, []).append(one)
+        statuses = [self._recorder(recorder)]
+        statuses += [self._peer(peer, by_link.get(peer.link, [])) for peer in peers]
+        rows = [(side, stream, fates) for side in _SIDES for stream, fates in streams.get(side, {}).items()]
+        for side, stream, fates in rows[:MAX_STREAMS]:
+            statuses.append(self._stream(now_ns, seconds, side, stream, fates, by_stream.get((side, stream), [])))
+        if len(rows) > MAX_STREAMS:
+            text = f"{len(rows) - MAX_STREAMS:,} further streams have no status"
+            statuses.append(DiagnosticStatus(WARN, "igtl_gateway: further streams", text, self._hardware_id))
+        return DiagnosticArray(Header(now_ns, ""), tuple(statuses))
+
+    def _stream(
+        self, now_ns: int, seconds: float, side: str, stream: str, fates: Mapping[str, Any], watched: list[Watched]
+    ) -> DiagnosticStatus:
+        seen = self._seen.setdefault((side, stream), _Seen(moved_ns=now_ns))
+        received, dropped = fates.get("received", 0), fates.get("dropped", {})
+        rate_hz = (received - seen.received) / seconds if seconds else 0.0
+        troubles = sum(number for reason, number in dropped.items() if reason not in _HARMLESS)
+        fresh_troubles, seen.troubles = troubles - seen.troubles, troubles
+        if received != seen.received:
+            seen.moved_ns, seen.received = now_ns, received
+        seen.rhythm = seen.rhythm or rate_hz >= _RHYTHM_HZ
+        silent_ns = now_ns - seen.moved_ns
+        stale = [one for one in watched if one.stale]
+        odd = sorted({code for one in watched for code in one.episodes})
+        if stale:
+            level, text = ERROR, f"stale: {sum(one.stale for one in stale):,} messages withheld so far (max_age_s)"
+        elif fresh_troubles > 0:
+            reasons = ", ".join(reason for reason in dropped if reason not in _HARMLESS)
+            level, text = ERROR, f"{fresh_troubles:,} messages lost in the last second: {reasons}"
+        elif odd:
+            level, text = WARN, ", ".join(odd)
+        elif seen.rhythm and silent_ns >= SILENT_NS:
+            level, text = STALE, f"no message for {silent_ns / NS_PER_S:.0f} s"
+        else:
+            level, text = OK, f"{rate_hz:.1f} Hz"
+        values = [("frequency_hz", f"{rate_hz:.2f}"), ("silent_s", f"{silent_ns / NS_PER_S:.1f}")]
+        newest = max(watched, key=lambda one: one.arrived_ns, default=None)
+        if newest and (age_ns := newest.age_ns) is not None:
+            values.append(("last_age_ms", f"{age_ns / NS_PER_MS:.3f}"))
+        values += [(fate, f"{number}") for fate, number in fates.items() if fate != "dropped"]
+        values += [(f"dropped.{reason}", f"{number}") for reason, number in dropped.items()]
+        return DiagnosticStatus(level, f"igtl_gateway: {_SIDES[side]} {stream}", text, self._hardware_id, tuple(values))
+
+    def _peer(self, peer: PeerFacts, watched: list[Watched]) -> DiagnosticStatus:
+        name = f"igtl_gateway: peer {peer.link} {peer.address}"
+        lost = self._more(name, peer.dropped)
+        clock = best(one.timing for one in watched)
+        level, text = (ERROR, f"reads too slowly: {lost:,} messages dropped") if lost else (OK, "connected")
+        if not lost and clock and clock.future:
+            level, text = WARN, "its stamps are in the future"
+        values = [(key, f"{getattr(peer, key)}") for key in ("role", "received", "sent", "queued", "dropped")]
+        if clock:
+            values.append(("clock", str(clock)))
+        return DiagnosticStatus(level, name, text, peer.address, tuple(values))
+
+    def _recorder(self, counters: Mapping[str, Any] | None) -> DiagnosticStatus:
+        name = "igtl_gateway: recorder"
+        if counters is None:
+            return DiagnosticStatus(OK, name, "not recording", self._hardware_id)
+        lost = self._more(name, counters["dropped_entries"])
+        level, text = (ERROR, f"lost {lost:,} entries") if lost else (OK, "recording")
+        if counters["failure"]:
+            level, text = ERROR, str(counters["failure"])
+        keys = ("written_entries", "queued_entries", "dropped_entries", "left_out_entries")
+        values = tuple((key, f"{counters[key]}") for key in keys if key in counters)
+        return DiagnosticStatus(level, name, text, self._hardware_id, values)
+
+    def _more(self, name: str, number: int) -> int:
+        """By how much a count has grown."""
+        before, self._dropped[name] = self._dropped.get(name, 0), number
+        return number - before

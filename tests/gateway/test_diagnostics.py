@@ -1,0 +1,90 @@
+"""/diagnostics: levels by what happened since the last time, on manual time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from igtl_gateway.config import Config, ToRosRow
+from igtl_gateway.convert.common_msgs import DiagnosticArray
+from igtl_gateway.convert.rosmsg import DiagnosticStatus
+from igtl_gateway.gateway.diagnostics import ERROR, MAX_STREAMS, OK, STALE, WARN, Diagnostics, PeerFacts
+from igtl_gateway.stamp import NS_PER_S
+from tests.gateway.test_guard import pose
+from tests.script import Script
+
+STREAM = "igtl_gateway: OpenIGTLink TRANSFORM/Tool"
+
+
+class Told:
+    """A session, and what is told of it."""
+
+    def __init__(self, config: Config) -> None:
+        self.script = Script(config)
+        self.diagnostics = Diagnostics("host")
+        self.peers: list[PeerFacts] = []
+        self.recorder: dict[str, Any] | None = None
+
+    def __call__(self) -> dict[str, DiagnosticStatus]:
+        """The statuses by name, as a subscriber reads them; then a second passes."""
+        gateway = self.script.gateway
+        streams, watched = gateway.ledger.to_dict(), gateway.guard.items()
+        array = self.diagnostics.array(self.script.now_ns, streams, watched, self.peers, self.recorder)
+        assert DiagnosticArray.unpack(array.pack()) == array
+        self.script.now_ns += NS_PER_S
+        return {status.name: status for status in array.status}
+
+
+def test_a_stream_is_ok_then_stale_then_silent() -> None:
+    told = Told(Config(watch=True, to_ros=(ToRosRow(max_age_s=0.5),)))
+    told.script.up(1)
+    told()
+    for _ in range(10):
+        told.script.igtl(pose(told.script.now_ns - 5_000_000))
+    status = told()[STREAM]
+    assert (status.level, status.hardware_id) == (OK, "host")
+    values = dict(status.values)
+    assert (values["received"], values["converted"], values["last_age_ms"]) == ("10", "10", "6.000")
+    assert 9.0 < float(values["frequency_hz"]) < 10.0
+    told.script.igtl(pose(told.script.now_ns - NS_PER_S))
+    assert (told()[STREAM].level, told()[STREAM].level) == (ERROR, ERROR)  # until it is fresh again
+    told.script.igtl(pose(told.script.now_ns))
+    assert told()[STREAM].level == OK
+    for _ in range(3):
+        told.script.igtl(pose(told.script.now_ns))
+    assert [told()[STREAM].level for _ in range(8)] == [OK] * 5 + [STALE] * 3
+
+
+def test_what_is_lost_is_an_error_once_and_what_nobody_wants_is_none() -> None:
+    told = Told(Config())
+    told()
+    told.script.igtl(pose(told.script.now_ns, (float("nan"), 0.0, 0.0)))
+    status = told()[STREAM]
+    assert status.level == ERROR and "not_finite" in status.message
+    assert dict(status.values)["dropped.not_finite"] == "1"
+    assert told()[STREAM].level == OK
+
+
+def test_peers_and_the_recorder_have_statuses() -> None:
+    told = Told(Config(watch=True))
+    told.script.up(1)
+    told.script.igtl(pose(told.script.now_ns + NS_PER_S))
+    told.peers = [PeerFacts(1, "10.0.0.1:5", "server", sent=7), PeerFacts(2, "10.0.0.2:5", "client", dropped=3)]
+    told.recorder = {"dropped_entries": 0, "written_entries": 5, "failure": ""}
+    by_name = told()
+    one, two = by_name["igtl_gateway: peer 1 10.0.0.1:5"], by_name["igtl_gateway: peer 2 10.0.0.2:5"]
+    assert (one.level, one.hardware_id, two.level) == (WARN, "10.0.0.1:5", ERROR)
+    assert "(not separable)" in dict(one.values)["clock"] and dict(one.values)["sent"] == "7"
+    assert by_name["igtl_gateway: recorder"].level == OK
+    told.recorder = {"dropped_entries": 2, "written_entries": 5, "failure": ""}
+    by_name = told()
+    assert by_name["igtl_gateway: recorder"].message == "lost 2 entries"
+    assert by_name["igtl_gateway: peer 2 10.0.0.2:5"].level == OK  # none since
+    told.recorder = {"dropped_entries": 2, "written_entries": 5, "failure": "disk full"}
+    assert told()["igtl_gateway: recorder"].message == "disk full"
+
+
+def test_more_streams_than_anybody_reads_are_told_as_one() -> None:
+    streams = {"ros_in": {f"/t{number}": {"received": 1} for number in range(MAX_STREAMS + 5)}}
+    array = Diagnostics("host").array(NS_PER_S, streams, [], [], None)
+    assert len(array.status) == MAX_STREAMS + 2
+    assert (array.status[-1].level, array.status[-1].message) == (WARN, "5 further streams have no status")
