@@ -10,7 +10,6 @@ import os
 import platform
 import sys
 import threading
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -20,7 +19,6 @@ from typing import Any
 from igtl_gateway import __version__
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
 from igtl_gateway.app.hub import Hub, Sink
-from igtl_gateway.app.lane import Lane
 from igtl_gateway.app.recording import offer
 from igtl_gateway.app.video import Video
 from igtl_gateway.clock import Clock
@@ -58,9 +56,6 @@ _DIAGNOSTICS = Qos(depth=10)
 
 #: Topics that `--record-all` leaves out, as `ros2 bag record --all` does: hidden ones and the graph's own chatter.
 _NEVER_RECORDED = ("/parameter_events", "/rosout", "**/_*")
-
-#: Notes of the lane for large messages that wait for the timer: failures, each told once for a topic.
-_LATE_NOTES = 1_000
 
 #: Types that the bridge itself reads on their way to ROS: replies for the service, frames to be decoded.
 _OWN_USE = frozenset({CommandReply.TYPE, CompressedImage.TYPE})
@@ -137,8 +132,6 @@ class Bridge:
         self.losses: dict[str, Any] = {}
         self._diagnostics: Diagnostics | None = None
         self._diagnostics_due_ns = 0
-        self._lane = Lane(self._publish)
-        self._late_notes: deque[Note] = deque(maxlen=_LATE_NOTES)
         sinks: list[Sink] = [self._dispatch]
         if options.record:
             sinks.append(self._record)
@@ -238,8 +231,6 @@ class Bridge:
         if self.video:
             self.video.stop()
         self.tcp.stop()
-        self._lane.stop()
-        self._tell_late_notes()
         if self.ros:
             self.ros.stop()
         if not self.losses:
@@ -291,7 +282,6 @@ class Bridge:
         """Keep the gateway's deadlines."""
         while not self._stopping.wait(_FAULTY_TICK_S if self.gateway.config.faults else _TICK_S):
             self.hub.tick()
-            self._tell_late_notes()
             if self._diagnostics and self._clock.monotonic_ns() >= self._diagnostics_due_ns:
                 self._diagnose(self._diagnostics)
 
@@ -333,10 +323,9 @@ class Bridge:
         if entry.kind is Kind.IGTL_OUT:
             self.tcp.send(entry.links, entry.payload, entry.channel, self.gateway.keep(entry))
         elif entry.kind is Kind.ROS_OUT and self.ros:
-            if self._lane.is_for(entry):
-                self._lane.put(entry)
-            else:
-                self._publish(entry)
+            qos = self.gateway.qos(entry.channel) or _RECORDED
+            if not (self._all_made and self.ros.pass_over(entry.channel, qos)):
+                self.ros.publish(entry.channel, entry.type, entry.data(), qos)
             if self.commands:
                 self.commands.watch(entry)
             if self.video:
@@ -345,12 +334,6 @@ class Bridge:
             note = Note.unpack(entry.data())
             if note.code == CUT:
                 self.tcp.disconnect(entry.links, note.text)
-
-    def _publish(self, entry: Entry) -> None:
-        """A message to ROS: under the hub's lock, or large ones in their lane."""
-        qos = self.gateway.qos(entry.channel) or _RECORDED
-        if self.ros and not (self._all_made and self.ros.pass_over(entry.channel, qos)):
-            self.ros.publish(entry.channel, entry.type, entry.data(), qos)
 
     def wanted(self, topic: str, ros_type: str) -> Qos | None:
         """How to subscribe to a topic that was found; said once if it was asked for, but cannot be bridged."""
@@ -371,14 +354,7 @@ class Bridge:
         return _RECORDED if any(matches(glob, topic) for glob in self.options.record_topics) else None
 
     def _on_edge_note(self, note: Note) -> None:
-        if self._lane.inside():  # the hub may be waiting for the lane just now
-            self._late_notes.append(note)
-        else:
-            self.hub.note(note)
-
-    def _tell_late_notes(self) -> None:
-        while self._late_notes:
-            self.hub.note(self._late_notes.popleft())
+        self.hub.note(note)
 
     @property
     def over(self) -> bool:
