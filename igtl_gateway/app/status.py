@@ -40,10 +40,12 @@ class Status:
 
     Attributes:
         facts: what it tells, as JSON values; empty before the first `sample`.  Never changed, only replaced.
+        failure: why the last sample could not be taken, or ``""``; ``facts`` are those of the one before.
     """
 
     def __init__(self, bridge: Bridge, watcher: Watcher, clock: Clock) -> None:
         self.facts: Mapping[str, Any] = {}
+        self.failure = ""
         self._bridge = bridge
         self._watcher = watcher
         self._clock = clock
@@ -51,14 +53,22 @@ class Status:
         self._past: deque[tuple[int, _Totals]] = deque()
 
     def sample(self) -> None:
-        """Look at the bridge; of one thread."""
+        """Look at the bridge; of one thread.  Never raises: a bridge must not end because it is watched."""
+        try:
+            self.facts = self._look()
+            self.failure = ""
+        except Exception as error:  # a defect of ours
+            self.failure = f"{type(error).__name__}: {error}"
+            self.facts = {**self.facts, "failure": self.failure}
+
+    def _look(self) -> dict[str, Any]:
         bridge, now_ns = self._bridge, self._clock.monotonic_ns()
         ledger = bridge.ledger()
         entries = {kind.value: self._watcher.counts[kind] for kind in Kind}
         seconds, rates = self._rates(now_ns, _totals(entries, ledger["streams"]))
         counters = bridge.tcp.counters()
         recorder = bridge.recorder
-        self.facts = {
+        return {
             "version": __version__,
             "time": utc_text(self._clock.utc_ns()),
             "uptime_s": (now_ns - self._begun_ns) / NS_PER_S,

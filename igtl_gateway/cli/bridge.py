@@ -170,6 +170,8 @@ def run(options: argparse.Namespace) -> int:
             if options.metrics:  # before the recording: a port that is taken must not cost that of yesterday
                 metrics = _metrics(options, status)
             bridge.start()
+            if metrics:
+                status.sample()
         except Exception:
             if metrics:
                 metrics.close()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from pathlib import Path
+
+import pytest
 
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.app.status import RATES_OVER_S, Status
@@ -20,7 +21,7 @@ class Watch:
     refused: int = 0
 
 
-def test_rates_are_of_the_last_seconds(tmp_path: Path) -> None:
+def test_rates_are_of_the_last_seconds() -> None:
     clock, watch = ManualClock(1_767_225_600 * NS_PER_S), Watch()
     bridge = Bridge(Config(), BridgeOptions(ros=False), clock)
     status = Status(bridge, watch, clock)
@@ -41,4 +42,21 @@ def test_rates_are_of_the_last_seconds(tmp_path: Path) -> None:
     assert status.facts["uptime_s"] == 15
     assert status.facts["time"] == "2026-01-01T00:00:15.000000000Z"
     assert status.facts["recorder"] is None
+    bridge.stop()
+
+
+def test_a_defect_of_the_status_is_told_and_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = ManualClock(NS_PER_S)
+    bridge = Bridge(Config(), BridgeOptions(ros=False), clock)
+    status = Status(bridge, Watch(), clock)
+    status.sample()
+    whole = status.facts
+    with monkeypatch.context() as broken:
+        broken.delattr(bridge, "tcp")
+        status.sample()
+        assert status.failure.startswith("AttributeError")
+        assert status.facts == {**whole, "failure": status.failure}
+    status.sample()
+    assert status.facts == whole
+    assert status.failure == ""
     bridge.stop()
