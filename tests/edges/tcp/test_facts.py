@@ -16,7 +16,7 @@ from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
 )
 def test_limits_are_positive(name: str) -> None:
     with pytest.raises(ConfigError, match=f"limit {name}"):
-        Limits(**{name: 0})
+        Limits(**{name: 0})  # type: ignore[arg-type]
 
 
 def test_a_time_for_idleness_is_none_or_positive() -> None:
