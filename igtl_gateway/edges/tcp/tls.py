@@ -31,6 +31,7 @@ PLAIN_TO_TLS = "plain text spoken to a TLS port"
 TLS_TO_PLAIN = "TLS spoken to a plain port"
 
 _BATCH = 64 * 2**10  # encrypted at once; what the kernel does not take of it waits here
+_VERDICT_S = 0.25  # how long a server without tickets may take to refuse us; several times across a continent
 _RECORD = 16 * 2**10  # the most that one TLS record holds
 _HANDSHAKE, _ALERT = 0x16, 0x15  # first byte of the records that a conversation may begin with
 
@@ -137,6 +138,7 @@ class TlsSocket:
     """A connected non-blocking socket with TLS on it; what a link needs of a socket is here under the same names.
 
     ``more``: there may be received bytes that no system call will tell of; only ``recv_into`` does.
+    ``shaken``: the handshake is over as far as we are concerned.
     """
 
     def __init__(self, sock: socket.socket, context: ssl.SSLContext, *, server_side: bool, host: str = "") -> None:
@@ -148,6 +150,8 @@ class TlsSocket:
         self._tls = context.wrap_bio(self._incoming, self._outgoing, server_side, host or None)
         self._unsent = memoryview(b"")  # encrypted
         self._begun = False
+        self._early = b""  # received with the server's verdict
+        self.shaken = False
 
     @property
     def pending(self) -> int:
@@ -161,7 +165,11 @@ class TlsSocket:
         return {"tls": str(self._tls.version()), "certificate": name}
 
     def shake(self) -> bool:
-        """As much of the handshake as can be done now; True when it is over.  Raises OSError."""
+        """As much of the handshake as can be done now; True when it is over.  Raises OSError.
+
+        With TLS 1.3 a server looks at our certificate when we are through: its first word (a ticket, as a rule, or an
+        alert) is waited for.
+        """
         with self._lock:
             while True:
                 try:
@@ -174,8 +182,24 @@ class TlsSocket:
                     raise TlsError.of(error) from None
                 else:
                     self._flush()
-                    self.more = True
-                    return True
+                    self.more = self.shaken = True
+                    return self._server_side or self._tls.version() != "TLSv1.3" or self._judged()
+
+    def _judged(self) -> bool:
+        """Whether the server has said anything; raises TlsError if that is no."""
+        heard = self._incoming.pending > 0
+        while True:
+            try:
+                self._early += self._tls.read(_RECORD)
+                return True
+            except ssl.SSLWantReadError:
+                if heard or not self._receive():
+                    return heard
+                heard = True
+            except (ssl.SSLZeroReturnError, ssl.SSLEOFError):
+                return True  # the link finds the end
+            except ssl.SSLError as error:
+                raise TlsError.of(error) from None
 
     def _receive(self) -> bool:
         """Give OpenSSL what has come; False if that is nothing."""
@@ -237,6 +261,11 @@ class TlsSocket:
     def recv_into(self, room: memoryview) -> int:
         """As of a socket: at most one reception from the kernel, and none while there is ``more``."""
         with self._lock:
+            if self._early:
+                count = min(len(room), len(self._early))
+                room[:count] = self._early[:count]
+                self._early = self._early[count:]
+                return count
             if not self.more and not self._receive():
                 raise BlockingIOError
             count = 0
@@ -308,6 +337,7 @@ class Handshake:
         self._refused = refused
         self._failed = failed
         self._over = False
+        self._waiting = False  # for the server's verdict
 
     def begin(self, timeout_s: float) -> None:
         self._loop.later(timeout_s, self._timed_out, self._failed)
@@ -336,8 +366,17 @@ class Handshake:
                 self._finish()
                 self._done()
             else:
+                if self.sock.shaken and not self._waiting:
+                    self._waiting = True
+                    self._loop.later(_VERDICT_S, self._no_verdict, self._failed)
                 events = READ | (WRITE if self.sock.pending else 0)
                 self._loop.watch(self.sock, events, self._step, self._failed)
+
+    def _no_verdict(self) -> None:
+        """The server has nothing against us so far."""
+        if not self._over:
+            self._finish()
+            self._done()
 
     def _timed_out(self) -> None:
         if not self._over:

@@ -213,6 +213,36 @@ def test_a_server_without_a_good_certificate_is_not_talked_to(world: World, tls:
     assert seen.of("up") == served.of("up") == []
 
 
+def test_a_client_that_is_refused_says_so_and_is_never_up(world: World) -> None:
+    _, served, port = secure(world)
+    edge, seen = world.edge(tls=files("stranger"))
+    edge.connect(HERE, port, tls=True)
+    edge.start()
+    assert seen.wait("connect_failed")[0].data["reason"].startswith("the other side refuses our certificate (")
+    served.wait("refused")
+    assert seen.of("up") == served.of("up") == []
+
+
+@pytest.mark.parametrize("speaks_first", [True, False])
+def test_a_server_without_tickets_is_believed_after_a_moment(world: World, speaks_first: bool) -> None:
+    using = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    using.load_cert_chain(PEMS / "server.pem")
+    using.num_tickets = 0
+    server = world.listener()
+    edge, seen = world.edge(tls=VIEWER)
+    edge.connect(*server.getsockname(), tls=True)
+    edge.start()
+    peer = Peer(using.wrap_socket(world.accepted(server).sock, server_side=True))
+    world.closes(peer.close)
+    first = message(1, 100_000) + message(2)
+    if speaks_first:
+        peer.send(first)
+    seen.wait("up")
+    if not speaks_first:
+        peer.send(first)
+    assert seen.wait("frame", 2) == [message(1, 100_000), message(2)]
+
+
 def test_a_server_that_speaks_no_tls_is_tried_again(world: World) -> None:
     server = world.listener()
     edge, seen = world.edge(tls=VIEWER)
