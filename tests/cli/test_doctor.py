@@ -293,7 +293,7 @@ def test_qos_that_does_not_fit(doctor: Doctor) -> None:
         for device, (kind, qos) in topics.items():
             node.create_subscription(kind, f"/igtl/in/{device}/transform", lambda _: None, qos)
         with serving(says(wire(*map(pose, topics)))) as place:
-            verdict = doctor(place, "--ros", "--seconds", "1.5")
+            verdict = doctor(place, "--ros", *AWAIT, "3")
     finally:
         node.destroy_node()
         context.try_shutdown()
