@@ -59,6 +59,12 @@ def test_the_recording_keeps_it_all(config: Config) -> None:
         assert Config.from_dict(json.loads(json.dumps(one.to_dict()))) == one
 
 
+def test_who_is_live_is_watched_unless_told_otherwise() -> None:
+    assert [Config(watch=watch).watched().watch for watch in (None, False, True)] == [True, False, True]
+    assert [Config(watch=watch).watched(None).watch for watch in (None, False, True)] == [None, False, True]
+    assert Config.from_dict({"watch": None}) == Config()  # as it is stored
+
+
 def test_first_row_that_matches(config: Config) -> None:
     assert config.row_to_igtl("/camera/image_raw") is config.to_igtl[0]
     assert config.row_to_igtl("/igtl/out/a/b") is config.to_igtl[1]
@@ -94,6 +100,9 @@ def test_a_message_is_always_stamped(source_ns: int) -> None:
         ({"check_crc": "yes"}, "gateway.check_crc"),
         ({"max_streams": True}, "gateway.max_streams"),
         ({"max_streams": 0}, "gateway.max_streams"),
+        ({"watch": 1}, "gateway.watch"),
+        ({"to_ros": [{"max_age_s": -1}]}, "to_ros[0].max_age_s"),
+        ({"to_igtl": [{}, {"max_age_s": float("nan")}]}, "to_igtl[1].max_age_s"),
         ({"ros_unit": "inch"}, "gateway.ros_unit"),
         ({"igtl_unit": ""}, "gateway.igtl_unit"),
         ({"stamp": "later"}, "gateway.stamp"),
@@ -182,6 +191,7 @@ def test_what_is_written_as_toml_is_read_as_the_same(config: Config, tmp_path: P
         stamp="now",
         command_timeout_s=1.5,
         relay=True,
+        watch=False,
         to_igtl=(ToIgtlRow(topic='/a"b', metadata=(("who", "Zoë \\ \n"), ("a key", "")), qos=Qos(3, False, True)),),
         to_ros=(ToRosRow(device="*", kinds=("+slices", "image")),),
         tf_out=(TfOutRow(frames=("Tool", "Probe"), base="Base"),),

@@ -193,14 +193,14 @@ def load_config(path: Path | None) -> Config:
 
 def recorded_config(session: dict[str, str], path: Path | None = None) -> Config:
     """The configuration to run a recording with: of the file ``path`` if given, else the recorded one."""
-    text = session.get("config")
-    if path:  # a file that does not speak of the watchers leaves them as they were that day
-        return Config.from_toml(path).watched(json.loads(text or "{}").get("watch"))
-    if text is None:
-        return Config()
+    given = Config.from_toml(path) if path else None
     try:
-        return Config.from_dict(json.loads(text))
+        recorded = Config.from_dict(json.loads(session.get("config", "{}")))
+        # a file that does not speak of the watchers leaves them as they were that day
+        return given.watched(recorded.watch) if given else recorded
     except (ValueError, ConfigError) as error:
+        if given:
+            return given
         raise UnsupportedRecording(f"the recorded configuration cannot be used: {error}") from None
 
 

@@ -23,6 +23,7 @@ from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.gateway import gateway_of
+from igtl_gateway.gateway.guard import CODES
 from igtl_gateway.replay.compare import Decoder, compare_values, first_byte, flat, same
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
@@ -118,7 +119,7 @@ class Report:
         lost: outputs that it says but that were not recorded, as the recording declares.
         missing: other entries that are not there, as the recording declares: inputs, with what they caused.
         orphans: outputs whose cause is among those; not verified.
-        late: notes that come later than that day, because what they are about was lost.
+        late: notes that come at another time than that day, because what they are about was lost.
         differing: outputs that are different, missing or too many.
         by_stream: these by stream.
         firsts: the first of each stream.
@@ -184,6 +185,8 @@ class _Verifier:
         self._expected: deque[Entry] = deque()
         self._cause = 0
         self._last: int | None = None if losses.midway else 0
+        # what the guard says depends on what came before: a part of a session may say it elsewhere
+        self._partial = losses.midway or losses.uncounted or losses.entries > 0
         self._gap = False  # since the last input that is there, an input may have been lost
 
     def before(self, entry: Entry) -> None:
@@ -202,13 +205,18 @@ class _Verifier:
             return
         self._report.outputs += 1
         if self._expected and self._expected[0].seq == entry.seq:
-            difference = compare(entry, self._expected.popleft(), self._cause, self._decoder)
-            if difference:
+            expected = self._expected.popleft()
+            difference = compare(entry, expected, self._cause, self._decoder)
+            if difference and self._is_elsewhere(entry) and self._is_elsewhere(expected):
+                self._report.late += 1
+            elif difference:
                 self._report.add(difference)
             else:
                 self._report.equal += 1
         elif self._gap:
             self._report.orphans += 1
+        elif self._is_elsewhere(entry):
+            self._report.late += 1
         else:
             self._differ(entry, _kind(entry), "nothing")
 
@@ -248,7 +256,7 @@ class _Verifier:
         """What the gateway says and another entry has the number of."""
         while self._expected:
             expected = self._expected.popleft()
-            if self._report.missing and _is_news(expected):
+            if (self._report.missing and _is_news(expected)) or self._is_elsewhere(expected):
                 self._report.late += 1
             else:
                 self._differ(expected, "nothing", _kind(expected))
@@ -261,6 +269,10 @@ class _Verifier:
         self._left -= 1
         self._left_of[stream] -= 1
         return True
+
+    def _is_elsewhere(self, entry: Entry) -> bool:
+        """Whether an output is a note of the guard in a part of a session."""
+        return self._partial and entry.kind is Kind.NOTE and Note.unpack(entry.data()).code in CODES
 
     def _differ(self, entry: Entry, recorded: str, computed: str) -> None:
         self._report.add(Difference(entry.seq, self._cause, _name(entry), "message", recorded, computed))

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 
 from igtl_gateway import __version__
 from igtl_gateway.cli import main
-from igtl_gateway.config import Config
+from igtl_gateway.config import Config, ToRosRow
 from igtl_gateway.convert import table as table_module
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.convert.units import UNITS
@@ -27,8 +27,11 @@ from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.slice import groups
 from igtl_gateway.replay.verify import MAX_KEPT, UNKNOWN, Losses, Report, compare, verify
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
 from igtl_gateway.simulate.catalogue import SCENARIOS
 from igtl_gateway.simulate.scenario import Scenario
+from tests.gateway.test_guard import pose
+from tests.script import Script
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 SCENARIO: Scenario = SCENARIOS["paper-types"]
@@ -169,6 +172,26 @@ def test_a_stream_whose_first_message_was_lost_opens_later() -> None:
     cut, gone = without(begun, lambda entry: entry.channel == "/star/tool")
     report = verify(cut, SCENARIOS["star"].config, declared(gone))
     assert (report.missing, report.orphans, report.late, report.differing) == (1, 2, 1, 0)
+
+
+def test_a_part_of_a_session_may_say_elsewhere_what_the_guard_found() -> None:
+    config = Config(watch=True, to_ros=(ToRosRow(max_age_s=0.5),))
+    script = Script(config)
+    for index in range(60):
+        script.now_ns += 200_000_000
+        lag_ns = 10**9 if 10 < index < 30 else 0
+        script.igtl(pose(script.now_ns - lag_ns, (0.1, 0.2, 0.3) if index < 25 else (100.0, 200.0, 300.0)))
+    codes = [Note.unpack(entry.data()).code for entry in script.log if entry.kind is Kind.NOTE]
+    assert {"stale", "fresh", "unit_jump"} < set(codes)
+    assert verify(script.log, config).good
+    begin = next(at for at, entry in enumerate(script.log) if entry.stamp_ns > script.log[0].stamp_ns + 3 * 10**9)
+    while not script.log[begin].kind.is_input:
+        begin += 1
+    report = verify(script.log[begin:], config, Losses(midway=True), before=script.log[:1])
+    assert report.good, report.differences
+    assert report.late and report.equal
+    whole = verify(script.log[begin:], config, before=script.log[:1])
+    assert not whole.good
 
 
 def test_two_swapped_messages_are_found(entries: list[Entry]) -> None:
