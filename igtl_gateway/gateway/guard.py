@@ -32,7 +32,8 @@ LOOK_NS = 100 * NS_PER_MS
 EPISODE_NS = 10 * NS_PER_S
 #: Looks at one and the same stamp: two seconds or more, so that stamps in whole seconds do not count as standing still.
 STILL_LOOKS = 20
-#: Streams with a memory; 32 clients of 512 streams each are 16,384, which share one beyond that.
+#: Streams with a memory of their own, 1 kB each: eight peers that each use up ``max_streams``.  Those beyond share one
+#: for what is withheld, and are not watched.
 MAX_WATCHED = 4_096
 
 #: Metres for millimetres are a factor of 1000, in the same direction; a tool may move a little between two looks.

@@ -11,7 +11,7 @@ import pytest
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import rosmsg
-from igtl_gateway.gateway import LINK_UP, Gateway, Session
+from igtl_gateway.gateway import LINK_UP, Gateway, Session, guard
 from igtl_gateway.gateway.guard import CODES, STILL_LOOKS, is_unit_jump
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
@@ -93,6 +93,15 @@ def test_an_episode_belongs_to_a_link_and_a_row_to_its_devices() -> None:
     script.up(1)
     script.down(1)
     assert script.igtl(pose(old_ns, device="Probe1"), 1) == ["note stale"]
+
+
+def test_streams_beyond_the_limit_share_a_memory_and_are_withheld_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "MAX_WATCHED", 1)
+    script = Script(Config(watch=True, to_ros=(ToRosRow(max_age_s=0.5),)))
+    assert script.igtl(pose(script.now_ns)) == ["ros /igtl/in/Tool/transform"]
+    assert script.igtl(pose(script.now_ns - NS_PER_S, device="One")) == ["note stale"]
+    assert script.igtl(pose(script.now_ns - NS_PER_S, device="Two")) == []
+    assert script.igtl(pose(script.now_ns, device="Two")) == ["ros /igtl/in/Two/transform", "note fresh"]
 
 
 # -- watchers -----------------------------------------------------------------------------------------------------
