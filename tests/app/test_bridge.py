@@ -12,6 +12,8 @@ from igtl_gateway.app.bridge import Bridge, BridgeOptions, state_rule
 from igtl_gateway.buffers import join
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config, ToIgtlRow
+from igtl_gateway.convert.rosmsg import Header, Image
+from igtl_gateway.edges.tcp import Limits
 from igtl_gateway.errors import ConfigError, RecordingError
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
@@ -111,3 +113,27 @@ def test_every_part_of_a_session_of_all_types_verifies_alone(tmp_path: Path) -> 
         assert report.good, (part.name, report.differences[:1])
         compared += report.equal
     assert compared == sum(not entry.kind.is_input for entry in entries)
+
+
+def test_the_ledger_closes_over_a_peer_that_does_not_read_and_one_that_has_gone() -> None:
+    bridge = Bridge(
+        Config(),
+        BridgeOptions((("127.0.0.1", 0),), ros=False, limits=Limits(queue_messages=20)),
+        SystemClock(),
+    )
+    bridge.start()
+    side = 512
+    picture = Image(Header(1, "base"), side, side, "mono8", 0, side, bytes(side * side)).pack()
+    with socket.create_connection(bridge.addresses[0]) as gone, socket.create_connection(bridge.addresses[0]) as sender:
+        assert bridge.tcp.wait_links(2, 5.0)
+        for number in range(120):
+            bridge.hub.ros("/igtl/out/Camera", Image.TYPE, picture, 0)
+            if number == 60:
+                gone.close()
+        sender.sendall(HELLO)
+        sender.shutdown(socket.SHUT_WR)
+        bridge.stop()
+    assert bridge.losses["gaps"] == []
+    peers = bridge.losses["streams"]["peers"].values()
+    assert sum(fates["sent"] for fates in peers) == bridge.losses["streams"]["igtl_out"]["IMAGE/Camera"]["sent"]
+    assert all(fates["dropped"]["queue"] > 0 for fates in peers)
