@@ -84,6 +84,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "socket": ("edges.tcp", "bench.programs"),  # a measurement has a peer that costs nothing
     "socketserver": (),
     "ssl": ("edges.tcp.tls",),
+    "http": ("app.metrics",),
     "rclpy": ("edges.ros",),
     # Time and chance: the core is a pure function of its inputs
     "time": ("clock",),
