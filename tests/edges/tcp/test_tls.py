@@ -172,6 +172,17 @@ def test_plain_text_spoken_to_tls_and_tls_to_plain(world: World) -> None:
     assert seen.wait("frame") == [message(2)]
 
 
+def test_a_plain_client_is_told_what_the_server_speaks(world: World) -> None:
+    server = world.listener()
+    edge, seen = world.edge()
+    edge.connect(*server.getsockname())
+    edge.start()
+    peer = world.accepted(server)
+    peer.send(b"\x15\x03\x01\x00\x02\x02\x46")  # how OpenSSL answers what it cannot read
+    peer.close()
+    assert seen.wait("truncated")[0].text.endswith("; it speaks TLS")
+
+
 def test_who_says_nothing_is_refused_in_time_and_takes_a_place_until_then(world: World) -> None:
     clock = ManualClock()
     edge, seen, port = secure(world, clock=clock, limits=Limits(max_clients=2, handshake_s=10))
