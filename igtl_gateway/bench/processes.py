@@ -73,6 +73,11 @@ def ours(*words: str) -> list[str]:
     return [sys.executable, "-m", "igtl_gateway", *words]
 
 
+def _interruptible() -> None:
+    """In a program before it begins: an interrupt ends it, although a shell that put us into the background said no."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Program:
     """A program in a process of its own, whose JSON lines are events.
 
@@ -94,6 +99,7 @@ class Program:
             text=True,
             errors="replace",
             start_new_session=True,
+            preexec_fn=_interruptible,  # noqa: PLW1509  # it takes no lock
         )
         self._threads = [
             threading.Thread(target=read, args=(stream,), name=f"igtl-bench-{name}", daemon=True)
