@@ -323,8 +323,8 @@ class Bridge:
         if entry.kind is Kind.IGTL_OUT:
             self.tcp.send(entry.links, entry.payload, entry.channel, self.gateway.keep(entry))
         elif entry.kind is Kind.ROS_OUT and self.ros:
-            qos = self.gateway.qos(entry.channel) or _RECORDED
-            if not (self._all_made and self.ros.pass_over(entry.channel, qos)):
+            if not (self._all_made and self.ros.pass_over(entry.channel)):
+                qos = self.gateway.qos(entry.channel) or _RECORDED
                 self.ros.publish(entry.channel, entry.type, entry.data(), qos)
             if self.commands:
                 self.commands.watch(entry)

@@ -303,13 +303,13 @@ class RosEdge:
         writer = self._writers.get(topic)
         return writer is None or writer.heard
 
-    def pass_over(self, topic: str, qos: Qos) -> bool:
+    def pass_over(self, topic: str) -> bool:
         """Whether a message of a topic need not be published, which is counted then.
 
         What is not latched and has no reader goes nowhere in DDS either, only more slowly (6 µs, after a pause 100).
         """
         writer = self._writers.get(topic)
-        if writer is None or qos.latched or writer.heard:
+        if writer is None or writer.qos.latched or writer.heard:
             return False
         writer.counts.unheard += 1
         return True

@@ -65,7 +65,7 @@ class Watched:
     Attributes:
         stream: its name, for the sentences.
         last_ns: stamp told of its last message (gateway time where it had none).
-        look_ns: gateway time from which a plan has to ask ``calm``.
+        look_ns: gateway time from which ``passes`` has to ask ``calm``.
         arrived_ns: gateway time of the last look.
         timing: of its stamps, as far as they were looked at.
         stale: how many messages were withheld since it became stale; 0: it is fresh.
@@ -171,6 +171,13 @@ class Watched:
             self._due_ns = now_ns + LOOK_NS
             self.look_ns = 0 if self._max_age_ns else self._due_ns
         return findings
+
+    def passes(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct, at: int) -> bool:
+        """``calm``, of a message that comes by a plan: most are let pass by two comparisons."""
+        if (told_ns < self.last_ns or now_ns >= self.look_ns) and not self.calm(now_ns, told_ns, data, numbers, at):
+            return False
+        self.last_ns = told_ns
+        return True
 
     def calm(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct, at: int) -> bool:
         """Whether nothing is to be said of a message and it may go out: then it was looked at, else nothing is changed.

@@ -93,19 +93,21 @@ class Plans:
         """Whether a plan for a stream would be of use."""
         if key in self.to_ros or key in self.to_igtl:
             return False
-        return self._builds.get(key, 0) < MAX_BUILDS if key in self._builds else len(self._builds) < MAX_PLANS
+        builds = self._builds.get(key)
+        return builds < MAX_BUILDS if builds is not None else len(self._builds) < MAX_PLANS
 
     def keep_to_ros(self, key: ToRosKey, plan: ToRosPlan | None) -> None:
         """Use a plan from now on; None: that there can be none."""
-        self._builds[key] = self._builds.get(key, 0) + 1 if plan else MAX_BUILDS
-        if plan:
-            self.to_ros[key] = plan
+        self._keep(self.to_ros, key, plan)
 
     def keep_to_igtl(self, key: ToIgtlKey, plan: ToIgtlPlan | None) -> None:
         """The same for the other direction."""
+        self._keep(self.to_igtl, key, plan)
+
+    def _keep(self, plans: dict[Any, Any], key: ToRosKey | ToIgtlKey, plan: ToRosPlan | ToIgtlPlan | None) -> None:
         self._builds[key] = self._builds.get(key, 0) + 1 if plan else MAX_BUILDS
         if plan:
-            self.to_igtl[key] = plan
+            plans[key] = plan
 
     def peers_changed(self) -> None:
         """Somebody came, went, showed what it is, or asked for something."""
@@ -116,21 +118,6 @@ class Plans:
 
 class ToRosPlan:
     """A pose of one device, from one link: fill the CDR templates of its topics."""
-
-    __slots__ = (
-        "_channel",
-        "_check_crc",
-        "_count",
-        "_forms",
-        "_numbers",
-        "_own",
-        "_place_at",
-        "_ratio",
-        "_sample",
-        "_told",
-        "_type",
-        "_watched",
-    )
 
     def __init__(
         self,
@@ -168,12 +155,8 @@ class ToRosPlan:
             return None
         source_ns, told_ns = made[0], made[1]
         watched = self._watched
-        if watched is not None:
-            if (told_ns < watched.last_ns or stamp_ns >= watched.look_ns) and not watched.calm(
-                stamp_ns, told_ns, payload[0], _PLACE_IGTL, self._place_at
-            ):
-                return []
-            watched.last_ns = told_ns
+        if watched is not None and not watched.passes(stamp_ns, told_ns, payload[0], _PLACE_IGTL, self._place_at):
+            return []
         count = self._count
         count["received"] = count.get("received", 0) + 1
         count["decoded"] = count.get("decoded", 0) + 1
@@ -237,12 +220,8 @@ class ToIgtlPlan:
             return None
         told_ns = made[0]
         watched = self._watched
-        if watched is not None:
-            if (told_ns < watched.last_ns or stamp_ns >= watched.look_ns) and not watched.calm(
-                stamp_ns, told_ns, payload[0], _PLACE_ROS, self._place_at
-            ):
-                return []
-            watched.last_ns = told_ns
+        if watched is not None and not watched.passes(stamp_ns, told_ns, payload[0], _PLACE_ROS, self._place_at):
+            return []
         count = self._count
         count["received"] = count.get("received", 0) + 1
         count["converted"] = count.get("converted", 0) + 1
@@ -356,7 +335,7 @@ def _names_of(cdr: bytes, *, two: bool) -> tuple[int, int, int] | None:
         second = first_end + -first_end % 4
         end = _behind_name(cdr, second)
     pose = end + (4 - end) % 8
-    return (first_end, second, end) if len(cdr) == pose + 56 else None
+    return (first_end, second, end) if len(cdr) == pose + _POSE_SIZE else None
 
 
 def _behind_name(cdr: bytes, at: int) -> int:
