@@ -102,6 +102,7 @@ class TcpEdge:
         self._dialers: list[Dialer] = []
         self._relays: list[Relay] = []
         self._handshakes: dict[TlsSocket, Handshake] = {}  # of the clients that are about to come
+        self._swept_ns = self._loop.looked_ns
         self._flush_s = 0.0
         self._finished = False
 
@@ -313,10 +314,14 @@ class TcpEdge:
 
     def _sweep(self) -> None:
         """Close the links that fell silent."""
-        limits = self._limits
-        self._loop.later(min(limits.stall_s / 4, limits.idle_s / 4 or 1.0, 1.0), self._sweep)
+        limits, now = self._limits, self._loop.looked_ns
+        pause_s = min(limits.stall_s / 4, limits.idle_s / 4 or 1.0, 1.0)
+        self._loop.later(pause_s, self._sweep)
+        # If we were stopped or had no time ourselves, no peer is to blame for all of it.
+        step_ns = min(now - self._swept_ns, round(2 * pause_s * NS_PER_S))
+        self._swept_ns = now
         for link in list(self._links.values()):
-            self._loop.run(link.sweep, link.failed)
+            self._loop.run(partial(link.sweep, step_ns), link.failed)
 
     def _failed(self, exc: Exception) -> None:
         """An unexpected error of ours that concerns no single link, listener or server."""

@@ -37,6 +37,10 @@ class Limits:
         queue_bytes: what waits for one link; ten images in full HD, a second or two at a frame rate.
         queue_messages: the same in messages; four seconds of transforms at 1 kHz.
         stall_s: longest silence inside a message; TCP itself recovers from a lost packet well within it.
+        min_rate: least speed of a message, in bytes per second: one of which n bytes have come must not be older than
+            ``stall_s + n / min_rate``.  So a header is whole within ``stall_s``, and a volume of 250 MiB may take hours
+            as long as it moves.  The default is one ISDN channel, slower than any line that images are sent over.  What
+            is still queued when a link ends has to move as fast.
         idle_s: longest time in which nothing is received and nothing sent; 0: as long as it likes.  A viewer that
             waits for a scan to begin is silent for minutes, so that no time would be right for everybody.
         handshake_s: longest time that TLS may take to begin; a handshake is two round trips.
@@ -51,6 +55,7 @@ class Limits:
     queue_bytes: int = 64 * 2**20
     queue_messages: int = 4096
     stall_s: float = 10.0
+    min_rate: int = 8 * 2**10
     idle_s: float = 0.0
     handshake_s: float = 10.0
     max_body: int = DEFAULT_MAX_BODY

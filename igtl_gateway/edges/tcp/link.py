@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import select
 import socket
 import threading
@@ -25,7 +26,7 @@ from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.framer import HEADER_SIZE, Framer
 
-FLUSH_S = 1.0  # how long what is queued is tried to be sent when the end has come
+FLUSH_S = 1.0  # how long what is queued is tried to be sent when the end has come, and longer while it moves
 
 _BLOCKED_POLL_MS = 100  # how soon a waiting sender sees that its link was closed
 _BODY_SIZE_AT = slice(42, 50)  # in the header, big-endian
@@ -94,6 +95,7 @@ class Link:
         self._resting = False  # it has sent too many messages, and is not read for a moment
         self._rests = 0
         self._rest_noted_ns = 0
+        self._slow = (0, 0)  # messages before the one that is on its way, and for how long (ns) it has been
         self._moved = (0, 0)  # bytes in and out when they were last seen to change …
         self._moved_ns = self._up_ns  # … and when that was
         self._open = True
@@ -264,12 +266,25 @@ class Link:
         """Whether the link was a real one: it brought a byte, or lived that long."""
         return self._received_bytes > 0 or self._loop.now() - self._up_ns >= least_s * NS_PER_S
 
-    def sweep(self) -> None:
-        """Close if the peer fell silent inside a message, or altogether."""
-        limits, now = self._around.limits, self._loop.now()
+    def sweep(self, step_ns: int) -> None:
+        """Close if the peer fell silent inside a message, sends one far too slowly, or is silent altogether.
+
+        Args:
+            step_ns: the time since the last sweep, or less if it comes late.
+        """
+        limits, now = self._around.limits, self._loop.looked_ns
+        pending = self._framer.pending if self._listening else 0
         silent_s = (now - self._heard_ns) / NS_PER_S
-        if self._framer.pending and self._listening and silent_s > limits.stall_s:
+        # Looked at here only, so that it costs the messages nothing: a message that is seen at two sweeps began
+        # before the first of them.
+        begun = pending and self._slow[0] == self._received_messages
+        self._slow = self._received_messages, (self._slow[1] + step_ns if begun else 0)
+        slow_s = self._slow[1] / NS_PER_S
+        if pending and silent_s > limits.stall_s:
             self._fault(Level.WARN, "stalled", f"{self.peer} sent half a message, then nothing")
+        elif pending and slow_s > limits.stall_s + pending / limits.min_rate:
+            text = f"{self.peer} sent {pending:,} bytes of a message in {slow_s:.0f} s: too slow"
+            self._fault(Level.WARN, "stalled", text)
         elif limits.idle_s:
             moved = (self._received_bytes, self.outbox.sent_bytes)
             if moved != self._moved:
@@ -295,16 +310,21 @@ class Link:
             self._reason = self._reason or reason
         self._half_close()
         self.resume()
-        self._linger(-1)
+        self._linger(0)
 
-    def _linger(self, sent_bytes: int) -> None:
-        """Close as soon as nothing moves any more; a peer that reads slowly gets all."""
+    def _linger(self, goal: int) -> None:
+        """Close as soon as hardly anything moves any more; a peer that reads slowly gets all.
+
+        Args:
+            goal: bytes that must have been sent by now.
+        """
         if not self._open:
             return
         with self._lock:
-            now_sent = self.outbox.sent_bytes - self._backlog
-        if now_sent > sent_bytes:
-            self._loop.later(FLUSH_S, partial(self._linger, now_sent), self.failed)
+            sent = self.outbox.sent_bytes - self._backlog
+        if sent >= goal:
+            goal = sent + math.ceil(self._around.limits.min_rate * FLUSH_S)
+            self._loop.later(FLUSH_S, partial(self._linger, goal), self.failed)
         else:
             self.close()
 
@@ -312,8 +332,13 @@ class Link:
         """Read on, after the partner's queue was in the way."""
         if self._open and not self._reading and not self._ended:
             self._reading = True
-            self._heard_ns = self._loop.now()
+            self._be_patient()
             self._watch()
+
+    def _be_patient(self) -> None:
+        """It was not read for a while: a message that was on its way begins anew, as far as its time goes."""
+        self._heard_ns = self._loop.now()
+        self._slow = self._received_messages, 0
 
     @property
     def _listening(self) -> bool:
@@ -341,7 +366,7 @@ class Link:
     def _rested(self) -> None:
         self._resting = False
         if self._open and not self._ended:
-            self._heard_ns = self._loop.now()
+            self._be_patient()
             self._watch()
 
     def failed(self, exc: Exception) -> None:
@@ -400,7 +425,7 @@ class Link:
             self._end()
             return
         self._torn = True
-        self._heard_ns = self._loop.now()
+        self._heard_ns = self._loop.looked_ns
         self._received_bytes += count
         try:
             messages = self._framer.received(count)
@@ -447,7 +472,7 @@ class Link:
                     self._sock.shutdown(socket.SHUT_WR)
 
     def _end(self) -> None:
-        """The peer sends no more.  It may still read: it gets what is queued for it, within ``FLUSH_S``."""
+        """The peer sends no more.  It may still read: it gets what is queued for it, as long as that moves."""
         with self._lock:
             self._mute = True
             self._reason = self._reason or "closed by the peer"
@@ -457,11 +482,7 @@ class Link:
             return
         self._reading, self._writing = False, True
         self._watch()
-        self._loop.later(FLUSH_S, self._give_up, self.failed)
-
-    def _give_up(self) -> None:
-        if self._open:
-            self.close()
+        self._linger(0)
 
     def _drain(self) -> None:
         """There is room in the socket."""

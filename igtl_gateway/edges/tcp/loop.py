@@ -40,11 +40,13 @@ Rescue = Callable[[Exception], None]
 class Loop:
     """One selector and the thread that runs ``body``, which is to call ``turn`` again and again.
 
-    ``stopping`` is set by the owner when the end has begun; everybody may look.
+    ``stopping`` is set by the owner when the end has begun; everybody may look.  ``looked_ns`` is when the sockets were
+    last looked at: what was there before is read before any action or timer of that turn, however long that takes.
     """
 
     def __init__(self, clock: Clock, body: Action, on_error: Rescue) -> None:
         self.stopping = False
+        self.looked_ns = clock.monotonic_ns()
         self._clock = clock
         self._on_error = on_error
         self._thread = threading.Thread(target=body, name="igtl-tcp", daemon=True)
@@ -137,7 +139,9 @@ class Loop:
             timeout = 0.0
         elif deadline_ns is not None:
             timeout = max(0, deadline_ns - self.now()) / NS_PER_S
-        for key, mask in self._selector.select(timeout):
+        ready = self._selector.select(timeout)
+        self.looked_ns = self.now()
+        for key, mask in ready:
             action, rescue = key.data
             try:
                 action(mask)
@@ -145,7 +149,7 @@ class Loop:
                 self._rescue(rescue, exc)
         while self._todo:
             self.run(*self._todo.popleft())
-        # after the sockets, so that a peer is not called silent for what was waiting in the kernel
+        # after the sockets, see ``looked_ns``
         while self._timers and self._timers[0][0] <= self.now():
             self.run(*heapq.heappop(self._timers)[2:])
 

@@ -12,7 +12,16 @@ from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
 
 @pytest.mark.parametrize(
     "name",
-    ["max_clients", "queue_bytes", "queue_messages", "stall_s", "handshake_s", "max_body", "messages_per_s"],
+    [
+        "max_clients",
+        "queue_bytes",
+        "queue_messages",
+        "stall_s",
+        "min_rate",
+        "handshake_s",
+        "max_body",
+        "messages_per_s",
+    ],
 )
 def test_limits_are_positive(name: str) -> None:
     with pytest.raises(ConfigError, match=f"limit {name}"):

@@ -12,7 +12,7 @@ import pytest
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.edges.tcp import Limits, link
 from igtl_gateway.wire.framer import Framer
-from tests.edges.tcp.world import BIG, DEADLINE_S, HERE, World, header, message, number_of, until
+from tests.edges.tcp.world import BIG, DEADLINE_S, HERE, Seen, World, header, message, number_of, until
 
 
 def test_order_of_callbacks_and_facts_of_a_link(world: World) -> None:
@@ -132,9 +132,10 @@ def test_silence_inside_a_message_ends_the_link(world: World) -> None:
     quiet.send(message(1))
     half.send(message(2)[:30])
     data = message(3)
-    turns = 12
+    turns = 6
     for turn in range(turns):
-        dribbling.send(data[turn : turn + 1])
+        if turn >= 2:
+            dribbling.send(data[turn - 2 : turn - 1])
         busy.send(message(4))  # once it is through, the earlier bytes are, too, and the clock was looked at
         seen.wait("frame", turn + 2)
         clock.advance(2 * 10**9)
@@ -143,10 +144,95 @@ def test_silence_inside_a_message_ends_the_link(world: World) -> None:
     (note,) = seen.wait("stalled")
     assert (note.data["received"], note.data["expected"]) == (30, None)
     assert half.receive() is None
-    dribbling.send(data[turns:])
+    dribbling.send(data[turns - 2 :])
     quiet.send(message(5))
     seen.wait("frame", turns + 4)
     assert len(seen.of("down")) == 1
+
+
+class Pace:
+    """Manual time that the I/O thread sees step by step, as a peer that is busy makes it look."""
+
+    def __init__(self, world: World, port: int, seen: Seen, clock: ManualClock) -> None:
+        self._busy, self._seen, self._clock = world.peer(port), seen, clock
+        self.turns = 0
+
+    def step(self, seconds: float) -> None:
+        """What was sent so far is received, then time passes, and is noticed."""
+        for advance_ns in (0, round(seconds * 10**9)):
+            self._clock.advance(advance_ns)
+            self._busy.send(message(4))
+            self.turns += 1
+            self._seen.wait("frame", self.turns)
+
+
+@pytest.mark.parametrize("tempo_s", [0.9, 9.0])
+def test_a_header_that_comes_byte_by_byte_has_no_more_time_than_any_other(world: World, tempo_s: float) -> None:
+    """Never silent for ``stall_s``, it would hold its place for ever."""
+    clock = ManualClock()
+    _, seen, port = world.server(clock=clock, limits=Limits(stall_s=10))
+    pace, loris = Pace(world, port, seen, clock), world.peer(port)
+    seen.wait("up", 2)
+    sent = 0
+    while not seen.of("stalled"):
+        assert sent * tempo_s < 30
+        loris.send(header(10**8)[sent : sent + 1])
+        sent += 1
+        for _ in range(max(1, round(tempo_s))):
+            pace.step(min(tempo_s, 1.0))
+    (note,) = seen.of("stalled")
+    assert note.data["received"] >= 1 and note.data["expected"] is None
+    assert note.text.endswith(" s: too slow")
+    assert sent * tempo_s > 10
+    assert loris.receive() is None
+
+
+def test_a_long_message_over_a_slow_line_has_its_time_and_one_that_hardly_moves_has_not(world: World) -> None:
+    clock = ManualClock()
+    _, seen, port = world.server(clock=clock, limits=Limits(stall_s=10, min_rate=1000))
+    pace, slow, slower = Pace(world, port, seen, clock), world.peer(port), world.peer(port)
+    seen.wait("up", 3)
+    data = message(1, 90_000)
+    slower.send(data[:1000])
+    for at in range(0, 60_000, 1000):  # a minute at 1,000 bytes per second, and one tenth of it
+        slow.send(data[at : at + 1000])
+        if not seen.of("stalled"):
+            slower.send(data[1000 + at // 10 : 1100 + at // 10])
+        pace.step(1.0)
+    (note,) = seen.of("stalled")
+    assert note.data["expected"] == len(data) and 1000 < note.data["received"] < 3000
+    assert [entry[:2] for entry in seen.events if entry[0] == "down"] == [("down", 3)]
+    slow.send(data[60_000:])
+    assert seen.wait("frame", 1, 2) == [data]
+
+
+def test_time_that_we_had_not_ourselves_is_not_held_against_a_peer(world: World) -> None:
+    clock = ManualClock()
+    _, seen, port = world.server(clock=clock, limits=Limits(stall_s=10))
+    going, release = threading.Event(), threading.Event()
+
+    def hang(number: int, frame: Any) -> None:
+        if number_of(frame) == 99:
+            going.set()
+            release.wait(DEADLINE_S)
+
+    seen.on_frame_hook = hang
+    pace, half, hanging = Pace(world, port, seen, clock), world.peer(port), world.peer(port)
+    seen.wait("up", 3)
+    data = message(7)
+    half.send(data[:20])
+    pace.step(1.0)
+    pace.step(1.0)
+    hanging.send(message(99))
+    assert going.wait(DEADLINE_S)
+    pace.turns += 1
+    half.send(data[20:30])  # it waits in the kernel while the gateway does nothing for an hour
+    clock.advance(3600 * 10**9)
+    release.set()
+    pace.step(1.0)
+    half.send(data[30:])
+    assert seen.wait("frame", 1, 2) == [data]
+    assert seen.of("stalled") == []
 
 
 def test_many_buffers_of_any_shape(world: World) -> None:
@@ -282,6 +368,28 @@ def test_a_peer_that_half_closes_gets_what_is_queued_for_it(world: World) -> Non
     (down,) = seen.wait("down")
     assert (down.data["reason"], down.data["unsent"], down.data["sent_messages"]) == ("closed by the peer", 0, 4)
     assert edge.flush(DEADLINE_S)
+
+
+def test_a_peer_that_half_closes_and_reads_slowly_gets_all_the_same(world: World) -> None:
+    clock = ManualClock()
+    edge, seen, port = world.server(clock=clock)
+    peer, other = world.peer(port, 4096), world.peer(port)
+    seen.wait("up", 2)
+    peer.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    edge.send([1], [message(0, BIG)], "IMAGE/camera", False)
+    peer.sock.shutdown(socket.SHUT_WR)
+    got = bytearray()
+    for turn in range(5):  # seconds, five times what one that does not read would have
+        before = edge.counters()[1].sent_bytes
+        while edge.counters()[1].sent_bytes < before + 100_000:
+            got += peer.sock.recv(1 << 16)
+        clock.advance(round(link.FLUSH_S * 10**9))
+        other.send(message(turn))
+        seen.wait("frame", turn + 1)
+    while part := peer.sock.recv(1 << 20):
+        got += part
+    assert got == message(0, BIG)
+    assert seen.wait("down")[0].data["unsent"] == 0
 
 
 def test_a_peer_that_half_closes_and_does_not_read_is_closed_in_time(world: World) -> None:
