@@ -70,6 +70,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--stall-s", type=float, default=10.0, metavar="S", help="longest silence inside a message (%(default)s)"
     )
     parser.add_argument(
+        "--min-rate-kib",
+        type=float,
+        default=_USUAL.min_rate / 2**10,
+        metavar="KIB",
+        help="least speed of a message, per second (%(default)g)",
+    )
+    parser.add_argument(
         "--idle-s", type=float, default=0.0, metavar="S", help="close a link that is silent both ways so long (0: no)"
     )
 
@@ -91,6 +98,7 @@ def limits(options: argparse.Namespace) -> Limits:
         queue_bytes=options.queue_mib << 20,
         queue_messages=options.queue_messages,
         stall_s=options.stall_s,
+        min_rate=round(options.min_rate_kib * 2**10),
         idle_s=options.idle_s,
         max_body=options.max_body_mib << 20,
         bodies=tuple(options.max_body),
