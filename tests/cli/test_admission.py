@@ -52,7 +52,8 @@ def test_files_for_no_address_are_a_mistake() -> None:
 
 def test_limits_and_their_defaults(capsys: pytest.CaptureFixture[str]) -> None:
     assert admission.limits(parsed()) == Limits()
-    words = "--max-body STRING=4 --max-body GET_*=0.5 --max-body-mib 1 --max-messages 9 --idle-s 60 --stall-s 1 --min-rate-kib 2"
+    words = "--max-body STRING=4 --max-body GET_*=0.5 --max-body-mib 1 --max-messages 9 --idle-s 60 --stall-s 1"
+    words += " --min-rate-kib 2"
     bodies = (("STRING", 4 << 20), ("GET_*", 1 << 19))
     own = Limits(idle_s=60, stall_s=1, min_rate=2048, max_body=1 << 20, bodies=bodies, messages_per_s=9)
     assert admission.limits(parsed(*words.split())) == own
