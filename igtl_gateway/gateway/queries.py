@@ -41,6 +41,7 @@ OK, ERROR = 0, 1
 _STATUS_OK, _STATUS_NOT_FOUND, _STATUS_ACCESS_DENIED = 1, 4, 5
 _NAME_BYTES = 19  # of 20: the reference reader drops a name that fills its field
 _LONG_NAME_BYTES = 63
+_TYPE_BYTES = 12  # in a header
 
 #: Device name of tracking data that is put together for a peer that names none.
 TRACKING_DEVICE = "Tracking"
@@ -74,8 +75,11 @@ def answer(igtl_type: str, device: str, now_ns: int, latest: Latest) -> list[Out
 def refusal(igtl_type: str, device: str, now_ns: int, peer: Peer) -> Outbound:
     """What says "I have none": the type without content, where the peer survives that."""
     body = BODIES.get(igtl_type, Raw)
+    # a name of odd bytes is longer as text: there may be no message of that type
+    names_one = len(igtl_type.encode()) <= _TYPE_BYTES
     # a program on the C++ library waits for the default size of a version 1 message that has none
-    if peer.version > 1 or peer.profile.takes_empty or getattr(body, "MAY_BE_EMPTY", body is Raw):
+    survives = peer.version > 1 or peer.profile.takes_empty or getattr(body, "MAY_BE_EMPTY", body is Raw)
+    if names_one and survives:
         return Outbound(igtl_type, device, Raw(b""), now_ns)
     text = f"there is no {igtl_type} {device}".rstrip()
     return Outbound("STATUS", device, Status(_STATUS_NOT_FOUND, 0, "NotFound", text), now_ns)

@@ -44,6 +44,16 @@ def test_a_status_query_is_answered_at_once() -> None:
     assert answer.content == Status(1)
 
 
+def test_a_query_for_a_type_that_no_header_can_name_is_answered_by_a_status() -> None:
+    script = Script()
+    script.up(1)
+    # bytes that are no text become three each: more than the twelve of a type; found by tools/fuzz_gateway.py
+    lines = script.igtl(Message("GET_" + b"POI\xff\xfe\xfd\xff\xfe".decode("utf-8", "surrogateescape"), "", Raw(b"?")))
+    assert "note query_unanswered" in lines and "note internal_error" not in lines
+    (answer,) = script.sent()
+    assert isinstance(answer.content, Status) and answer.content.code == 4
+
+
 def test_the_capabilities_are_the_types_that_are_read() -> None:
     script = Script()
     script.up(1)
