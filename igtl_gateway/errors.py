@@ -14,6 +14,7 @@
     ├── RosError                    the ROS 2 side: missing installation, unknown type, refused name
     ├── ViewerError                 rerun and its viewer: not installed, nothing to draw with, no answer
     └── RecordingError              a session file (fault of the file or of the disk)
+        ├── DiskRefused             the disk is full, read-only or not ours
         ├── UnsupportedRecording    not a session log, or a version we do not know
         └── DamagedRecording        a session log that cannot be read to its end
 
@@ -97,6 +98,10 @@ class ViewerError(GatewayError):
 
 class RecordingError(GatewayError):
     """A recording cannot be written or read."""
+
+
+class DiskRefused(RecordingError):
+    """A recording cannot begin, and not by a slip of who wants it: the disk is full, read-only or not ours."""
 
 
 class UnsupportedRecording(RecordingError):

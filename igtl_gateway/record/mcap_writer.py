@@ -23,7 +23,7 @@ from typing import Any, Literal
 from mcap.writer import CompressionType
 
 from igtl_gateway import __version__
-from igtl_gateway.errors import RecordingError
+from igtl_gateway.errors import DiskRefused, RecordingError
 from igtl_gateway.qos import Qos
 from igtl_gateway.record import mcap_stream
 from igtl_gateway.record.mcap_stream import CHUNK_BYTES, McapStream
@@ -43,6 +43,8 @@ COMPRESSIONS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD, "none"
 _MAX_ROS_CHANNELS = 60_000
 _U64 = 1 << 64
 _DATASYNC = getattr(os, "fdatasync", os.fsync)  # not every system has the first
+#: What the system says of a path that nobody can have meant; all else is the disk's.
+_SLIPS = frozenset({errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL})
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +74,8 @@ class SessionWriter:
         types: definitions of ROS types; whoever writes several files shares one.
         memory: write into this instead of a file.
 
-    Raises RecordingError when the file cannot be created.  From the constructor on it can be read by scanning,
-    and after :meth:`close` by its index.
+    Raises RecordingError when the file cannot be created, DiskRefused where that is the disk's doing.  From the
+    constructor on it can be read by scanning, and after :meth:`close` by its index.
     """
 
     def __init__(
@@ -119,7 +121,7 @@ class SessionWriter:
         except OSError as error:
             self._abandon()
             path.unlink(missing_ok=True)
-            raise RecordingError(f"cannot record to {path}: {reason(error)}") from error
+            raise refusal(path, error) from error
 
     def _start(self, session: dict[str, str], prologue: bytes) -> None:
         facts = {**session, layout.FORMAT_VERSION_KEY: str(layout.FORMAT_VERSION)}
@@ -338,7 +340,13 @@ def create_file(path: Path, overwrite: bool) -> BufferedWriter:
     except FileNotFoundError:
         raise RecordingError(f"cannot record to {path}: there is no folder {path.parent}") from None
     except (OSError, ValueError) as error:
-        raise RecordingError(f"cannot record to {path}: {reason(error)}") from error
+        raise refusal(path, error) from error
+
+
+def refusal(path: Path, error: OSError | ValueError) -> RecordingError:
+    """The error for a recording that cannot begin there."""
+    kind = DiskRefused if isinstance(error, OSError) and error.errno not in _SLIPS else RecordingError
+    return kind(f"cannot record to {path}: {reason(error)}")
 
 
 def _untouched(path: str, flags: int) -> int:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.errors import RecordingError
-from igtl_gateway.record.mcap_writer import SessionWriter, TopicCount
+from igtl_gateway.record.mcap_writer import SessionWriter, TopicCount, refusal
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry
@@ -72,7 +72,12 @@ class PartsWriter:
         self._counters = counters
         self._parts: list[Part] = []
         _make_folder(self.path, overwrite)
-        self._part = self._open()
+        try:
+            self._part = self._open()
+        except RecordingError:
+            with contextlib.suppress(OSError):  # it holds something
+                self.path.rmdir()
+            raise
         self._ended = False  # the part is one of the complete ones
 
     @property
@@ -217,7 +222,7 @@ def _make_folder(folder: Path, overwrite: bool) -> None:
     except FileNotFoundError:
         raise RecordingError(f"cannot record to {folder}: there is no folder {folder.parent}") from None
     except OSError as error:
-        raise RecordingError(f"cannot record to {folder}: {error.strerror or error}") from None
+        raise refusal(folder, error) from None
 
 
 def _replace(path: Path, text: str) -> None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.clock import Clock
-from igtl_gateway.errors import RecordingError
+from igtl_gateway.errors import DiskRefused, RecordingError
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.record.options import RecordOptions
@@ -135,6 +135,27 @@ def work(
         worker.run()
 
 
+class _Nothing:
+    """In place of a writer where the disk refused from the start: everything counts as dropped."""
+
+    entries = 0
+    undefined: Sequence[str] = ()
+    files: Sequence[Path] = ()
+
+    def __init__(self, path: Path, why: str) -> None:
+        self.path = path
+        self.why = why
+
+    def write(self, _entry: Entry) -> None:
+        raise DiskRefused(self.why)
+
+    def flush(self) -> None:
+        raise DiskRefused(self.why)
+
+    def close(self, _ledger: dict[str, Any]) -> None:
+        """Nothing is open."""
+
+
 class _Gone(Exception):
     """The bridge is no longer there to be asked."""
 
@@ -170,7 +191,13 @@ class _Worker:
         self._flushed_ns = self._stated_ns = self._due_ns = clock.monotonic_ns()
         self._seen_refused = 0
         self._asked: list[tuple[int, int]] = []  # snapshots: number, and UTC ns of the request
-        self._writer = self._open(settings.path, settings.rule)
+        self._writer: SessionWriter | PartsWriter | Ring | _Nothing
+        try:
+            self._writer = self._open(settings.path, settings.rule)
+        except DiskRefused as error:
+            if self.options.stop_on_failure:
+                raise
+            self._writer = _Nothing(settings.path, str(error))
 
     def _open(self, path: Path, rule: StateRule) -> SessionWriter | PartsWriter | Ring:
         """What writes, as the options say."""
@@ -210,6 +237,8 @@ class _Worker:
 
     def run(self) -> None:
         """Write what comes, until the end."""
+        if isinstance(self._writer, _Nothing):
+            self._fail(self._writer.why)
         while self._ledger is None and not self._gone:
             self._guarded(self._round)
         if self._ledger is None:  # what it left behind

@@ -250,24 +250,6 @@ def test_kill_9_of_bridge_and_recorder_leaves_what_was_flushed(programs: list[Pr
     assert str(path) in line and "recover" in line
 
 
-@pytest.mark.parametrize(("policy", "then"), [("stop", "the bridge stops"), ("continue", "the bridge goes on")])
-def test_a_recording_that_is_removed_is_told_at_once(
-    programs: list[Program], tmp_path: Path, policy: str, then: str
-) -> None:
-    path = tmp_path / "out.mcap"
-    bridge = Bridge("--no-ros", "--record", str(path), "--on-record-failure", policy)
-    programs.append(bridge)
-    path.unlink()
-    bridge.wait_code("record_failed")
-    assert any("the file was removed" in line and then in line for line in bridge.lines)
-    if policy == "continue":
-        with RawPeer(bridge.port) as peer:
-            peer.send(string("still there"))
-            bridge.wait_code("stream")
-    result = bridge.end(None if policy == "stop" else signal.SIGINT)
-    assert result.code == 1
-
-
 def test_split_pause_and_leave_out(programs: list[Program], tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
     options = ["--split-duration", "0.2", "--record-exclude", "Secret"]

@@ -1,0 +1,285 @@
+"""What may happen to a recording while it is made: the disk is full or read-only, the recording is taken away.
+
+With real bridges and real disks.  In each case the traffic goes on (or the bridge ends, where that was asked for), it
+is said at once what happened and where, what is not in the recording is counted, and what was flushed before is there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import subprocess
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from igtl_gateway.cli import main
+from tests.integration.bridge import Bridge, RawPeer, Result, children, gateway, string
+from tests.integration.load import SLACK_S, Load, counted, recover
+
+#: Soon full.
+DISK_BYTES = 256 << 10
+
+FULL, READ_ONLY = "No space left on device", "Read-only file system"
+
+
+def ended(*arguments: str) -> Result:
+    """A verb of the command line, in this process."""
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
+        code = main(arguments)
+    return Result(code, out.getvalue(), err.getvalue())
+
+
+def status(bridge: Bridge) -> dict[str, Any]:
+    """What ``--metrics`` tells of the recorder."""
+    url = bridge.events[0]["metrics"].replace("/metrics", "/status")
+    with urllib.request.urlopen(url) as answer:
+        told: dict[str, Any] = json.load(answer)
+    recorder: dict[str, Any] = told["recorder"]
+    return recorder
+
+
+def mounted(folder: Path, size: int) -> None:
+    """A file system of that size there; skips where none can be mounted."""
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("nothing can be mounted here")
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A small file system of its own."""
+    folder = tmp_path / "disk"
+    mounted(folder, DISK_BYTES)
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def _full(disk: Path) -> None:
+    with pytest.raises(OSError, match=FULL), (disk / "full").open("wb", buffering=0) as file:
+        while True:
+            file.write(bytes(4096))
+
+
+def _read_only(disk: Path) -> None:
+    subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+
+
+# ── from the start ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+NOT_TO_BE_WRITTEN = pytest.mark.parametrize(("spoil", "reason"), [(_full, FULL), (_read_only, READ_ONLY)])
+
+
+@NOT_TO_BE_WRITTEN
+def test_a_disk_that_refuses_from_the_start_leaves_the_bridge_to_its_work(
+    disk: Path, spoil: Callable[[Path], None], reason: str
+) -> None:
+    spoil(disk)
+    path = disk / "out.mcap"
+    bridge = Bridge("--no-ros", "--record", str(path), "--metrics", "0")
+    try:
+        told = bridge.wait_code("record_failed")
+        assert told["text"] == f"cannot record to {path}: {reason}; the bridge goes on without recording"
+        with RawPeer(bridge.port) as peer:
+            peer.send(string("all the same"))
+            bridge.wait_code("stream")
+            recorder = status(bridge)
+        result = bridge.end()
+    finally:
+        bridge.close()
+    assert recorder["failure"] == f"cannot record to {path}: {reason}"
+    recording = bridge.events[-1]["recording"]
+    # up, down, the message and what it became, and the notes of these
+    assert recording["entries"] == 0 and recording["files"] == [] and recording["dropped"] >= 4
+    assert bridge.events[-1]["ledger"]["gaps"] == []
+    assert (result.code, result.err) == (1, "")
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "options", "place", "reason"),
+    [(_read_only, [], "out.mcap", READ_ONLY), (_full, ["--split-size", "1"], "out/out_0.mcap", FULL)],
+)
+def test_a_disk_that_refuses_from_the_start_is_a_reason_not_to_start(
+    disk: Path, spoil: Callable[[Path], None], options: list[str], place: str, reason: str
+) -> None:
+    spoil(disk)
+    options = ["--no-ros", "--listen", "127.0.0.1:0", "--record", str(disk / "out.mcap"), *options]
+    program = gateway("bridge", *options, "--on-record-failure", "stop")
+    try:
+        result = program.end(None)
+    finally:
+        program.close()
+    assert result.err == f"igtl-gateway bridge: cannot record to {disk / place}: {reason}\n"
+    assert (result.code, result.out) == (1, "")
+    assert [each.name for each in disk.iterdir() if each.name != "full"] == []
+
+
+# ── the disk becomes full ──────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _fill(bridge: Bridge, path: Path, whole: Path, reason: str, *, stops: bool = False) -> None:
+    """Talk to a recording bridge until its disk refuses, then look at what is there."""
+    load = Load(bridge.port)
+    try:
+        told = bridge.wait_code("record_failed")
+        failed = time.monotonic()
+        then = "the bridge stops" if stops else "the bridge goes on without recording"
+        assert told["text"] == f"recording to {path} failed: {reason}; {then}"
+        if not stops:
+            load.wait_answers(3)
+            recorder = status(bridge)
+            assert recorder["failure"] == f"recording to {path} failed: {reason}"
+            assert recorder["dropped_entries"] > 0
+            load.close()
+        assert bridge.end(None if stops else 2).code == 1
+    finally:
+        load.close()
+        bridge.close()
+    recording, ledger = (bridge.events[-1][key] for key in ("recording", "ledger"))
+    assert recording["dropped"] > 0 and reason in recording["failure"]
+    assert ledger["gaps"] == []
+    verified = ended("verify", str(path))
+    assert verified.code == 1 and "was cut off" in verified.err and "igtl-gateway recover" in verified.err
+    entries = recover(path, whole)
+    number = counted(entries)
+    assert number >= load.answered_before(failed - 0.1 - SLACK_S)
+    assert 0 < number < load.sent
+    # what is flushed last may be cut within the outputs of an input
+    assert recording["entries"] >= len(entries)
+    assert ended("verify", str(whole)).code == 0
+
+
+@pytest.mark.parametrize("policy", ["continue", "stop"])
+def test_a_disk_that_becomes_full(tmp_path: Path, disk: Path, policy: str) -> None:
+    path = disk / "out.mcap"
+    options = ["--record", str(path), "--flush-interval", "0.1", "--on-record-failure", policy]
+    bridge = Bridge("--no-ros", *options, "--metrics", "0")
+    _fill(bridge, path, tmp_path / "whole.mcap", FULL, stops=policy == "stop")
+
+
+def test_a_limit_of_the_size_of_files(tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    bridge = Bridge("--no-ros", "--record", str(path), "--flush-interval", "0.1", "--metrics", "0")
+    (recorder,) = children(bridge.process.pid)
+    resource.prlimit(recorder, resource.RLIMIT_FSIZE, (DISK_BYTES, DISK_BYTES))
+    _fill(bridge, path, tmp_path / "whole.mcap", "File too large")
+
+
+# ── the recording is taken away ────────────────────────────────────────────────────────────────────────────────────
+
+
+def _unlink(path: Path) -> None:
+    path.unlink()
+
+
+def _remove_folder(path: Path) -> None:
+    shutil.rmtree(path.parent)
+
+
+@pytest.mark.parametrize(
+    ("take_away", "policy", "then"),
+    [(_unlink, "stop", "the bridge stops"), (_remove_folder, "continue", "the bridge goes on")],
+)
+def test_a_recording_that_is_removed_is_told_at_once(
+    tmp_path: Path, policy: str, then: str, take_away: Callable[[Path], None]
+) -> None:
+    path = tmp_path / "folder" / "out.mcap"
+    path.parent.mkdir()
+    options = ["--record", str(path), "--flush-interval", "0.1", "--on-record-failure", policy]
+    bridge = Bridge("--no-ros", *options)
+    try:
+        with RawPeer(bridge.port) as peer:
+            peer.send(string("recorded"))
+            bridge.wait_code("stream")
+            take_away(path)
+            told = bridge.wait_code("record_failed")
+            assert told["text"].startswith(f"recording to {path} failed: the file was removed; {then}")
+            if policy == "continue":
+                peer.send(string("still there", "Other"))
+                bridge.wait_code("stream", stream="STRING/Other")
+            result = bridge.end(None if policy == "stop" else 2)
+    finally:
+        bridge.close()
+    assert (result.code, result.err) == (1, "")
+    recording = bridge.events[-1]["recording"]
+    assert recording["failure"] == f"recording to {path} failed: the file was removed"
+    assert recording["bytes"] == 0
+    assert not path.exists()
+
+
+@pytest.fixture
+def unchangeable(tmp_path: Path) -> Iterator[Callable[[Path], None]]:
+    """What makes a folder one in which nothing can be created, also by root, until the end of the test."""
+    folders: list[Path] = []
+
+    def freeze(folder: Path) -> None:
+        if os.geteuid():
+            folder.chmod(0o555)
+        elif subprocess.run(["chattr", "+i", str(folder)], capture_output=True, check=False).returncode:
+            pytest.skip("root can write everywhere here: no chattr +i")
+        folders.append(folder)
+
+    yield freeze
+    for folder in folders:
+        if os.geteuid():
+            folder.chmod(0o755)
+        else:
+            subprocess.run(["chattr", "-i", str(folder)], check=True)
+
+
+def test_a_folder_that_becomes_read_only_ends_a_split_recording_at_the_next_part(
+    tmp_path: Path, unchangeable: Callable[[Path], None]
+) -> None:
+    path = tmp_path / "out.mcap"
+    bridge = Bridge("--no-ros", "--record", str(path), "--split-duration", "0.1")
+    try:
+        with RawPeer(bridge.port) as peer:
+            peer.send(string("first"))
+            bridge.wait_code("stream")
+            unchangeable(path.with_suffix(""))
+            number = 0
+            while not any(event.get("code") == "record_failed" for event in bridge.events):
+                number += 1
+                peer.send(string(str(number), f"Device{number}"))
+                bridge.wait_code("stream", stream=f"STRING/Device{number}")
+            told = bridge.wait_code("record_failed")
+            peer.send(string("still there", "Other"))
+            bridge.wait_code("stream", stream="STRING/Other")
+            result = bridge.end()
+    finally:
+        bridge.close()
+    assert str(path.with_suffix("")) in told["text"] and "the bridge goes on" in told["text"]
+    assert result.code == 1
+    (part,) = path.with_suffix("").glob("*.mcap")
+    verified = ended("verify", str(part))
+    assert verified.code == 0, verified
+    recording = bridge.events[-1]["recording"]
+    assert recording["entries"] > 0 and recording["dropped"] > 0
+
+
+def test_a_folder_of_parts_that_is_removed_is_told_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    bridge = Bridge("--no-ros", "--record", str(path), "--split-size", "1", "--flush-interval", "0.1")
+    load = Load(bridge.port)
+    try:
+        load.wait_answers(1)
+        shutil.rmtree(path.with_suffix(""))
+        told = bridge.wait_code("record_failed")
+        assert str(path.with_suffix("")) in told["text"] and "was removed" in told["text"]
+        load.wait_answers(1)
+        load.close()
+        assert bridge.end().code == 1
+    finally:
+        load.close()
+        bridge.close()
+    assert bridge.events[-1]["ledger"]["gaps"] == []
