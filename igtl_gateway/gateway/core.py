@@ -44,6 +44,7 @@ from igtl_gateway.gateway.sender import Outbound, Sent, send
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream, ToRosStream
 from igtl_gateway.gateway.tf_out import TF_QOS, TF_TOPICS, TfOut
 from igtl_gateway.qos import Qos
+from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import PEERS, Ledger
 from igtl_gateway.session.note import Level, Note
@@ -113,7 +114,7 @@ class Gateway:
         self._from_peers, self._to_peers = CommandBook(), CommandBook()
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)
         self._guard = Guard(watch=config.watch is True)
-        self._said: set[tuple[str, str, int]] = set()
+        self._said: dict[int, set[tuple[str, str]]] = {}  # link → code and what it is about
         self._streams.advertise(LINKS_TOPIC, _LINKS_QOS)
         self._handlers: dict[Kind, Callable[[Entry], list[Reply]]] = {
             Kind.IGTL_IN: self._from_igtl,
@@ -473,7 +474,7 @@ class Gateway:
                 continue
             outs = self._outbounds(entry, igtl_type)
             if stream.row.max_age_s and not stream.latched:  # who asks later must not get as new what has become old
-                least_ns = cause.stamp_ns - round(stream.row.max_age_s * NS_PER_S)
+                least_ns = cause.stamp_ns - self._guard.ahead_ns - round(stream.row.max_age_s * NS_PER_S)
                 outs = [out for out in outs if out.stamp_ns >= least_ns]
             (native if stream.conversion.igtl_type == igtl_type else other).extend(outs)
         native += [
@@ -856,7 +857,7 @@ class Gateway:
             else:
                 self._settle(link, told.data)
                 self._peers.down(link)
-                self._said = {said for said in self._said if said[2] != link}
+                self._said.pop(link, None)
                 self._from_peers.gone(link)
                 self._guard.gone(link)
                 for pending in self._to_peers.gone(link):
@@ -903,6 +904,8 @@ class Gateway:
             return self._on_tick(entry)
         if told.code == LISTENED:
             return self._make(told.stream)
+        if step := ClockStep.of(entry):
+            self._guard.clock_stepped(step.ahead_ns)
         self.ledger.count("edges", told.stream, told.code)
         return []
 
@@ -945,9 +948,10 @@ class Gateway:
 
     def _once(self, entry: Entry, level: Level, code: str, text: str, about: str, link: int = 0) -> list[Reply]:
         """A note, but only the first of its kind about this (from this link): the log is for what is new."""
-        if (code, about, link) in self._said or len(self._said) >= MAX_SAID:
+        said = self._said.setdefault(link, set())
+        if (code, about) in said or sum(map(len, self._said.values())) >= MAX_SAID:
             return []
-        self._said.add((code, about, link))
+        said.add((code, about))
         return [note(level, code, text, entry.channel, entry.links)]
 
     def _warnings(self, warnings: list[tuple[str, str]], entry: Entry) -> list[Reply]:
