@@ -14,11 +14,14 @@ from collections.abc import Callable, Sequence
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.clock import Clock
 from igtl_gateway.gateway import TICK, Session
+from igtl_gateway.session.clocksteps import LEAST_NS, ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 
 Sink = Callable[[Entry], None]
 
+#: Two clocks are compared if both could be read within this time: a thread may be interrupted in between.
+_AT_ONCE_NS = LEAST_NS // 10
 
 #: Kind, payload, channel, type, links and source stamp of what came in.
 _Input = tuple[Kind, Buffer, str, str, tuple[int, ...], int]
@@ -36,6 +39,9 @@ class Hub:
     def __init__(self, session: Session, clock: Clock, sinks: Sequence[Sink]) -> None:
         self._session = session
         self._clock = clock
+        self._utc_ns = clock.utc_ns
+        self._ahead_ns = 0  # of gateway time to the host's clock
+        self._offset_ns: int | None = None  # of the host's clock to one that nobody sets
         self._sinks = tuple(sinks)
         self._lock = threading.Lock()
         self._owner = 0
@@ -60,11 +66,31 @@ class Hub:
         self._bring(Kind.EDGE_NOTE, note.pack(), "", "", (link,) if link else ())
 
     def tick(self) -> None:
-        """Tell the gateway when a time has come that it waits for."""
+        """Tell the gateway when a time has come that it waits for, and when the host's clock was set.
+
+        To be called by one thread.
+        """
+        self._look_at_clock()
         with self._lock:  # its peers and commands come and go under this lock
             due_ns = self._session.gateway.due_ns
-        if due_ns is not None and due_ns <= self._clock.utc_ns():
+        if due_ns is not None and due_ns <= self._utc_ns() + self._ahead_ns:
             self.note(Note(Level.INFO, TICK, "a deadline has come"))
+
+    def _look_at_clock(self) -> None:
+        """Note it when the host's clock was set, and keep gateway time from running back or standing long."""
+        begun_ns = self._clock.monotonic_ns()
+        utc_ns = self._utc_ns()
+        ended_ns = self._clock.monotonic_ns()
+        if ended_ns - begun_ns > _AT_ONCE_NS:
+            return
+        offset_ns = utc_ns - ended_ns
+        step_ns = 0 if self._offset_ns is None else offset_ns - self._offset_ns
+        if self._offset_ns is None or abs(step_ns) >= LEAST_NS:
+            self._offset_ns = offset_ns
+        if abs(step_ns) >= LEAST_NS:
+            step = ClockStep.after(step_ns, self._ahead_ns)
+            self._ahead_ns = step.ahead_ns
+            self.note(step.note())
 
     def _bring(
         self,
@@ -92,7 +118,7 @@ class Hub:
         self, kind: Kind, payload: Buffer, channel: str, type_name: str, links: tuple[int, ...], source_ns: int
     ) -> None:
         entries = self._session.input(
-            self._clock.utc_ns(),
+            self._utc_ns() + self._ahead_ns,
             kind,
             (payload,),
             channel=channel,

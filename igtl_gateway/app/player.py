@@ -13,6 +13,7 @@ from typing import Literal
 from igtl_gateway.app.digest import Digest
 from igtl_gateway.clock import Clock
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.replay.pace import Pace
 from igtl_gateway.replay.playback import PlaybackClock, checked_rate
 from igtl_gateway.replay.restamp import Restamper
 from igtl_gateway.replay.simclock import is_tick
@@ -104,6 +105,7 @@ class Player:
         on_jump: told of every jump, in the thread of `run`.
         send_all: as ``send`` for several entries of one side, in order: for those between which there is no pause.
         digest: whether to compute what `Played.digest` tells, which takes longer than all else.
+        pace: of the session.
     """
 
     def __init__(
@@ -122,6 +124,7 @@ class Player:
         on_jump: Callable[[Jump], None] = lambda jump: None,
         send_all: Callable[[Sequence[Entry]], bool] | None = None,
         digest: bool = True,
+        pace: Pace | None = None,
     ) -> None:
         self.played = Played() if digest else Played(_digest=None)
         # while there is one side only, it is the whole
@@ -137,7 +140,7 @@ class Player:
         self._on_jump = on_jump
         self._send_all = send_all
         self._changed = threading.Condition()  # guards all below
-        self._playback = PlaybackClock(rate, paused)
+        self._playback = PlaybackClock(rate, paused, pace)
         self._jump: Jump | None = None
         self._to_step = 0
         self._stepped = 0

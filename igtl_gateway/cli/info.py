@@ -19,6 +19,7 @@ from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.replay.mcap_reader import PartSummary, SessionFile, recover_hint
 from igtl_gateway.replay.salvage import Salvage
 from igtl_gateway.session import layout
+from igtl_gateway.session.clocksteps import ClockStep, without_jump
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
@@ -63,7 +64,7 @@ class Stream:
     unstamped: int = 0
     ages_ns: list[int] = field(default_factory=list)  # of the first _MAX_AGES messages
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: Entry, ahead_ns: int) -> None:
         if self.messages:
             self.longest_pause_ns = max(self.longest_pause_ns, entry.stamp_ns - self.last_ns)
         else:
@@ -75,7 +76,7 @@ class Stream:
             if not entry.source_ns:
                 self.unstamped += 1
             elif len(self.ages_ns) < _MAX_AGES:
-                self.ages_ns.append(entry.stamp_ns - entry.source_ns)
+                self.ages_ns.append(entry.stamp_ns - ahead_ns - entry.source_ns)
 
     @property
     def rate_hz(self) -> float:
@@ -126,6 +127,12 @@ class Content:
     clocks: dict[int, dict[str, Timing]] = field(default_factory=dict)  # link (0: ROS) → stream → its stamps
     addresses: dict[int, str] = field(default_factory=dict)
     entries: int = 0
+    steps: list[ClockStep] = field(default_factory=list)
+
+    @property
+    def ahead_ns(self) -> int:
+        """By how much gateway time is ahead of the host's clock."""
+        return self.steps[-1].ahead_ns if self.steps else 0
 
     @classmethod
     def of(cls, entries: Iterable[Entry]) -> Content:
@@ -138,7 +145,7 @@ class Content:
                 stream = content.streams.get(key)
                 if stream is None:
                     stream = content.streams[key] = Stream(*key)
-                stream.add(entry)
+                stream.add(entry, content.ahead_ns)
                 if entry.kind.is_input:
                     content.time(entry)
             else:
@@ -148,7 +155,18 @@ class Content:
                 if note.level >= Level.WARN:
                     content.problems[note.code] += 1
                 content.notes.append((entry.stamp_ns, entry.kind, note))
+                if step := ClockStep.of(entry):
+                    content.step(step)
         return content
+
+    def step(self, step: ClockStep) -> None:
+        """The host's clock was set: that is no pause, and what was known of other clocks is known no more."""
+        self.steps.append(step)
+        for stream in self.streams.values():
+            without_jump(stream, step)
+        for streams in self.clocks.values():
+            for timing in streams.values():
+                timing.begin_again()
 
     def time(self, entry: Entry) -> None:
         """Take the stamp of an input for what it tells of its sender's clock."""
@@ -156,7 +174,7 @@ class Content:
         timing = streams.get(entry.channel)
         if timing is None:
             timing = streams[entry.channel] = Timing()
-        timing.add(entry.source_ns, entry.stamp_ns)
+        timing.add(entry.source_ns, entry.stamp_ns - self.ahead_ns)
 
     def told_clocks(self) -> list[dict[str, Any]]:
         """For each peer what the best of its streams tells; ROS is one."""
@@ -224,6 +242,15 @@ def _told(path: Path, file: SessionFile | Salvage, content: Content, start_ns: i
             if kind is Kind.LINK
         ],
         "clocks": content.told_clocks(),
+        "clock_steps": [
+            {
+                "at": _utc(step.at_ns),
+                "step_s": step.step_ns / NS_PER_S,
+                "jump_s": step.jump_ns / NS_PER_S,
+                "ahead_s": step.ahead_ns / NS_PER_S,
+            }
+            for step in content.steps
+        ],
         "session": file.session,
         "ledger": file.ledger,
         "gaps": gaps(file.ledger or {}),

@@ -32,6 +32,7 @@ from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.faults import CLOCK_STEP, Fate, Faults
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.moment import moment
+from igtl_gateway.replay.pace import Pace, steps_of
 from igtl_gateway.replay.playback import checked_rate
 from igtl_gateway.replay.restamp import MODES, Restamper
 from igtl_gateway.replay.simclock import DEFAULT_HZ, period_ns, with_ticks
@@ -134,6 +135,7 @@ def run(options: argparse.Namespace) -> int:
         config = with_sends(recorded_config(file.session, options.config), options.send)
         how = plan(file, options.to, options.through_gateway)
         _tell(options, f"{options.file}: {how.why}")
+        pace = Pace(steps_of(file))
         side = open_sides(options, file, how, stop, stack, lambda text: _tell(options, text))
         if side is None:
             _tell(options, "stopped before the replay began")
@@ -146,7 +148,7 @@ def run(options: argparse.Namespace) -> int:
         def feed(from_ns: int | None) -> Any:
             entries = planned(file, config, how, options.streams, from_ns, end_ns, role)
             entries = faulty(entries) if faulty else entries
-            return with_ticks(entries, from_ns, period_ns(options.clock)) if options.clock else entries
+            return with_ticks(entries, from_ns, period_ns(options.clock), pace) if options.clock else entries
 
         player = Player(
             feed,
@@ -162,6 +164,7 @@ def run(options: argparse.Namespace) -> int:
             on_jump=lambda jump: _tell_jump(options, file, jump),
             send_all=side.send_all,
             digest=not options.no_digest,
+            pace=pace,
         )
         _controls(options, file, player, side, stop, stack)
         stop.wait(options.delay)

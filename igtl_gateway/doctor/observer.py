@@ -18,6 +18,7 @@ from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.protocols import is_openigtlink
 from igtl_gateway.errors import ChecksumMismatch, WireError
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, metadata
+from igtl_gateway.session.clocksteps import ClockStep, without_jump
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.session.timing import Timing
@@ -227,6 +228,7 @@ class Observer:
         self.graph: Graph | None = None
         self.damage = ""
         self.losses: dict[str, int] = {}
+        self._ahead_ns = 0  # of gateway time to the host's clock
 
     def add(self, entry: Entry) -> None:
         """Look at the next entry."""
@@ -280,6 +282,11 @@ class Observer:
         note = Note.unpack(entry.data())
         said = self.said.setdefault(note.code, Said(0, note))
         said.count += 1
+        if step := ClockStep.of(entry):
+            self._ahead_ns = step.ahead_ns
+            for stream in self.streams.values():
+                without_jump(stream, step)
+                stream.timing.begin_again()
         if head := note.data.get("head"):
             for number in entry.links:
                 peer = self.peer(number)
@@ -317,7 +324,7 @@ class Observer:
         stream.messages += 1
         stream.bytes += len(data)
         stream.versions[header.version] += 1
-        stream.timing.add(entry.source_ns, entry.stamp_ns)
+        stream.timing.add(entry.source_ns, entry.stamp_ns - self._ahead_ns)
         if header.version in HEADER_VERSIONS:
             message = _decoded(stream, header, data)
             if message is not None:

@@ -67,6 +67,7 @@ class Watched:
         last_ns: stamp told of its last message (gateway time where it had none).
         look_ns: gateway time from which ``passes`` has to ask ``calm``.
         arrived_ns: gateway time of the last look.
+        ahead_ns: by how much gateway time is ahead of the host's clock, by which senders are judged.
         timing: of its stamps, as far as they were looked at.
         stale: how many messages were withheld since it became stale; 0: it is fresh.
         episodes: what is seen of it at present → since when, when last, how often.
@@ -81,6 +82,7 @@ class Watched:
         "_still",
         "_unknown_said",
         "_watch",
+        "ahead_ns",
         "arrived_ns",
         "episodes",
         "last_ns",
@@ -92,7 +94,7 @@ class Watched:
 
     def __init__(self, stream: str, max_age_ns: int, *, watch: bool) -> None:
         self.stream = stream
-        self.last_ns = self.look_ns = self.arrived_ns = 0
+        self.last_ns = self.look_ns = self.arrived_ns = self.ahead_ns = 0
         self.timing = Timing()
         self.stale = 0
         self.episodes: dict[str, list[int]] = {}
@@ -108,7 +110,8 @@ class Watched:
     @property
     def age_ns(self) -> int | None:
         """How old the last message was that was looked at; None without a stamp, or before the first."""
-        return self.arrived_ns - self._seen_ns if self._seen_ns not in (0, self.arrived_ns) else None
+        known = self._seen_ns not in (0, self.arrived_ns)
+        return self.arrived_ns - self.ahead_ns - self._seen_ns if known else None
 
     # -- maximum age --------------------------------------------------------------------------------------------
 
@@ -122,7 +125,7 @@ class Watched:
             self._unknown_said = True
             text = f"{self.stream} has no stamps of its own: its age cannot be judged (max_age_s)"
             return False, [(Level.WARN, AGE_UNKNOWN, text)]
-        age_ns = now_ns - own_ns
+        age_ns = now_ns - self.ahead_ns - own_ns
         if age_ns > self._max_age_ns:
             self.stale += 1
             if self.stale > 1:
@@ -163,7 +166,7 @@ class Watched:
                 since_ns, last_ns, number = self.episodes.pop(code)
                 seen = f"{_WORDS[code]}, {number:,} times in {_seconds(last_ns - since_ns)}, are over"
                 findings.append((Level.INFO, CALM, f"{self.stream}: {seen}"))
-            self.timing.add(told_ns if told_ns != now_ns else 0, now_ns)
+            self.timing.add(told_ns if told_ns != now_ns else 0, now_ns - self.ahead_ns)
             self._still = self._still + 1 if told_ns == self._seen_ns else 0
             self._seen_ns = told_ns
             self._place = place
@@ -188,7 +191,7 @@ class Watched:
         """
         if self._max_age_ns:
             unknown = told_ns == now_ns and not self._unknown_said
-            if self.stale or unknown or now_ns - told_ns > self._max_age_ns:
+            if self.stale or unknown or now_ns - self.ahead_ns - told_ns > self._max_age_ns:
                 return False
         if not self._watch:
             return True
@@ -208,7 +211,7 @@ class Watched:
         odd = [BACKWARDS] if told_ns < self.last_ns else []
         if now_ns < self._due_ns:
             return odd
-        if told_ns - now_ns > FUTURE_NS:
+        if told_ns != now_ns and told_ns - now_ns + self.ahead_ns > FUTURE_NS:
             odd.append(FUTURE)
         if told_ns == self._seen_ns and self._still + 1 >= STILL_LOOKS:
             odd.append(STILL)
@@ -223,7 +226,7 @@ class Watched:
         if code == BACKWARDS:
             return f"its stamps run backwards, by {_seconds(self.last_ns - told_ns)}"
         if code == FUTURE:
-            return f"its stamps are in the future, by {_seconds(told_ns - now_ns)}: are the clocks set?"
+            return f"its stamps are in the future, by {_seconds(told_ns - now_ns + self.ahead_ns)}: are the clocks set?"
         if code == STILL:
             return f"its stamps stand still while messages come ({STILL_LOOKS} looks): is the source frozen?"
         before, after = (math.hypot(*one) if one else 0.0 for one in (self._place, place))
@@ -234,10 +237,15 @@ class Watched:
 
 
 class Guard:
-    """All streams that are guarded or watched."""
+    """All streams that are guarded or watched.
+
+    Attributes:
+        ahead_ns: by how much gateway time is ahead of the host's clock; see ``session.clocksteps``.
+    """
 
     def __init__(self, *, watch: bool) -> None:
         self.watch = watch
+        self.ahead_ns = 0
         self._streams: dict[tuple[int, str], Watched] = {}
         self._others: dict[int, Watched] = {}
 
@@ -249,9 +257,18 @@ class Guard:
         if watched is None:
             max_age_ns = round(max_age_s * NS_PER_S)
             if len(self._streams) >= MAX_WATCHED:  # they share a memory for what is withheld; nothing else is said
-                return self._others.setdefault(max_age_ns, Watched("(other streams)", max_age_ns, watch=False))
-            watched = self._streams[link, stream] = Watched(stream, max_age_ns, watch=self.watch)
+                watched = self._others.setdefault(max_age_ns, Watched("(other streams)", max_age_ns, watch=False))
+            else:
+                watched = self._streams[link, stream] = Watched(stream, max_age_ns, watch=self.watch)
+            watched.ahead_ns = self.ahead_ns
         return watched
+
+    def clock_stepped(self, ahead_ns: int) -> None:
+        """The host's clock was set: gateway time is so far ahead of it now, and of other clocks nothing is known."""
+        self.ahead_ns = ahead_ns
+        for watched in (*self._streams.values(), *self._others.values()):
+            watched.ahead_ns = ahead_ns
+            watched.timing.begin_again()
 
     def gone(self, link: int) -> None:
         """A link has gone, its streams with it."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from igtl_gateway.globs import matches
 from igtl_gateway.record.shared_queue import owned
 from igtl_gateway.session import layout
+from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
@@ -68,7 +69,8 @@ class StateRule:
 
     def by_input(self, entry: Entry) -> bool:
         """Whether the input tells by itself."""
-        return entry.kind is Kind.LINK or entry.type in self.types or entry.channel in self.topics
+        told = entry.kind is Kind.LINK or entry.type in self.types or entry.channel in self.topics
+        return told or ClockStep.of(entry) is not None
 
     def by_output(self, entry: Entry) -> bool:
         """Whether an output tells it of its cause."""

@@ -7,6 +7,7 @@ because a reader was slow or the playback was, is due at once; nothing is skippe
 from __future__ import annotations
 
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.replay.pace import Pace
 
 #: Of a playback without pauses between entries.
 UNLIMITED = None
@@ -27,11 +28,13 @@ class PlaybackClock:
     Args:
         rate: recorded seconds per real second; None: as fast as possible.
         paused: begin so.
+        pace: of the session.
     """
 
-    def __init__(self, rate: float | None, paused: bool = False) -> None:
+    def __init__(self, rate: float | None, paused: bool = False, pace: Pace | None = None) -> None:
         self._rate = checked_rate(rate)
         self._paused = paused
+        self._pace = pace or Pace()
         self._recorded_ns: int | None = None  # the moment of the recording ...
         self._real_ns = 0  # ... that was at this one
         self._state_before_ns = 0
@@ -50,7 +53,8 @@ class PlaybackClock:
         """The moment of the recording that is now; None before the first entry."""
         if self._recorded_ns is None or self._paused or self._rate is UNLIMITED:
             return self._recorded_ns
-        return self._recorded_ns + int((now_ns - self._real_ns) * self._rate)
+        passed_ns = self._pace.passed_ns(self._recorded_ns) + int((now_ns - self._real_ns) * self._rate)
+        return max(self._recorded_ns, self._pace.recorded_ns(passed_ns))
 
     def is_state(self, recorded_ns: int) -> bool:
         """Whether an entry lies before the target of the last jump: it rebuilds the state there, and is due at once."""
@@ -64,7 +68,8 @@ class PlaybackClock:
             self._set(recorded_ns, now_ns)
         if self._rate is UNLIMITED or self._recorded_ns is None:
             return 0
-        due_ns = self._real_ns + int((recorded_ns - self._recorded_ns) / self._rate)
+        passed_ns = self._pace.passed_ns(recorded_ns) - self._pace.passed_ns(self._recorded_ns)
+        due_ns = self._real_ns + int(passed_ns / self._rate)
         return max(0, due_ns - now_ns)
 
     def reached(self, recorded_ns: int, now_ns: int) -> None:

@@ -93,6 +93,11 @@ class Timing:
         self._block_least_ns = min(self._block_least_ns, age)
         self._excess_ns += age - self._block_least_ns
 
+    def begin_again(self) -> None:
+        """Our own clock was set: what is known of the other one is known no more; counts stay."""
+        self._previous_ns = 0
+        self._first = self._last = None
+
     @property
     def stamped(self) -> int:
         """How many messages had a stamp."""
