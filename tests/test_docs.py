@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -16,8 +17,13 @@ from igtl_gateway.wire.registry import BODIES
 from tests.wire import conformance
 from tools import docs
 
-MESSAGES, CONVERSIONS, DOCTOR = docs.messages(), docs.conversions(), docs.doctor()
-PAGES = pytest.mark.parametrize("page", [MESSAGES, CONVERSIONS, DOCTOR], ids=["messages", "conversions", "doctor"])
+# Not on import, which is in every worker: counting what conforms takes a second.
+messages, conversions, doctor = cache(docs.messages), cache(docs.conversions), cache(docs.doctor)
+
+
+@pytest.fixture(params=[messages, conversions, doctor], ids=["messages", "conversions", "doctor"])
+def page(request: pytest.FixtureRequest) -> str:
+    return str(request.param())
 
 
 def anchors(page: str) -> set[str]:
@@ -40,7 +46,7 @@ def test_what_is_written_is_current_and_what_is_changed_is_not(
     assert list(tmp_path.iterdir()) == []
     assert docs.main([], tmp_path) == 0
     assert docs.main(["--check"], tmp_path) == 0
-    (tmp_path / "messages.md").write_text(MESSAGES.replace("TDATA", "TDATUM"), "utf-8")
+    (tmp_path / "messages.md").write_text(messages().replace("TDATA", "TDATUM"), "utf-8")
     capsys.readouterr()
     assert docs.main(["--check"], tmp_path) == 1
     assert "docs/messages.md" in (said := capsys.readouterr().err)
@@ -48,18 +54,19 @@ def test_what_is_written_is_current_and_what_is_changed_is_not(
 
 
 def test_every_type_profile_and_key_is_there() -> None:
-    assert [name for name in BODIES if f"`{name}`" not in MESSAGES and not name.endswith("_TRANSFOR")] == []
-    assert [profile.name for profile in PROFILES if f"### Profile {profile.name}\n" not in MESSAGES] == []
-    assert [fact for profile in PROFILES for fact, _ in profile.facts if fact.replace("|", "\\|") not in MESSAGES] == []
+    assert [name for name in BODIES if f"`{name}`" not in messages() and not name.endswith("_TRANSFOR")] == []
+    assert [profile.name for profile in PROFILES if f"### Profile {profile.name}\n" not in messages()] == []
+    facts = [fact.replace("|", "\\|") for profile in PROFILES for fact, _ in profile.facts]
+    assert [fact for fact in facts if fact not in messages()] == []
     assert docs.KEYS.keys() == metadata.OURS
 
 
 def test_every_conversion_is_there() -> None:
     for to_ros in TO_ROS:
-        here = section(CONVERSIONS, next(title for title, rows in docs.ros_sections().items() if to_ros in rows))
+        here = section(conversions(), next(title for title, rows in docs.ros_sections().items() if to_ros in rows))
         for fact in (f"`{to_ros.topic or to_ros.kind}`", docs.ros_name(to_ros.message.TYPE), to_ros.lossy):
             assert fact in here
-    back = CONVERSIONS.partition("## ROS to OpenIGTLink")[2]
+    back = conversions().partition("## ROS to OpenIGTLink")[2]
     for to_igtl in TO_IGTL:
         name = docs.ros_name(to_igtl.message.TYPE)
         lines = [line for line in back.splitlines() if name in line and to_igtl.lossy in line]
@@ -70,20 +77,19 @@ def test_every_conversion_is_there() -> None:
 def test_every_definition_is_there() -> None:
     files = [path for folder in ("msg", "srv") for path in (docs.DEFINITIONS / folder).iterdir()]
     assert files
-    assert [path.name for path in files if f"/{path.name})" not in CONVERSIONS] == []
+    assert [path.name for path in files if f"/{path.name})" not in conversions()] == []
 
 
 def test_every_rule_is_there() -> None:
     numbers = [rule.id[6:] for rule in RULES]
     assert len(set(numbers)) == len(numbers) and {number[0] for number in numbers} == docs.GROUPS.keys()
     for rule in RULES:
-        line = next(line for line in DOCTOR.splitlines() if line.startswith(f"| `{rule.id}`"))
+        line = next(line for line in doctor().splitlines() if line.startswith(f"| `{rule.id}`"))
         assert rule.title in line and rule.advice in line
 
 
-@PAGES
 def test_links_lead_somewhere(page: str) -> None:
-    pages = {"": page, "messages.md": MESSAGES, "conversions.md": CONVERSIONS}
+    pages = {"": page, "messages.md": messages(), "conversions.md": conversions()}
     links = set(re.findall(r"\]\(([^)]+)\)", page))
     assert links
     for link in links:
@@ -96,7 +102,6 @@ def test_links_lead_somewhere(page: str) -> None:
             assert part in anchors(pages[place]), link
 
 
-@PAGES
 def test_tables_are_whole(page: str) -> None:
     """As many cells in each row as in its head, or the rest of the row is not shown."""
     tables = re.findall(r"(?:^\|.*\n)+", page, re.MULTILINE)
@@ -106,13 +111,11 @@ def test_tables_are_whole(page: str) -> None:
         assert len(widths) == 1, table
 
 
-@PAGES
 def test_words_of_the_code_stay_there(page: str) -> None:
     """No reStructuredText, no names of Python's, no place on a disk."""
     assert re.findall(r"``|:class:|\bNone\b|ClassVar|<lambda>|/(?:work|home)/", page) == []
 
 
-@PAGES
 def test_lines_of_prose_are_no_longer_than_those_of_code(page: str) -> None:
     prose = [line for line in page.splitlines() if not line.startswith(("|", "- ", "<!--"))]
     assert [line for line in prose if len(line) > 120] == []
@@ -120,10 +123,11 @@ def test_lines_of_prose_are_no_longer_than_those_of_code(page: str) -> None:
 
 def test_without_the_corpus_its_table_stays(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Where only the project was copied, there are fewer messages to count."""
+    today = messages()
     monkeypatch.setattr(conformance, "SHARED", tmp_path / "absent")
     monkeypatch.setattr(docs, "DOCS", tmp_path)
     begin, end = docs.CONFORMANCE
-    written = MESSAGES.partition(begin)[0] + f"{begin}\n\n| as | it was |\n\n{end}\n"
+    written = today.partition(begin)[0] + f"{begin}\n\n| as | it was |\n\n{end}\n"
     (tmp_path / "messages.md").write_text(written, "utf-8")
     assert docs.messages() == written
 

@@ -7,7 +7,9 @@ the files by two other readers.
 
 from __future__ import annotations
 
+import shutil
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_types_from_msg
 from ruamel.yaml import YAML
 
 from igtl_gateway.cli import main
@@ -83,13 +86,14 @@ def fits(found: Any, expected: Any, where: str = "") -> list[str]:
             return [] if not isinstance(found, bool | float) and found in expected else [f"{where}: {found!r}"]
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A split recording with all types, as the recorder writes it."""
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A split recording with all types, as the recorder writes it; nobody changes it."""
+    place = tmp_path_factory.mktemp("rosbag2")
     with SessionFile.open(FIXTURES / "every-type.mcap") as file:
         qos = {(one.topic, one.type): one.qos for one in file.channels}
         parts = PartsWriter(
-            tmp_path / "long.mcap",
+            place / "long.mcap",
             lambda path, facts, prologue: SessionWriter(
                 path,
                 {**file.session, **facts},
@@ -105,11 +109,17 @@ def folder(tmp_path: Path) -> Path:
         for entry in file.entries():
             parts.write(entry)
         parts.close({})
-    return tmp_path / "long"
+    return place / "long"
+
+
+@cache
+def parsed(text: str) -> Any:
+    """A text in YAML; hundreds of channels have the same few, and the reader is slow."""
+    return YAML(typ="safe").load(text)
 
 
 def told(folder: Path) -> dict[str, Any]:
-    found = YAML(typ="safe").load((folder / "metadata.yaml").read_text("utf-8"))
+    found = parsed((folder / "metadata.yaml").read_text("utf-8"))
     assert list(found) == ["rosbag2_bagfile_information"]
     return dict(found["rosbag2_bagfile_information"])
 
@@ -137,7 +147,7 @@ def check(folder: Path) -> None:
     assert sorted(path.name for path in folder.glob("*.mcap")) == sorted(metadata["relative_file_paths"])
     assert [span(one) for one in metadata["files"]] == [each[1:] for each in spans]
     assert [one["path"] for one in metadata["files"]] == [each[0] for each in spans]
-    profiles = {key: YAML(typ="safe").load(text) for key, text in texts.items()}
+    profiles = {key: parsed(text) for key, text in texts.items()}
     start_ns, end_ns = spans[0][1], spans[-1][1] + spans[-1][2]
     assert span(metadata) == (start_ns, end_ns - start_ns, counts.total())
     rows = {(row["topic_metadata"]["name"], row["topic_metadata"]["type"]): row for row in metadata[_ROWS]}
@@ -160,7 +170,8 @@ def test_the_side_file_is_what_rosbag2_asks_for(folder: Path) -> None:
     check(folder)
 
 
-def test_so_is_that_of_a_recovered_folder(folder: Path) -> None:
+def test_so_is_that_of_a_recovered_folder(folder: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(folder, tmp_path / "long")
     last = folder / told(folder)["relative_file_paths"][-1]
     last.write_bytes(last.read_bytes()[:-400])
     (folder / "metadata.yaml").unlink()
@@ -168,7 +179,9 @@ def test_so_is_that_of_a_recovered_folder(folder: Path) -> None:
     check(folder.with_name("whole"))
 
 
-def test_rosbags_plays_the_folder_in_order(folder: Path) -> None:
+def test_rosbags_plays_the_folder_in_order(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # each of the files has all definitions: rosbags is slow to read them, and need not read the same text again
+    monkeypatch.setattr("rosbags.highlevel.anyreader.get_types_from_msg", cache(get_types_from_msg))
     with SessionFile.open(folder) as file:
         expected = [entry.stamp_ns for entry in file.entries()]
     with Reader(folder) as reader:
