@@ -15,6 +15,7 @@ import struct
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from io import BufferedWriter, BytesIO
 from typing import Literal
 
@@ -27,7 +28,6 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -57,10 +57,23 @@ _TRIES = 4
 #: ... so many are written as they are, before the next is tried.
 _REST = 31
 
-_Compress = Callable[[bytes], bytes]
+
+def _lz4(parts: Sequence[Buffer], size: int) -> tuple[bytes, ...]:
+    """One frame of all parts, which are not put together for it."""
+    context = lz4.frame.create_compression_context()
+    begin = lz4.frame.compress_begin(context, source_size=size)
+    middle = [lz4.frame.compress_chunk(context, part) for part in parts]
+    return begin, *middle, lz4.frame.compress_flush(context)
+
+
+def _zstd(parts: Sequence[Buffer], _size: int) -> tuple[bytes, ...]:
+    return (zstandard.compress(b"".join(parts)),)
+
+
+_Compress = Callable[[Sequence[Buffer], int], tuple[bytes, ...]]
 _COMPRESS: dict[Compression, tuple[str, _Compress | None]] = {
-    "lz4": ("lz4", lz4.frame.compress),
-    "zstd": ("zstd", zstandard.compress),
+    "lz4": ("lz4", _lz4),
+    "zstd": ("zstd", _zstd),
     "none": ("", None),
 }
 
@@ -68,11 +81,23 @@ _MESSAGE = struct.Struct("<BQHIQQ")  # opcode and length; channel, sequence, log
 _MESSAGE_BYTES = _MESSAGE.size - 9
 _CHUNK = struct.Struct("<BQQQQII")  # opcode and length; first and last time, size, CRC, length of what follows: a name
 _CHUNK_BYTES = _CHUNK.size - 9
-_INDEX = struct.Struct("<BQHI")  # opcode and length; channel, length of the rest
-_INDEX_BYTES = _INDEX.size - 9
+_INDEX_BYTES = struct.calcsize("<HI")  # of a message index before its pairs of times and places
 _SIZE = struct.Struct("<Q")
 _FOOTER = struct.Struct("<BQQQ")  # the part of it that its CRC covers
 _FOOTER_BYTES = 20
+
+
+@lru_cache(maxsize=1024)
+def _index(numbers: int) -> struct.Struct:
+    """A message index: opcode and length; channel, length of the rest, pairs of times and places."""
+    return struct.Struct(f"<BQHI{numbers}Q")
+
+
+@lru_cache(maxsize=256)
+def _chunk_index(channels: int, name: int) -> struct.Struct:
+    """A chunk's index: opcode and length; first and last time, place and size of the chunk; size of what follows,
+    channels and the places of their message indexes; their size; the compression's name, size after and before it."""
+    return struct.Struct(f"<BQQQQQI{'HQ' * channels}QI{name}sQQ")
 
 
 class McapStream:
@@ -96,7 +121,8 @@ class McapStream:
         self._messages: defaultdict[int, list[int]] = defaultdict(list)  # of the chunk, by channel: time, place, time …
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
+        self._chunks = bytearray()  # the records that tell of them
+        self._chunk_count = self._first = self._last = 0
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = {}
@@ -145,13 +171,14 @@ class McapStream:
         self._put(data)
 
     def add_message(
-        self, channel: int, log_time: int, data: bytes | memoryview, publish_time: int, sequence: int
+        self, channel: int, log_time: int, head: bytes, data: Buffer, publish_time: int, sequence: int
     ) -> None:
-        """A message; ``data`` may change as soon as this returns.  Times and numbers have to fit."""
-        size = len(data)
+        """A message, in two pieces; ``data`` may change as soon as this returns.  Times and numbers have to fit."""
+        size = len(head) + len(data)
         chunk = self._chunk
-        head = _MESSAGE.pack(Opcode.MESSAGE, _MESSAGE_BYTES + size, channel, sequence, log_time, publish_time)
+        begin = _MESSAGE.pack(Opcode.MESSAGE, _MESSAGE_BYTES + size, channel, sequence, log_time, publish_time)
         self._messages[channel] += (log_time, len(chunk))
+        chunk += begin
         chunk += head
         if size >= self._large:
             self._end_chunk(channel, data)
@@ -170,27 +197,21 @@ class McapStream:
         self._end_chunk()
         self._put(_packed(DataEnd(0)))
         start = self.size
-        summary = RecordBuilder()
+        data = bytearray()
         offsets: list[SummaryOffset] = []
-        groups: tuple[tuple[Opcode, Sequence[McapRecord]], ...] = (
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, (self._statistics(),)),
+        groups: tuple[tuple[Opcode, Buffer], ...] = (
+            (Opcode.SCHEMA, _packed(*self._schemas)),
+            (Opcode.CHANNEL, _packed(*self._channels)),
+            (Opcode.STATISTICS, _packed(self._statistics())),
             (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
+            (Opcode.ATTACHMENT_INDEX, _packed(*self._attachments)),
+            (Opcode.METADATA_INDEX, _packed(*self._metadata)),
         )
         for opcode, records in groups:
-            begin = summary.count
-            for record in records:
-                record.write(summary)
-            offsets.append(
-                SummaryOffset(group_opcode=opcode, group_start=start + begin, group_length=summary.count - begin)
-            )
-        offset_start = start + summary.count
-        for offset in offsets:
-            offset.write(summary)
-        data = summary.end()  # type: ignore[no-untyped-call]
+            offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data), group_length=len(records)))
+            data += records
+        offset_start = start + len(data)
+        data += _packed(*offsets)
         crc = crc32.iso_hdlc(_FOOTER.pack(Opcode.FOOTER, _FOOTER_BYTES, start, offset_start), crc32.iso_hdlc(data))
         self._put(data)
         self._put(_packed(Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc)))
@@ -201,11 +222,11 @@ class McapStream:
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=self._counts,
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunk_count,
             message_count=sum(self._counts.values()),
             metadata_count=len(self._metadata),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            message_start_time=self._first,
+            message_end_time=self._last,
             schema_count=len(self._schemas),
         )
 
@@ -214,7 +235,9 @@ class McapStream:
         if not self._messages:
             return
         size = len(self._chunk) + len(rest)
-        crc = crc32.iso_hdlc(rest, crc32.iso_hdlc(self._chunk))
+        crc = crc32.iso_hdlc(self._chunk)
+        if rest:
+            crc = crc32.iso_hdlc(rest, crc)
         compression, parts = self._compressed(channel, rest, size)
         length = sum(map(len, parts))
         first = min(min(found[::2]) for found in self._messages.values())
@@ -227,27 +250,23 @@ class McapStream:
         for part in parts:
             self._put(part)
         end = self.size
-        places: dict[int, int] = {}
+        places: list[int] = []  # by channel: its number, the place of its index
         index = bytearray()
+        counts = self._counts
         for number, found in self._messages.items():
-            places[number] = end + len(index)
-            index += _INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX_BYTES + 8 * len(found), number, 8 * len(found))
-            index += struct.pack(f"<{len(found)}Q", *found)
-            self._counts[number] = self._counts.get(number, 0) + len(found) // 2
+            places += (number, end + len(index))
+            numbers = len(found)
+            index += _index(numbers).pack(Opcode.MESSAGE_INDEX, _INDEX_BYTES + 8 * numbers, number, 8 * numbers, *found)
+            counts[number] = counts.get(number, 0) + numbers // 2
         self._put(index)
-        self._chunks.append(
-            ChunkIndex(
-                message_start_time=first,
-                message_end_time=last,
-                chunk_start_offset=begin,
-                chunk_length=end - begin,
-                message_index_offsets=places,
-                message_index_length=len(index),
-                compression=compression,
-                compressed_size=length,
-                uncompressed_size=size,
-            )
-        )
+        record = _chunk_index(len(places) // 2, len(name))
+        self._chunks += record.pack(
+            Opcode.CHUNK_INDEX, record.size - 9, first, last, begin, end - begin, 5 * len(places), *places, len(index),
+            len(name), name, length, size,
+        )  # fmt: skip
+        self._first = min(self._first, first) if self._chunk_count else first
+        self._last = max(self._last, last)
+        self._chunk_count += 1
         self._chunk.clear()
         self._messages.clear()
 
@@ -264,12 +283,12 @@ class McapStream:
         if _TRIES <= poor < _TRIES + _REST:
             self._poor[channel] = poor + 1
             return "", plain
-        data = self._compress(b"".join(plain))
+        packed = self._compress(plain, size)
         if size < self._large:
-            return self._compression, (data,)
-        if len(data) <= size * _POOR:
+            return self._compression, packed
+        if sum(map(len, packed)) <= size * _POOR:
             self._poor[channel] = 0
-            return self._compression, (data,)
+            return self._compression, packed
         self._poor[channel] = min(poor + 1, _TRIES)
         return "", plain
 
@@ -278,7 +297,8 @@ class McapStream:
         self.size += len(data)
 
 
-def _packed(record: McapRecord) -> bytes:
+def _packed(*records: McapRecord) -> bytes:
     builder = RecordBuilder()
-    record.write(builder)
+    for record in records:
+        record.write(builder)
     return builder.end()  # type: ignore[no-untyped-call, no-any-return]

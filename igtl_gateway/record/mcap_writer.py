@@ -41,6 +41,8 @@ DefinitionOf = Callable[[str], tuple[str, str] | None]
 COMPRESSIONS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
 #: Channels of ROS topics.  MCAP has 65,535 channels, and the other kinds need some.
 _MAX_ROS_CHANNELS = 60_000
+#: Streams and links that are known at a time: more than a session has, unless a peer invents names.
+_MAX_KNOWN = 10_000
 _U64 = 1 << 64
 _DATASYNC = getattr(os, "fdatasync", os.fsync)  # not every system has the first
 #: What the system says of a path that nobody can have meant; all else is the disk's.
@@ -105,6 +107,8 @@ class SessionWriter:
         self._types = types or RosTypes()
         self._topics = layout.WireTopics()
         self._channels: dict[tuple[Kind, str, str], int] = {}  # by kind, channel and type of the entries
+        # the same, and what packs the entry, by its links, too
+        self._known: dict[tuple[Kind, str, str, tuple[int, ...]], tuple[int, layout.RawPacker | None]] = {}
         self._schemas: dict[str, int] = {}
         self._facts: list[tuple[str, str, dict[str, str]]] = []  # topic, type and metadata of channel 1, 2 …
         self._counts: list[int] = []
@@ -140,17 +144,23 @@ class SessionWriter:
         Raises LayoutError for an entry that the format cannot hold (the file is not touched), RecordingError when
         the disk refuses (then nothing more can be written).
         """
-        data = _message(entry)
         seq, stamp_ns, source_ns = entry.seq, entry.stamp_ns, entry.source_ns
         if not (0 <= stamp_ns < _U64 and 0 <= source_ns < _U64 and seq >= 0):
             found = f"number {seq}, stamp {stamp_ns} ns, source stamp {source_ns} ns"
             raise LayoutError(f"entry of {entry.channel or entry.kind.value}: found {found}, expected unsigned 64 bits")
-        channel = self._channels.get((entry.kind, entry.channel, entry.type))
-        if channel is None:
-            channel = self._open_channel(entry)
-        self._check_open()
+        kind = entry.kind
+        known = self._known.get((kind, entry.channel, entry.type, entry.links))
+        packer = known[1] if known else layout.RawPacker(entry) if kind in layout.WIRE_TOPICS else None
+        head, data = b"", _data(entry)
+        if packer:
+            head = packer.head(entry, data)
+        elif not known or kind in layout.NOTE_KINDS:  # of the others known, the payload is the message
+            data = layout.pack_message(entry)
+        channel = known[0] if known else self._learn(entry, packer)
+        if self._failure or self._closed:
+            self._check_open()
         try:
-            self._mcap.add_message(channel, stamp_ns, data, source_ns or stamp_ns, seq & 0xFFFFFFFF)
+            self._mcap.add_message(channel, stamp_ns, head, data, source_ns or stamp_ns, seq & 0xFFFFFFFF)
         except OSError as error:
             raise self._failed(error) from error
         self._counts[channel - 1] += 1
@@ -204,6 +214,14 @@ class SessionWriter:
                 topic, ros_type, facts[layout.QOS_KEY], facts.get(layout.TYPE_HASH_KEY, ""), total
             )
         return list(counts.values())
+
+    def _learn(self, entry: Entry, packer: layout.RawPacker | None) -> int:
+        """The channel of an entry unlike those before it, which is kept for those like it."""
+        channel = self._channels.get((entry.kind, entry.channel, entry.type)) or self._open_channel(entry)
+        if len(self._known) >= _MAX_KNOWN:
+            self._known.clear()
+        self._known[entry.kind, entry.channel, entry.type, entry.links] = channel, packer
+        return channel
 
     def _open_channel(self, entry: Entry) -> int:
         """The channel of the first entry of a stream."""
@@ -285,13 +303,16 @@ class SessionWriter:
             self._file.raw.close()
 
 
-def _message(entry: Entry) -> bytes | memoryview:
-    """The CDR message of an entry; a ROS message that is lent to it is not copied."""
-    if len(entry.payload) == 1 and type(part := entry.payload[0]) is memoryview and not entry.links:
-        flat = part.format == "B" and part.ndim == 1 and part.c_contiguous
-        if flat and entry.kind in layout.ROS_KINDS:
+def _data(entry: Entry) -> bytes | memoryview:
+    """The payload in one piece; what is one is not copied, be it lent."""
+    payload = entry.payload
+    if len(payload) == 1:
+        part = payload[0]
+        if type(part) is bytes or (
+            type(part) is memoryview and part.format == "B" and part.ndim == 1 and part.c_contiguous
+        ):
             return part
-    return layout.pack_message(entry)
+    return entry.data()
 
 
 def _packed(entries: Iterable[Entry], types: RosTypes) -> bytes:

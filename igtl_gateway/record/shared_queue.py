@@ -3,8 +3,11 @@
 To put an entry is to copy it: no lock is shared, no system call is made, no thread has to run.  So what was put is
 safe from whatever happens to the process that did, and costs it microseconds.
 
-Layout: a page of counters, then room for records.  A record is two lengths, a head (marshalled) and the payload; it
-is never split.  Records follow each other, until a mark says at what place it goes on: where the room ends, where
+Layout: a page of counters, then room for records.  A record is five numbers and bytes; it is never split.  What all
+entries of a stream have in common is said once, in a record before the first of them; an entry is the number of that
+stream, three numbers of its own, and the payload.  Commands, and what does not fit into that, are marshalled.
+
+Records follow each other, until a mark says at what place it goes on: where the room ends, where
 something waits still, and as soon as there is room at the beginning, so that the same few pages, which are there
 already, serve again and again.  Positions count the bytes of records and marks and only grow; the putter knows the
 place of each that waits.
@@ -31,10 +34,14 @@ from igtl_gateway.session.entry import Entry, Kind
 
 _PAGE = 4096
 _MARSHAL = 2  # the version without references, which a head has no use for
-_LENGTHS = struct.Struct("=QQ")
-#: A mark: this instead of the first length, and the place instead of the second.
-_MARK = (1 << 64) - 1
-_MARK_BYTES = _LENGTHS.size
+#: What a record is, and the size of its payload; of an entry then its number, stamp and source stamp.
+_RECORD = struct.Struct("=QQQQQ")
+_RECORD_BYTES = _RECORD.size
+#: Streams that have numbers; the entries of the others say all by themselves.
+_MAX_STREAMS = 10_000
+#: What a record is: an entry of the stream of this number, or one of these.  A mark has the place instead of the size,
+#: the others the length of the words before the payload in place of the entry's number.
+_MARK, _COMMAND, _STREAM, _ENTRY = range(_MAX_STREAMS, _MAX_STREAMS + 4)
 _ALIGN = 16
 _KINDS = tuple(Kind)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
@@ -128,6 +135,7 @@ class Putter(_End):
         self._runs: deque[tuple[int, int, int]] = deque()  # those before, with the place of their end
         self._limit = 0  # the place up to which nothing is in the way
         self._barrier = threading.Lock()
+        self._streams: dict[tuple[Kind, str, str, tuple[int, ...]], int] = {}
         #: Whether so much waits, after the last entry, that the getter should look.
         self.pressing = False
 
@@ -158,11 +166,23 @@ class Putter(_End):
             else:
                 payload = [part if type(part) in _FLAT else _flat(part) for part in payload]
                 size = sum(map(len, payload))
-            head = _head(entry)
+            try:
+                stream = self._streams.get((entry.kind, entry.channel, entry.type, entry.links), -1)
+                if stream < 0:
+                    stream = self._new_stream(entry)
+            except TypeError:  # a list of links
+                stream = _ENTRY
             entries = self._entries - counters[_DONE_ENTRIES]
             waiting = self._taken - counters[_DONE_BYTES] + size + ENTRY_BYTES
-            full = entries >= self._max_entries or (entries and waiting > self._max_bytes)
-            taken = not full and self._add(head, payload, size)
+            if entries < self._max_entries and (waiting <= self._max_bytes or not entries):
+                try:
+                    taken = stream < _MAX_STREAMS and self._add(
+                        stream, size, (entry.seq, entry.stamp_ns, entry.source_ns), payload, size
+                    )
+                except struct.error:  # beyond 64 bits
+                    stream = _ENTRY
+                if stream == _ENTRY:
+                    taken = self._add_words(_ENTRY, _words(entry), payload, size)
         finally:
             if not taken:
                 counters[_REFUSED] += 1
@@ -172,9 +192,18 @@ class Putter(_End):
             self._taken += size + ENTRY_BYTES
         return taken
 
+    def _new_stream(self, entry: Entry) -> int:
+        """The number of an entry's stream, which the other end is told; ``_ENTRY`` where there are too many."""
+        _, _, kind, channel, type_name, links, _ = _words(entry)
+        number = len(self._streams)
+        if number == _MAX_STREAMS or not self._add_words(_STREAM, (kind, channel, type_name, links)):
+            return _ENTRY
+        self._streams[entry.kind, channel, type_name, links] = number
+        return number
+
     def command(self, name: str, *words: Any) -> bool:
         """Add a command, whatever waits already; False if even the room for commands is taken."""
-        return self._add(marshal.dumps((name, *words)), (), 0)
+        return self._add_words(_COMMAND, (name, *words))
 
     def ring_bell(self) -> bool:
         """Ask for the getter's attention; False if it was asked already, and has not looked since."""
@@ -183,17 +212,19 @@ class Putter(_End):
         self._counters[_BELL] = 1
         return True
 
-    def _add(self, head: bytes, payload: Sequence[Buffer], size: int) -> bool:
-        head_size = len(head)
-        need = (_LENGTHS.size + head_size + size + _ALIGN - 1) & -_ALIGN
+    def _add_words(self, what: int, words: tuple[Any, ...], payload: Sequence[Buffer] = (), size: int = 0) -> bool:
+        told = marshal.dumps(words, _MARSHAL)
+        return self._add(what, size, (len(told), 0, 0), (told, *payload), len(told) + size)
+
+    def _add(self, what: int, size: int, numbers: tuple[int, int, int], parts: Sequence[Buffer], length: int) -> bool:
+        """Add a record with these bytes, ``length`` of them together; False if there is no room."""
+        need = (_RECORD_BYTES + length + _ALIGN - 1) & -_ALIGN
         if self._place + need > self._limit and not self._make_way(need):
             return False
         room, place = self._room, self._place
-        _LENGTHS.pack_into(room, place, head_size, size)
-        at = place + _LENGTHS.size
-        end = at + head_size
-        room[at:end] = head
-        for part in payload:
+        _RECORD.pack_into(room, place, what, size, *numbers)
+        end = place + _RECORD_BYTES
+        for part in parts:
             at = end
             end = at + len(part)
             room[at:end] = part
@@ -211,28 +242,28 @@ class Putter(_End):
             self._runs.popleft()
         taken = [(place + max(0, tail - position), end) for position, place, end in self._runs]
         position, place = self._run
-        taken.append((min(place + max(0, tail - position), self._place), self._place + _MARK_BYTES))
+        taken.append((min(place + max(0, tail - position), self._place), self._place + _RECORD_BYTES))
         taken.sort()
         free, begin = [], 0
         for start, end in taken:
             free.append((begin, start))
             begin = end
         free.append((begin, self._size))
-        need += _MARK_BYTES  # behind each record there is room for a mark
+        need += _RECORD_BYTES  # behind each record there is room for a mark
         obstacle = next((start for start, _ in taken if start > self._place), self._size)
         fits = self._place + need <= obstacle
         enough = need + _FREE_BYTES if fits else need  # not to go back for a few bytes
         there = next((gap for gap in free if gap[1] - gap[0] >= enough), None)
         if there and (not fits or there[0] + enough <= min(_ENOUGH_BYTES, self._place)):
-            _LENGTHS.pack_into(self._room, self._place, _MARK, there[0])
-            self._runs.append((*self._run, self._place + _MARK_BYTES))
-            self._position += _MARK_BYTES
+            _RECORD.pack_into(self._room, self._place, _MARK, there[0], 0, 0, 0)
+            self._runs.append((*self._run, self._place + _RECORD_BYTES))
+            self._position += _RECORD_BYTES
             self._place, obstacle = there
             self._run = self._position, self._place
         elif not fits:
             return False
         wish = max(_ENOUGH_BYTES, self._place + need + _FREE_BYTES)  # up to where not to ask again
-        self._limit = min(obstacle, wish) - _MARK_BYTES
+        self._limit = min(obstacle, wish) - _RECORD_BYTES
         return True
 
 
@@ -245,20 +276,16 @@ def _flat(part: Buffer) -> Buffer:
     return view if view.format == "B" and view.ndim == 1 else view.tobytes()
 
 
-def _head(entry: Entry) -> bytes:
+def _words(entry: Entry) -> tuple[int, int, int, str, str, tuple[int, ...], int]:
     """All but the payload.  What only passes for a number or a text is made one: marshal takes it for bytes, or not."""
-    links = entry.links
-    return marshal.dumps(
-        (
-            index(entry.seq),
-            index(entry.stamp_ns),
-            _NUMBERS[entry.kind],
-            "" + entry.channel,
-            "" + entry.type,
-            tuple(map(index, links)) if links else (),
-            index(entry.source_ns),
-        ),
-        _MARSHAL,
+    return (
+        index(entry.seq),
+        index(entry.stamp_ns),
+        _NUMBERS[entry.kind],
+        "" + entry.channel,
+        "" + entry.type,
+        tuple(map(index, entry.links)),
+        index(entry.source_ns),
     )
 
 
@@ -281,6 +308,7 @@ class Getter(_End):
         self._begin = 0  # place from which on it has not
         self._gone: list[tuple[int, int]] = []  # what it has not, before the last mark
         self._barrier = threading.Lock()
+        self._streams: list[tuple[Kind, str, str, tuple[int, ...]]] = []
 
     @property
     def refused(self) -> int:
@@ -293,31 +321,46 @@ class Getter(_End):
 
     def get(self) -> Entry | tuple[Any, ...] | None:
         """The next entry or the words of the next command; None if nothing waits.  To be followed by :meth:`done`."""
-        if self._position == self._head and not self._look():
-            return None
-        room, place = self._room, self._place
-        head_size, size = _LENGTHS.unpack_from(room, place)
-        if head_size == _MARK:
-            self._gone.append((self._begin, place + _MARK_BYTES))
-            self._position += _MARK_BYTES
-            self._begin = place = size
-            head_size, size = _LENGTHS.unpack_from(room, place)
-        at = place + _LENGTHS.size
-        begin = at + head_size
-        words = marshal.loads(room[at:begin])
-        need = (_LENGTHS.size + head_size + size + _ALIGN - 1) & -_ALIGN
-        self._position += need
-        self._place = place + need
-        if type(words[0]) is str:
-            return tuple(words)
-        seq, stamp_ns, kind, channel, type_name, links, source_ns = words
+        while True:
+            if self._position == self._head and not self._look():
+                return None
+            room, place = self._room, self._place
+            what, size, number, stamp_ns, source_ns = _RECORD.unpack_from(room, place)
+            if what < _MAX_STREAMS:
+                begin = place + _RECORD_BYTES
+                kind, channel, type_name, links = self._streams[what]
+                break
+            if what == _MARK:
+                self._gone.append((self._begin, place + _RECORD_BYTES))
+                self._position += _RECORD_BYTES
+                self._begin = self._place = size
+                continue
+            begin = place + _RECORD_BYTES + number
+            words = marshal.loads(room[place + _RECORD_BYTES : begin])
+            if what == _ENTRY:
+                number, stamp_ns, kind_number, channel, type_name, links, source_ns = words
+                kind = _KINDS[kind_number]
+                break
+            self._pass(place, begin)
+            if what == _COMMAND:
+                return tuple(words)
+            kind_number, channel, type_name, links = words
+            self._streams.append((_KINDS[kind_number], channel, type_name, links))
+        end = begin + size
+        self._pass(place, end)
         self._entries += 1
         self._done += size + ENTRY_BYTES
-        payload = room[begin : begin + size]
-        lent = self.lends and size >= _LENT_BYTES
+        payload = room[begin:end]
+        lent = size >= _LENT_BYTES and self.lends
         return Entry(
-            seq, stamp_ns, _KINDS[kind], channel, type_name, (payload if lent else bytes(payload),), links, source_ns
+            number, stamp_ns, kind, channel, type_name, (payload if lent else bytes(payload),), links, source_ns
         )
+
+    def _pass(self, place: int, end: int) -> None:
+        """Go on behind a record."""
+        need = (end - place + _ALIGN - 1) & -_ALIGN
+        self._position += need
+        self._place = place + need
 
     def _look(self) -> bool:
         """Whether there is more than was there when this looked last."""

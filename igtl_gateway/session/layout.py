@@ -19,13 +19,12 @@ import re
 import struct
 import zlib
 from dataclasses import replace
-from functools import lru_cache
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import ns_to_ros
+from igtl_gateway.stamp import NS_PER_S, ns_to_ros
 
 #: Version of ``docs/session-log.md``; a reader refuses a file with a newer one.
 FORMAT_VERSION = 1
@@ -117,6 +116,7 @@ _RAW_HEAD = struct.Struct("<4s iI iI Q B3x")  # stamp, source_stamp, source_tick
 _NOTE_HEAD = struct.Struct("<4s iI B3x")  # stamp, level
 _U32 = struct.Struct("<I")
 _TICKS = struct.Struct(">Q")
+_MAX_SEC = (1 << 31) - 1
 _TICKS_AT = 34  # OpenIGTLink header: version 2, type 12, device name 20 bytes before its time stamp
 
 
@@ -267,7 +267,8 @@ def pack_message(entry: Entry) -> bytes:
     """
     try:
         if entry.kind in WIRE_TOPICS:
-            return _pack_raw(entry)
+            data = entry.data()
+            return RawPacker(entry).head(entry, data) + data
         if entry.kind in NOTE_KINDS:
             return _pack_note(entry)
     except struct.error as error:
@@ -391,19 +392,45 @@ def _named(entry: Entry) -> str:
     return f"entry {entry.seq} ({entry.kind.value})"
 
 
-def _pack_raw(entry: Entry) -> bytes:
-    head = _RAW_HEAD.pack(
-        _CDR_LE,
-        *ns_to_ros(entry.stamp_ns),
-        *ns_to_ros(entry.source_ns),
-        _header_ticks(entry),
-        entry.kind is Kind.IGTL_OUT,
-    )
-    links = struct.pack(f"<I{len(entry.links)}I", len(entry.links), *entry.links)
-    return b"".join((head, links, _packed_texts(entry.type, device_name(entry)), _U32.pack(entry.size), *entry.payload))
+class RawPacker:
+    """:func:`pack_message` for the OpenIGTLink messages of one stream to or from the same links, without the payload.
+
+    Args: ``entry``: one of them.  Raises LayoutError for one that contradicts its kind.
+    """
+
+    def __init__(self, entry: Entry) -> None:
+        texts = _packed_texts(entry.type, device_name(entry))
+        try:
+            same = struct.pack(f"<I{len(entry.links)}I", len(entry.links), *entry.links) + texts
+        except struct.error as error:
+            raise LayoutError(f"{_named(entry)}: {error}") from None
+        self._same = same
+        self._pack = struct.Struct(f"{_RAW_HEAD.format}{len(same)}sI").pack
+        self._is_out = entry.kind is Kind.IGTL_OUT
+
+    def head(self, entry: Entry, data: Buffer) -> bytes:
+        """All before the payload, which is ``data``, in one piece.  Raises LayoutError."""
+        sec, nanosec = divmod(entry.stamp_ns, NS_PER_S)
+        source_sec, source_nanosec = divmod(entry.source_ns, NS_PER_S)
+        size = len(data)
+        ticks = _TICKS.unpack_from(data, _TICKS_AT)[0] if size >= _TICKS_AT + _TICKS.size else 0
+        try:
+            return self._pack(
+                _CDR_LE,
+                # as ns_to_ros, but with one division
+                sec if sec <= _MAX_SEC else ns_to_ros(entry.stamp_ns)[0],
+                nanosec,
+                source_sec if source_sec <= _MAX_SEC else ns_to_ros(entry.source_ns)[0],
+                source_nanosec,
+                ticks,
+                self._is_out,
+                self._same,
+                size,
+            )
+        except struct.error as error:
+            raise LayoutError(f"{_named(entry)}: {error}") from None
 
 
-@lru_cache(maxsize=2 * MAX_WIRE_STREAMS)
 def _packed_texts(*texts: str) -> bytes:
     """Strings as they follow each other at an aligned offset; the end is aligned, too."""
     out = bytearray()
@@ -411,17 +438,6 @@ def _packed_texts(*texts: str) -> bytes:
         _put_string(out, escape(text))
     _align(out)
     return bytes(out)
-
-
-def _header_ticks(entry: Entry) -> int:
-    """The time stamp field of the OpenIGTLink header; 0 where the bytes are too few."""
-    start: Buffer = b""
-    for part in entry.payload:
-        # in one piece as a rule: then nothing is copied
-        start = b"".join((start, part[: _TICKS_AT + _TICKS.size])) if start else part
-        if len(start) >= _TICKS_AT + _TICKS.size:
-            return int(_TICKS.unpack_from(start, _TICKS_AT)[0])
-    return 0
 
 
 def _pack_note(entry: Entry) -> bytes:

@@ -28,7 +28,7 @@ def chunks(messages: list[tuple[int, bytes]], compression: Compression) -> list[
         assert stream.register_channel(f"/{number}", "cdr", schema, {}) == number
     for number, (channel, data) in enumerate(messages):
         given = bytearray(data)
-        stream.add_message(channel, 100 + number, memoryview(given), 5, number)
+        stream.add_message(channel, 100 + number, b"", memoryview(given), 5, number)
         given[:] = bytes(len(given))  # the caller may do with it what he likes
     stream.finish()
     assert stream.size == len(file.getvalue())

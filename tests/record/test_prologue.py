@@ -7,6 +7,7 @@ import pytest
 from igtl_gateway.record import prologue
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.selection import StateRule
+from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
 
@@ -35,6 +36,11 @@ def test_links_what_was_learned_and_the_last_of_each_stream() -> None:
         samples.ros(12),
     ]
     assert kept(Prologue(RULE), entries) == [1, 2, 6, 7, 9, 10, 12]
+
+
+def test_a_step_of_the_hosts_clock_is_remembered() -> None:
+    step = Entry(2, samples.START_NS, Kind.EDGE_NOTE, payload=(ClockStep.after(-(10**12), 0).note().pack(),))
+    assert kept(Prologue(RULE), [samples.note(1, Kind.EDGE_NOTE), step, samples.note(3, Kind.EDGE_NOTE)]) == [2]
 
 
 def test_an_output_says_of_its_own_cause_only() -> None:

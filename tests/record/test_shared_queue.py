@@ -59,6 +59,16 @@ def test_entries_and_commands_come_in_their_order() -> None:
     assert pair.get() is None
 
 
+def test_streams_beyond_those_that_have_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shared_queue, "_MAX_STREAMS", 3)
+    pair = Pair()
+    entries = [replace(samples.ros(seq), channel=f"/topic_{seq % 7}") for seq in range(1, 30)]
+    for entry in entries:
+        assert pair.putter.put(entry)
+    assert [pair.get() for _ in entries] == [samples.flat(entry) for entry in entries]
+    assert pair.get() is None and pair.putter.waiting == (0, 0)
+
+
 ROWS = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
 
