@@ -48,9 +48,9 @@ class TcpEdge:
         on_frame: link number and one whole message, unchecked; the buffer is the receiver's to keep.
         on_link: a peer came (True) or went; the note's data has ``peer``, ``local``, ``role``, and, when it went,
             ``reason`` and the counts.
-        on_note: link number (0 if none) and a fact: ``truncated``, ``too_large``, ``stalled``, ``idle``,
-            ``out_of_memory``, ``queue_drop``, ``queue_full``, ``rate_limited``, ``refused``, ``accept_failed``,
-            ``connect_failed``, ``callback_failed``, ``internal_error``.
+        on_note: link number (0 if none) and a fact: ``truncated``, ``too_large``, ``stalled``, ``unreachable``,
+            ``idle``, ``out_of_memory``, ``queue_drop``, ``queue_full``, ``rate_limited``, ``refused``,
+            ``accept_failed``, ``connect_failed``, ``callback_failed``, ``internal_error``.
         clock: see above.
         limits: what a peer can cost.
         allow: networks (CIDR) whose peers may connect beside this host's own, or ``"any"``.

@@ -19,7 +19,7 @@ from igtl_gateway.edges.tcp.loop import READ, WRITE, Loop
 from igtl_gateway.edges.tcp.outbox import IOV_MAX, Message, Outbox, Part
 from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S, Reporter, error_note
-from igtl_gateway.edges.tcp.sockets import place_of
+from igtl_gateway.edges.tcp.sockets import UNANSWERED_S, place_of, unanswered_s, unconfirmed_bytes
 from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN, TlsSocket
 from igtl_gateway.errors import MessageTooLarge
 from igtl_gateway.session.note import Level, Note
@@ -32,7 +32,9 @@ _BLOCKED_POLL_MS = 100  # how soon a waiting sender sees that its link was close
 _BODY_SIZE_AT = slice(42, 50)  # in the header, big-endian
 _ERRORS_MAX = 3  # unexpected errors of ours in a link's life; this one ends it
 #: Notes that end a link.
-_FAULTS = frozenset({"too_large", "out_of_memory", "stalled", "idle", "queue_full", "internal_error", "refused"})
+_FAULTS = frozenset(
+    {"too_large", "out_of_memory", "stalled", "unreachable", "idle", "queue_full", "internal_error", "refused"}
+)
 _TLS_HELLO, _TLS_ALERT = b"\x16\x03", b"\x15\x03"  # no header version of OpenIGTLink
 _BURST_S = 1.0  # so long may a peer have said nothing and then say it all at once
 
@@ -267,7 +269,7 @@ class Link:
         return self._received_bytes > 0 or self._loop.now() - self._up_ns >= least_s * NS_PER_S
 
     def sweep(self, step_ns: int) -> None:
-        """Close if the peer fell silent inside a message, sends one far too slowly, or is silent altogether.
+        """Close if the peer fell silent inside a message, sends one far too slowly, is silent altogether, or has gone.
 
         Args:
             step_ns: the time since the last sweep, or less if it comes late.
@@ -285,6 +287,9 @@ class Link:
         elif pending and slow_s > limits.stall_s + pending / limits.min_rate:
             text = f"{self.peer} sent {pending:,} bytes of a message in {slow_s:.0f} s: too slow"
             self._fault(Level.WARN, "stalled", text)
+        elif (dead_s := unanswered_s(self._sock)) > UNANSWERED_S:
+            text = f"{self.peer} cannot be reached: nothing of what it was sent was confirmed for {dead_s:.0f} s"
+            self._fault(Level.WARN, "unreachable", text)
         elif limits.idle_s:
             moved = (self._received_bytes, self.outbox.sent_bytes)
             if moved != self._moved:
@@ -389,6 +394,7 @@ class Link:
         with self._lock:
             self.outbox.clear()
             self._loop.unwatch(self._sock)
+            unconfirmed = unconfirmed_bytes(self._sock)
             self._sock.close()
         if reason not in _FAULTS:
             self._loop.run(self._note_truncated)
@@ -404,8 +410,12 @@ class Link:
             "received_bytes": counts.received_bytes,
             "dropped": counts.dropped,
             "unsent": self.outbox.unsent,
+            "unconfirmed_bytes": unconfirmed,
         }
-        self._around.closed(self, Note(Level.INFO, "link_down", f"{self.peer} disconnected: {reason}", data=data))
+        text = f"{self.peer} disconnected: {reason}"
+        if unconfirmed:
+            text += f"; {unconfirmed:,} bytes of what it was sent may not have arrived"
+        self._around.closed(self, Note(Level.INFO, "link_down", text, data=data))
 
     def _ready(self, mask: int) -> None:
         if self._open and mask & WRITE:

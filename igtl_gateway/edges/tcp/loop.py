@@ -140,6 +140,9 @@ class Loop:
         elif deadline_ns is not None:
             timeout = max(0, deadline_ns - self.now()) / NS_PER_S
         ready = self._selector.select(timeout)
+        if not ready and timeout:
+            # a process that was stopped while it waited (SIGSTOP, a debugger) comes back without having looked
+            ready = self._selector.select(0)
         self.looked_ns = self.now()
         for key, mask in ready:
             action, rescue = key.data

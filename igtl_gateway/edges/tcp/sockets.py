@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import ipaddress
 import socket
+import struct
+import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from igtl_gateway.errors import ConfigError
 
@@ -19,6 +21,21 @@ _KEEPALIVE = (  # a peer that lost power is found after 10 + 3 x 5 s; silent one
     (socket.IPPROTO_TCP, "TCP_KEEPINTVL", 5),
     (socket.IPPROTO_TCP, "TCP_KEEPCNT", 3),
 )
+
+#: The same of one that is being sent something: then there is no keepalive, and TCP tries on for a quarter of an hour.
+UNANSWERED_S = 25.0
+#: Of Linux's ``struct tcp_info``: probes that were not answered, segments that were not, and for how long (ms).
+_TCP_INFO = struct.Struct("=3xB4x16xI28xI")
+#: A probe asks a peer that does not read whether it lives.  One may be lost, and the next is on its way.
+_PROBES = 3
+_SIOCOUTQ = 0x5411
+
+
+class Descriptor(Protocol):
+    """A socket, as far as this looks into it."""
+
+    def fileno(self) -> int: ...
+    def getsockopt(self, level: int, option: int, size: int, /) -> bytes: ...
 
 
 class AllowList:
@@ -44,6 +61,34 @@ def tune(sock: socket.socket) -> None:
     for level, option, value in _KEEPALIVE:
         if hasattr(socket, option):
             sock.setsockopt(level, getattr(socket, option), value)
+
+
+def unanswered_s(sock: Descriptor) -> float:
+    """How long the other side has not confirmed what it was sent; 0.0 where it has, or the system does not say.
+
+    Not meant is a peer that does not read: its system answers, and says that there is no room.  TCP_USER_TIMEOUT would
+    end its connection as well, and a viewer that is busy for a minute would be lost.
+    """
+    if sys.platform != "linux":
+        return 0.0
+    try:
+        told = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
+        probes, segments, silent_ms = _TCP_INFO.unpack(told)
+    except (OSError, struct.error):  # what passes for Linux may not know it, or not as much of it
+        return 0.0
+    return silent_ms / 1000 if segments or probes >= _PROBES else 0.0
+
+
+def unconfirmed_bytes(sock: Descriptor) -> int:
+    """Of what the system was given to send, how much the other side has not confirmed; 0 where it does not say."""
+    if sys.platform != "linux":
+        return 0
+    import fcntl
+
+    try:
+        return int.from_bytes(fcntl.ioctl(sock, _SIOCOUTQ, bytes(4)), sys.byteorder)
+    except OSError:
+        return 0
 
 
 def place_of(address: Any) -> str:

@@ -308,6 +308,9 @@ class TlsSocket:
     def getsockname(self) -> Any:
         return self._sock.getsockname()
 
+    def getsockopt(self, level: int, option: int, size: int) -> bytes:
+        return self._sock.getsockopt(level, option, size)
+
     def fileno(self) -> int:
         return self._sock.fileno()
 

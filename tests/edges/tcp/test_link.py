@@ -11,6 +11,7 @@ import pytest
 
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.edges.tcp import Limits, link
+from igtl_gateway.edges.tcp.sockets import UNANSWERED_S
 from igtl_gateway.wire.framer import Framer
 from tests.edges.tcp.world import BIG, DEADLINE_S, HERE, Seen, World, header, message, number_of, until
 
@@ -109,6 +110,28 @@ def test_who_neither_speaks_nor_listens_is_let_go_where_that_is_wanted(world: Wo
     (note,) = seen.wait("idle")
     assert "60 s" in note.text and seen.wait("down", 1, 1)[0].data["reason"] == "idle"
     assert [link.number for link in edge.links()] == [2, 3]
+
+
+def test_who_cannot_be_reached_is_let_go_and_what_may_be_lost_is_told(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A line that is really cut is in ``tests/integration/test_live_faults.py``."""
+    silent_s = 0.0
+    monkeypatch.setattr(link, "unanswered_s", lambda sock: silent_s)
+    monkeypatch.setattr(link, "unconfirmed_bytes", lambda sock: 1234)
+    edge, seen, port = world.server(limits=Limits(stall_s=0.1))  # so often it is looked at
+    world.peer(port)
+    seen.wait("up")
+    silent_s = UNANSWERED_S
+    threading.Event().wait(0.2)
+    assert not seen.of("down")
+    silent_s += 1
+    (note,) = seen.wait("unreachable")
+    assert "26 s" in note.text
+    (down,) = seen.wait("down")
+    assert (down.data["reason"], down.data["unconfirmed_bytes"]) == ("unreachable", 1234)
+    assert "1,234 bytes" in down.text
+    assert edge.links() == []
 
 
 @pytest.mark.parametrize(("part", "expected"), [(20, None), (58, 106), (100, 106)])

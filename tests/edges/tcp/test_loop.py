@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+import selectors
 import socket
 from collections.abc import Callable
 
 import pytest
 
-from igtl_gateway.clock import ManualClock
+from igtl_gateway.clock import ManualClock, SystemClock
 from igtl_gateway.edges.tcp.loop import READ, Loop
 
 
@@ -50,3 +51,25 @@ def test_a_rescue_that_raises_is_the_last_resort(caplog: pytest.LogCaptureFixtur
     loop.close()
     assert done == [1]
     assert "its rescue raised" in caplog.text
+
+
+def test_who_was_stopped_while_waiting_looks_at_the_sockets_before_timers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What epoll does then: it is interrupted, its time is over, and it gives nothing."""
+    done: list[str] = []
+    loop = Loop(SystemClock(), lambda: None, lambda exc: done.append(f"{exc}"))
+    look = loop._selector.select
+
+    def interrupted(timeout: float | None) -> list[tuple[selectors.SelectorKey, int]]:
+        return [] if timeout else look(timeout)
+
+    monkeypatch.setattr(loop._selector, "select", interrupted)
+    one, other = socket.socketpair()
+    with one, other:
+        other.send(b"!")
+        loop.watch(one, READ, lambda _: done.append("socket"))
+        loop.later(0.001, lambda: done.append("timed"))
+        while "timed" not in done:
+            loop.turn(None)
+        loop.unwatch(one)
+    loop.close()
+    assert done[-2:] == ["socket", "timed"]

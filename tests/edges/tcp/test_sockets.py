@@ -1,12 +1,17 @@
-"""Addresses of the TCP edge: what is refused, and in which words."""
+"""Addresses of the TCP edge: what is refused, and in which words; what is known of who does not answer."""
 
 from __future__ import annotations
 
+import socket
+import sys
+import threading
+from contextlib import suppress
+
 import pytest
 
-from igtl_gateway.edges.tcp.sockets import AllowList
+from igtl_gateway.edges.tcp.sockets import AllowList, unanswered_s, unconfirmed_bytes
 from igtl_gateway.errors import ConfigError
-from tests.edges.tcp.world import HERE, World
+from tests.edges.tcp.world import HERE, World, until
 
 
 def test_port_in_use(world: World) -> None:
@@ -78,3 +83,24 @@ def test_allow_list_with_nonsense(world: World) -> None:
 )
 def test_who_is_allowed(allow: list[str], host: str, allowed: bool) -> None:
     assert (host in AllowList(allow)) is allowed
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not say")
+def test_who_does_not_read_is_no_dead_one_and_what_he_has_not_is_known(world: World) -> None:
+    """He who lost power is in ``tests/integration/test_live_faults.py``: it takes a line that can be cut."""
+    listener = world.listener()
+    with socket.create_connection(listener.getsockname()) as sock:
+        peer = world.accepted(listener)
+        assert (unanswered_s(sock), unconfirmed_bytes(sock)) == (0.0, 0)
+        sock.setblocking(False)
+        sent = 0
+        with suppress(BlockingIOError):
+            while True:
+                sent += sock.send(bytes(1 << 16))
+        threading.Event().wait(0.7)  # the system asks whether there is room now, and is answered that there is none
+        assert unanswered_s(sock) == 0.0
+        assert 0 < unconfirmed_bytes(sock) < sent
+        received = 0
+        while received < sent:
+            received += len(peer.sock.recv(1 << 20))
+        until(lambda: unconfirmed_bytes(sock) == 0)
