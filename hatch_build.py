@@ -1,6 +1,6 @@
 """Compiles the optional C part of the package where there is a compiler; without one, the package is pure Python.
 
-The part (``igtl_gateway/convert/_express.c``) has a twin in Python with the same results, only slower.
+What the part (``igtl_gateway/convert/_express.c``) does, Python does with the same results, only slower.
 """
 
 from __future__ import annotations

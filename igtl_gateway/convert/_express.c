@@ -1,8 +1,9 @@
-/* The compiled twin of igtl_gateway/convert/express.py: same functions, same results, bit for bit.
+/* The compiled part of igtl_gateway/convert/express.py: what the functions do is told there.
  *
- * What they do is told there.  Everything that is not plainly as in the sample gives None, and the general way
- * finds out what it is.  Arithmetic is IEEE 754 double in the order of poses.py; the build forbids the compiler to
- * contract or reorder it (-ffp-contract=off, no -ffast-math).
+ * Those of poses have twins in Python with the same results, bit for bit; those of bulk (texts, points, clouds) are here
+ * only.  Everything that is not plainly as in the sample gives None, and the general way finds out what it is.
+ * Arithmetic is IEEE 754, of poses in double and in the order of poses.py, of many points in single as in scaling.py;
+ * the build forbids the compiler to contract or reorder it (-ffp-contract=off, no -ffast-math).
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -107,6 +108,13 @@ static void put_ros_stamp(uint8_t *at, int64_t ns)
     memcpy(at, words, 8);
 }
 
+/* As text, of STAMP_DIGITS digits. */
+static void put_digits(uint8_t *at, int64_t ns)
+{
+    for (int i = STAMP_DIGITS - 1; i >= 0; i--, ns /= 10)
+        at[i] = (uint8_t)('0' + ns % 10);
+}
+
 /* -- poses (poses.py) --------------------------------------------------------------------------------------------- */
 
 static double largest(double a, double b) { return b > a ? b : a; }
@@ -176,7 +184,7 @@ static void matrix_of(const double q[4], double m[9])
     m[8] = 1.0 - 2.0 * (x * x + y * y);
 }
 
-/* -- the two functions ---------------------------------------------------------------------------------------------- */
+/* -- poses: the two functions ---------------------------------------------------------------------------------------------- */
 
 static int equal(const uint8_t *a, const uint8_t *b, Py_ssize_t begin, Py_ssize_t end)
 {
@@ -371,14 +379,511 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
         put_u64(out + TICKS_AT, ns_to_ticks(stamp_ns));
         for (Py_ssize_t k = 0; k < bytes / 4; k++)
             put_f32(out + at + 4 * k, numbers[k]);
-        if (digits_at > 0) {
-            int64_t rest = header_ns;
-            for (int k = STAMP_DIGITS - 1; k >= 0; k--, rest /= 10)
-                out[digits_at + k] = (uint8_t)('0' + rest % 10);
-        }
+        if (digits_at > 0)
+            put_digits(out + digits_at, header_ns);
         put_u64(out + CRC_AT, crc64(out + HEADER_SIZE, length - HEADER_SIZE));
         PyTuple_SET_ITEM(result, 1 + i, message);
     }
+    return result;
+}
+
+/* -- bulk: texts, points, clouds ------------------------------------------------------------------------------------ */
+
+/* What a form is made of, and what of it; the same numbers as in express.py. */
+enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3 };
+
+#define POINT_BYTES 136 /* name 64, group 32, rgba 4, position 12, diameter 4, owner 20 */
+#define GROUP_AT 64
+#define RGBA_AT 96
+#define POSITION_AT 100
+#define OWNER_AT 116
+#define POLYDATA_HEAD 40
+#define ROW_OF_POINTS 20 /* x, y, z, rgba, diameter */
+#define ROW_OF_CLOUD 12
+#define WHITE 0xFFFFFFFFu
+#define MAX_TEXT 65535
+#define MIB_ASCII 3
+
+/* The library's CRC is faster than the table from about here on. */
+#define LONG_BODY 2048
+
+static PyObject *crc_of_long; /* fastcrc.crc64.ecma_182 */
+
+/* 0: an exception is set. */
+static int crc_of(const uint8_t *data, Py_ssize_t size, uint64_t *crc)
+{
+    if (size < LONG_BODY) {
+        *crc = crc64(data, size);
+        return 1;
+    }
+    PyObject *view = PyMemoryView_FromMemory((char *)data, size, PyBUF_READ);
+    PyObject *number = view ? PyObject_CallOneArg(crc_of_long, view) : NULL;
+    Py_XDECREF(view);
+    if (!number)
+        return 0;
+    *crc = PyLong_AsUnsignedLongLong(number);
+    Py_DECREF(number);
+    return !PyErr_Occurred();
+}
+
+static uint32_t get_u32(const uint8_t *at)
+{
+    uint32_t word;
+    memcpy(&word, at, 4);
+    return __builtin_bswap32(word);
+}
+
+static void put_u32(uint8_t *at, uint32_t word)
+{
+    word = __builtin_bswap32(word);
+    memcpy(at, &word, 4);
+}
+
+static uint32_t get_u32_ros(const uint8_t *at)
+{
+    uint32_t word;
+    memcpy(&word, at, 4);
+    return word;
+}
+
+static void put_u32_ros(uint8_t *at, uint32_t word) { memcpy(at, &word, 4); }
+
+/* Single precision, one rounding: of the two numbers of a ratio one is 1. */
+static float scaled(uint32_t word, float times, float by)
+{
+    float value;
+    memcpy(&value, &word, 4);
+    return value * times / by;
+}
+
+static uint32_t word_of(float value)
+{
+    uint32_t word;
+    memcpy(&word, &value, 4);
+    return word;
+}
+
+/* All bits of the exponent are set in what is not finite. */
+static uint32_t not_finite(uint32_t word) { return (word & 0x7F800000u) == 0x7F800000u; }
+
+/* ASCII without a NUL, which all encodings of STRING have in common. */
+static int plain_text(const uint8_t *text, Py_ssize_t size)
+{
+    for (Py_ssize_t i = 0; i < size; i++)
+        if (text[i] == 0 || text[i] > 127)
+            return 0;
+    return 1;
+}
+
+static int ascii_compatible(uint32_t encoding)
+{
+    return encoding == MIB_ASCII || encoding == 4 || encoding == 106 || encoding == 2252;
+}
+
+/* How many points a content has that a form can be made of; -1: none that it could be made of. */
+static Py_ssize_t points_in(int form, const uint8_t *content, Py_ssize_t size)
+{
+    if (form == CLOUD) {
+        if (size < POLYDATA_HEAD)
+            return -1;
+        uint64_t count = get_u32(content), cells = get_u32(content + 4), cells_size = get_u32(content + 8);
+        for (int word = 3; word < 10; word++) /* lines, polygons, strips, attributes */
+            if (get_u32(content + 4 * word))
+                return -1;
+        if (!count || (uint64_t)size != POLYDATA_HEAD + 12 * count + cells_size)
+            return -1;
+        if (!cells)
+            return cells_size ? -1 : (Py_ssize_t)count;
+        if (cells != 1 || cells_size != 4 * (count + 1))
+            return -1;
+        const uint8_t *cell = content + POLYDATA_HEAD + 12 * count;
+        uint32_t odd = get_u32(cell) ^ (uint32_t)count;
+        for (uint32_t i = 0; i < count; i++)
+            odd |= get_u32(cell + 4 + 4 * (size_t)i) ^ i;
+        return odd ? -1 : (Py_ssize_t)count;
+    }
+    return size && size % POINT_BYTES == 0 ? size / POINT_BYTES : -1;
+}
+
+/* First bytes of name, group and owner: with one of them the list is published with labels, too. */
+static uint32_t labels_of(const uint8_t *one) { return one[0] | one[GROUP_AT] | one[OWNER_AT]; }
+
+/* A PointCloud2 of a template that ends before its data; NULL without an exception: a label, or a number that is not
+ * finite. */
+static PyObject *cloud_message(int form, const uint8_t *content, Py_ssize_t count, PyObject *template,
+                               Py_ssize_t width_at, float times, float by)
+{
+    Py_ssize_t head = PyBytes_GET_SIZE(template), step = form == CLOUD ? ROW_OF_CLOUD : ROW_OF_POINTS;
+    if ((uint64_t)count * step > UINT32_MAX)
+        return NULL;
+    PyObject *cdr = PyBytes_FromStringAndSize(NULL, head + count * step + 1);
+    if (!cdr)
+        return NULL;
+    uint8_t *out = (uint8_t *)PyBytes_AS_STRING(cdr), *row = out + head;
+    memcpy(out, PyBytes_AS_STRING(template), head);
+    put_u32_ros(out + width_at, (uint32_t)count);
+    put_u32_ros(out + head - 8, (uint32_t)(count * step));
+    put_u32_ros(out + head - 4, (uint32_t)(count * step));
+    uint32_t odd = 0;
+    if (form == CLOUD) {
+        const uint8_t *from = content + POLYDATA_HEAD;
+        for (Py_ssize_t i = 0; i < 3 * count; i++) {
+            uint32_t word = word_of(scaled(get_u32(from + 4 * i), times, by));
+            odd |= not_finite(word);
+            put_u32_ros(row + 4 * i, word);
+        }
+    } else {
+        for (const uint8_t *one = content; row < out + head + count * step; one += POINT_BYTES, row += step) {
+            for (int axis = 0; axis < 3; axis++) {
+                uint32_t word = word_of(scaled(get_u32(one + POSITION_AT + 4 * axis), times, by));
+                odd |= not_finite(word);
+                put_u32_ros(row + 4 * axis, word);
+            }
+            uint32_t rgba = get_u32(one + RGBA_AT), diameter = word_of(scaled(get_u32(one + POSITION_AT + 12), times, by));
+            odd |= not_finite(diameter) | labels_of(one);
+            put_u32_ros(row + 12, rgba << 24 | rgba >> 8);
+            put_u32_ros(row + 16, diameter);
+        }
+    }
+    out[head + count * step] = 1; /* is_dense */
+    if (odd) {
+        Py_DECREF(cdr);
+        return NULL;
+    }
+    return cdr;
+}
+
+/* A PointStamped of the only point; NULL without an exception as above. */
+static PyObject *point_message(const uint8_t *content, PyObject *template, double times, double by)
+{
+    double place[3];
+    if (labels_of(content))
+        return NULL;
+    for (int axis = 0; axis < 3; axis++) {
+        double value = get_f32(content + POSITION_AT + 4 * axis);
+        if (!isfinite(value))
+            return NULL;
+        place[axis] = value * times / by;
+    }
+    Py_ssize_t size = PyBytes_GET_SIZE(template);
+    PyObject *cdr = PyBytes_FromStringAndSize(PyBytes_AS_STRING(template), size);
+    if (cdr)
+        memcpy(PyBytes_AS_STRING(cdr) + size - sizeof place, place, sizeof place);
+    return cdr;
+}
+
+/* A String; NULL without an exception: a text that has to be looked at. */
+static PyObject *text_message(const uint8_t *content, Py_ssize_t size)
+{
+    if (size < 4)
+        return NULL;
+    uint32_t head = get_u32(content), length = head & 0xFFFF;
+    if (size != 4 + (Py_ssize_t)length || !ascii_compatible(head >> 16) || !plain_text(content + 4, length))
+        return NULL;
+    PyObject *cdr = PyBytes_FromStringAndSize(NULL, 8 + (Py_ssize_t)length + 1);
+    if (!cdr)
+        return NULL;
+    uint8_t *out = (uint8_t *)PyBytes_AS_STRING(cdr);
+    memcpy(out, "\0\1\0\0", 4);
+    put_u32_ros(out + 4, length + 1);
+    memcpy(out + 8, content + 4, length);
+    out[8 + length] = 0;
+    return cdr;
+}
+
+/* One form of a content: a new reference; NULL without an exception where the general way has to look at it. */
+static PyObject *form_of(int form, const uint8_t *content, Py_ssize_t size, PyObject *template, Py_ssize_t stamp_at,
+                         Py_ssize_t width_at, int64_t stamp_ns, double times, double by)
+{
+    PyObject *cdr;
+    if (form == TEXT) {
+        cdr = text_message(content, size);
+    } else {
+        Py_ssize_t count = points_in(form, content, size);
+        if (count < 0)
+            return NULL;
+        if (form == POINT && count > 1)
+            Py_RETURN_NONE; /* the row does not apply */
+        cdr = form == POINT ? point_message(content, template, times, by)
+                            : cloud_message(form, content, count, template, width_at, (float)times, (float)by);
+    }
+    if (cdr && stamp_at)
+        put_ros_stamp((uint8_t *)PyBytes_AS_STRING(cdr) + stamp_at, stamp_ns);
+    return cdr;
+}
+
+static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (count != 9 || !PyBytes_Check(args[1]) || !PyTuple_Check(args[7]) || !all_tuples(args[8])) {
+        PyErr_SetString(PyExc_TypeError,
+                        "bulk_to_ros(data, sample, at, tail, check_crc, own, received_ns, (times, by), forms)");
+        return NULL;
+    }
+    const uint8_t *sample = (const uint8_t *)PyBytes_AS_STRING(args[1]);
+    Py_ssize_t at = PyLong_AsSsize_t(args[2]), tail = PyLong_AsSsize_t(args[3]);
+    int check_crc = PyObject_IsTrue(args[4]), own = PyObject_IsTrue(args[5]);
+    int64_t received_ns = PyLong_AsLongLong(args[6]);
+    double times, by;
+    if (PyErr_Occurred() || !PyArg_ParseTuple(args[7], "dd", &times, &by))
+        return NULL;
+    if (at < HEADER_SIZE || tail < 0 || at + tail != PyBytes_GET_SIZE(args[1])) {
+        PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a sample that is not all but the content");
+        return NULL;
+    }
+    Py_buffer view;
+    if (PyObject_GetBuffer(args[0], &view, PyBUF_SIMPLE))
+        return NULL;
+    const uint8_t *data = view.buf;
+    Py_ssize_t size = view.len;
+    PyObject *result = NULL;
+    uint64_t crc;
+    if (size < at + tail || !equal(data, sample, 0, TICKS_AT) || get_u64(data + SIZE_AT) != (uint64_t)(size - HEADER_SIZE))
+        goto general;
+    if (at > HEADER_SIZE && !equal(data, sample, HEADER_SIZE, at - 4)) /* the message id is not compared */
+        goto general;
+    if (memcmp(data + size - tail, sample + at, (size_t)tail))
+        goto general;
+    if (check_crc) {
+        if (!crc_of(data + HEADER_SIZE, size - HEADER_SIZE, &crc))
+            goto done;
+        if (crc != get_u64(data + CRC_AT))
+            goto general;
+    }
+    int64_t source_ns = ticks_to_ns(get_u64(data + TICKS_AT));
+    int64_t stamp_ns = own && source_ns > 0 ? source_ns : received_ns;
+    Py_ssize_t forms = PyTuple_GET_SIZE(args[8]);
+    if (!(result = PyTuple_New(2 + forms)))
+        goto done;
+    PyTuple_SET_ITEM(result, 0, PyLong_FromLongLong(source_ns));
+    PyTuple_SET_ITEM(result, 1, PyLong_FromLongLong(stamp_ns));
+    for (Py_ssize_t i = 0; i < forms; i++) {
+        PyObject *template, *cdr = NULL;
+        Py_ssize_t stamp_at, width_at;
+        int form;
+        if (PyArg_ParseTuple(PyTuple_GET_ITEM(args[8], i), "iSnn", &form, &template, &stamp_at, &width_at)) {
+            Py_ssize_t room = PyBytes_GET_SIZE(template);
+            if (form < TEXT || form > CLOUD || stamp_at < 0 || width_at < 0 ||
+                (form != TEXT && (room < 32 || stamp_at + 8 > room || width_at + 4 > room)))
+                PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a form without room for stamp and width");
+            else
+                cdr = form_of(form, data + at, size - at - tail, template, stamp_at, width_at, stamp_ns, times, by);
+        }
+        if (!cdr) {
+            Py_CLEAR(result);
+            if (PyErr_Occurred())
+                goto done;
+            goto general;
+        }
+        PyTuple_SET_ITEM(result, 2 + i, cdr);
+    }
+    goto done;
+general:
+    result = Py_NewRef(Py_None);
+done:
+    PyBuffer_Release(&view);
+    return result;
+}
+
+/* What is to be read of a ROS message: set by content_in, used by put_content. */
+struct source {
+    const uint8_t *data;  /* the text, or the first point */
+    Py_ssize_t count;     /* its bytes, or how many points */
+    Py_ssize_t step, x, y, z;
+    float times, by;
+};
+
+static Py_ssize_t content_size(int form, Py_ssize_t count)
+{
+    if (form == TEXT)
+        return 4 + count;
+    return form == CLOUD ? POLYDATA_HEAD + 12 * count + 4 * (count + 1) : POINT_BYTES * count;
+}
+
+/* Positions into rows; 0: one is not finite. */
+static int put_positions(const struct source *from, uint8_t *row, Py_ssize_t row_size)
+{
+    uint32_t odd = 0;
+    const uint8_t *one = from->data;
+    for (Py_ssize_t i = 0; i < from->count; i++, one += from->step, row += row_size) {
+        uint32_t x = word_of(scaled(get_u32_ros(one + from->x), from->times, from->by));
+        uint32_t y = word_of(scaled(get_u32_ros(one + from->y), from->times, from->by));
+        uint32_t z = word_of(scaled(get_u32_ros(one + from->z), from->times, from->by));
+        odd |= not_finite(x) | not_finite(y) | not_finite(z);
+        put_u32(row, x);
+        put_u32(row + 4, y);
+        put_u32(row + 8, z);
+    }
+    return !odd;
+}
+
+static int put_content(int form, const struct source *from, uint8_t *out)
+{
+    if (form == TEXT) {
+        put_u32(out, (uint32_t)MIB_ASCII << 16 | (uint32_t)from->count);
+        memcpy(out + 4, from->data, from->count);
+        return 1;
+    }
+    if (form == POINTS) {
+        memset(out, 0, POINT_BYTES * from->count);
+        for (Py_ssize_t i = 0; i < from->count; i++)
+            put_u32(out + POINT_BYTES * i + RGBA_AT, WHITE);
+        return put_positions(from, out + POSITION_AT, POINT_BYTES);
+    }
+    memset(out, 0, POLYDATA_HEAD);
+    put_u32(out, (uint32_t)from->count);
+    put_u32(out + 4, 1);
+    put_u32(out + 8, (uint32_t)(4 * (from->count + 1)));
+    uint8_t *cell = out + POLYDATA_HEAD + 12 * from->count;
+    put_u32(cell, (uint32_t)from->count);
+    for (Py_ssize_t i = 0; i < from->count; i++)
+        put_u32(cell + 4 + 4 * i, (uint32_t)i);
+    return put_positions(from, out + POLYDATA_HEAD, 12);
+}
+
+/* Find a text (places: nothing); 0: the general way has to look at it. */
+static int text_in(const uint8_t *cdr, Py_ssize_t size, struct source *found)
+{
+    if (size < 8)
+        return 0;
+    Py_ssize_t length = get_u32_ros(cdr + 4);
+    if (length > size - 8)
+        return 0;
+    while (length && !cdr[8 + length - 1])
+        length--;
+    found->data = cdr + 8;
+    found->count = length;
+    return length <= MAX_TEXT && plain_text(cdr + 8, length);
+}
+
+/* Find the points of a cloud. */
+static int cloud_in(const uint8_t *cdr, Py_ssize_t size, Py_ssize_t height_at, Py_ssize_t data_at, struct source *found)
+{
+    if (size < data_at + 1)
+        return 0;
+    uint64_t height = get_u32_ros(cdr + height_at), width = get_u32_ros(cdr + height_at + 4);
+    uint64_t row = get_u32_ros(cdr + data_at - 8), length = get_u32_ros(cdr + data_at - 4);
+    if (length + 1 > (uint64_t)(size - data_at) || (height != 1 && row != width * (uint64_t)found->step))
+        return 0;
+    if (!height || !width || height > length || width > length || height * width > length / (uint64_t)found->step)
+        return 0;
+    found->data = cdr + data_at;
+    found->count = (Py_ssize_t)(height * width);
+    return 1;
+}
+
+static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (count != 9 || !PyBytes_Check(args[1]) || !PyTuple_Check(args[2]) || !PyTuple_Check(args[7]) ||
+        !all_tuples(args[8])) {
+        PyErr_SetString(PyExc_TypeError,
+                        "bulk_to_igtl(cdr, sample, places, form, own, source_ns, received_ns, (times, by), forms)");
+        return NULL;
+    }
+    struct source found = {0};
+    double times, by;
+    int form = (int)PyLong_AsLong(args[3]), own = PyObject_IsTrue(args[4]);
+    int64_t source_ns = PyLong_AsLongLong(args[5]), received_ns = PyLong_AsLongLong(args[6]), header_ns = 0;
+    Py_ssize_t height_at = 0, data_at = 0, places = PyTuple_GET_SIZE(args[2]);
+    if (PyErr_Occurred() || !PyArg_ParseTuple(args[7], "dd", &times, &by))
+        return NULL;
+    found.times = (float)times, found.by = (float)by;
+    Py_buffer view;
+    if (PyObject_GetBuffer(args[0], &view, PyBUF_SIMPLE))
+        return NULL;
+    const uint8_t *cdr = view.buf, *sample = (const uint8_t *)PyBytes_AS_STRING(args[1]);
+    Py_ssize_t size = view.len, same = PyBytes_GET_SIZE(args[1]);
+    PyObject *result = NULL;
+    if (size < same || same < 4 || !equal(cdr, sample, 0, 4))
+        goto general;
+    if (form == TEXT) {
+        if (!text_in(cdr, size, &found))
+            goto general;
+    } else {
+        Py_ssize_t *numbers[] = {&height_at, &data_at, &found.step, &found.x, &found.y, &found.z};
+        if (places < 6 || places % 2) {
+            PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: places that are none");
+            goto done;
+        }
+        for (int i = 0; i < 6; i++)
+            *numbers[i] = PyLong_AsSsize_t(PyTuple_GET_ITEM(args[2], i));
+        for (Py_ssize_t i = 6; i < places; i += 2) {
+            Py_ssize_t begin = PyLong_AsSsize_t(PyTuple_GET_ITEM(args[2], i));
+            Py_ssize_t end = PyLong_AsSsize_t(PyTuple_GET_ITEM(args[2], i + 1));
+            if (begin < 0 || end < begin || end > same) {
+                PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: places outside the sample");
+                goto done;
+            }
+            if (!equal(cdr, sample, begin, end))
+                goto general;
+        }
+        if (height_at < 12 || data_at > same || data_at < height_at + 16 || found.x < 0 || found.y < 0 || found.z < 0 ||
+            found.x + 4 > found.step || found.y + 4 > found.step || found.z + 4 > found.step) {
+            PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: places outside the sample");
+            goto done;
+        }
+        if (!cloud_in(cdr, size, height_at, data_at, &found))
+            goto general;
+        int32_t seconds;
+        memcpy(&seconds, cdr + 4, 4);
+        header_ns = seconds * NS_PER_S + get_u32_ros(cdr + 8);
+    }
+    int64_t said_ns = header_ns ? header_ns : source_ns;
+    int64_t stamp_ns = own && said_ns > 0 ? said_ns : received_ns;
+    Py_ssize_t forms = PyTuple_GET_SIZE(args[8]), content = content_size(form, found.count);
+    if (content > UINT32_MAX)
+        goto general;
+    if (!(result = PyTuple_New(1 + forms)))
+        goto done;
+    PyTuple_SET_ITEM(result, 0, PyLong_FromLongLong(stamp_ns));
+    const uint8_t *made = NULL; /* the content, once it is made */
+    for (Py_ssize_t i = 0; i < forms; i++) {
+        PyObject *head, *tail;
+        Py_ssize_t digits_at;
+        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(args[8], i), "SSn", &head, &tail, &digits_at))
+            goto failed;
+        Py_ssize_t at = PyBytes_GET_SIZE(head), rest = PyBytes_GET_SIZE(tail);
+        if (at < HEADER_SIZE || digits_at + STAMP_DIGITS > rest + (digits_at > 0 ? 0 : STAMP_DIGITS)) {
+            PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: a form without room for header or stamp");
+            goto failed;
+        }
+        if (digits_at > 0 ? header_ns < FIRST_OF_19_DIGITS : digits_at < 0 && header_ns) {
+            Py_CLEAR(result); /* metadata of another size than in the template */
+            goto general;
+        }
+        PyObject *message = PyBytes_FromStringAndSize(NULL, at + content + rest);
+        if (!message)
+            goto failed;
+        PyTuple_SET_ITEM(result, 1 + i, message);
+        uint8_t *out = (uint8_t *)PyBytes_AS_STRING(message);
+        memcpy(out, PyBytes_AS_STRING(head), at);
+        if (made) {
+            memcpy(out + at, made, content);
+        } else if (!put_content(form, &found, out + at)) {
+            Py_CLEAR(result);
+            goto general;
+        }
+        made = out + at;
+        uint8_t *end = out + at + content;
+        memcpy(end, PyBytes_AS_STRING(tail), rest);
+        put_u64(out + TICKS_AT, ns_to_ticks(stamp_ns));
+        put_u64(out + SIZE_AT, (uint64_t)(at + content + rest - HEADER_SIZE));
+        if (digits_at > 0)
+            put_digits(end + digits_at, header_ns);
+        uint64_t crc;
+        if (!crc_of(out + HEADER_SIZE, at + content + rest - HEADER_SIZE, &crc))
+            goto failed;
+        put_u64(out + CRC_AT, crc);
+    }
+    goto done;
+failed:
+    Py_CLEAR(result);
+    goto done;
+general:
+    result = Py_NewRef(Py_None);
+done:
+    PyBuffer_Release(&view);
     return result;
 }
 
@@ -387,6 +892,8 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
 static PyMethodDef functions[] = {
     {"pose_to_ros", (PyCFunction)(void (*)(void))pose_to_ros, METH_FASTCALL, "See express.py."},
     {"pose_to_igtl", (PyCFunction)(void (*)(void))pose_to_igtl, METH_FASTCALL, "See express.py."},
+    {"bulk_to_ros", (PyCFunction)(void (*)(void))bulk_to_ros, METH_FASTCALL, "See express.py."},
+    {"bulk_to_igtl", (PyCFunction)(void (*)(void))bulk_to_igtl, METH_FASTCALL, "See express.py."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -405,5 +912,12 @@ PyMODINIT_FUNC PyInit__express(void)
     for (int bit = 0; bit < 32; bit++)
         steps[bit] = step = (step + 1) >> 1;
     beyond_float32 = ldexp(1.0, 128) - ldexp(1.0, 103);
+    PyObject *fastcrc = PyImport_ImportModule("fastcrc.crc64");
+    if (!fastcrc)
+        return NULL;
+    crc_of_long = PyObject_GetAttrString(fastcrc, "ecma_182");
+    Py_DECREF(fastcrc);
+    if (!crc_of_long)
+        return NULL;
     return PyModule_Create(&definition);
 }

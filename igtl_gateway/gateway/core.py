@@ -38,7 +38,7 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.guard import STALE, Finding, Guard, Place, Watched
 from igtl_gateway.gateway.metadata import Restored, restore
 from igtl_gateway.gateway.peers import Peer, Peers
-from igtl_gateway.gateway.plans import NAMES, POSE_TOPICS, POSES, Plans, plan_to_igtl, plan_to_ros
+from igtl_gateway.gateway.plans import NAMES, PLANNED, PLANNED_TOPICS, Plans, plan_to_igtl, plan_to_ros
 from igtl_gateway.gateway.reply import Reply, note
 from igtl_gateway.gateway.sender import Outbound, Sent, send
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream, ToRosStream
@@ -206,7 +206,7 @@ class Gateway:
             self.ledger.count(_IN, entry.channel, fate)
         else:
             self.ledger.drop(_IN, entry.channel, fate)
-        if peer and not news and fate in _GOOD_FATES and entry.type in POSES and not self._tf:
+        if peer and not news and fate in _GOOD_FATES and entry.type in PLANNED and not self._tf:
             self._plan_to_ros(entry, message)
         return news + replies + (self._respond(entry, peer, message) if peer else [])
 
@@ -234,14 +234,16 @@ class Gateway:
         return self._each(entry, outs, lambda out: self._to(entry, [peer], [out]))
 
     def _plan_to_ros(self, entry: Entry, message: Message) -> None:
-        """Keep what is the same for the next pose of this device."""
+        """Keep what is the same for the next message of this device."""
         key = (entry.links[0], bytes(entry.payload[0][NAMES]))
         stream = self._streams.to_ros(visible(message.type), visible(message.device_name))
         if stream and self.plans.wants(key):
             to = self._circumstances(entry, message, restore(message), stream)
             watched = self._guard.of(to.link, entry.channel, stream.row.max_age_s)
             try:
-                plan = plan_to_ros(entry, message, stream, to, self.config, self.ledger, watched)
+                plan = plan_to_ros(
+                    entry, message, stream, to, self.config, self.ledger, watched, self._streams.qos, self._unmade
+                )
             except ConversionError:  # of a message that nobody hears: it was not converted
                 return
             self.plans.keep_to_ros(key, plan)
@@ -579,7 +581,7 @@ class Gateway:
                 replies = self._to_trackers(entry, self._addressed(outgoing), out, stream.lengths)
                 replies += self._tracked(entry, out, stream.lengths)
                 key = (topic, entry.type)
-                if entry.type in POSE_TOPICS and self.plans.wants(key):
+                if entry.type in PLANNED_TOPICS and self.plans.wants(key):
                     peers = tuple(self._peers.all())
                     plan = plan_to_igtl(entry, stream, out, peers, self.config, self.ledger, self._latest, watched)
                     self.plans.keep_to_igtl(key, plan)

@@ -175,19 +175,19 @@ class Watched:
             self.look_ns = 0 if self._max_age_ns else self._due_ns
         return findings
 
-    def passes(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct, at: int) -> bool:
+    def passes(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
         """``calm``, of a message that comes by a plan: most are let pass by two comparisons."""
         if (told_ns < self.last_ns or now_ns >= self.look_ns) and not self.calm(now_ns, told_ns, data, numbers, at):
             return False
         self.last_ns = told_ns
         return True
 
-    def calm(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct, at: int) -> bool:
+    def calm(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
         """Whether nothing is to be said of a message and it may go out: then it was looked at, else nothing is changed.
 
         Args:
             now_ns, told_ns: as for ``see``.
-            data: a message whose translation is written so at that offset.
+            data, numbers, at: a message whose translation is written so at that offset; None: it is no pose.
         """
         if self._max_age_ns:
             unknown = told_ns == now_ns and not self._unknown_said
@@ -197,8 +197,9 @@ class Watched:
             return True
         place: Place | None = None
         if now_ns >= self._due_ns:
-            x, y, z = numbers.unpack_from(data, at)
-            place = x, y, z
+            if numbers:
+                x, y, z = numbers.unpack_from(data, at)
+                place = x, y, z
             if self._over(now_ns):
                 return False
         if any(code not in self.episodes for code in self._odd(now_ns, told_ns, place)):

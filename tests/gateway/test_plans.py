@@ -6,6 +6,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,12 +16,17 @@ from igtl_gateway.buffers import join
 from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import express, rosmsg
 from igtl_gateway.convert.common_msgs import PoseStamped
-from igtl_gateway.gateway import LINK_DOWN, LINK_UP, Gateway, Session, plans
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP, Gateway, Session
+from igtl_gateway.gateway.core import LISTENED
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Item, Message, encode
+from igtl_gateway.wire.point import Points
+from igtl_gateway.wire.polydata import NO_CELLS, SCALAR, Attribute, Cells, PolyData
 from igtl_gateway.wire.query import Nothing, StartTracking
+from igtl_gateway.wire.text import Status
+from igtl_gateway.wire.text import String as StringBody
 from igtl_gateway.wire.transform import Position, Transform
 
 T0_NS = 1_700_000_000 * NS_PER_S
@@ -97,9 +104,102 @@ def ros_messages(draw: st.DrawFn) -> Step:
     return "ros", topic, message.TYPE, message.pack() + draw(st.sampled_from([b"", b"", b"", b"\0"])), draw(stamps)
 
 
+xyz = st.lists(st.tuples(*[st.floats(-1e3, 1e3, width=32)] * 3), min_size=1, max_size=4)
+odd_xyz = st.tuples(*[st.sampled_from([0.0, 1e-42, 3e38, math.nan, math.inf])] * 3)
+
+
+def _mostly(draw: st.DrawFn, usual: Any, *odd: Any) -> Any:
+    """One that is odd now and then: plans are for what is usual."""
+    return draw(st.sampled_from(odd)) if draw(st.integers(0, 5)) == 0 else usual
+
+
+@st.composite
+def positions(draw: st.DrawFn) -> npt.NDArray[np.float64]:
+    """A few points, or so many that their CRC is taken another way; some are no numbers."""
+    rows = draw(xyz) * _mostly(draw, 1, 30)
+    if draw(st.integers(0, 5)) == 0:
+        rows[draw(st.integers(0, len(rows) - 1))] = draw(odd_xyz)
+    return np.array(rows[: _mostly(draw, len(rows), 0)]).reshape(-1, 3)
+
+
+def _points(draw: st.DrawFn) -> Points:
+    places = draw(positions())
+    points = Points.of(places.astype(">f4"), None if draw(st.booleans()) else np.full((len(places), 4), 200, np.uint8))
+    points.elements["diameter"] = _mostly(draw, draw(st.floats(0, 50, width=32)), math.inf)
+    if len(places):
+        points.elements[_mostly(draw, "rgba", "name", "group", "owner")][-1] = 7
+    return points
+
+
+def _cloud(draw: st.DrawFn) -> PolyData:
+    places = draw(positions()).astype(">f4")
+    count = len(places)
+    vertices = _mostly(
+        draw, Cells.of_all(count) if count else NO_CELLS, NO_CELLS, Cells.of([[i] for i in range(count)])
+    )
+    attributes = _mostly(draw, (), (Attribute.of(SCALAR, "RGB", np.ones((count, 3))),))
+    lines = Cells.of([[0, count - 1]]) if _mostly(draw, False, count > 1) else NO_CELLS
+    return PolyData(places, vertices, lines, attributes=attributes)
+
+
+@st.composite
+def igtl_bulk(draw: st.DrawFn) -> Step:
+    """STRING, POINT and POLYDATA."""
+    name = draw(st.sampled_from(["STRING", "POINT", "POLYDATA"]))
+    content: Any
+    match name:
+        case "STRING":
+            text = draw(st.sampled_from([b"", b"Hello", b"Hello, world", b"x" * 3000]))
+            text = _mostly(draw, text, "für".encode(), b"a\0b", b"\xff", b"end\0")
+            content = StringBody(text, _mostly(draw, 3, 4, 106, 1013, 2252, 17, 0))
+        case "POINT":
+            content = _points(draw)
+        case _:
+            content = _cloud(draw)
+    version = _mostly(draw, draw(st.sampled_from([1, 2])), 2)
+    items = (Item("key", b"value"),) if version == 2 and _mostly(draw, False, True) else ()
+    message = Message(name, "B", content, ns_to_ticks(draw(stamps)), version, draw(st.integers(0, 3)), items)
+    data = bytearray(join(encode(message)))
+    if draw(st.integers(0, 9)) == 0:
+        data[draw(st.sampled_from([49, 50, 58, min(70, len(data) - 1), len(data) - 1]))] ^= 1
+    return "igtl", bytes(data), draw(st.sampled_from([1, 2]))
+
+
+@st.composite
+def ros_bulk(draw: st.DrawFn) -> Step:
+    """String and PointCloud2."""
+    end = draw(st.sampled_from([b"", b"", b"\0", b"\0\0\0"]))
+    if draw(st.booleans()):
+        text = _mostly(draw, draw(st.sampled_from(["", "Hello", "Hello, world", "x" * 3000])), "für", "a\0b", "end\0")
+        cdr = rosmsg.String(text * _mostly(draw, 1, 30)).pack()
+        return "ros", "/igtl/out/S", rosmsg.String.TYPE, cdr + end, draw(stamps)
+    places = draw(positions())
+    kind, datatype = _mostly(draw, ("<f4", 7), (">f4", 7), ("<f8", 8))
+    step = draw(st.sampled_from([12, 12, 16])) * (2 if datatype == 8 else 1)
+    names = _mostly(draw, "xyz", "zyx", "xyzi", "xyy")
+    size = np.dtype(kind).itemsize
+    fields = tuple(rosmsg.PointField(one, size * place, datatype, 1) for place, one in enumerate(names[: step // size]))
+    height = 2 if len(places) % 2 == 0 and draw(st.booleans()) else 1
+    row = step * (len(places) // height)
+    padding = _mostly(draw, 0, 4) if height > 1 else 0
+    data = np.zeros((height, row + padding), np.uint8)
+    block = np.zeros((len(places), step), np.uint8)
+    block[:, : 3 * size] = places.astype(kind).view(np.uint8).reshape(len(places), 3 * size)
+    data[:, :row] = block.reshape(height, row)
+    header = rosmsg.Header(draw(stamps.filter(lambda ns: ns < 2**31 * NS_PER_S)), draw(st.sampled_from(["base", "m"])))
+    message = rosmsg.PointCloud2(
+        header, height, len(places) // height, fields, kind[0] == ">", step, row + padding, data.tobytes(), True
+    )
+    cdr = message.pack() + end
+    topic = draw(st.sampled_from(["/igtl/out/C", "/igtl/out/POINT"]))
+    return "ros", topic, message.TYPE, cdr[: len(cdr) - _mostly(draw, 0, 1, 5)], draw(stamps)
+
+
 @st.composite
 def others(draw: st.DrawFn) -> Step:
-    kind, link = draw(st.sampled_from([LINK_UP, LINK_DOWN, "STT", "STP"])), draw(st.sampled_from([1, 2, 3]))
+    kind, link = draw(st.sampled_from([LINK_UP, LINK_DOWN, "STT", "STP", LISTENED])), draw(st.sampled_from([1, 2, 3]))
+    if kind == LISTENED:
+        return "listened", "/igtl/in/B/points"
     if kind in ("STT", "STP"):
         content = StartTracking(20, "") if kind == "STT" else Nothing()
         return "igtl", join(encode(Message(f"{kind}_TDATA", "", content, 0, 2))), link
@@ -108,6 +208,7 @@ def others(draw: st.DrawFn) -> Step:
 
 CONFIGS = (
     Config(),
+    Config(to_igtl=(ToIgtlRow(topic="/igtl/out/POINT", type="POINT"), ToIgtlRow()), to_ros=(ToRosRow(ros_unit="um"),)),
     Config(stamp="receive", check_crc=False, publish_tf=False),
     Config(
         to_ros=(ToRosRow(device="A", ros_unit="mm", frame_id="A"),),
@@ -144,6 +245,9 @@ def played(steps: list[Step], config: Config, heard: set[str] | None, planned: b
                 entries = session.input(
                     now_ns, Kind.ROS_IN, (cdr,), channel=topic, type_name=ros_type, source_ns=source_ns
                 )
+            case ("listened", topic):
+                note = Note(Level.INFO, LISTENED, "", stream=topic)
+                entries = session.input(now_ns, Kind.EDGE_NOTE, (note.pack(),))
             case ("link", code, link):
                 note = Note(Level.INFO, code, "", data={"peer": "127.0.0.1:1", "role": "server"})
                 entries = session.input(now_ns, Kind.LINK, (note.pack(),), links=(link,))
@@ -169,17 +273,26 @@ def test_a_session_with_plans_is_the_session_without(
 ) -> None:
     with pytest.MonkeyPatch.context() as patch:
         if functions == "plain":
-            patch.setattr(plans, "pose_to_ros", express.PLAIN[0])
-            patch.setattr(plans, "pose_to_igtl", express.PLAIN[1])
+            patch.setattr(express, "pose_to_ros", express.PLAIN[0])
+            patch.setattr(express, "pose_to_igtl", express.PLAIN[1])
         assert played(steps, config, heard, planned=True) == played(steps, config, heard, planned=False)
+
+
+@given(
+    st.lists(igtl_bulk() | igtl_bulk() | ros_bulk() | ros_bulk() | others(), max_size=25),
+    st.sampled_from(CONFIGS),
+    st.sampled_from([None, set(), {"/igtl/in/B/point"}, {"/igtl/in/B/points", "/igtl/in/B/string"}]),
+)
+def test_so_is_one_of_texts_and_points(steps: list[Step], config: Config, heard: set[str] | None) -> None:
+    assert played(steps, config, heard, planned=True) == played(steps, config, heard, planned=False)
 
 
 POSE = Transform((0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6, 1.0, 2.0, 3.0))
 TOOL = rosmsg.TransformStamped(rosmsg.Header(T0_NS, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.6, 0.8))
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_the_second_pose_of_a_stream_goes_by_a_plan(version: int) -> None:
+def watched_session() -> tuple[Session, list[Kind]]:
+    """With one peer; and what took the general way since it came."""
     gateway = Gateway(Config())
     session = Session(gateway)
     note = Note(Level.INFO, LINK_UP, "", data={"peer": "127.0.0.1:1", "role": "server"})
@@ -192,6 +305,12 @@ def test_the_second_pose_of_a_stream_goes_by_a_plan(version: int) -> None:
         return handle(entry)
 
     gateway.handle = watched  # type: ignore[method-assign]
+    return session, general
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_the_second_pose_of_a_stream_goes_by_a_plan(version: int) -> None:
+    session, general = watched_session()
     data = join(encode(Message("TRANSFORM", "Probe", POSE, ns_to_ticks(T0_NS), version)))
     cdr = TOOL.pack()
     for _ in range(6):
@@ -206,9 +325,62 @@ def test_the_second_pose_of_a_stream_goes_by_a_plan(version: int) -> None:
     assert general[3:] == [Kind.ROS_IN]
 
 
-@pytest.mark.skipif(not express.COMPILED, reason="installed without the C part")
+compiled = pytest.mark.skipif(not express.COMPILED, reason="installed without the C part")
+ROWS = np.arange(900.0).reshape(300, 3)
+
+
+def fields(*names: str) -> tuple[rosmsg.PointField, ...]:
+    return tuple(rosmsg.PointField(name, 4 * place, 7, 1) for place, name in enumerate(names))
+
+
+@compiled
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize(
+    "made",
+    [
+        ("STRING", lambda n: StringBody(b"text" * n)),
+        ("POINT", lambda n: Points.of(ROWS[:n])),
+        ("POLYDATA", lambda n: PolyData(ROWS[:n].astype(">f4"), Cells.of_all(n))),
+        ("POLYDATA", lambda n: PolyData(ROWS[:n].astype(">f4"))),
+    ],
+)
+def test_so_does_the_second_text_or_cloud_of_a_peer_however_long(made: tuple[str, Any], version: int) -> None:
+    session, general = watched_session()
+    name, content = made
+    for count in (5, 5, 1, 300, 2):
+        data = join(encode(Message(name, "Probe", content(count), ns_to_ticks(T0_NS), version)))
+        session.input(T0_NS, Kind.IGTL_IN, (memoryview(data),), links=(1,))
+    assert general == [Kind.IGTL_IN, Kind.IGTL_IN]
+
+
+@compiled
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda n: rosmsg.String("text" * n),
+        lambda n: rosmsg.PointCloud2(
+            rosmsg.Header(T0_NS, "m"), 1, n, fields("x", "y", "z"), False, 12, 12 * n, bytes(12 * n), True
+        ),
+        lambda n: rosmsg.PointCloud2(
+            rosmsg.Header(T0_NS, "map"), n, 2, fields("z", "y", "x"), False, 16, 32, bytes(32 * n), True
+        ),
+    ],
+)
+def test_and_of_a_topic(made: Any, version: int) -> None:
+    session, general = watched_session()
+    shown = join(encode(Message("STATUS", "Peer", Status(1), header_version=version)))
+    session.input(T0_NS, Kind.IGTL_IN, (shown,), links=(1,))
+    for count in (5, 1, 300, 2):
+        message = made(count)
+        session.input(T0_NS, Kind.ROS_IN, (message.pack(),), channel="/igtl/out/T", type_name=message.TYPE)
+    assert general == [Kind.IGTL_IN, Kind.ROS_IN]
+
+
+@compiled
 @pytest.mark.parametrize("bad", [(), (1,) * 9, (b"", b"", 0, 48, True, True, 0, (1.0, 1.0), ((b"", 0),))])
 def test_the_compiled_functions_refuse_what_they_cannot_use(bad: tuple[Any, ...]) -> None:
-    for function in (express.pose_to_ros, express.pose_to_igtl):
+    for function in (express.pose_to_ros, express.pose_to_igtl, express.bulk_to_ros, express.bulk_to_igtl):
+        assert function
         with pytest.raises((TypeError, ValueError)):
             function(*bad)
