@@ -37,7 +37,7 @@ _MARSHAL = 2  # the version without references, which a head has no use for
 #: What a record is, and the size of its payload; of an entry then its number, stamp and source stamp.
 _RECORD = struct.Struct("=QQQQQ")
 _RECORD_BYTES = _RECORD.size
-#: Streams that have numbers; the entries of the others say all by themselves.
+#: Streams that have numbers at once.
 _MAX_STREAMS = 10_000
 #: What a record is: an entry of the stream of this number, or one of these.  A mark has the place instead of the size,
 #: the others the length of the words before the payload in place of the entry's number.
@@ -156,7 +156,11 @@ class Putter(_End):
         return self._entries
 
     def put(self, entry: Entry) -> bool:
-        """Add an entry; False if there is no room for it.  Raises TypeError or the like for what is none."""
+        """Add an entry; False if there is no room for it.  Raises TypeError or the like for what is none.
+
+        That a peer came or went finds room beyond the bound, as commands do: without it every later output to the peers
+        would be another one than that of the recording.
+        """
         taken = False
         counters = self._counters
         try:
@@ -174,7 +178,7 @@ class Putter(_End):
                 stream = _ENTRY
             entries = self._entries - counters[_DONE_ENTRIES]
             waiting = self._taken - counters[_DONE_BYTES] + size + ENTRY_BYTES
-            if entries < self._max_entries and (waiting <= self._max_bytes or not entries):
+            if (entries < self._max_entries and (waiting <= self._max_bytes or not entries)) or entry.kind is Kind.LINK:
                 try:
                     taken = stream < _MAX_STREAMS and self._add(
                         stream, size, (entry.seq, entry.stamp_ns, entry.source_ns), payload, size
@@ -193,11 +197,17 @@ class Putter(_End):
         return taken
 
     def _new_stream(self, entry: Entry) -> int:
-        """The number of an entry's stream, which the other end is told; ``_ENTRY`` where there are too many."""
+        """The number of an entry's stream, which the other end is told; ``_ENTRY`` where there is no room for that.
+
+        When all numbers are taken both ends begin anew: each set of peers that hears a message is a stream, and peers
+        come and go.
+        """
         _, _, kind, channel, type_name, links, _ = _words(entry)
-        number = len(self._streams)
-        if number == _MAX_STREAMS or not self._add_words(_STREAM, (kind, channel, type_name, links)):
+        if not self._add_words(_STREAM, (kind, channel, type_name, links)):
             return _ENTRY
+        if len(self._streams) == _MAX_STREAMS:
+            self._streams.clear()
+        number = len(self._streams)
         self._streams[entry.kind, channel, type_name, links] = number
         return number
 
@@ -345,6 +355,8 @@ class Getter(_End):
             if what == _COMMAND:
                 return tuple(words)
             kind_number, channel, type_name, links = words
+            if len(self._streams) == _MAX_STREAMS:
+                self._streams.clear()
             self._streams.append((_KINDS[kind_number], channel, type_name, links))
         end = begin + size
         self._pass(place, end)

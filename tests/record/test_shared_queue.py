@@ -129,6 +129,29 @@ def test_what_was_got_counts_until_it_is_done() -> None:
     assert pair.putter.put(samples.igtl(5))
 
 
+def test_that_a_peer_came_or_went_finds_room_in_any_case() -> None:
+    pair = Pair(max_entries=1)
+    assert pair.putter.put(samples.igtl(1))
+    link = replace(samples.igtl(2), kind=Kind.LINK)
+    assert pair.putter.put(link)
+    assert not pair.putter.put(samples.igtl(3))
+    assert [pair.get(), pair.get(), pair.get()] == [samples.flat(samples.igtl(1)), samples.flat(link), None]
+
+
+def test_streams_have_numbers_however_many_there_were() -> None:
+    pair = Pair(max_entries=100_000, max_bytes=100 << 20)
+    first = samples.igtl(1)
+    crowd = [replace(first, links=(1, number)) for number in range(shared_queue._MAX_STREAMS + 500)]
+    for entries in (crowd[:100], crowd, crowd[-100:], crowd[:100]):
+        for entry in entries:
+            assert pair.putter.put(entry)
+        known = pair.putter._streams
+        assert len(known) <= shared_queue._MAX_STREAMS
+        assert (entries[-1].kind, entries[-1].channel, entries[-1].type, entries[-1].links) in known
+        assert [pair.get() for _ in entries] == [samples.flat(entry) for entry in entries]
+    assert pair.get() is None
+
+
 def test_one_entry_larger_than_the_bound_but_none_larger_than_the_ring() -> None:
     pair = Pair(max_bytes=1000, largest=1 << 20)
     assert pair.putter.put(samples.igtl(1, body=bytes(1 << 20)))
