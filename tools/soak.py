@@ -57,7 +57,7 @@ _MB = 1e6
 _PICTURE, _CLOUD = "scan-vga", "grid-30k"
 
 #: What a guest does, and how it leaves, as often as it stands here.
-_MANNERS = ("listen", "listen", "listen", "talk", "talk", "talk", "talk", "slow", "slow", "deaf")
+MANNERS = ("listen", "listen", "listen", "talk", "talk", "talk", "talk", "slow", "slow", "deaf")
 _LEAVES = ("politely", "reset", "killed", "middle")
 _MOST_GUESTS = 3
 _STAY_S, _MOST_STAY_S = 8.0, 30.0
@@ -98,8 +98,9 @@ def _grid(count: int) -> payloads.Payload:
     )
 
 
-cases.PAYLOADS[_PICTURE] = partial(_scan, 640, 480)
-cases.PAYLOADS[_CLOUD] = partial(_grid, 30_000)
+def know_payloads() -> None:
+    """Have the programs of the measurement know them, too; in this process."""
+    cases.PAYLOADS |= {_PICTURE: partial(_scan, 640, 480), _CLOUD: partial(_grid, 30_000)}
 
 
 def streams(scale: float) -> tuple[Stream, ...]:
@@ -185,7 +186,7 @@ class Guests:
     def __init__(self, port: int, settings: Settings, found: Found) -> None:
         self._port, self._settings, self._found = port, settings, found
         self._rng = Random(settings.seed)
-        self._manners, self._leaves = Deck(self._rng, _MANNERS), Deck(self._rng, _LEAVES)
+        self._manners, self._leaves = Deck(self._rng, MANNERS), Deck(self._rng, _LEAVES)
         self._node_leaves = Deck(self._rng, _NODE_LEAVES)
         self._over = threading.Event()
         self._here: list[tuple[subprocess.Popen[bytes], float]] = []  # and when it is killed
@@ -549,7 +550,7 @@ def _line(sample: Sample, found: Found, used: int) -> str:
 
 _BACK = ("threads", "fds")
 #: The workers of rclpy's executor, each of which is started when it is first needed, and then stays.
-_WORKERS = 8
+WORKERS = 8
 _PROCESSES = ("gateway", "recorder")
 _MEMORY = {"rss_mb": "memory (RSS)", "anon_mb": "memory of its own", "shared_mb": "memory shared with others"}
 
@@ -572,7 +573,7 @@ def _returned(before: Sample, after: Sample) -> bool:
 
 def _spare(who: str, what: str) -> int:
     """How much more there may be than before the first guest."""
-    return _WORKERS if (who, what) == ("gateway", "threads") else 0
+    return WORKERS if (who, what) == ("gateway", "threads") else 0
 
 
 def _note(found: Found, event: Event) -> None:
@@ -674,7 +675,7 @@ def judge(settings: Settings, found: Found) -> list[Check]:
         ", ".join(f"{row['stream']} {row['direction']} {row['delivered']:,}/{row['sent']:,}" for row in found.passages),
     )
     manners = {name.split(",")[0] for name in found.guests}
-    expected = {*_MANNERS, "ROS node"}
+    expected = {*MANNERS, "ROS node"}
     check("guests of all manners came", manners >= expected, f"{sum(found.guests.values()):,} guests")
     check("nothing else failed", not found.failures, "; ".join(found.failures) or "nothing")
     return checks
@@ -772,6 +773,7 @@ def words(told: dict[str, Any]) -> list[str]:
 
 
 def main(arguments: Sequence[str]) -> int:
+    know_payloads()
     if arguments and arguments[0] == "--program":
         return programs.main(arguments[1:])
     parser = argparse.ArgumentParser(description="A bridge that records, for long, while peers come and go.")
