@@ -40,6 +40,7 @@ class Hub:
         self._session = session
         self._clock = clock
         self._utc_ns = clock.utc_ns
+        self._last_ns = 0  # when the last input came
         self._ahead_ns = 0  # of gateway time to the host's clock
         self._offset_ns: int | None = None  # of the host's clock to one that nobody sets
         self._sinks = tuple(sinks)
@@ -48,6 +49,7 @@ class Hub:
         self._complained: set[Sink] = set()
         # inputs that a sink brought while the lock was ours: they follow the entries being handed on
         self._waiting: deque[_Input] = deque()
+        self._look_at_clock()
 
     def igtl(self, link: int, message: Buffer) -> None:
         """One whole OpenIGTLink message from a link."""
@@ -66,18 +68,20 @@ class Hub:
         self._bring(Kind.EDGE_NOTE, note.pack(), "", "", (link,) if link else ())
 
     def tick(self) -> None:
-        """Tell the gateway when a time has come that it waits for, and when the host's clock was set.
-
-        To be called by one thread.
-        """
-        self._look_at_clock()
+        """Tell the gateway when a time has come that it waits for, and when the host's clock was set."""
         with self._lock:  # its peers and commands come and go under this lock
+            self._owner = threading.get_ident()
+            try:
+                self._look_at_clock()
+                self._take_waiting()
+            finally:
+                self._owner = 0
             due_ns = self._session.gateway.due_ns
         if due_ns is not None and due_ns <= self._utc_ns() + self._ahead_ns:
             self.note(Note(Level.INFO, TICK, "a deadline has come"))
 
     def _look_at_clock(self) -> None:
-        """Note it when the host's clock was set, and keep gateway time from running back or standing long."""
+        """Note it when the host's clock was set, and keep gateway time from standing long; the caller has the lock."""
         begun_ns = self._clock.monotonic_ns()
         utc_ns = self._utc_ns()
         ended_ns = self._clock.monotonic_ns()
@@ -90,7 +94,7 @@ class Hub:
         if abs(step_ns) >= LEAST_NS:
             step = ClockStep.after(step_ns, self._ahead_ns)
             self._ahead_ns = step.ahead_ns
-            self.note(step.note())
+            self._take(Kind.EDGE_NOTE, step.note().pack(), "", "", (), 0)
 
     def _bring(
         self,
@@ -109,16 +113,24 @@ class Hub:
             self._owner = me
             try:
                 self._take(kind, payload, channel, type_name, links, source_ns)
-                while self._waiting:
-                    self._take(*self._waiting.popleft())
+                self._take_waiting()
             finally:
                 self._owner = 0
+
+    def _take_waiting(self) -> None:
+        while self._waiting:
+            self._take(*self._waiting.popleft())
 
     def _take(
         self, kind: Kind, payload: Buffer, channel: str, type_name: str, links: tuple[int, ...], source_ns: int
     ) -> None:
+        now_ns = self._utc_ns() + self._ahead_ns
+        if now_ns < self._last_ns:
+            self._look_at_clock()
+            now_ns = self._utc_ns() + self._ahead_ns
+        self._last_ns = now_ns
         entries = self._session.input(
-            self._utc_ns() + self._ahead_ns,
+            now_ns,
             kind,
             (payload,),
             channel=channel,

@@ -248,6 +248,7 @@ def _told(path: Path, file: SessionFile | Salvage, content: Content, start_ns: i
                 "step_s": step.step_ns / NS_PER_S,
                 "jump_s": step.jump_ns / NS_PER_S,
                 "ahead_s": step.ahead_ns / NS_PER_S,
+                "text": str(step),
             }
             for step in content.steps
         ],
@@ -284,7 +285,10 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
     number = f"{count(len(parts), 'part')}, " if parts else ""
     print(f"{told['file']}: {kind}, {number}{size(told['bytes'])}")
     if told["entries"]:
-        print(f"  start     {told['start']}, {told['duration_s']:.3f} s, {count(told['entries'], 'entry', 'entries')}")
+        jumped_s = sum(step["jump_s"] for step in told["clock_steps"])
+        jumps = f" ({jumped_s:,.3f} s of them jumps of the clock)" if jumped_s else ""
+        number = count(told["entries"], "entry", "entries")
+        print(f"  start     {told['start']}, {told['duration_s']:.3f} s{jumps}, {number}")
     else:
         print("  no entries")
     made = session.get("igtl_gateway_version")
@@ -312,6 +316,7 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
         ("clocks", [f"{_peer(clock)} by {clock['stream']}: {clock['text']}" for clock in told["clocks"]]),
+        ("host's clock", [f"{step['at']}  {step['text']}" for step in told["clock_steps"]]),
         ("problems", [f"{number:>7,}  {code}" for code, number in told["problems"].items()] or ["   none"]),
         ("first of each problem", _firsts(notes, start_ns)),
         ("losses", losses(told["ledger"]) or ["   none"]),

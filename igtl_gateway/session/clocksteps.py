@@ -19,6 +19,7 @@ from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 
 CLOCK_STEP = "clock_step"
+_MARK = CLOCK_STEP.encode()
 #: Smaller steps are not noticed: reading two clocks one after the other may take as long.
 LEAST_NS = 10 * NS_PER_MS
 #: Up to this, a clock that was set back is waited for: a second, so that a leap second leaves nothing behind.
@@ -52,9 +53,9 @@ class ClockStep:
     @classmethod
     def of(cls, entry: Entry) -> ClockStep | None:
         """The step that an entry tells of, if it does."""
-        if entry.kind is not Kind.EDGE_NOTE:
+        if entry.kind is not Kind.EDGE_NOTE or _MARK not in (data := entry.data()):
             return None
-        note = Note.unpack(entry.data())
+        note = Note.unpack(data)
         if note.code != CLOCK_STEP:
             return None
         step_ns, jump_ns, ahead_ns = (int(note.data[name]) for name in ("step_ns", "jump_ns", "ahead_ns"))

@@ -9,8 +9,10 @@ from igtl_gateway.clock import ManualClock
 from igtl_gateway.config import Config
 from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Gateway, Session
+from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S
 
 TEXT = String("hello").pack()
 UP = Note(Level.INFO, LINK_UP, "up")
@@ -109,3 +111,90 @@ def test_deadlines_are_asked_for_while_nothing_changes_them() -> None:
     hub.tick()
     threads[0].join()
     assert set(kinds_of(seen)) == {Kind.LINK, Kind.EDGE_NOTE}
+
+
+# ── the host's clock is set ────────────────────────────────────────────────────────────────────────────────────────
+
+
+class SetClock(ManualClock):
+    """One that somebody sets."""
+
+    def __init__(self) -> None:
+        super().__init__(10_000 * NS_PER_S)
+        self.set_ns = 0
+
+    def utc_ns(self) -> int:
+        return super().utc_ns() + self.set_ns
+
+
+class Stepped:
+    """A hub whose clock is set; what was seen, in seconds since the beginning."""
+
+    def __init__(self) -> None:
+        self.clock = SetClock()
+        self.seen: list[Entry] = []
+        self.hub = Hub(Session(Gateway(Config())), self.clock, (self.seen.append,))
+        self.begun_ns = self.clock.utc_ns()
+
+    def says(self, *, tick: bool = True) -> float:
+        """A message a second later; its time.  Without a tick before it that would have seen the clock."""
+        self.clock.advance(NS_PER_S)
+        if tick:
+            self.hub.tick()
+        self.hub.ros("/chatter", String.TYPE, TEXT, 0)
+        return round((self.seen[-1].stamp_ns - self.begun_ns) / NS_PER_S, 6)
+
+    def steps(self) -> list[ClockStep]:
+        return [step for entry in self.seen if (step := ClockStep.of(entry))]
+
+
+def test_a_clock_that_is_set_back_by_an_hour_costs_no_time() -> None:
+    stepped = Stepped()
+    assert stepped.says() == 1.0
+    stepped.clock.set_ns = -3600 * NS_PER_S
+    assert [stepped.says(), stepped.says()] == [2.0, 3.0]
+    stepped.clock.set_ns = -1800 * NS_PER_S
+    assert stepped.says() == 4.0, "half of what it was ahead"
+    stepped.clock.set_ns = 1800 * NS_PER_S
+    assert stepped.says() == 1805.0
+    assert [(step.step_ns, step.jump_ns, step.ahead_ns) for step in stepped.steps()] == [
+        (-3600 * NS_PER_S, 0, 3600 * NS_PER_S),
+        (1800 * NS_PER_S, 0, 1800 * NS_PER_S),
+        (3600 * NS_PER_S, 1800 * NS_PER_S, 0),
+    ]
+
+
+def test_a_message_that_comes_before_the_tick_is_not_of_an_hour_ago() -> None:
+    stepped = Stepped()
+    stepped.says()
+    stepped.clock.set_ns = -3600 * NS_PER_S
+    assert stepped.says(tick=False) == 2.0
+    note, message = stepped.seen[-2:]
+    assert Note.unpack(note.data()).code == CLOCK_STEP
+    assert (note.seq, message.seq) == (2, 3) and note.stamp_ns < message.stamp_ns
+    stepped.says()
+    assert len(stepped.steps()) == 1
+
+
+def test_a_clock_that_is_set_forward_is_followed() -> None:
+    stepped = Stepped()
+    stepped.clock.set_ns = 3600 * NS_PER_S
+    assert stepped.says() == 3601.0
+    assert [step.jump_ns for step in stepped.steps()] == [3600 * NS_PER_S]
+
+
+def test_for_a_small_step_back_time_stands_until_the_clock_has_caught_up() -> None:
+    stepped = Stepped()
+    assert stepped.says() == 1.0
+    stepped.clock.set_ns = -NS_PER_S
+    assert stepped.says() == 1.0
+    assert stepped.says() == 2.0
+    (step,) = stepped.steps()
+    assert (step.step_ns, step.jump_ns, step.ahead_ns) == (-NS_PER_S, 0, 0)
+
+
+def test_a_few_milliseconds_are_no_step() -> None:
+    stepped = Stepped()
+    stepped.clock.set_ns = 9_000_000
+    stepped.says()
+    assert stepped.steps() == []

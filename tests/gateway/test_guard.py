@@ -14,6 +14,7 @@ from igtl_gateway.convert import rosmsg
 from igtl_gateway.gateway import LINK_UP, Gateway, Session, guard
 from igtl_gateway.gateway.guard import CODES, STILL_LOOKS, is_unit_jump
 from igtl_gateway.qos import Qos
+from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
@@ -67,6 +68,32 @@ def test_the_stamp_of_the_middleware_counts_where_the_message_has_none() -> None
     script = Script(Config(to_igtl=(ToIgtlRow(max_age_s=0.5, stamp="receive"),)))
     script.up(1)
     assert script.ros("/igtl/out/Tool", tool(0), source_ns=script.now_ns - NS_PER_S) == ["note stale"]
+
+
+def test_senders_are_judged_by_the_hosts_clock_also_where_gateway_time_is_ahead_of_it() -> None:
+    rows = {"to_ros": (ToRosRow(max_age_s=0.5),), "to_igtl": (ToIgtlRow(max_age_s=0.5),)}
+    script = Script(Config(**rows, watch=True))  # type: ignore[arg-type]
+    script.up(1)
+    for _ in range(5):  # the express lane has begun
+        script.igtl(pose(script.now_ns))
+    hour_ns = 3600 * NS_PER_S
+    assert script.feed(Kind.EDGE_NOTE, (ClockStep.after(-hour_ns, 0).note().pack(),)) == []
+    backwards = script.igtl(pose(script.now_ns - hour_ns))
+    assert backwards == ["ros /igtl/in/Tool/transform", "note stamp_backwards"]
+    for age_ns, said in ((0, []), (NS_PER_S, ["note stale"]), (0, ["note fresh"])):
+        script.now_ns += NS_PER_S
+        passed = ["ros /igtl/in/Tool/transform"] if age_ns == 0 else []
+        assert script.igtl(pose(script.now_ns - hour_ns - age_ns)) == passed + said
+    assert script.ros("/igtl/out/Tool", tool(script.now_ns - hour_ns)) == ["igtl TRANSFORM/Tool v1 to 1"]
+    query = Message("GET_TRANS", "Tool", Nothing())
+    assert "igtl TRANSFORM/Tool v1 to 1" in script.igtl(query)
+    script.now_ns += NS_PER_S
+    assert script.igtl(pose(script.now_ns - hour_ns + 2 * NS_PER_S)) == [
+        "ros /igtl/in/Tool/transform",
+        "note stamp_future",
+    ]
+    watched = dict(script.gateway.guard.items())[1, "TRANSFORM/Tool"]
+    assert abs(watched.timing.most_ns) < 10 * NS_PER_S, "what was known of its clock before the step is forgotten"
 
 
 def test_without_stamps_there_is_no_age_which_is_said_once() -> None:

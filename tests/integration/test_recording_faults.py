@@ -1,16 +1,19 @@
-"""What may happen to a recording while it is made: the disk is full or read-only, the recording is taken away.
+"""What may happen to a recording: the disk is full or read-only, the recording is taken away, the clock is set.
 
-With real bridges and real disks.  In each case the traffic goes on (or the bridge ends, where that was asked for), it
-is said at once what happened and where, what is not in the recording is counted, and what was flushed before is there.
+With real bridges and real disks; the clock is one of the test's own, that of the host is left alone.  In each case the
+traffic goes on (or the bridge ends, where that was asked for), it is said at once what happened and where, what is not
+in the recording is counted, and what was flushed before is there.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import resource
 import shutil
 import subprocess
+import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -21,8 +24,22 @@ from typing import Any
 
 import pytest
 
+from igtl_gateway.app import bridge as app
+from igtl_gateway.app.bridge import BridgeOptions
+from igtl_gateway.buffers import join
 from igtl_gateway.cli import main
-from tests.integration.bridge import Bridge, RawPeer, Result, children, gateway, string
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.config import Config, ToRosRow
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.pace import steps_of
+from igtl_gateway.session.clocksteps import ClockStep
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
+from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.command import Command
+from igtl_gateway.wire.transform import Transform
+from tests.integration.bridge import TIMEOUT_S, Bridge, RawPeer, Result, Wire, children, gateway, message, string
 from tests.integration.load import SLACK_S, Load, counted, recover
 
 #: Soon full.
@@ -283,3 +300,122 @@ def test_a_folder_of_parts_that_is_removed_is_told_at_once(tmp_path: Path) -> No
         load.close()
         bridge.close()
     assert bridge.events[-1]["ledger"]["gaps"] == []
+
+
+# ── the host's clock is set ────────────────────────────────────────────────────────────────────────────────────────
+
+
+class SetClock(SystemClock):
+    """The host's clock, which somebody sets."""
+
+    set_ns = 0
+
+    def utc_ns(self) -> int:
+        return super().utc_ns() + self.set_ns
+
+
+HOUR_NS = 3600 * NS_PER_S
+#: Of the peer's messages, before and behind the step.
+EVERY_S, EACH = 0.01, 20
+POSE = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 100.0, 200.0, 300.0))
+
+
+def talk_while_the_clock_is_set(path: Path, set_ns: int) -> app.Bridge:
+    """Record a peer that asks something a hundred times a second, the clock being set in between."""
+    clock, seen, changed, heard = SetClock(), list[Entry](), threading.Condition(), list[Wire]()
+
+    def see(entry: Entry) -> None:
+        with changed:
+            seen.append(entry)
+            changed.notify_all()
+
+    def wait_for(condition: Callable[[], bool]) -> None:
+        with changed:
+            assert changed.wait_for(condition, TIMEOUT_S)
+
+    config = Config(to_ros=(ToRosRow(max_age_s=5.0),), command_timeout_s=0.3).watched()
+    options = BridgeOptions((("127.0.0.1", 0),), ros=False, record=path)
+    bridge = app.Bridge(config, options, clock, see)
+    bridge.start()
+    try:
+        with RawPeer(bridge.addresses[0][1]) as peer:
+
+            def talk() -> None:
+                for _ in range(EACH):
+                    time.sleep(EVERY_S)  # the pace of the recording
+                    pose = join(encode(Message("TRANSFORM", "Tool", POSE, ns_to_ticks(clock.utc_ns()))))
+                    peer.send(pose + message("GET_CAPABIL", b""))
+
+            def hear(type_name: str, count: int) -> None:
+                while sum(each.type == type_name for each in heard) < count:
+                    heard.append(peer.receive())
+
+            talk()
+            hear("CAPABILITY", EACH)
+            peer.send(join(encode(Message("COMMAND", "Robot", Command.of(7, "move", "<up/>")))))  # nobody answers it
+            clock.set_ns = set_ns
+            talk()
+            wait_for(lambda: any(ClockStep.of(entry) for entry in list(seen)))
+            hear("CAPABILITY", 2 * EACH)
+            hear("RTS_COMMAND", 1)  # given up in time, not after an hour
+    finally:
+        bridge.stop()
+    return bridge
+
+
+@pytest.mark.parametrize("set_ns", [-HOUR_NS, HOUR_NS], ids=["back", "forward"])
+def test_a_clock_that_is_set_by_an_hour_while_a_recording_is_made(tmp_path: Path, set_ns: int) -> None:
+    path = tmp_path / "out.mcap"
+    bridge = talk_while_the_clock_is_set(path, set_ns)
+    assert bridge.summary is not None and not bridge.summary.failure and not bridge.summary.dropped
+    assert bridge.losses["gaps"] == []
+    with SessionFile.open(path) as file:
+        entries = list(file.entries())
+        (step,) = steps_of(file)
+    assert step.step_ns == pytest.approx(set_ns, abs=NS_PER_S // 10)
+    # in order, and as long as it took
+    stamps = [entry.stamp_ns for entry in entries]
+    assert all(before < after for before, after in itertools.pairwise(stamps))
+    lasted_ns = stamps[-1] - stamps[0]
+    assert 2 * EACH * EVERY_S * NS_PER_S < lasted_ns - step.jump_ns < 2 * TIMEOUT_S * NS_PER_S
+    asked = [entry.stamp_ns for entry in entries if entry.channel == "GET_CAPABIL/Raw"]
+    assert len(asked) == 2 * EACH
+    behind_ns = asked[-1] - asked[EACH]
+    assert behind_ns > EACH * EVERY_S * NS_PER_S / 2, "time goes on behind the step"
+    # nothing was taken for old
+    assert not {"stale", "stamp_future"} & {Note.unpack(each.data()).code for each in entries if each.kind is Kind.NOTE}
+
+    verified = ended("verify", str(path))
+    assert verified.code == 0, verified
+    told = json.loads(ended("info", str(path), "--json").out)
+    assert [round(each["step_s"]) for each in told["clock_steps"]] == [set_ns // NS_PER_S]
+    assert told["problems"]["clock_step"] == 1
+    (stream,) = [each for each in told["streams"] if each["stream"] == "GET_CAPABIL/Raw"]
+    assert not stream["gap"] and stream["rate_hz"] > 1
+    (peer,) = told["clocks"]
+    assert abs(peer["offset_plus_least_latency_ms"]) < 1000, "it is the clock of this machine"
+    text = ended("info", str(path)).out
+    assert f"the host's clock was set {'back' if set_ns < 0 else 'forward'}" in text
+    lint = json.loads(ended("lint", str(path), "--json").out)
+    assert {"IGTL-W801"} <= {each["id"] for each in lint["findings"]} & {
+        "IGTL-W801",
+        "IGTL-W303",
+        "IGTL-W306",
+        "IGTL-W507",
+    }
+
+
+def test_a_replay_does_not_wait_for_the_hour_by_which_a_clock_was_set(tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    talk_while_the_clock_is_set(path, HOUR_NS)
+    replay = gateway("replay", str(path), "--to", "igtl", "--listen", "127.0.0.1:0")
+    try:
+        replay.wait_until(lambda: any("server on" in line for line in replay.lines), "server")
+        port = next(int(line.rpartition(":")[2]) for line in replay.lines if "server on" in line)
+        with RawPeer(port) as peer:
+            said = [peer.receive(type_name="CAPABILITY") for _ in range(2 * EACH)]
+            result = replay.end(None)
+    finally:
+        replay.close()
+    assert len(said) == 2 * EACH
+    assert result.code == 0, result

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.replay.pace import Pace
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, is_tick, period_ns, tick, with_ticks
+from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 
 
@@ -27,6 +29,13 @@ def test_ticks_stand_at_fixed_steps_before_what_is_not_earlier() -> None:
 def test_after_a_jump_the_clock_comes_before_the_state() -> None:
     found = list(with_ticks(entries(3, 7, 101, 112), 100, 10))
     assert stamps(found) == ["tick 100", "entry 3", "entry 7", "entry 101", "tick 110", "entry 112"]
+
+
+def test_in_a_jump_of_the_session_there_are_no_ticks() -> None:
+    pace = Pace([ClockStep(1000, 1000, 0, at_ns=1112)])
+    found = list(with_ticks(entries(100, 105, 1110, 1131), None, 10, pace))
+    assert stamps(found) == ["tick 100", "entry 100", "entry 105", "tick 110", "entry 1110", "tick 1120", "tick 1130",
+                             "entry 1131"]  # fmt: skip
 
 
 def test_a_recorded_clock_gives_way() -> None:
