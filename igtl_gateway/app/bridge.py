@@ -253,7 +253,7 @@ class Bridge:
             }
             for link, counts in self.tcp.counters().items()
         }
-        refused = self.tcp.refused()
+        refused, faults = self.tcp.refused(), self.tcp.link_faults()
         return (
             {
                 "streams": self.gateway.ledger.to_dict(),
@@ -261,6 +261,7 @@ class Bridge:
                 "ros_topics": self.ros.counters() if self.ros else {},
             }
             | ({"refused": refused} if refused else {})
+            | ({"link_faults": faults} if faults else {})
             | ({"video": self.video.counters()} if self.video else {})
         )
 

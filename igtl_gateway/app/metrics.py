@@ -103,6 +103,11 @@ def _refused(facts: Facts) -> Iterator[Line]:
         yield {"reason": reason}, number
 
 
+def _link_faults(facts: Facts) -> Iterator[Line]:
+    for code, number in facts["ledger"].get("link_faults", {}).items():
+        yield {"code": code}, number
+
+
 def _queues(what: str) -> Callable[[Facts], Iterator[Line]]:
     def lines(facts: Facts) -> Iterator[Line]:
         for link, queue in facts["queues"].items():
@@ -134,6 +139,7 @@ METRICS = (
     Metric("stream_rate", "gauge", "messages a second, over the last seconds", _rates),
     Metric("peer_connected", "gauge", "1: connected; 0: being tried", _peers),
     Metric("peers_refused_total", "counter", "who was not let in, and why", _refused),
+    Metric("link_faults_total", "counter", "links that a fault ended, or that ended inside a message", _link_faults),
     Metric("link_sent_messages_total", "counter", f"handed to the kernel; {_LINK_0}", _of_links("sent_messages")),
     Metric("link_sent_bytes_total", "counter", "the same in bytes", _of_links("sent_bytes")),
     Metric("link_received_messages_total", "counter", f"whole messages; {_LINK_0}", _of_links("received_messages")),

@@ -29,6 +29,17 @@ _REASONS = {
     "stale": "older than max_age_s",
 }
 
+#: The code of the note → what people call it; others stand for themselves.
+_LINK_FAULTS = {
+    "truncated": "ended inside a message",
+    "too_large": "a message above the limit, or no OpenIGTLink",
+    "stalled": "silent, or far too slow, inside a message",
+    "unreachable": "could not be reached any more",
+    "idle": "idle for too long",
+    "queue_full": "did not read what must not be dropped",
+    "refused": "spoke TLS to a plain port",
+}
+
 
 def _side(direction: str) -> str:
     return DIRECTIONS[Kind(direction)] if direction in {kind.value for kind in DIRECTIONS} else direction
@@ -60,6 +71,8 @@ def losses(ledger: dict[str, Any] | None) -> list[str]:
         for fate, reason in (("dropped", "send queue full, or link closed"), ("ignored", "the link was gone already")):
             for stream, number in fates.get(fate, {}).items():
                 lines.append(f"{number:>7,}  to {peer}, {stream}: {reason}")
+    for code, number in ledger.get("link_faults", {}).items():
+        lines.append(f"{number:>7,}  links: {_LINK_FAULTS.get(code, code)}")
     recorder = ledger.get("recorder", {})
     if recorder.get("dropped_entries"):
         lines.append(f"{recorder['dropped_entries']:>7,}  entries that the recorder could not keep up with")

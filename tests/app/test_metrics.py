@@ -102,6 +102,7 @@ def test_every_metric_says_what_it_is_and_is_told_without_a_recording() -> None:
             "links": {},
             "ros_topics": {"/tf": {"published": 3}},
             "refused": {"not_allowed": 2},
+            "link_faults": {"stalled": 3},
         },
         "peers": [],
         "queues": {},
@@ -110,6 +111,7 @@ def test_every_metric_says_what_it_is_and_is_told_without_a_recording() -> None:
     page = prometheus(facts)
     assert values(page)[PREFIX + r'stream_rate{direction="igtl_in",stream="a\\b\n"}'] == 2.5
     assert values(page)[PREFIX + 'peers_refused_total{reason="not_allowed"}'] == 2
+    assert values(page)[PREFIX + 'link_faults_total{code="stalled"}'] == 3
     assert "recorder" not in page
     assert len({metric.name for metric in METRICS}) == len(METRICS)
     assert all(metric.kind == "counter" for metric in METRICS if metric.name.endswith("_total"))

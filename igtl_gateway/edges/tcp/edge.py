@@ -93,6 +93,7 @@ class TcpEdge:
             self._refusals,
             limits,
             limits.body_rows(),
+            Counter(),
             on_frame,
             self._notify,
             self._down,
@@ -259,6 +260,10 @@ class TcpEdge:
     def refused(self) -> dict[str, int]:
         """Connections that were not let in, by reason."""
         return dict(sorted(self._refusals.counts.items()))
+
+    def link_faults(self) -> dict[str, int]:
+        """Links that a fault ended, or that ended inside a message, by the code of the note about that."""
+        return dict(sorted(self._around.faults.items()))
 
     def flush(self, timeout_s: float) -> bool:
         """Wait until nothing is queued for any link; False if that took too long."""

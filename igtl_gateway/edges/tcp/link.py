@@ -7,6 +7,7 @@ import select
 import socket
 import threading
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -45,6 +46,7 @@ class Surroundings:
 
     Attributes:
         bodies: longest bodies of single types, of the limits.
+        faults: links that a fault ended, or that ended inside a message, by the code of the note.
         on_frame: the edge's callback.
         drained: told when a queue has run empty.
         closed: told last, with the note for ``on_link``.
@@ -55,6 +57,7 @@ class Surroundings:
     refusals: Refusals
     limits: Limits
     bodies: Sequence[tuple[str, int]]
+    faults: Counter[str]
     on_frame: Callable[[int, Buffer], None]
     drained: Callable[[], None]
     closed: Callable[[Link, Note], None]
@@ -97,7 +100,8 @@ class Link:
         self._resting = False  # it has sent too many messages, and is not read for a moment
         self._rests = 0
         self._rest_noted_ns = 0
-        self._slow = (0, 0)  # messages before the one that is on its way, and for how long (ns) it has been
+        # messages before the one that is on its way (-1: none is), and for how long (ns) it has been
+        self._slow = (-1, 0)
         self._moved = (0, 0)  # bytes in and out when they were last seen to change …
         self._moved_ns = self._up_ns  # … and when that was
         self._open = True
@@ -279,8 +283,8 @@ class Link:
         silent_s = (now - self._heard_ns) / NS_PER_S
         # Looked at here only, so that it costs the messages nothing: a message that is seen at two sweeps began
         # before the first of them.
-        begun = pending and self._slow[0] == self._received_messages
-        self._slow = self._received_messages, (self._slow[1] + step_ns if begun else 0)
+        message = self._received_messages if pending else -1
+        self._slow = message, (self._slow[1] + step_ns if message == self._slow[0] else 0)
         slow_s = self._slow[1] / NS_PER_S
         if pending and silent_s > limits.stall_s:
             self._fault(Level.WARN, "stalled", f"{self.peer} sent half a message, then nothing")
@@ -343,7 +347,7 @@ class Link:
     def _be_patient(self) -> None:
         """It was not read for a while: a message that was on its way begins anew, as far as its time goes."""
         self._heard_ns = self._loop.now()
-        self._slow = self._received_messages, 0
+        self._slow = -1, 0
 
     @property
     def _listening(self) -> bool:
@@ -396,7 +400,9 @@ class Link:
             self._loop.unwatch(self._sock)
             unconfirmed = unconfirmed_bytes(self._sock)
             self._sock.close()
-        if reason not in _FAULTS:
+        if reason in _FAULTS:
+            self._around.faults[reason] += 1
+        else:
             self._loop.run(self._note_truncated)
         counts = self.counters()
         data = {
@@ -548,6 +554,7 @@ class Link:
 
     def _note_truncated(self) -> None:
         if self._framer.pending:
+            self._around.faults["truncated"] += 1
             data = self._unfinished()
             text = f"{self.peer} went inside a message: {data['received']} of {data['expected'] or '?'} bytes"
             if self._framer.pending_head().startswith(_TLS_ALERT) and not self._received_messages:
