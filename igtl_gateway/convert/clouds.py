@@ -278,7 +278,8 @@ class _Columns:
         """x, y and z, as one array (n, 3) where there is nothing else in the data."""
         x, y, z = (self.fields[name] for name in _XYZ)
         size = x.dtype.itemsize
-        if x.dtype == y.dtype == z.dtype and (y.offset, z.offset, self.step) == (size, 2 * size, 3 * size):
+        places = x.offset, y.offset, z.offset, self.step
+        if x.dtype == y.dtype == z.dtype and places == (0, size, 2 * size, 3 * size):
             return (self._view(x, len(_XYZ)),)
         return tuple(self[name] for name in _XYZ)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -207,6 +208,13 @@ def test_contradictions(changes: dict[str, Any]) -> None:
         convert(message, ToIgtl())
         with pytest.raises(ConversionError):
             convert(PointCloud2(**fields), ToIgtl())
+
+
+def test_positions_that_lie_on_each_other() -> None:
+    """Found by tools/fuzz_gateway.py: they were taken for an array of all three, which ended behind the data."""
+    fields = (PointField("x", 8, 7), PointField("y", 4, 7), PointField("z", 8, 7))
+    content = sent(replace(cloud(xyz()), fields=fields))
+    assert content.points.tolist() == [[z, y, z] for _, y, z in np.array(MM, ">f4").tolist()]
 
 
 def test_a_huge_layout_of_no_points() -> None:
