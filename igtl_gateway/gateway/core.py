@@ -73,6 +73,8 @@ _METADATA_QOS = Qos(depth=100)
 
 #: Devices whose images may come in parts: each keeps its last image.
 MAX_VOLUMES = 64
+#: What all of them may keep, in bytes: several times the largest volumes of the field (250 MiB).
+MAX_VOLUMES_BYTES = 2 << 30
 
 #: Things that are said once: a peer that invents names must fill neither the memory nor the log.
 MAX_SAID = 10_000
@@ -418,7 +420,8 @@ class Gateway:
                     f"IMAGE {device!r}: found a part of an image, expected whole ones beyond {MAX_VOLUMES} devices"
                 )
             assembler = self._volumes[device] = VolumeAssembler()
-        return assembler.update(image)
+        others = sum(one.held for one in self._volumes.values()) - assembler.held
+        return assembler.update(image, MAX_VOLUMES_BYTES - others)
 
     # -- queries and commands -----------------------------------------------------------------------------------
 
@@ -708,11 +711,19 @@ class Gateway:
         replies: list[Reply] = []
         if out.igtl_type not in queries.TRACKING.values():
             return replies
+        made: dict[str, Outbound | None] = {}  # the same for whatever name it was asked for by
         for (igtl_type, device), peers in queries.trackers(self._peers.all()).items():
-            due = any(peer.is_due(igtl_type, device or queries.TRACKING_DEVICE, entry.stamp_ns) for peer in peers)
-            if due and not self._goes_out(igtl_type):
-                made = queries.tracking(igtl_type, device, entry.stamp_ns, lambda *key: self._latest_of(entry, *key))
-                replies += self._to_trackers(entry, peers, made, lengths) if made else []
+            name = device or queries.TRACKING_DEVICE
+            if not any(peer.is_due(igtl_type, name, entry.stamp_ns) for peer in peers):
+                continue
+            if igtl_type not in made:
+                made[igtl_type] = (
+                    None
+                    if self._goes_out(igtl_type)
+                    else queries.tracking(igtl_type, "", entry.stamp_ns, lambda *key: self._latest_of(entry, *key))
+                )
+            if found := made[igtl_type]:
+                replies += self._to_trackers(entry, peers, replace(found, device=name), lengths)
         return replies
 
     def _goes_out(self, igtl_type: str) -> bool:

@@ -49,6 +49,9 @@ TRACKING_DEVICE = "Tracking"
 #: Tracking data and the single poses that it can be put together from.
 TRACKING = {"TDATA": "TRANSFORM", "QTDATA": "POSITION"}
 
+#: Names by which one peer may ask for tracking data: each costs a message for every pose that goes out.
+MAX_TRACKED = 16
+
 #: Latest messages of a type and device ("" = any), as they would be sent.
 Latest = Callable[[str, str], list[Outbound]]
 #: Whether a coordinate frame is known.
@@ -102,9 +105,14 @@ def start(message: Message, igtl_type: str, peer: Peer, known: Known) -> int:
     """STT_: begin a stream to a peer; the status to be told."""
     content = message.content
     frame = visible(content.coordinate_name) if isinstance(content, StartTracking) else ""
+    device = visible(message.device_name)
     if query_name("STT", igtl_type) not in QUERIES or (frame and not known(frame)):
         return ERROR
-    return OK if peer.start(igtl_type, visible(message.device_name), _interval_ns(content), frame) else ERROR
+    if igtl_type in TRACKING:
+        wanted = {key for key, wish in peer.wishes.items() if key[0] in TRACKING and wish.wanted}
+        if len(wanted | {(igtl_type, device)}) > MAX_TRACKED:
+            return ERROR
+    return OK if peer.start(igtl_type, device, _interval_ns(content), frame) else ERROR
 
 
 def _interval_ns(content: Body) -> int:

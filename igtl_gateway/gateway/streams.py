@@ -21,6 +21,9 @@ RAW, METADATA = "raw", "metadata"
 
 _TF = "tf"
 
+#: Device names whose owner is remembered: commands and queries from ROS may name any.
+MAX_NAMES = 10_000
+
 
 @dataclass(frozen=True, slots=True)
 class ToIgtlStream:
@@ -183,6 +186,8 @@ class Streams:
     def device(self, full_name: str) -> str:
         """The name of at most 20 bytes that stands for a full one."""
         device = short_device_name(full_name)
-        while self._devices.setdefault(device, full_name) != full_name:
+        while self._devices.get(device, full_name) != full_name:
             device = short_device_name(f"{full_name[:8]}_{hashed(device + full_name)}_{full_name}")
+        if len(self._devices) < MAX_NAMES:
+            self._devices[device] = full_name
         return device

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from igtl_gateway.convert import assembly
 from igtl_gateway.convert.assembly import MAX_VOLUME_BYTES, VolumeAssembler
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import SCALARS, Image
@@ -176,11 +177,50 @@ def test_as_an_array_that_is_filled(updates: list[tuple[tuple[Triple, Triple], i
         where = (slice(z, z + nz), slice(y, y + ny), slice(x, x + nx))
         expected[where] = values[where]
         whole = assembler.update(part(values, offset, size, 5, endian))
-        assert assembler.missing == np.count_nonzero(expected < 0)
-        if assembler.missing:
+        missing = np.count_nonzero(expected < 0)
+        assert assembler.missing <= missing  # parts that overlap are told apart once all may be there
+        if missing:
             assert whole is None
         else:
             assert whole is not None
             assert (whole.array == expected).all()
             handed_out.append((whole, bytes(whole.pixels)))
     assert all(bytes(image.pixels) == pixels for image, pixels in handed_out)
+
+
+def test_what_is_announced_costs_nothing_and_what_is_kept_has_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Found by tools/fuzz_gateway.py: a few hundred parts of a voxel each made gigabytes resident."""
+    huge = Image((1024, 1024, 1024), 3, b"\1", subvol_size=(1, 1, 1))
+    assembler = VolumeAssembler()
+    tracemalloc.start()
+    for number in range(500):
+        one = replace(huge, subvol_offset=(number, 2 * number, 2 * number))
+        assert assembler.update(one) is None
+    assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    tracemalloc.stop()
+    assert assembler.held < 1_000_000
+    with pytest.raises(ConversionError, match=r"found parts of a volume .* expected 500000 at most to keep"):
+        assembler.update(huge, 500_000)
+    assert assembler.held == 0
+
+    # more parts than any volume has: from there on an array is kept, where there is room for it
+    monkeypatch.setattr(assembly, "MAX_PARTS", 3)
+    values = numbered((3, 2, 1))
+    places = [(x, y, 0) for x in range(3) for y in range(2)]
+    for place in places[:3]:
+        assert assembler.update(part(values, place, (1, 1, 1))) is None
+    assembler.held = 0
+    with pytest.raises(ConversionError, match="volume of 12 bytes, expected 17"):
+        assembler.update(part(values, places[3], (1, 1, 1)), 17)
+    whole = [assembler.update(part(values, place, (1, 1, 1)), 1 << 20) for place in places]
+    assert whole[:-1] == [None] * 5 and whole[-1] is not None
+    assert (whole[-1].array == values).all()
+    assert assembler.held == 12
+
+
+def test_a_whole_image_for_which_there_is_no_room_passes_and_is_not_kept() -> None:
+    assembler = VolumeAssembler()
+    image = part(numbered((4, 3, 2)), (0, 0, 0), (4, 3, 2))
+    assert assembler.update(image, 10) is image
+    assert assembler.held == 0
+    assert assembler.update(part(numbered((4, 3, 2)), (0, 0, 0), (4, 3, 1))) is None

@@ -10,9 +10,10 @@ from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, FrameTransform, MultiArrayLayout, TFMessage
 from igtl_gateway.convert.igtl_msgs import MetadataItem, PointList, Query, TrackedTool, TrackingData
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.gateway import core
+from igtl_gateway.gateway import core, queries, streams
 from igtl_gateway.gateway.peers import MAX_WISHES
 from igtl_gateway.gateway.profiles import PROFILES
+from igtl_gateway.gateway.queries import MAX_TRACKED
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.image import Image
@@ -205,10 +206,42 @@ def test_a_peer_that_invents_streams_is_refused_in_the_end() -> None:
     script = Script()
     script.up(1)
     for index in range(MAX_WISHES):
-        script.igtl(query("STT_TDATA", f"T{index}", StartTracking(1)))
-    assert "note stream_refused" in script.igtl(query("STT_TDATA", "One more", StartTracking(1)))
+        script.igtl(query("STT_IMAGE", f"I{index}"))
+    assert "note stream_refused" in script.igtl(query("STT_IMAGE", "One more"))
+    script.igtl(query("STP_IMAGE", ""))
+    assert "note stream_started" in script.igtl(query("STT_IMAGE", "One more"))
+
+
+def test_tracking_data_by_many_names_costs_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Found beside tools/fuzz_gateway.py: 256 small messages of a peer made every pose from then on take long."""
+    script = Script()
+    script.up(1)
+    for index in range(MAX_TRACKED):
+        assert "note stream_started" in script.igtl(query("STT_TDATA", f"T{index}", StartTracking(1)))
+    assert "note stream_refused" in script.igtl(query("STT_QTDATA", "One more", StartTracking(1)))
+    assert "note stream_started" in script.igtl(query("STT_TDATA", "T0", StartTracking(0))), "one that it has"
+    made = []
+    tracking = queries.tracking
+
+    def counted(*args: object) -> object:
+        made.append(args)
+        return tracking(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(queries, "tracking", counted)
+    lines = script.ros("/igtl/out/Tool", tool())
+    assert [f"igtl TDATA/T{index} v1 to 1" in lines for index in range(MAX_TRACKED)] == [True] * MAX_TRACKED
+    assert len(made) == 1
     script.igtl(query("STP_TDATA", ""))
-    assert "note stream_started" in script.igtl(query("STT_TDATA", "One more", StartTracking(1)))
+    assert "note stream_started" in script.igtl(query("STT_QTDATA", "One more", StartTracking(1)))
+
+
+def test_devices_that_commands_name_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streams, "MAX_NAMES", 3)
+    names = streams.Streams(Config())
+    assert [names.device(f"A device with a long name {index}") for index in range(9)] == [
+        names.device(f"A device with a long name {index}") for index in range(9)
+    ]
+    assert names.device("B") == "B" and len(names._devices) == 3
 
 
 @pytest.mark.parametrize("name", sorted(QUERIES))
