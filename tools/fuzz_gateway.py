@@ -7,15 +7,17 @@ turns: an old one that lives as long as the run, in which nothing may grow, and 
 next of ``CONFIGS`` and whose beginning is then played again: with and without plans, it must say the same to the last
 bit.
 
-What is bent: the messages of both corpora, the ROS messages of ``fixtures/every-type.mcap``, poses with their numbers
-and stamps (the express lane), and what the gateway itself has just sent (so that replies find who waits for them).
-The sequence depends on the seed only.  What breaks a rule is written to a file, to be played with ``--repeat``.
+What is bent: the messages of both corpora, the ROS messages of ``fixtures/every-type.mcap``, poses, texts and clouds
+with their numbers and stamps (the express lane), and what the gateway itself has just sent (so that replies find who
+waits for them).  The sequence depends on the seed only.  What breaks a rule is written to a file, to be played with
+``--repeat``.
 """
 
 from __future__ import annotations
 
 import argparse
 import base64
+import faulthandler
 import gc
 import hashlib
 import json
@@ -35,17 +37,20 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-import fastcrc
+import numpy as np
 
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import express
-from igtl_gateway.convert.common_msgs import TFMessage
+from igtl_gateway.convert.clouds import polydata_to_cloud
+from igtl_gateway.convert.common_msgs import PoseStamped, TFMessage
+from igtl_gateway.convert.context import ToRos
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage
-from igtl_gateway.convert.rosmsg import RosMessage
+from igtl_gateway.convert.rosmsg import PointCloud2, RosMessage, TransformStamped
+from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role
 from igtl_gateway.errors import MessageTooLarge
-from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LISTENED, TICK, Gateway, Session, plans
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LISTENED, TICK, Gateway, Session
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
@@ -54,6 +59,9 @@ from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, decode, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.point import Points
+from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Position, Transform
 from tools.fuzz import DAMAGE, EDGES, MAX_FILE, ROOT, Broken, corpus, repaired
 
@@ -151,19 +159,40 @@ def igtl_seeds() -> list[bytes]:
 
 _POSE = Transform((0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6, 1.0, 2.0, 3.0))
 _PLACE = Position((1.0, 2.0, 3.0), (0.0, 0.0, 0.6, 0.8), "all")
+_CLOUD = PolyData(np.arange(21, dtype=">f4").reshape(7, 3))
 
 
-def pose_seeds() -> list[bytes]:
-    """Poses of devices that send nothing else."""
+def _points(count: int) -> Points:
+    elements = np.zeros(count, Points.DTYPE)
+    elements["position"] = np.arange(3 * count).reshape(count, 3)
+    return Points(elements)
+
+
+def express_seeds() -> list[bytes]:
+    """Messages that may go by plans, of devices that send nothing else."""
+    contents: tuple[tuple[str, Body], ...] = (
+        ("TRANSFORM", _POSE),
+        ("POSITION", _PLACE),
+        ("TRANSFORM", _POSE),
+        ("STRING", String(b"a text in ASCII")),
+        ("POINT", _points(1)),
+        ("POINT", _points(4)),
+        ("POLYDATA", _CLOUD),
+    )
     found = []
-    contents: tuple[Body, ...] = (_POSE, _PLACE, _POSE)
     for version in (1, 2):
-        for number, content in enumerate(contents):
-            kind = "POSITION" if content is _PLACE else "TRANSFORM"
+        for number, (kind, content) in enumerate(contents):
             items = (Item.of("owner", "me"),) if number == 2 and version == 2 else ()
             message = Message(kind, f"Tool{number}{version}", content, ns_to_ticks(T0_NS), version, 7, items)
             found.append(join(encode(message)))
     return found
+
+
+def ros_express_seeds(ros: Sequence[tuple[str, bytes]]) -> list[tuple[str, bytes]]:
+    """The same from ROS: poses as they were recorded, texts, clouds of x, y and z."""
+    found = [(ros_type, cdr) for ros_type, cdr in ros if ros_type in (TransformStamped.TYPE, PoseStamped.TYPE)]
+    cloud = polydata_to_cloud(_CLOUD, ToRos("d", T0_NS, "frame", ""))
+    return [*found, *[(PointCloud2.TYPE, cloud.pack()), (RosString.TYPE, RosString("a text").pack())] * 4]
 
 
 # -- damage -------------------------------------------------------------------------------------------------------
@@ -184,30 +213,35 @@ def bent(rng: Random, data: bytes, pool: Sequence[bytes]) -> bytes:
     return repaired(damaged)
 
 
-def bent_pose(rng: Random, data: bytes, now_ns: int) -> bytes:
-    """A pose that differs in its numbers and its stamp: most of them take the express lane, which others make end."""
+def bent_express(rng: Random, data: bytes, other: bytes, now_ns: int) -> bytes:
+    """A message that differs in its numbers and its stamp: most of them go by plans, which the others make end."""
     damaged = bytearray(data)
-    stamp_ns, place = now_ns, len(damaged) - 1 - (rng.getrandbits(3) >> 2)  # the last bits of a number
-    if rng.random() < 0.05:
+    stamp_ns, fate = now_ns, rng.random()
+    if fate < 0.05:
+        damaged[rng.randrange(HEADER_SIZE, len(damaged))] ^= 1 << rng.getrandbits(3)
         stamp_ns = rng.choice((0, 1, now_ns - NS_PER_S, now_ns - 40 * NS_PER_S, now_ns + NS_PER_S))
-        place = rng.randrange(HEADER_SIZE, len(damaged))
+    elif fate < 0.1:
+        rng.choice(DAMAGE)(rng, damaged, other)
+        damaged[0:34] = data[0:34]
+        damaged = damaged.ljust(HEADER_SIZE, b"\0")
+    else:  # the last bits of a number
+        damaged[len(damaged) - 1 - (rng.getrandbits(3) >> 2)] ^= 1 << rng.getrandbits(3)
     damaged[34:42] = ns_to_ticks(stamp_ns).to_bytes(8, "big")
-    damaged[place] ^= 1 << rng.getrandbits(3)
-    body = bytes(damaged[HEADER_SIZE:])
-    damaged[50:58] = fastcrc.crc64.ecma_182(body).to_bytes(8, "big")
-    return bytes(damaged)
+    return repaired(damaged)
 
 
-def bent_pose_cdr(rng: Random, data: bytes, now_ns: int) -> bytes:
+def bent_express_cdr(rng: Random, ros_type: str, data: bytes, other: bytes, now_ns: int) -> bytes:
     """The same from ROS."""
-    damaged = bytearray(data)
-    seconds, place = now_ns // NS_PER_S, len(damaged) - 56 + 8 * rng.randrange(3) + rng.getrandbits(2)
-    if rng.random() < 0.05:
-        seconds -= rng.choice((seconds, 1, 40, -2))
-        place = rng.randrange(len(damaged))
-    damaged[4:8] = seconds.to_bytes(4, "little")
-    damaged[8:12] = (now_ns % NS_PER_S).to_bytes(4, "little")
-    damaged[place] ^= 1 << rng.getrandbits(3)
+    fate = rng.random()
+    damaged = bytearray(bent_cdr(rng, data, other)) if fate < 0.05 else bytearray(data)
+    if ros_type == RosString.TYPE:
+        if len(damaged) > 8:
+            damaged[8] ^= 1 << rng.getrandbits(2)
+        return bytes(damaged)
+    seconds = now_ns // NS_PER_S - (rng.choice((1, 40, -2, now_ns // NS_PER_S)) if fate > 0.97 else 0)
+    if len(damaged) > 70:
+        damaged[4:12] = seconds.to_bytes(4, "little") + (now_ns % NS_PER_S).to_bytes(4, "little")
+        damaged[len(damaged) - 57 + 8 * rng.randrange(4) + rng.getrandbits(2)] ^= 1 << rng.getrandbits(3)
     return bytes(damaged)
 
 
@@ -308,6 +342,7 @@ class Stage:
     def __init__(self, number: int, rng: Random, figures: Figures, seeds: Seeds) -> None:
         self.number, self.rng, self.figures, self.seeds = number, rng, figures, seeds
         self.session, self.gateway = opened(number)
+        self.quiet = "STT_*" in self.gateway.config.deny_in
         self.now_ns = T0_NS
         self.links: dict[int, Link] = {}
         self.gone = Link(Framer(1))  # sums over the links that have gone
@@ -486,14 +521,14 @@ class Stage:
         rng = self.rng
         chance = rng.random()
         self.now_ns += rng.randrange(100_000, 20 * NS_PER_MS)
-        if chance < 0.46:
+        if chance < 0.40:
             self._stream_bent()
-        elif chance < 0.66:
+        elif chance < 0.58:
             self._ros_bent()
-        elif chance < 0.80:
-            self._poses_in()
+        elif chance < (0.78 if self.quiet else 0.90):  # to peers that asked for streams nothing goes by plans
+            self._express_in()
         elif chance < 0.94:
-            self._poses_out()
+            self._express_out()
         elif chance < 0.98:
             self._tick()
         elif chance < 0.99:
@@ -518,24 +553,24 @@ class Stage:
             self.figures.bent += 1
             self.bring(Kind.ROS_IN, data, self.topic(ros_type), ros_type, source_ns=self.now_ns)
 
-    def _poses_in(self) -> None:
-        """A run of poses from one device, now and then one as it should be."""
+    def _express_in(self) -> None:
+        """A run of messages from one device, now and then one as it should be."""
         rng = self.rng
-        base, messages = rng.choice(self.seeds.poses), []
+        base, messages = rng.choice(self.seeds.express), []
         for _ in range(rng.randrange(12, 40)):
             self.now_ns += NS_PER_MS
             if rng.random() < 0.02:
                 messages.append(base)
                 self.figures.whole += 1
             else:
-                messages.append(bent_pose(rng, base, self.now_ns))
+                messages.append(bent_express(rng, base, rng.choice(self.seeds.igtl), self.now_ns))
                 self.figures.bent += 1
         self.stream(rng.choice(list(self.links)), messages)
 
-    def _poses_out(self) -> None:
+    def _express_out(self) -> None:
         """The same from ROS."""
         rng = self.rng
-        ros_type, cdr = rng.choice(self.seeds.ros_poses)
+        ros_type, cdr = rng.choice(self.seeds.ros_express)
         topic = self.topic(ros_type)
         for _ in range(rng.randrange(12, 40)):
             self.now_ns += NS_PER_MS
@@ -543,7 +578,7 @@ class Stage:
                 data = cdr
                 self.figures.whole += 1
             else:
-                data = bent_pose_cdr(rng, cdr, self.now_ns)
+                data = bent_express_cdr(rng, ros_type, cdr, rng.choice(self.seeds.ros)[1], self.now_ns)
                 self.figures.bent += 1
             self.bring(Kind.ROS_IN, data, topic, ros_type, source_ns=self.now_ns)
 
@@ -638,15 +673,16 @@ def played(number: int, inputs: Sequence[Input], what: str) -> str:
     session, gateway = opened(number)
     if what == "without plans":
         gateway.plans.wants = lambda key: False  # type: ignore[method-assign]
-    in_use = {name: getattr(plans, name) for name in ("pose_to_ros", "pose_to_igtl")}
+    names = ("pose_to_ros", "pose_to_igtl", "bulk_to_ros", "bulk_to_igtl")
+    in_use = {name: getattr(express, name) for name in names}
     if what == "in plain Python":
-        vars(plans).update(zip(in_use, express.PLAIN, strict=True))
+        vars(express).update(zip(names, (*express.PLAIN, None, None), strict=True))
     try:
         for one in inputs:
             for entry in brought(session, one):
                 fingerprint(digest, entry)
     finally:
-        vars(plans).update(in_use)
+        vars(express).update(in_use)
     return digest.hexdigest()
 
 
@@ -677,22 +713,21 @@ class Seeds:
 
     igtl: list[bytes]
     ros: list[tuple[str, bytes]]
-    poses: list[bytes]
-    ros_poses: list[tuple[str, bytes]]
+    express: list[bytes]
+    ros_express: list[tuple[str, bytes]]
     topics: dict[str, list[str]]
     hello: bytes
 
     @classmethod
     def load(cls) -> Seeds:
         ros = ros_seeds()
-        poses = [one for one in ros if one[0] in plans.POSE_TOPICS]
         topics: dict[str, list[str]] = {}
         for row in _rows():
             for kind in {seed[0] for seed in ros}:
                 if row.topic.endswith(kind[-9:]):
                     topics.setdefault(kind, []).append(row.topic)
         hello = join(encode(Message("GET_STATUS", "", decode(corpus()[0]).content, header_version=2)))
-        return cls(igtl_seeds(), ros, pose_seeds(), poses, topics, hello)
+        return cls(igtl_seeds(), ros, express_seeds(), ros_express_seeds(ros), topics, hello)
 
 
 @contextmanager
@@ -737,7 +772,7 @@ def run(seed: int, messages: int, say: Callable[[str], None] = lambda line: None
                     figures.stages += 1
                     stage = young = Stage(figures.stages % len(CONFIGS), rng, figures, seeds)
                     renew = figures.bent + YOUNG
-                stage = young if rng.randrange(3) else old
+                stage = young if rng.randrange(4) else old
                 stage.round()
                 if figures.bent >= look:
                     look += LOOK
@@ -853,6 +888,7 @@ def main() -> int:
     if options.repeat:
         print("\n".join(repeat(options.repeat)) or "nothing is broken")
         return 0
+    faulthandler.enable()  # the part in C may crash
     gc.collect()
     figures = run(options.seed, options.messages, lambda line: print(line, flush=True))
     print(f"seed {options.seed}, plans {'compiled' if express.COMPILED else 'in plain Python'}\n{report(figures)}")
