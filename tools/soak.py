@@ -60,7 +60,7 @@ _PICTURE, _CLOUD = "scan-vga", "grid-30k"
 MANNERS = ("listen", "listen", "listen", "talk", "talk", "talk", "talk", "slow", "slow", "deaf")
 _LEAVES = ("politely", "reset", "killed", "middle")
 _MOST_GUESTS = 3
-_STAY_S, _MOST_STAY_S = 8.0, 30.0
+_STAY_S, _DEAF_S = 8.0, 75.0
 _NODE_LEAVES = ("politely", "interrupted", "killed")
 _MOST_NODE_STAY_S = 60.0
 #: So long the recorder does nothing at the beginning, so that its queue has been as long as it gets.
@@ -132,8 +132,13 @@ class Settings:
 
     @property
     def warm_s(self) -> float:
-        """What is before does not count for the line: a tenth, five minutes at most."""
-        return min(self.seconds / 10, 300.0)
+        """What is before does not count for the line: a third, five minutes at most."""
+        return min(self.seconds / 3, 300.0)
+
+    @property
+    def most_stay_s(self) -> float:
+        """How long a guest stays at most; in a short run not so long that queues grow beyond those of its beginning."""
+        return min(self.seconds / 8, 30.0)
 
 
 @dataclass
@@ -218,16 +223,16 @@ class Guests:
 
     def _run(self) -> None:
         try:
-            # the worst at once and at first, so that what memory it takes is not taken for growth later
+            # The worst at once and at first: what memory it takes stays with the process, and is no growth later.
             for _ in range(_MOST_GUESTS):
-                self._come("deaf", "politely", max(2.0, self._settings.warm_s / 4))
+                self._come("deaf", "politely", min(0.6 * self._settings.warm_s, _DEAF_S))
             due = time.monotonic()
             while not self._over.wait(0.1):
                 now = time.monotonic()
                 self._look(now)
                 if now >= due:
                     due = now + self._rng.expovariate(1 / self._settings.guest_s)
-                    stay = min(self._rng.expovariate(1 / _STAY_S), _MOST_STAY_S)
+                    stay = min(self._rng.expovariate(1 / _STAY_S), self._settings.most_stay_s)
                     if len(self._here) < _MOST_GUESTS:
                         self._come(self._manners.draw(), self._leaves.draw(), stay)
         finally:
@@ -255,7 +260,7 @@ class Guests:
         if self._node and (now >= self._node_until or self._node.poll() is not None):
             self._node_goes(self._node, self._node_leaves.draw())
         elif not self._node:
-            self._node_until = now + self._rng.uniform(0.2, 1) * min(_MOST_NODE_STAY_S, self._settings.seconds / 4)
+            self._node_until = now + self._rng.uniform(0.2, 1) * min(_MOST_NODE_STAY_S, self._settings.seconds / 3)
             words = ["ros", str(self._rng.getrandbits(31))]
             self._node = subprocess.Popen(
                 [sys.executable, str(GUEST), *words], stdin=subprocess.PIPE, stderr=subprocess.DEVNULL
