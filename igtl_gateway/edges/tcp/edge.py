@@ -336,17 +336,27 @@ class TcpEdge:
         """Why no further peer may connect, or ``""``."""
         most = self._limits.max_clients
         clients = sum(link.role == "server" for link in self._links.values())
-        clients += sum(relay.waiting for relay in self._relays) + len(self._handshakes)
+        clients += sum(relay.waiting for relay in self._relays)
         return f"{most} clients are connected already" if clients >= most else ""
 
     def _greet(self, up: Up, context: Context, sock: socket.socket, peer: str) -> None:
-        """A client came that has to speak TLS first."""
+        """A client came that has to speak TLS first.
+
+        As many may be in the handshake as may be connected, beside those.  One more takes the place of the one that
+        has said nothing for longest: nobody needs a certificate to say nothing, and who has one must get in.
+        """
         tune(sock)
+        if len(self._handshakes) >= self._limits.max_clients:
+            waiting = self._handshakes.values()
+            next((one for one in waiting if not one.sock.begun), next(iter(waiting))).give_way()
         secured = TlsSocket(sock, context, server_side=True)
 
         def done() -> None:
             del self._handshakes[secured]
-            up(secured, peer)
+            if reason := self._crowded():
+                self._refusals.refuse(secured, peer, reason)
+            else:
+                up(secured, peer)
 
         def refused(reason: str, detail: str) -> None:
             del self._handshakes[secured]

@@ -33,7 +33,8 @@ class Limits:
     """What a peer can cost.  Raises ConfigError for a limit that is not positive.
 
     Attributes:
-        max_clients: links at once that peers opened; the paper's setups have a handful, 32 shows a runaway.
+        max_clients: links at once that peers opened, and as many more in the TLS handshake; the paper's setups have a
+            handful, 32 shows a runaway.
         queue_bytes: what waits for one link; ten images in full HD, a second or two at a frame rate.
         queue_messages: the same in messages; four seconds of transforms at 1 kHz.
         stall_s: longest silence inside a message; TCP itself recovers from a lost packet well within it.

@@ -14,7 +14,7 @@ from igtl_gateway.errors import ConfigError
 
 PORT_MAX = 65535
 
-_BACKLOG = 64  # connections that may wait while one callback runs
+_BACKLOG = 256  # connections that may wait while one callback runs; beyond that they come a second later
 _KEEPALIVE = (  # a peer that lost power is found after 10 + 3 x 5 s; silent ones that live are kept
     (socket.SOL_SOCKET, "SO_KEEPALIVE", 1),
     (socket.IPPROTO_TCP, "TCP_KEEPIDLE", 10),

@@ -138,18 +138,18 @@ class TlsSocket:
     """A connected non-blocking socket with TLS on it; what a link needs of a socket is here under the same names.
 
     ``more``: there may be received bytes that no system call will tell of; only ``recv_into`` does.
-    ``shaken``: the handshake is over as far as we are concerned.
+    ``begun``: anything was received.  ``shaken``: the handshake is over as far as we are concerned.
     """
 
     def __init__(self, sock: socket.socket, context: ssl.SSLContext, *, server_side: bool, host: str = "") -> None:
         self.more = False
+        self.begun = False
         self._sock = sock
         self._server_side = server_side
         self._lock = threading.Lock()  # guards all below; nothing else is taken under it
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self._tls = context.wrap_bio(self._incoming, self._outgoing, server_side, host or None)
         self._unsent = memoryview(b"")  # encrypted
-        self._begun = False
         self._early = b""  # received with the server's verdict
         self.shaken = False
 
@@ -207,8 +207,8 @@ class TlsSocket:
             data = self._sock.recv(_BATCH)
         except (BlockingIOError, InterruptedError):
             return False
-        if not self._begun and data:
-            self._begun = True
+        if not self.begun and data:
+            self.begun = True
             if data[0] not in (_HANDSHAKE, _ALERT):
                 raise TlsError(PLAIN_TO_TLS if self._server_side else "the server does not speak TLS")
         if data:
@@ -345,6 +345,11 @@ class Handshake:
     def begin(self, timeout_s: float) -> None:
         self._loop.later(timeout_s, self._timed_out, self._failed)
         self._step(0)
+
+    def give_way(self) -> None:
+        """To one that came later."""
+        self._finish()
+        self._refused("no TLS handshake before others came", "")
 
     def cancel(self) -> None:
         """Let it be, and close."""

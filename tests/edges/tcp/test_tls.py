@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ssl
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -183,19 +184,47 @@ def test_a_plain_client_is_told_what_the_server_speaks(world: World) -> None:
     assert seen.wait("truncated")[0].text.endswith("; it speaks TLS")
 
 
-def test_who_says_nothing_is_refused_in_time_and_takes_a_place_until_then(world: World) -> None:
+def test_who_says_nothing_is_refused_in_time(world: World) -> None:
     clock = ManualClock()
     edge, seen, port = secure(world, clock=clock, limits=Limits(max_clients=2, handshake_s=10))
     silent, client_ = world.peer(port), client(world, port)
     client_.send(message(1))
     seen.wait("frame")
-    crowded = world.peer(port)
-    assert crowded.receive() is None
-    assert edge.refused() == {"2 clients are connected already": 1}
     clock.advance(11 * 10**9)
     client_.send(message(2))  # the loop looks at the clock
     assert silent.receive() is None
-    until(lambda: edge.refused().get("no TLS handshake in time") == 1)
+    until(lambda: edge.refused() == {"no TLS handshake in time": 1})
+
+
+def test_nobody_is_kept_out_by_those_who_say_nothing(world: World) -> None:
+    edge, seen, port = secure(world, limits=Limits(max_clients=3))
+    first = client(world, port)
+    first.send(message(1))
+    seen.wait("frame")
+    silent = [world.peer(port) for _ in range(20)]
+    second = client(world, port)
+    second.send(message(2))
+    seen.wait("frame", 2)
+    until(lambda: edge.refused() == {"no TLS handshake before others came": 18})
+    assert [one.receive() for one in silent[:18]] == [None] * 18, "the oldest gave way"
+    client(world, port).send(message(3))
+    seen.wait("frame", 3)
+    with suppress(OSError):
+        assert client(world, port).receive() is None
+    assert edge.refused()["3 clients are connected already"] == 1
+    first.send(message(4))
+    assert len(seen.wait("frame", 4)) == 4
+
+
+def test_who_has_begun_gives_way_last(world: World) -> None:
+    edge, seen, port = secure(world, limits=Limits(max_clients=2))
+    begun = world.peer(port)
+    begun.send(b"\x16\x03\x01\x02\x00")  # of a first word, the beginning
+    silent = world.peer(port)
+    client(world, port).send(message(1))
+    seen.wait("frame")
+    assert silent.receive() is None
+    assert edge.refused() == {"no TLS handshake before others came": 1}
 
 
 def test_a_stopped_edge_lets_go_of_who_is_in_the_handshake(world: World) -> None:

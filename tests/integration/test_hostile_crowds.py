@@ -1,0 +1,136 @@
+"""Many connections at the running bridge: one after the other, and such that never begin to speak TLS.
+
+``HOSTILE_RECONNECTS=10000`` is the long version of the first.  Nothing that the bridge keeps may grow with the number
+of peers that have been: threads, descriptors and memory are looked at, and the tables of the ledger, which has a row
+for each of the first 2,000 peers and one for all others together.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import ssl
+import struct
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from igtl_gateway.session.ledger import MAX_STREAMS, OTHERS
+from tests.integration.bridge import HEADER_SIZE, Bridge, RawPeer, message, string
+
+RECONNECTS = int(os.environ.get("HOSTILE_RECONNECTS", "1000"))
+PEMS = Path(__file__).parents[1] / "edges" / "tcp" / "pems"
+
+
+@dataclass(frozen=True)
+class Use:
+    """What the bridge's process has."""
+
+    threads: int
+    descriptors: int
+    resident_bytes: int
+
+    @classmethod
+    def of(cls, bridge: Bridge) -> Use:
+        place = Path(f"/proc/{bridge.process.pid}")
+        threads, descriptors = (len(list((place / what).iterdir())) for what in ("task", "fd"))
+        return cls(threads, descriptors, bridge.resident_bytes())
+
+
+def leaves(peer: RawPeer) -> None:
+    """With a whole message, in good order."""
+    peer.send(string("hello", "Guest"))
+    peer.socket.shutdown(socket.SHUT_WR)
+    assert peer.everything() == b""
+
+
+def resets(peer: RawPeer) -> None:
+    """Behind a whole message."""
+    peer.send(string("hello", "Guest"))
+    peer.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+
+def breaks_off(peer: RawPeer) -> None:
+    """In the middle of a header."""
+    peer.send(string("hello", "Guest")[: HEADER_SIZE // 2])
+
+
+def says_nothing(peer: RawPeer) -> None:
+    """And goes."""
+
+
+GUESTS: tuple[Callable[[RawPeer], None], ...] = (leaves, resets, breaks_off, says_nothing)
+
+
+def asks(peer: RawPeer) -> None:
+    """A good one, who is served."""
+    peer.send(message("GET_STATUS", b"", device="Good"))
+    assert peer.receive("Good").type == "STATUS"
+
+
+def test_one_after_the_other(tmp_path: Path) -> None:
+    bridge = Bridge("--no-ros", "--record", str(tmp_path / "guests.mcap"))
+    try:
+        with RawPeer(bridge.port) as good:
+            before = None
+            for number in range(RECONNECTS):
+                with RawPeer(bridge.port) as guest:
+                    GUESTS[number % len(GUESTS)](guest)
+                if number % 100 == 0:
+                    asks(good)
+                if number == RECONNECTS // 4:  # tables and caches have their size
+                    before = Use.of(bridge)
+            bridge.wait_code("link_down", RECONNECTS)
+            asks(good)
+            after = Use.of(bridge)
+        assert before is not None
+        assert after.threads <= before.threads
+        assert after.descriptors <= before.descriptors
+        # of each peer the ledger keeps a line as long as there are less than MAX_STREAMS
+        assert after.resident_bytes - before.resident_bytes < 8 << 20, (before, after)
+        told = bridge.end()
+        assert (told.code, told.err) == (0, "")
+        last = bridge.events[-1]
+        assert last["recording"]["dropped"] == 0
+        ledger = last["ledger"]
+        each = RECONNECTS // len(GUESTS)
+        assert ledger["gaps"] == []
+        assert ledger["streams"]["igtl_in"]["STRING/Guest"]["received"] == 2 * each
+        assert ledger["link_faults"] == {"truncated": each}
+        peers = ledger["streams"]["peers"]
+        assert len(peers) == min(RECONNECTS + 1, MAX_STREAMS + (RECONNECTS >= MAX_STREAMS))
+        assert (OTHERS in peers) == (RECONNECTS >= MAX_STREAMS)
+        assert ledger["links"].keys() == {"0"}
+    finally:
+        bridge.close()
+
+
+def test_200_that_never_begin_the_tls_handshake() -> None:
+    """They keep out nobody who has a certificate, and disturb nobody who is in."""
+    most = 8
+    pems = ("--tls-cert", str(PEMS / "server.pem"), "--tls-ca", str(PEMS / "ca.pem"))
+    bridge = Bridge("--no-ros", "--max-clients", str(most), *pems)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.load_verify_locations(PEMS / "ca.pem")
+    context.load_cert_chain(PEMS / "viewer.pem")
+
+    def good(stack: ExitStack) -> RawPeer:
+        peer = stack.enter_context(RawPeer(bridge.port))
+        peer.socket = context.wrap_socket(peer.socket, server_hostname="127.0.0.1")
+        return peer
+
+    try:
+        with ExitStack() as stack:
+            early = good(stack)
+            asks(early)
+            silent = [stack.enter_context(RawPeer(bridge.port)) for _ in range(200)]
+            asks(early)
+            late = good(stack)
+            asks(late)
+            asks(early)
+            assert all(peer.closed_by_peer() for peer in silent[: 200 - most])
+        assert bridge.end().code == 0
+        assert bridge.events[-1]["ledger"]["refused"]["no TLS handshake before others came"] > 200 - most - 1
+    finally:
+        bridge.close()
