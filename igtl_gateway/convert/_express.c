@@ -1,6 +1,6 @@
 /* The compiled part of igtl_gateway/convert/express.py: what the functions do is told there.
  *
- * Those of poses have twins in Python with the same results, bit for bit; those of bulk (texts, points, clouds) are here
+ * Those of poses have twins in Python with the same results, bit for bit; those of bulk (texts, points, clouds, pictures) are here
  * only.  Everything that is not plainly as in the sample gives None, and the general way finds out what it is.
  * Arithmetic is IEEE 754, of poses in double and in the order of poses.py, of many points in single as in scaling.py;
  * the build forbids the compiler to contract or reorder it (-ffp-contract=off, no -ffast-math).
@@ -12,6 +12,7 @@
 #include <string.h>
 
 #define HEADER_SIZE 58
+#define EXTENDED_SIZE 12
 #define TICKS_AT 34
 #define SIZE_AT 42
 #define CRC_AT 50
@@ -387,10 +388,10 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     return result;
 }
 
-/* -- bulk: texts, points, clouds ------------------------------------------------------------------------------------ */
+/* -- bulk: texts, points, clouds, pictures --------------------------------------------------------------------------- */
 
 /* What a form is made of, and what of it; the same numbers as in express.py. */
-enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3 };
+enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5 };
 
 #define POINT_BYTES 136 /* name 64, group 32, rgba 4, position 12, diameter 4, owner 20 */
 #define GROUP_AT 64
@@ -591,6 +592,21 @@ static PyObject *text_message(const uint8_t *content, Py_ssize_t size)
     return cdr;
 }
 
+/* An Image of the size of the last one. */
+static PyObject *picture_message(const uint8_t *content, Py_ssize_t size, PyObject *template)
+{
+    Py_ssize_t head = PyBytes_GET_SIZE(template);
+    const char *before = PyBytes_AS_STRING(template);
+    if (size != (Py_ssize_t)get_u32_ros((const uint8_t *)before + head - 4))
+        return NULL;
+    PyObject *cdr = PyBytes_FromStringAndSize(NULL, head + size);
+    if (cdr) {
+        memcpy(PyBytes_AS_STRING(cdr), before, head);
+        memcpy(PyBytes_AS_STRING(cdr) + head, content, size);
+    }
+    return cdr;
+}
+
 /* One form of a content: a new reference; NULL without an exception where the general way has to look at it. */
 static PyObject *form_of(int form, const uint8_t *content, Py_ssize_t size, PyObject *template, Py_ssize_t stamp_at,
                          Py_ssize_t width_at, int64_t stamp_ns, double times, double by)
@@ -598,6 +614,8 @@ static PyObject *form_of(int form, const uint8_t *content, Py_ssize_t size, PyOb
     PyObject *cdr;
     if (form == TEXT) {
         cdr = text_message(content, size);
+    } else if (form == PICTURE) {
+        cdr = picture_message(content, size, template);
     } else {
         Py_ssize_t count = points_in(form, content, size);
         if (count < 0)
@@ -627,7 +645,7 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
     double times, by;
     if (PyErr_Occurred() || !PyArg_ParseTuple(args[7], "dd", &times, &by))
         return NULL;
-    if (at < HEADER_SIZE || tail < 0 || at + tail != PyBytes_GET_SIZE(args[1])) {
+    if (tail < 0 || at + tail != PyBytes_GET_SIZE(args[1]) || at < HEADER_SIZE + (sample[1] == 2 ? EXTENDED_SIZE : 0)) {
         PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a sample that is not all but the content");
         return NULL;
     }
@@ -640,9 +658,10 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
     uint64_t crc;
     if (size < at + tail || !equal(data, sample, 0, TICKS_AT) || get_u64(data + SIZE_AT) != (uint64_t)(size - HEADER_SIZE))
         goto general;
-    if (at > HEADER_SIZE && !equal(data, sample, HEADER_SIZE, at - 4)) /* the message id is not compared */
+    Py_ssize_t extended = sample[1] == 2 ? EXTENDED_SIZE : 0; /* its last 4 bytes are the message id */
+    if (extended && !equal(data, sample, HEADER_SIZE, HEADER_SIZE + EXTENDED_SIZE - 4))
         goto general;
-    if (memcmp(data + size - tail, sample + at, (size_t)tail))
+    if (!equal(data, sample, HEADER_SIZE + extended, at) || memcmp(data + size - tail, sample + at, (size_t)tail))
         goto general;
     if (check_crc) {
         if (!crc_of(data + HEADER_SIZE, size - HEADER_SIZE, &crc))
@@ -663,7 +682,7 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
         int form;
         if (PyArg_ParseTuple(PyTuple_GET_ITEM(args[8], i), "iSnn", &form, &template, &stamp_at, &width_at)) {
             Py_ssize_t room = PyBytes_GET_SIZE(template);
-            if (form < TEXT || form > CLOUD || stamp_at < 0 || width_at < 0 ||
+            if (form < TEXT || form > PICTURE || stamp_at < 0 || width_at < 0 ||
                 (form != TEXT && (room < 32 || stamp_at + 8 > room || width_at + 4 > room)))
                 PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a form without room for stamp and width");
             else
@@ -685,9 +704,9 @@ done:
     return result;
 }
 
-/* What is to be read of a ROS message: set by content_in, used by put_content. */
+/* What is to be read of a ROS message. */
 struct source {
-    const uint8_t *data;  /* the text, or the first point */
+    const uint8_t *data;  /* the text, the first point or pixel */
     Py_ssize_t count;     /* its bytes, or how many points */
     Py_ssize_t step, x, y, z;
     float times, by;
@@ -697,6 +716,8 @@ static Py_ssize_t content_size(int form, Py_ssize_t count)
 {
     if (form == TEXT)
         return 4 + count;
+    if (form >= PICTURE)
+        return count;
     return form == CLOUD ? POLYDATA_HEAD + 12 * count + 4 * (count + 1) : POINT_BYTES * count;
 }
 
@@ -722,6 +743,18 @@ static int put_content(int form, const struct source *from, uint8_t *out)
     if (form == TEXT) {
         put_u32(out, (uint32_t)MIB_ASCII << 16 | (uint32_t)from->count);
         memcpy(out + 4, from->data, from->count);
+        return 1;
+    }
+    if (form == PICTURE) {
+        memcpy(out, from->data, from->count);
+        return 1;
+    }
+    if (form == BLUE_FIRST) {
+        for (Py_ssize_t i = 0; i + 3 <= from->count; i += 3) {
+            out[i] = from->data[i + 2];
+            out[i + 1] = from->data[i + 1];
+            out[i + 2] = from->data[i];
+        }
         return 1;
     }
     if (form == POINTS) {
@@ -823,8 +856,13 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
             PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: places outside the sample");
             goto done;
         }
-        if (!cloud_in(cdr, size, height_at, data_at, &found))
+        if (form >= PICTURE) {
+            found.data = cdr + data_at, found.count = found.step;
+            if (size - data_at < found.count)
+                goto general;
+        } else if (!cloud_in(cdr, size, height_at, data_at, &found)) {
             goto general;
+        }
         int32_t seconds;
         memcpy(&seconds, cdr + 4, 4);
         header_ns = seconds * NS_PER_S + get_u32_ros(cdr + 8);

@@ -20,6 +20,9 @@ MAX_PARTS = 4_096
 #: What a part costs beside its pixels, about.
 _PART_BYTES = 1_024
 
+#: Shape (k, j, i, components), and scalar type as numpy calls it.
+Form = tuple[tuple[int, ...], str]
+
 
 class VolumeAssembler:
     """The volume of one stream.
@@ -35,7 +38,7 @@ class VolumeAssembler:
 
     def __init__(self) -> None:
         self.missing = self.held = 0
-        self._form: tuple[tuple[int, ...], str] | None = None  # (k, j, i, components) and scalar type
+        self._form: Form | None = None  # (k, j, i, components) and scalar type
         self._parts: list[Image] = []  # as long as there is no array
         self._whole: npt.NDArray[Any] | None = None  # in the byte order of its first message
         self._seen: npt.NDArray[np.bool_] | None = None  # None once all is
@@ -53,9 +56,8 @@ class VolumeAssembler:
         Raises:
             ConversionError: a volume above MAX_VOLUME_BYTES, or parts of one for which there is no room.
         """
-        i, j, k = image.dimensions
-        shape = (k, j, i, image.num_components)
-        form = shape, SCALARS[image.scalar_type]
+        form = form_of(image)
+        shape, _ = form
         if image.sub_size == image.dimensions:
             self._begin(form)
             if memoryview(image.pixels).nbytes <= room:
@@ -96,7 +98,17 @@ class VolumeAssembler:
         pixels = self._whole.reshape(-1).view(np.uint8).data
         return replace(image, pixels=pixels, endian=endian, subvol_offset=(0, 0, 0), subvol_size=None)
 
-    def _begin(self, form: tuple[tuple[int, ...], str] | None) -> None:
+    def takes(self, form: Form) -> bool:
+        """Whether an image of a form is kept, so that there is room for a whole one in its place."""
+        return self._form == form and self._whole is not None
+
+    def keep(self, form: Form, dtype: np.dtype[Any], pixels: memoryview) -> None:
+        """``update`` with a whole image, where ``takes`` is true."""
+        self._begin(form)
+        self._whole = np.frombuffer(pixels, dtype).reshape(form[0])
+        self.missing, self.held = 0, pixels.nbytes
+
+    def _begin(self, form: Form | None) -> None:
         """Forget what was, for a volume of this form."""
         self._form, self._parts, self._whole, self._seen = form, [], None, None
         self.missing, self.held = math.prod(form[0][:3]) if form else 0, 0
@@ -111,6 +123,12 @@ class VolumeAssembler:
             seen = self._seen[part]
             self.missing -= seen.size - int(np.count_nonzero(seen))
             seen[...] = True
+
+
+def form_of(image: Image) -> Form:
+    """Of the whole that an image is, or is a part of."""
+    i, j, k = image.dimensions
+    return (k, j, i, image.num_components), SCALARS[image.scalar_type]
 
 
 def _dtype(image: Image) -> np.dtype[Any]:

@@ -9,8 +9,8 @@ message then takes the general way, which knows what to say of it.
 Of the functions of poses there are two each with the same results, bit for bit: the ones here, and the compiled ones of
 ``_express.c`` where the package was built with a C compiler.  ``COMPILED`` says which are in use.
 
-Those of *bulk*, for texts, points and clouds, whose sizes may change from message to message, are compiled only:
-without them such messages take the general way, which is slower by 0.2 to 0.5 ms where they are rare.
+Those of *bulk*, for texts, points and clouds, whose sizes may change from message to message, and for pictures, are
+compiled only: without them such messages take the general way, which is slower by 0.2 to 0.5 ms where they are rare.
 """
 
 from __future__ import annotations
@@ -182,20 +182,22 @@ COMPILED = False
 
 #: What bulk is made of and what of it: STRING ⇄ String of ASCII, POINT of one point → PointStamped, POINT of points
 #: without labels ⇄ PointCloud2, POLYDATA that is nothing but points ⇄ PointCloud2.  Clouds to OpenIGTLink have x, y and
-#: z as float32 and nothing else; all numbers are finite.
-TEXT, POINT, POINTS, CLOUD = range(4)
+#: z as float32 and nothing else; all numbers are finite.  IMAGE ⇄ Image, of the size and with all else as in the
+#: sample, and Image of BGR → IMAGE of RGB.
+TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST = range(6)
 
 Fill = Callable[..., tuple[Any, ...] | None]
 
 #: As ``pose_to_ros``, but for ``sample``: what stands before and behind the content; ``at``, ``size``: how long these
-#: two are; ``forms``: for each what it is made as, a template (of clouds: up to the data; of a point: whole), and the
-#: offsets of its stamp (0: none) and of its width.  Of a form that has no place for the content None comes back.
+#: two are; ``forms``: for each what it is made as, a template (of clouds and pictures: up to the data; of a point:
+#: whole), and the offsets of its stamp (0: none) and of its width.  Of a form that has no place for the content None
+#: comes back.
 bulk_to_ros: Fill | None = None
 
 #: As ``pose_to_igtl``, but for ``sample``: what stands before the content; ``names``: of a cloud the offsets of its
-#: height and of its data, how long a point is and where x, y and z are in it, and then begin and end of each part of
-#: the sample that has to be the same; ``size``: what is made; ``forms``: for each what stands before and behind the
-#: content, and where in the latter the digits are.
+#: height and of its data, how long a point is and where x, y and z are in it (of a picture: how long it is, and
+#: zeros), and then begin and end of each part of the sample that has to be the same; ``size``: what is made; ``forms``:
+#: for each what stands before and behind the content, and where in the latter the digits are.
 bulk_to_igtl: Fill | None = None
 
 if not TYPE_CHECKING:

@@ -244,7 +244,16 @@ class Gateway:
             watched = self._guard.of(to.link, entry.channel, stream.row.max_age_s)
             try:
                 plan = plan_to_ros(
-                    entry, message, stream, to, self.config, self.ledger, watched, self._streams.qos, self._unmade
+                    entry,
+                    message,
+                    stream,
+                    to,
+                    self.config,
+                    self.ledger,
+                    watched,
+                    self._streams.qos,
+                    self._unmade,
+                    self._volumes.get(to.device_name),
                 )
             except ConversionError:  # of a message that nobody hears: it was not converted
                 return

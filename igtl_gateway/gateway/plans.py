@@ -2,8 +2,9 @@
 
 The general way of a message (`igtl_gateway.gateway.core`) asks many questions whose answers are the same for every
 message of a stream: which rows, names, frames, peers.  For poses, which come a thousand times a second, and for
-texts, points and clouds the answers of the last message are kept as a *plan*.  A plan gives exactly the entries, and
-the ledger exactly the counts, that the general way would have given, or None: then the message takes the general way.
+texts, points, clouds and pictures the answers of the last message are kept as a *plan*.  A plan gives exactly the
+entries, and the ledger exactly the counts, that the general way would have given, or None: then the message takes the
+general way.
 
 What the guard looks at (`igtl_gateway.gateway.guard`), a plan lets it look at, too: where there is anything to be said
 of a message it gives no entries, and the general way has the message; the plan stays.
@@ -19,12 +20,25 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.config import Config
-from igtl_gateway.convert import clouds, express, poses, rosmsg, surfaces, texts, tracking
+from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts, tracking, volumes
+from igtl_gateway.convert.assembly import Form, VolumeAssembler, form_of
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.context import ToRos
-from igtl_gateway.convert.express import CLOUD, MATRIX, POINT, POINTS, QUATERNION, TEXT, Fill
+from igtl_gateway.convert.express import (
+    BLUE_FIRST,
+    CLOUD,
+    MATRIX,
+    PICTURE,
+    POINT,
+    POINTS,
+    QUATERNION,
+    TEXT,
+    Fill,
+)
 from igtl_gateway.convert.plans import is_labeled
 from igtl_gateway.convert.polydata import exceeds_standard
 from igtl_gateway.convert.rosmsg import PointCloud2, String, TransformStamped
@@ -39,6 +53,8 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.wire import HEADER_SIZE, Message
+from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
+from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.message import EXTENDED_SIZE
 
 #: Plans of each direction; streams beyond that take the general way.
@@ -55,7 +71,8 @@ ToRosKey = tuple[int, bytes]
 ToIgtlKey = tuple[str, str]
 
 Heard = Callable[[str, str], bool]
-Counter = dict[str, int]
+#: What keeps the last image of a device, and what the images of a plan are.
+Volume = tuple[VolumeAssembler, Form, np.dtype[Any]]
 
 #: How a row writes a pose → the offset of the stamp in its CDR, which ends with the pose.
 _TO_ROS: dict[Callable[..., Any], int] = {
@@ -79,19 +96,21 @@ _BULK_TO_ROS: dict[Callable[..., Any], int] = {
     clouds.point_to_ros: POINT,
     clouds.points_to_ros: POINTS,
     clouds.polydata_to_cloud: CLOUD,
+    images.image_to_ros: PICTURE,
 }
 _BULK_TO_IGTL: dict[Callable[..., Any], int] = {
     texts.string_to_igtl: TEXT,
     clouds.cloud_to_points: POINTS,
     clouds.cloud_to_polydata: CLOUD,
+    images.image_to_igtl: PICTURE,
 }
-#: Of rows that apply to nothing that a form of bulk is made of.
+#: Of rows that apply to nothing that a form of bulk is made of, or (of pictures) to nothing if not to the sample.
 _NEVER: frozenset[Callable[..., bool]] = frozenset(
-    {is_labeled, surfaces.has_faces, surfaces.has_lines, exceeds_standard}
+    {is_labeled, surfaces.has_faces, surfaces.has_lines, exceeds_standard, volumes.exceeds_picture, volumes.has_slices}
 )
 #: Types of which there may be plans.
-PLANNED = frozenset({*_POSES, "STRING", "POINT", "POLYDATA"})
-PLANNED_TOPICS = frozenset({TransformStamped.TYPE, PoseStamped.TYPE, String.TYPE, PointCloud2.TYPE})
+PLANNED = frozenset({*_POSES, "STRING", "POINT", "POLYDATA", "IMAGE"})
+PLANNED_TOPICS = frozenset({TransformStamped.TYPE, PoseStamped.TYPE, String.TYPE, PointCloud2.TYPE, rosmsg.Image.TYPE})
 _LITTLE_ENDIAN = b"\x00\x01"
 #: A translation in OpenIGTLink, and at the beginning of a pose in CDR.
 _PLACE_IGTL, _PLACE_ROS = struct.Struct(">3f"), struct.Struct("<3d")
@@ -99,6 +118,7 @@ _POSE_SIZE = 56
 _STAMP_AT, _NAMES_AT = 4, 12  # in CDR that begins with a header
 _METADATA_SIZE = struct.Struct(">H")  # of the metadata's header
 _XYZ, _FLOAT32 = ("x", "y", "z"), 7
+_LEAST_PICTURE = 4  # bytes; the least point has as many
 #: Where the translation is among the numbers in OpenIGTLink.
 _PLACE_AT = {MATRIX: 36, QUATERNION: 0}
 
@@ -151,6 +171,7 @@ class ToRosPlan:
         forms: topic, ROS type and form of each output.
         place_at: where the translation is in the message, of a pose.
         unmade: what is to be made of latched topics once somebody listens; the topics of ``forms`` that are such.
+        volume: of pictures, which later ones may be parts of.
     """
 
     def __init__(
@@ -167,6 +188,7 @@ class ToRosPlan:
         watched: Watched | None,
         place_at: int | None,
         unmade: tuple[dict[str, Any], frozenset[str]],
+        volume: Volume | None = None,
     ) -> None:
         self._fill = fill
         self._sample = sample
@@ -181,6 +203,7 @@ class ToRosPlan:
         self._own = own
         self._count = ledger.counter("igtl_in", entry.channel)
         self._unmade, self._latched = unmade
+        self._volume = volume
 
     def __call__(
         self, seq: int, stamp_ns: int, payload: Sequence[Buffer], links: tuple[int, ...], heard: Heard | None
@@ -192,6 +215,9 @@ class ToRosPlan:
             if self._latched and not self._latched <= {topic for topic, _, _, _ in told}:
                 return []  # the last message is kept for the first who listens
         at, size = self._places
+        volume = self._volume
+        if volume and not volume[0].takes(volume[1]):
+            return []
         made = self._fill(payload[0], self._sample, at, size, self._check_crc, self._own, stamp_ns, self._ratio, forms)
         if made is None:
             return None
@@ -209,6 +235,9 @@ class ToRosPlan:
             entries.append(Entry(seq + step, stamp_ns + step, Kind.ROS_OUT, topic, ros_type, (cdr,), (), told_ns))
         for topic in self._latched:
             self._unmade.pop(topic, None)
+        if volume:
+            assembler, form, dtype = volume
+            assembler.keep(form, dtype, memoryview(payload[0])[at : len(payload[0]) - size])
         count = self._count
         count["received"] = count.get("received", 0) + 1
         count["decoded"] = count.get("decoded", 0) + 1
@@ -314,6 +343,7 @@ def plan_to_ros(
     watched: Watched | None = None,
     qos: Callable[[str], Qos | None] = lambda _topic: None,
     unmade: dict[str, Any] | None = None,
+    assembler: VolumeAssembler | None = None,
 ) -> ToRosPlan | None:
     """The plan that follows from a message that was converted without a word; None where there can be none."""
     data, size = entry.payload[0], _POSES.get(entry.type, 0)
@@ -323,6 +353,11 @@ def plan_to_ros(
     tail = _METADATA_SIZE.unpack_from(data, HEADER_SIZE + 2)[0] if message.header_version > 1 else 0
     if size and (not isinstance(data, bytes) or at + size + tail != len(data)):
         return None
+    volume: Volume | None = None
+    if isinstance(content := message.content, Image):
+        if assembler is None or content.sub_size != content.dimensions:
+            return None
+        at, volume = at + IMAGE_HEAD, (assembler, form_of(content), content.array.dtype)
     forms: list[tuple[str, str, tuple[Any, ...]]] = []
     for row, topic in stream.outputs:
         if not isinstance(message.content, row.content):
@@ -358,6 +393,7 @@ def plan_to_ros(
         watched,
         place_at,
         ({} if unmade is None else unmade, latched),
+        volume,
     )
 
 
@@ -382,9 +418,11 @@ def _bulk_form(row: RosRow, content: Any, to: ToRos) -> tuple[int, bytes, int, i
         return None
     made: Any = row.convert(content, to)
     cdr = made.pack()
+    end = len(cdr) - memoryview(made.data).nbytes
+    if form == PICTURE:
+        return form, cdr[:end], _STAMP_AT, 0
     frame_end = _behind_name(cdr, _NAMES_AT)
-    end = len(cdr) - 1 - memoryview(made.data).nbytes
-    return form, cdr[:end], _STAMP_AT, frame_end + -frame_end % 4 + 4
+    return form, cdr[: end - 1], _STAMP_AT, frame_end + -frame_end % 4 + 4
 
 
 def plan_to_igtl(
@@ -405,8 +443,13 @@ def plan_to_igtl(
         return None
     if any(peer.wishes or type(out.content) in peer.profile.adapt for peer in peers):
         return None
+    content = size or sum(memoryview(part).nbytes for part in out.content.pack())
+    extra = 0
     if size:
         names: tuple[int, ...] | None = _names_of(cdr, two=entry.type == TransformStamped.TYPE)
+    elif form == PICTURE:
+        extra, content = IMAGE_HEAD, content - IMAGE_HEAD
+        form, names = _picture_places(cdr, content)
     else:
         names = () if form == TEXT else _cloud_places(cdr)
     if names is None:
@@ -417,12 +460,11 @@ def plan_to_igtl(
     )
     if first.refused or first.warnings or not first.replies:
         return None
-    content = size or sum(memoryview(part).nbytes for part in out.content.pack())
     told: list[tuple[Reply, tuple[Any, ...]]] = []
     for one, other in zip(first.replies, second.replies, strict=True):
         version_1 = one.payload[0][1] == 1
         template = join(one.payload)
-        at = HEADER_SIZE + (0 if version_1 else EXTENDED_SIZE)
+        at = HEADER_SIZE + (0 if version_1 else EXTENDED_SIZE) + extra
         head, tail = template[:at], template[at + content :]
         digits_at = 0 if version_1 else _difference(tail, join(other.payload)[at + content :])
         if size:
@@ -474,6 +516,20 @@ def _cloud_places(cdr: Buffer) -> tuple[int, ...] | None:
     same += (at, at + 1, at + 4, at + 8)  # byte order and the size of a point
     data_at = at + 16
     return height_at, data_at, cloud.point_step, *(fields[name].offset for name in _XYZ), *same
+
+
+def _picture_places(cdr: Buffer, size: int) -> tuple[int, tuple[int, ...] | None]:
+    """What is made of an Image of so many bytes, and what ``bulk_to_igtl`` is to know; None where rows are padded."""
+    picture = rosmsg.Image.unpack(cdr)
+    blue_first = picture.encoding.startswith("bgr")
+    if picture.step * picture.height != size or size < _LEAST_PICTURE or (blue_first and picture.encoding != "bgr8"):
+        return PICTURE, None
+    frame_end = _behind_name(cdr, _NAMES_AT)
+    height_at = frame_end + -frame_end % 4
+    end = _behind_name(cdr, height_at + 8) + 1  # the encoding, and the byte order
+    data_at = end + -end % 4 + 8
+    same = (_NAMES_AT, frame_end, height_at, end, data_at - 8, data_at)
+    return BLUE_FIRST if blue_first else PICTURE, (height_at, data_at, size, 0, 0, 0, *same)
 
 
 def _names_of(cdr: Buffer, *, two: bool) -> tuple[int, int, int] | None:

@@ -19,7 +19,8 @@ from igtl_gateway.wire.transform import pack_floats, unpack_floats
 _HEAD = struct.Struct(">HBBBB3H")
 _MATRIX = struct.Struct(">12f")
 _SUB = struct.Struct(">3H3H")
-_SIZE = _HEAD.size + _MATRIX.size + _SUB.size
+#: Bytes before the pixels.
+HEAD_SIZE = _HEAD.size + _MATRIX.size + _SUB.size
 
 #: Scalar type of the wire → numpy type without byte order.
 SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8"}
@@ -85,15 +86,15 @@ class Image:
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        if content.nbytes < _SIZE:
-            raise TruncatedMessage("IMAGE content", f"{content.nbytes} bytes", f"at least {_SIZE} bytes")
+        if content.nbytes < HEAD_SIZE:
+            raise TruncatedMessage("IMAGE content", f"{content.nbytes} bytes", f"at least {HEAD_SIZE} bytes")
         version, components, scalar, endian, coordinate, *dims = _HEAD.unpack_from(content)
         matrix = unpack_floats(_MATRIX, content, _HEAD.size)
         sub = _SUB.unpack_from(content, _HEAD.size + _MATRIX.size)
         image = cls(
             (dims[0], dims[1], dims[2]),
             scalar,
-            content[_SIZE:],
+            content[HEAD_SIZE:],
             components,
             endian,
             coordinate,

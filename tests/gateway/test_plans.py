@@ -22,6 +22,7 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Item, Message, encode
+from igtl_gateway.wire.image import SCALARS, Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import NO_CELLS, SCALAR, Attribute, Cells, PolyData
 from igtl_gateway.wire.query import Nothing, StartTracking
@@ -142,10 +143,19 @@ def _cloud(draw: st.DrawFn) -> PolyData:
     return PolyData(places, vertices, lines, attributes=attributes)
 
 
+def _image(draw: st.DrawFn) -> Image:
+    size = draw(st.sampled_from([(2, 3, 1), (2, 3, 1), (40, 30, 1), (2, 1, 2)]))
+    part = _mostly(draw, size, (1, 1, 1))
+    scalar, components = _mostly(draw, (3, 3), (5, 1), (7, 1), (3, 1))
+    pixels = bytes([draw(st.integers(0, 255))]) * (math.prod(part) * components * np.dtype(SCALARS[scalar]).itemsize)
+    matrix = _mostly(draw, Image.IDENTITY, (2.0, *Image.IDENTITY[1:]))
+    return Image(size, scalar, pixels, components, draw(st.sampled_from([1, 2, 2])), 1, matrix, (0, 0, 0), part)
+
+
 @st.composite
 def igtl_bulk(draw: st.DrawFn) -> Step:
-    """STRING, POINT and POLYDATA."""
-    name = draw(st.sampled_from(["STRING", "POINT", "POLYDATA"]))
+    """STRING, POINT, POLYDATA and IMAGE."""
+    name = draw(st.sampled_from(["STRING", "POINT", "POLYDATA", "IMAGE"]))
     content: Any
     match name:
         case "STRING":
@@ -154,6 +164,8 @@ def igtl_bulk(draw: st.DrawFn) -> Step:
             content = StringBody(text, _mostly(draw, 3, 4, 106, 1013, 2252, 17, 0))
         case "POINT":
             content = _points(draw)
+        case "IMAGE":
+            content = _image(draw)
         case _:
             content = _cloud(draw)
     version = _mostly(draw, draw(st.sampled_from([1, 2])), 2)
@@ -167,12 +179,19 @@ def igtl_bulk(draw: st.DrawFn) -> Step:
 
 @st.composite
 def ros_bulk(draw: st.DrawFn) -> Step:
-    """String and PointCloud2."""
+    """String, PointCloud2 and Image."""
     end = draw(st.sampled_from([b"", b"", b"\0", b"\0\0\0"]))
     if draw(st.booleans()):
         text = _mostly(draw, draw(st.sampled_from(["", "Hello", "Hello, world", "x" * 3000])), "für", "a\0b", "end\0")
         cdr = rosmsg.String(text * _mostly(draw, 1, 30)).pack()
         return "ros", "/igtl/out/S", rosmsg.String.TYPE, cdr + end, draw(stamps)
+    header = rosmsg.Header(draw(stamps.filter(lambda ns: ns < 2**31 * NS_PER_S)), draw(st.sampled_from(["base", "m"])))
+    if draw(st.booleans()):
+        name, size, big = draw(st.sampled_from([("rgb8", 3, 0), ("bgr8", 3, 0), ("mono16", 2, 1), ("bgra8", 4, 0)]))
+        padding = _mostly(draw, 0, 4)
+        data = draw(st.binary(min_size=6, max_size=6)) * ((2 * size + padding) // 2) + _mostly(draw, b"", b"more")
+        image = rosmsg.Image(header, 3, 2, name, big, 2 * size + padding, data)
+        return "ros", "/igtl/out/I", image.TYPE, image.pack() + end, draw(stamps)
     places = draw(positions())
     kind, datatype = _mostly(draw, ("<f4", 7), (">f4", 7), ("<f8", 8))
     step = draw(st.sampled_from([12, 12, 16])) * (2 if datatype == 8 else 1)
@@ -186,7 +205,6 @@ def ros_bulk(draw: st.DrawFn) -> Step:
     block = np.zeros((len(places), step), np.uint8)
     block[:, : 3 * size] = places.astype(kind).view(np.uint8).reshape(len(places), 3 * size)
     data[:, :row] = block.reshape(height, row)
-    header = rosmsg.Header(draw(stamps.filter(lambda ns: ns < 2**31 * NS_PER_S)), draw(st.sampled_from(["base", "m"])))
     message = rosmsg.PointCloud2(
         header, height, len(places) // height, fields, kind[0] == ">", step, row + padding, data.tobytes(), True
     )
@@ -281,9 +299,9 @@ def test_a_session_with_plans_is_the_session_without(
 @given(
     st.lists(igtl_bulk() | igtl_bulk() | ros_bulk() | ros_bulk() | others(), max_size=25),
     st.sampled_from(CONFIGS),
-    st.sampled_from([None, set(), {"/igtl/in/B/point"}, {"/igtl/in/B/points", "/igtl/in/B/string"}]),
+    st.sampled_from([None, set(), {"/igtl/in/B/point"}, {"/igtl/in/B/points", "/igtl/in/B/image"}]),
 )
-def test_so_is_one_of_texts_and_points(steps: list[Step], config: Config, heard: set[str] | None) -> None:
+def test_so_is_one_of_texts_points_and_pictures(steps: list[Step], config: Config, heard: set[str] | None) -> None:
     assert played(steps, config, heard, planned=True) == played(steps, config, heard, planned=False)
 
 
@@ -342,9 +360,10 @@ def fields(*names: str) -> tuple[rosmsg.PointField, ...]:
         ("POINT", lambda n: Points.of(ROWS[:n])),
         ("POLYDATA", lambda n: PolyData(ROWS[:n].astype(">f4"), Cells.of_all(n))),
         ("POLYDATA", lambda n: PolyData(ROWS[:n].astype(">f4"))),
+        ("IMAGE", lambda n: Image((2, 2, 1), 3, bytes([n % 256]) * 12, 3)),
     ],
 )
-def test_so_does_the_second_text_or_cloud_of_a_peer_however_long(made: tuple[str, Any], version: int) -> None:
+def test_so_does_the_second_text_cloud_or_picture_of_a_peer(made: tuple[str, Any], version: int) -> None:
     session, general = watched_session()
     name, content = made
     for count in (5, 5, 1, 300, 2):
@@ -365,6 +384,7 @@ def test_so_does_the_second_text_or_cloud_of_a_peer_however_long(made: tuple[str
         lambda n: rosmsg.PointCloud2(
             rosmsg.Header(T0_NS, "map"), n, 2, fields("z", "y", "x"), False, 16, 32, bytes(32 * n), True
         ),
+        lambda n: rosmsg.Image(rosmsg.Header(T0_NS, "map"), 2, 2, "bgr8", 0, 6, bytes([n % 256]) * 12),
     ],
 )
 def test_and_of_a_topic(made: Any, version: int) -> None:
