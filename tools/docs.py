@@ -698,6 +698,7 @@ DOCTOR_EXAMPLES = """\
 igtl-gateway doctor 192.168.1.20:18944        # be a client of that server for 5 seconds
 igtl-gateway doctor --listen :18944           # be a server, and wait for a client
 igtl-gateway doctor --listen :18944 10.0.0.7  # the same, and see whether that one is a server itself
+igtl-gateway doctor tls://or1.clinic --tls-cert me.pem --tls-ca clinic.pem    # a server with TLS
 igtl-gateway doctor :18944 --ros              # look at the ROS graph, too
 igtl-gateway lint out.mcap                    # a recording"""
 
@@ -717,7 +718,8 @@ def doctor() -> str:
             to look at first. `--json` gives all of it as one object: `cause`, `nothing_arrives`, `findings` (`id`,
             `severity`, `where`, `text`, `advice`, `section`, `data`), `peers`, `streams`. Exit code 0: no finding
             is an error; 1: one is; 2: usage. `--config FILE` takes the units, devices and topics of a bridge's
-            configuration, `--seconds` and `--messages` say how long to look."""
+            configuration, `--seconds` and `--messages` say how long to look. TLS is spoken as by a bridge, see
+            [security.md](security.md)."""
         ),
         "## The rules",
         prose(

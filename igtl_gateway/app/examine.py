@@ -8,7 +8,7 @@ program knows and none minds, and whose text ends with the empty line that makes
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from igtl_gateway.app.hub import Hub
 from igtl_gateway.clock import Clock
@@ -17,7 +17,7 @@ from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.observer import Intent, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink
 from igtl_gateway.edges.ros import RosEdge
-from igtl_gateway.edges.tcp import TcpEdge
+from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway import Gateway, Session
 from igtl_gateway.session.entry import Entry, Kind
@@ -52,6 +52,8 @@ class ExamineOptions:
         allow: networks whose peers may connect beside this host's own; with any, we listen at all addresses for one
             that is not there as a server.
         ros: look at the ROS graph, too.
+        tls: files for TLS.
+        tls_listen, tls_connect: whether it is spoken at these addresses.
     """
 
     connect: Address | None
@@ -61,6 +63,9 @@ class ExamineOptions:
     speak: int = 1
     allow: tuple[str, ...] = ()
     ros: bool = False
+    tls: TlsFiles = field(default_factory=TlsFiles)
+    tls_listen: bool = False
+    tls_connect: bool = False
 
 
 def examine(config: Config, options: ExamineOptions, clock: Clock, stop: threading.Event) -> Observer:
@@ -122,7 +127,7 @@ class _Visit:
         try:
             if listen is None:
                 free = True
-                self._dial(edge, connect)
+                self._dial(edge, connect, self._options.tls_connect)
             else:
                 free = self._serve(edge, listen)
             if free:
@@ -137,23 +142,25 @@ class _Visit:
                 there = self._await(edge, connect)
             else:
                 # who has our port may be the one that we wait for
-                there = self._dial(edge, connect if free else listen)
+                there = self._dial(
+                    edge, *((connect, self._options.tls_connect) if free else (listen, self._options.tls_listen))
+                )
             if there:
                 self._look(edge, self._options.seconds * PATIENCE)
         finally:
             edge.stop(0)
 
-    def _dial(self, edge: TcpEdge, target: Address | None) -> bool:
+    def _dial(self, edge: TcpEdge, target: Address | None, tls: bool) -> bool:
         if target is None:
             return False
-        edge.connect(*target)
+        edge.connect(*target, tls=tls)
         edge.start()
         return True
 
     def _serve(self, edge: TcpEdge, listen: Address) -> bool:
         """Be a server; False if the port is taken."""
         try:
-            edge.listen(*listen)
+            edge.listen(*listen, tls=self._options.tls_listen)
         except ConfigError as error:
             if "in use" not in str(error):
                 raise
@@ -167,8 +174,9 @@ class _Visit:
         if target is None:
             return False
         host, port = target
+        here = "0.0.0.0" if self._options.allow else "::1" if host == "::1" else "127.0.0.1"
         try:
-            edge.listen("0.0.0.0" if self._options.allow else "::1" if host == "::1" else "127.0.0.1", port)
+            edge.listen(here, port, tls=self._options.tls_connect and self._options.tls.cert is not None)
         except ConfigError:
             return False  # taken, by our own bridge perhaps; then nothing can be told
         edge.start()
@@ -205,6 +213,7 @@ class _Visit:
             on_note=lambda link, note: self._hub.note(note, link),
             clock=self._clock,
             allow=self._options.allow,
+            tls=self._options.tls,
         )
 
     def _see(self, entry: Entry) -> None:

@@ -33,8 +33,8 @@ def place(text: str) -> Place:
     return made
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """TLS and limits."""
+def add_tls(parser: argparse.ArgumentParser) -> None:
+    """Whether TLS is spoken, and with what."""
     parser.add_argument("--tls-cert", type=Path, metavar="PEM", help="our certificate: --listen speaks TLS then")
     parser.add_argument("--tls-key", type=Path, metavar="PEM", help="its key (default: in the same file)")
     parser.add_argument(
@@ -43,6 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tls", action="store_true", help="TLS at every address but tcp://HOST:PORT (tls://HOST:PORT: at that one)"
     )
+
+
+def add_limits(parser: argparse.ArgumentParser) -> None:
+    """What a peer may cost."""
     parser.add_argument("--queue-mib", type=int, default=64, metavar="MIB", help="send queue of a peer (%(default)s)")
     parser.add_argument(
         "--queue-messages", type=int, default=4096, metavar="N", help="send queue of a peer (%(default)s)"

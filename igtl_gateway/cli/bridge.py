@@ -80,7 +80,8 @@ _MAX_CAUSES = 1000  # causes of notes told one by one: a peer that invents devic
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_addresses(parser, admission.place, "[tls://]HOST:PORT")
-    admission.add_arguments(parser)
+    admission.add_tls(parser)
+    admission.add_limits(parser)
     parser.add_argument("--record", type=Path, metavar="FILE", help="record everything into this MCAP file")
     parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file")
     add_routes(parser)

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from igtl_gateway.app.examine import ExamineOptions, examine
-from igtl_gateway.cli.common import DEFAULT_HOST, DEFAULT_PORT, address, load_config, print_json, stop_event
+from igtl_gateway.cli import admission
+from igtl_gateway.cli.common import DEFAULT_HOST, DEFAULT_PORT, load_config, print_json, stop_event
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.doctor.report import Report
 from igtl_gateway.errors import ConfigError
@@ -15,6 +16,7 @@ EXAMPLES = """\
   igtl-gateway doctor 192.168.1.20:18944          connect to a server, look for 5 seconds, say what is wrong
   igtl-gateway doctor --listen :18944             wait for a client
   igtl-gateway doctor --listen :18944 10.0.0.7    ... and, if none comes, see whether that one is a server itself
+  igtl-gateway doctor tls://or1.clinic --tls-cert me.pem --tls-ca clinic.pem    a server with TLS
   igtl-gateway doctor :18944 --ros --json         compare with the ROS graph, too; for programs
 exit code: 0 no error found, 1 an error, 2 usage"""
 
@@ -22,13 +24,13 @@ _SECONDS = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("peer", metavar="HOST:PORT", type=address, nargs="?", help="the peer's address")
+    parser.add_argument("peer", metavar="[tls://]HOST:PORT", type=admission.place, nargs="?", help="the peer's address")
     parser.add_argument(
         "--listen",
-        type=address,
+        type=admission.place,
         nargs="?",
         const=(DEFAULT_HOST, DEFAULT_PORT),
-        metavar="HOST:PORT",
+        metavar="[tls://]HOST:PORT",
         help=f"wait for the peer to connect here ({DEFAULT_HOST}:{DEFAULT_PORT})",
     )
     parser.add_argument("--seconds", type=float, default=_SECONDS, metavar="S", help="how long to look (%(default)s)")
@@ -48,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CIDR",
         help="networks whose peers may connect (needed for --listen on other than loopback); 'any' for all",
     )
+    admission.add_tls(parser)
     parser.add_argument("--ros", action="store_true", help="compare with the topics, types and QoS of the ROS graph")
     parser.add_argument("--config", type=Path, metavar="FILE", help="the configuration of the bridge, where it has one")
     parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
@@ -60,6 +63,8 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"--seconds: found {options.seconds:g}, expected a number above 0")
     if options.messages < 0:
         raise ConfigError(f"--messages: found {options.messages}, expected 0 or more")
+    ours, servers = ([place] if place else [] for place in (options.listen, options.peer))
+    tls_listen, tls_connect = admission.secured(options, ours, servers)
     how = ExamineOptions(
         options.peer,
         options.listen,
@@ -68,6 +73,9 @@ def run(options: argparse.Namespace) -> int:
         options.speak,
         tuple(options.allow),
         options.ros,
+        admission.tls(options),
+        bool(tls_listen),
+        bool(tls_connect),
     )
     with stop_event() as stop:
         report = Report.of(examine(load_config(options.config), how, SystemClock(), stop))

@@ -13,6 +13,7 @@ from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.player_services import PlayerServices
 from igtl_gateway.app.replay_plan import plan, planned
+from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import (
     add_addresses,
     add_faults,
@@ -43,6 +44,7 @@ EXAMPLES = """\
   igtl-gateway replay fixtures/star.mcap --to igtl                 serve the session to the first client
   igtl-gateway replay out.mcap --to igtl --as-fast-as-possible     the same bytes in the same order, at once
   igtl-gateway replay out.mcap --to igtl --connect 127.0.0.1:18944 be the client
+  igtl-gateway replay out.mcap --to igtl --connect tls://or1.clinic:18944 --tls-cert me.pem --tls-ca clinic.pem
   igtl-gateway replay out.mcap --to ros --rate 0.5                 publish what ROS heard, at half speed
   igtl-gateway replay out.mcap --to ros --clock --loop             again and again, for nodes with use_sim_time
   igtl-gateway replay out.mcap --to both --start 12.5 --duration 3 a part, to both sides, in the order of the log
@@ -68,7 +70,8 @@ _FASTER, _SLOWER = 1.1, 0.9
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or a rosbag2 MCAP file")
     parser.add_argument("--to", choices=("igtl", "ros", "both"), required=True, help="the side to drive")
-    add_addresses(parser)
+    add_addresses(parser, admission.place, "[tls://]HOST:PORT")
+    admission.add_tls(parser)
     parser.add_argument("--through-gateway", action="store_true", help="send what today's gateway makes of the inputs")
     parser.add_argument(
         "--config", type=Path, metavar="TOML", help="with --through-gateway: instead of the recorded one"
@@ -180,6 +183,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     """Refuse what cannot be before anything is opened."""
+    if options.to == "ros":
+        admission.secured(options, (), ())
     checked_rate(options.rate)
     if options.wait_peers is not None and options.wait_peers < 0:
         raise ConfigError(f"--wait-peers: found {options.wait_peers}, expected 0 or more")

@@ -19,6 +19,7 @@ from igtl_gateway.app.replay_plan import (
     igtl_sender_of_many,
     ros_sender,
 )
+from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import addresses, count
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros import RosEdge
@@ -71,6 +72,8 @@ def open_sides(
 
 def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell: Tell) -> Side | None:
     """A sender to OpenIGTLink peers, once they are there."""
+    listen, connect = addresses(options)
+    tls_listen, tls_connect = admission.secured(options, listen, connect)
     edge = TcpEdge(
         on_frame=lambda _link, _message: None,  # what peers say during a replay is not part of it
         on_link=lambda _link, _up, note: tell(f"= {note.text}"),
@@ -78,14 +81,14 @@ def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell:
         clock=SystemClock(),
         allow=tuple(options.allow),
         when_full="block",
+        tls=admission.tls(options),
     )
     stack.callback(edge.stop)
-    listen, connect = addresses(options)
     for address in listen:
-        host, port = edge.listen(*address)
+        host, port = edge.listen(*address, tls=address in tls_listen)
         tell(f"OpenIGTLink server on {host}:{port}")
     for address in connect:
-        edge.connect(*address)
+        edge.connect(*address, tls=address in tls_connect)
     edge.start()
     wanted = 1 if options.wait_peers is None else options.wait_peers
     if wanted:

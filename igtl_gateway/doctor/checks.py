@@ -5,6 +5,7 @@ Where a check compares with a number, the number stands here with its reason.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -96,11 +97,22 @@ def both_servers(seen: Observer) -> Iterator[Hit]:
                 yield Hit(seen.intent.place, text)
 
 
+#: What only the reasons of TLS have in them.
+_OF_TLS = re.compile(r"TLS|certificate|cipher")
+
+
 def no_listener(seen: Observer) -> Iterator[Hit]:
     said = seen.said.get("connect_failed")
-    if said and not seen.peers and (seen.intent is None or seen.intent.role == "client"):
+    if said and not seen.peers and (seen.intent is None or seen.intent.role == "client") and not any(no_tls(seen)):
         data = said.first.data
         yield Hit(str(data.get("peer", "")), f"nobody listens at {data.get('peer')}: {data.get('reason')}")
+
+
+def no_tls(seen: Observer) -> Iterator[Hit]:
+    said = seen.said.get("connect_failed")
+    if said and not seen.peers and _OF_TLS.search(reason := str(said.first.data.get("reason"))):
+        peer = str(said.first.data.get("peer", ""))
+        yield Hit(peer, f"somebody listens at {peer}, but TLS does not come about: {reason}")
 
 
 def port_taken(seen: Observer) -> Iterator[Hit]:

@@ -89,6 +89,11 @@ RULES: tuple[Rule, ...] = (
         checks.both_servers,
     ),
     Rule(
+        "IGTL-E115", "TLS does not come about", "docs/security.md",
+        "compare what both sides speak (`tls://`), their certificates and CAs, the name of the host, and the date",
+        checks.no_tls,
+    ),
+    Rule(
         "IGTL-E101", "no listener", f"{DOCTOR}: Roles",
         "start the peer as a server there; compare host and port; look at firewalls if it timed out",
         checks.no_listener,

@@ -16,7 +16,8 @@ from igtl_gateway.errors import ConfigError
 
 def parsed(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    admission.add_arguments(parser)
+    admission.add_tls(parser)
+    admission.add_limits(parser)
     return parser.parse_args(words)
 
 

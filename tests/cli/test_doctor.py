@@ -5,10 +5,12 @@ from __future__ import annotations
 import http.server
 import json
 import socket
+import ssl
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,6 +24,7 @@ from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
 
 HERE = "127.0.0.1"
+PEMS = Path(__file__).parents[1] / "edges" / "tcp" / "pems"
 DEADLINE_S = 20.0
 #: How long the doctor looks at nobody, or at one who is silent.
 LOOK = ("--seconds", "0.3")
@@ -146,6 +149,42 @@ def test_a_healthy_peer(doctor: Doctor, capsys: pytest.CaptureFixture[str]) -> N
         assert main(["doctor", place, *AWAIT, "1"]) == 0
     out = capsys.readouterr().out
     assert "TRANSFORM/ProbeToTracker" in out and "nothing found that is wrong" in out
+
+
+def test_a_server_with_tls(doctor: Doctor) -> None:
+    def shaken(sock: socket.socket) -> None:
+        with suppress(OSError):  # who is not trusted is not spoken to
+            says(wire(pose()))(serves.wrap_socket(sock, server_side=True))
+
+    serves = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    serves.load_cert_chain(PEMS / "server.pem")
+    serves.load_verify_locations(PEMS / "ca.pem")
+    serves.verify_mode = ssl.CERT_REQUIRED
+    own = ("--tls-cert", str(PEMS / "viewer.pem"))
+    with serving(shaken) as place:
+        verdict = doctor(f"tls://{place}", *own, "--tls-ca", str(PEMS / "ca.pem"), *AWAIT, "1")
+    assert (verdict.code, verdict.ids) == (0, [])
+    with serving(shaken) as place:
+        verdict = doctor(f"tls://{place}", *own, "--tls-ca", str(PEMS / "elsewhere.pem"), "--speak", "0")
+    assert (verdict.code, verdict.cause) == (1, "IGTL-E115")
+    assert place in verdict.text and "certificate" in verdict.text
+    with serving(says(b"no TLS at all, but some text to be read")) as place:
+        assert doctor(f"tls://{place}", "--tls-ca", str(PEMS / "ca.pem")).cause == "IGTL-E115"
+
+
+def test_a_client_with_tls(doctor: Doctor) -> None:
+    def shakes(sock: socket.socket) -> None:
+        using = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        using.load_verify_locations(PEMS / "ca.pem")
+        says(wire(pose()))(using.wrap_socket(sock, server_hostname=HERE))
+
+    place = free_place()
+    with calling(place, shakes):
+        verdict = doctor("--listen", f"tls://{place}", "--tls-cert", str(PEMS / "server.pem"), *AWAIT, "1")
+    assert (verdict.code, verdict.ids) == (0, [])
+    with calling(place, says(wire(pose()))):  # in the clear
+        verdict = doctor("--listen", place, "--tls-cert", str(PEMS / "server.pem"))
+    assert verdict.cause == "IGTL-E108" and "plain text" in verdict.text
 
 
 def test_no_listener(doctor: Doctor) -> None:
@@ -311,6 +350,7 @@ def test_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert "HOST:PORT" in capsys.readouterr().err
     assert main(["doctor", "127.0.0.1:1", "--seconds", "0"]) == 2
     assert main(["doctor", "--listen", "0.0.0.0:0"]) == 2, "open to others, and nobody is allowed"
+    assert main(["doctor", "tcp://127.0.0.1:1", "--tls-ca", "ca.pem"]) == 2, "files for no address"
 
 
 def test_a_text_for_people(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import socket
+import ssl
 import subprocess
 import sys
 import time
@@ -28,6 +29,7 @@ from igtl_gateway.stamp import ticks_to_ns
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 STAR, TYPES = FIXTURES / "star.mcap", FIXTURES / "paper-types.mcap"
+PEMS = Path(__file__).parents[1] / "edges" / "tcp" / "pems"
 PATIENCE_S = 60.0
 #: The command line with standard input for its controlling terminal.
 IN_FRONT = """
@@ -152,6 +154,49 @@ def test_a_server_waits_for_as_many_clients_as_asked_and_serves_each_the_whole()
         host, _, port = line.split()[-1].rpartition(":")
         with socket.create_connection((host, int(port))) as one, socket.create_connection((host, int(port))) as two:
             assert everything(one) == everything(two) == recorded(TYPES)
+
+
+def test_a_client_with_tls_and_a_server_that_wants_its_certificate() -> None:
+    serves = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    serves.load_cert_chain(PEMS / "server.pem")
+    serves.load_verify_locations(PEMS / "ca.pem")
+    serves.verify_mode = ssl.CERT_REQUIRED
+    with server() as listener:
+        to = ("--to", "igtl", "--connect", f"tls://{target(listener)}", "--as-fast-as-possible")
+        files = ("--tls-cert", str(PEMS / "viewer.pem"), "--tls-ca", str(PEMS / "ca.pem"))
+        with replay(str(TYPES), *to, *files) as process:
+            peer, _ = listener.accept()
+            with serves.wrap_socket(peer, server_side=True) as peer:
+                assert everything(peer) == recorded(TYPES)
+            process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+
+
+def test_a_server_with_tls() -> None:
+    using = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    using.load_verify_locations(PEMS / "ca.pem")
+    to = ("--to", "igtl", "--listen", "127.0.0.1:0", "--as-fast-as-possible", "--tls-cert", str(PEMS / "server.pem"))
+    with replay(str(TYPES), *to, "--json") as process:
+        assert process.stderr
+        line = next(line for line in process.stderr if "server on" in line)
+        host, _, port = line.split()[-1].rpartition(":")
+        with socket.create_connection((host, int(port))) as raw, using.wrap_socket(raw, server_hostname=host) as peer:
+            assert everything(peer) == recorded(TYPES)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wrong"),
+    [
+        (("--to", "igtl", "--listen", "0.0.0.0:0"), "nobody is allowed to connect"),
+        (("--to", "igtl", "--listen", "tls://127.0.0.1:0"), "expected --tls-cert FILE"),
+        (("--to", "ros", "--tls-ca", "ca.pem"), "found no address with TLS"),
+    ],
+)
+def test_addresses_that_cannot_be_are_refused(
+    arguments: tuple[str, ...], wrong: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(("replay", str(TYPES), *arguments)) == 2
+    assert wrong in capsys.readouterr().err
 
 
 def test_a_slow_reader_slows_the_replay_and_loses_nothing() -> None:
