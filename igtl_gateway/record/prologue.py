@@ -4,6 +4,9 @@ The state of the gateway follows from all inputs since the beginning.  Most of t
 few stand for all: links, inputs by which the gateway learned something (a first message of a stream, a version, a
 refusal: it shows in their outputs), the last messages of mixed topics, and the last input of each stream, which a
 query may ask for.  They are kept within bounds; where a state is made of more, only all parts together give it.
+
+Of a peer that has gone nothing is left but what was learned from it: that it came and went gives way before that does,
+so that in a long session, in which peers come and go, those that are still there are not forgotten.
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ class Prologue:
         self._max_entries, self._max_bytes = max_entries, max_bytes
         self._input: Entry | None = None
         self._links: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
+        self._gone: OrderedDict[Hashable, Entry] = OrderedDict()  # by number: links of peers that have gone
         self._learned: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
         self._last: OrderedDict[Hashable, Entry] = OrderedDict()  # by stream and link
         self._mixed: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
@@ -37,7 +41,12 @@ class Prologue:
         """Take notice of the next entry."""
         if entry.kind is Kind.LINK:
             self._input = None
-            self._add(self._links, entry.seq, entry)
+            came = next((seq for seq, link in self._links.items() if link.links == entry.links), None)
+            if came is None:
+                self._add(self._links, entry.seq, entry)
+            else:  # its second is that it went
+                self._gone[came] = self._links.pop(came)
+                self._add(self._gone, entry.seq, entry)
         elif entry.kind.is_input:
             self._input = entry
             if self._rule.by_input(entry):
@@ -74,4 +83,4 @@ class Prologue:
 
     def _tables(self) -> tuple[OrderedDict[Hashable, Entry], ...]:
         """All that is kept, the least first."""
-        return self._last, self._mixed, self._learned, self._links
+        return self._last, self._mixed, self._gone, self._learned, self._links

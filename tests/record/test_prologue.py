@@ -55,6 +55,24 @@ def test_of_mixed_topics_many_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     assert kept(Prologue(rule), entries) == [7, 9, 10, 11]
 
 
+def test_peers_that_have_gone_give_way_before_those_that_are_there() -> None:
+    came = [samples.note(1, Kind.LINK, code="link_up", links=(1,)), samples.igtl(2), samples.note(3)]
+    seq = 3
+    for link in range(2, 12):
+        for code in ("link_up", "link_down"):
+            seq += 1
+            came.append(samples.note(seq, Kind.LINK, code=code, links=(link,)))
+    # a number that is used again: it came, went, and came
+    came += [
+        samples.note(seq + 1 + more, Kind.LINK, code=code, links=(11,)) for more, code in enumerate(("up", "down"))
+    ]
+    assert kept(Prologue(RULE), came) == [1, 2, *range(4, seq + 3)]
+    # entry 2 stands in two tables: of what is left, one place is for those that have gone
+    assert kept(Prologue(RULE, max_entries=4), came) == [1, 2, seq + 1, seq + 2]
+    came.append(samples.note(seq + 3, Kind.LINK, code="link_up", links=(11,)))
+    assert kept(Prologue(RULE, max_entries=4), came) == [1, 2, seq + 2, seq + 3]
+
+
 def test_the_last_messages_give_way_first() -> None:
     entries = [
         samples.note(1, Kind.LINK),
