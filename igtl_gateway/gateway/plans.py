@@ -214,6 +214,8 @@ class ToRosPlan:
             forms = tuple(form for _, _, form, _ in told)
             if self._latched and not self._latched <= {topic for topic, _, _, _ in told}:
                 return []  # the last message is kept for the first who listens
+            if not forms and self._place is None:
+                return []  # bulk is looked at as it is made: the general way knows whether it is well
         at, size = self._places
         volume = self._volume
         if volume and not volume[0].takes(volume[1]):

@@ -21,8 +21,9 @@ from igtl_gateway.gateway.core import LISTENED
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
-from igtl_gateway.wire import Item, Message, encode
+from igtl_gateway.wire import HEADER_SIZE, Item, Message, encode
 from igtl_gateway.wire.image import SCALARS, Image
+from igtl_gateway.wire.message import crc64
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import NO_CELLS, SCALAR, Attribute, Cells, PolyData
 from igtl_gateway.wire.query import Nothing, StartTracking
@@ -404,3 +405,17 @@ def test_the_compiled_functions_refuse_what_they_cannot_use(bad: tuple[Any, ...]
         assert function
         with pytest.raises((TypeError, ValueError)):
             function(*bad)
+
+
+@pytest.mark.parametrize("heard", [None, set(), {"/igtl/in/B/points"}])
+def test_what_nobody_hears_is_refused_all_the_same(heard: set[str] | None) -> None:
+    """Found by tools/fuzz_gateway.py: a plan with nothing to make did not look at the content."""
+    cloud = PolyData(np.arange(12, dtype=">f4").reshape(4, 3))
+    good = join(encode(Message("POLYDATA", "B", cloud, ns_to_ticks(T0_NS))))
+    bad = bytearray(good[:-4])
+    bad[42:50] = (len(bad) - HEADER_SIZE).to_bytes(8, "big")
+    bad[50:58] = crc64(bad[HEADER_SIZE:]).to_bytes(8, "big")
+    steps: list[Step] = [("igtl", data, 1) for data in (good, good, good, bytes(bad), good)]
+    entries, counts = played(steps, Config(), heard, planned=True)
+    assert (entries, counts) == played(steps, Config(), heard, planned=False)
+    assert counts["igtl_in"]["POLYDATA/B"]["dropped"] == {"truncated": 1}
