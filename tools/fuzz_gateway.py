@@ -32,7 +32,7 @@ import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -46,7 +46,9 @@ from igtl_gateway.convert.clouds import polydata_to_cloud
 from igtl_gateway.convert.common_msgs import PoseStamped, TFMessage
 from igtl_gateway.convert.context import ToRos
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage
-from igtl_gateway.convert.rosmsg import PointCloud2, RosMessage, TransformStamped
+from igtl_gateway.convert.rosmsg import Header as RosHeader
+from igtl_gateway.convert.rosmsg import Image as RosImage
+from igtl_gateway.convert.rosmsg import RosMessage, TransformStamped
 from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role
 from igtl_gateway.errors import MessageTooLarge
@@ -59,6 +61,7 @@ from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, decode, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.text import String
@@ -178,6 +181,8 @@ def express_seeds() -> list[bytes]:
         ("POINT", _points(1)),
         ("POINT", _points(4)),
         ("POLYDATA", _CLOUD),
+        ("IMAGE", Image((4, 3, 1), 3, bytes(range(36)), 3)),
+        ("IMAGE", Image((4, 3, 1), 5, bytes(range(24)))),
     )
     found = []
     for version in (1, 2):
@@ -192,7 +197,9 @@ def ros_express_seeds(ros: Sequence[tuple[str, bytes]]) -> list[tuple[str, bytes
     """The same from ROS: poses as they were recorded, texts, clouds of x, y and z."""
     found = [(ros_type, cdr) for ros_type, cdr in ros if ros_type in (TransformStamped.TYPE, PoseStamped.TYPE)]
     cloud = polydata_to_cloud(_CLOUD, ToRos("d", T0_NS, "frame", ""))
-    return [*found, *[(PointCloud2.TYPE, cloud.pack()), (RosString.TYPE, RosString("a text").pack())] * 4]
+    picture = RosImage(RosHeader(T0_NS, "camera"), 3, 4, "bgr8", 0, 12, bytes(range(36)))
+    bulk = (cloud, picture, replace(picture, encoding="mono8", step=4, data=bytes(12)), RosString("a text"))
+    return [*found, *[(message.TYPE, message.pack()) for message in bulk] * 3]
 
 
 # -- damage -------------------------------------------------------------------------------------------------------
