@@ -38,7 +38,8 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.guard import STALE, Finding, Guard, Place, Watched
 from igtl_gateway.gateway.metadata import Restored, restore
 from igtl_gateway.gateway.peers import Peer, Peers
-from igtl_gateway.gateway.plans import NAMES, PLANNED, PLANNED_TOPICS, Plans, plan_to_igtl, plan_to_ros
+from igtl_gateway.gateway.planning import PLANNED, PLANNED_TOPICS, Planner
+from igtl_gateway.gateway.plans import NAMES, Plans
 from igtl_gateway.gateway.reply import Reply, note
 from igtl_gateway.gateway.sender import Outbound, Sent, send
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream, ToRosStream
@@ -109,6 +110,7 @@ class Gateway:
         # latched topic → what its last message is to be made of, once somebody listens; as many as there are topics
         self._unmade: dict[str, tuple[Entry, RosRow, object, ToRos]] = {}
         self._latest: dict[str, Entry] = {}  # topic → its last message; as many as there are bridged topics
+        self._planner = Planner(config, self.ledger, self._latest, self._unmade, self._streams.qos)
         self._volumes: dict[str, VolumeAssembler] = {}  # device → the volume that its updates are part of
         self._frames: set[str] = set()  # frame ids of what went out
         self._video_sizes: dict[str, Size] = {}  # topic → size of its last key frame
@@ -243,18 +245,7 @@ class Gateway:
             to = self._circumstances(entry, message, restore(message), stream)
             watched = self._guard.of(to.link, entry.channel, stream.row.max_age_s)
             try:
-                plan = plan_to_ros(
-                    entry,
-                    message,
-                    stream,
-                    to,
-                    self.config,
-                    self.ledger,
-                    watched,
-                    self._streams.qos,
-                    self._unmade,
-                    self._volumes.get(to.device_name),
-                )
+                plan = self._planner.to_ros(entry, message, stream, to, watched, self._volumes.get(to.device_name))
             except ConversionError:  # of a message that nobody hears: it was not converted
                 return
             self.plans.keep_to_ros(key, plan)
@@ -594,8 +585,7 @@ class Gateway:
                 replies += self._tracked(entry, out, stream.lengths)
                 key = (topic, entry.type)
                 if entry.type in PLANNED_TOPICS and self.plans.wants(key):
-                    peers = tuple(self._peers.all())
-                    plan = plan_to_igtl(entry, stream, out, peers, self.config, self.ledger, self._latest, watched)
+                    plan = self._planner.to_igtl(entry, stream, out, tuple(self._peers.all()), watched)
                     self.plans.keep_to_igtl(key, plan)
         except (ConversionError, WireError) as error:
             self.ledger.drop(_ROS_IN, topic, _reason(error))
