@@ -117,7 +117,7 @@ def test_no_profile_without_room_in_shared_memory(tmp_path: Path, monkeypatch: p
     monkeypatch.setenv("MALLOC_TOP_PAD_", "0")  # leaves the allocator of the test run alone
     monkeypatch.setattr(ros_env, "_SHARED_MEMORY", tmp_path)
     monkeypatch.setattr(os, "statvfs", small)
-    line, _ = ros_env.prepare_environment()
+    line = ros_env.prepare_environment()[0]
     assert line.startswith("Fast DDS profile: not set, 64 MiB free in")
     assert not set(ros_env.PROFILE_VARIABLES) & set(os.environ)
 
@@ -149,3 +149,30 @@ def test_the_profile_for_lock_step_is_the_other_one_with_quick_acknowledgements(
             monkeypatch.setenv(variable, str(ros_env.PROFILE))  # left to us by a parent of ours
         ros_env.prepare_environment(lock_step=True)
         assert os.environ[ros_env.PROFILE_VARIABLES[0]] == str(ros_env.LOCK_STEP_PROFILE)
+
+
+def test_memory_of_processes_that_are_gone_is_freed(tmp_path: Path) -> None:
+    def segment(name: str, size: int = 8192) -> list[Path]:
+        paths = [tmp_path / name, tmp_path / f"{name}_el"]
+        paths[0].write_bytes(bytes(size))
+        paths[1].touch()
+        return paths
+
+    dead, alive = segment("fastrtps_00000000000000a1"), segment("fastrtps_00000000000000a2")
+    port, other = segment("fastrtps_port7400"), segment("somebody_else")
+    begun = tmp_path / "fastrtps_00000000000000a3_el"  # its process may be about to lock it
+    begun.touch()
+    script = (
+        "import fcntl, sys; f = open(sys.argv[1]); fcntl.flock(f, fcntl.LOCK_EX); print(flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", script, str(alive[1])]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stdin is not None
+        process.stdout.readline()
+        assert ros_env.free_shared_memory(tmp_path) >= 8192
+        assert set(tmp_path.iterdir()) == {*alive, *port, *other, begun}
+        process.stdin.close()
+    assert ros_env.free_shared_memory(tmp_path) >= 8192
+    assert set(tmp_path.iterdir()) == {*port, *other, begun}
+    assert not any(path.exists() for path in dead)
+    assert ros_env.free_shared_memory(tmp_path / "no such folder") == 0
