@@ -27,7 +27,7 @@ from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.framer import HEADER_SIZE, Framer
 
-FLUSH_S = 1.0  # how long what is queued is tried to be sent when the end has come, and longer while it moves
+FLUSH_S = 1.0  # how long what is queued is tried to be sent when we stop, and how long a peer has to say that it closes
 
 _BLOCKED_POLL_MS = 100  # how soon a waiting sender sees that its link was closed
 _BODY_SIZE_AT = slice(42, 50)  # in the header, big-endian
@@ -317,24 +317,29 @@ class Link:
         with self._lock:
             self._mute = True
             self._reason = self._reason or reason
-        self._half_close()
         self.resume()
-        self._linger(0)
+        if not self._half_close():
+            self._linger(0)
 
     def _linger(self, goal: int) -> None:
-        """Close as soon as hardly anything moves any more; a peer that reads slowly gets all.
+        """Close if what is queued hardly moves any more; a peer that reads slowly, or is busy for a while, gets all.
 
         Args:
             goal: bytes that must have been sent by now.
         """
-        if not self._open:
-            return
+        limits = self._around.limits
         with self._lock:
-            sent = self.outbox.sent_bytes - self._backlog
+            sent, done = self.outbox.sent_bytes - self._backlog, self.all_sent
+        if not self._open or done:
+            return
         if sent >= goal:
-            goal = sent + math.ceil(self._around.limits.min_rate * FLUSH_S)
-            self._loop.later(FLUSH_S, partial(self._linger, goal), self.failed)
+            goal = sent + math.ceil(limits.min_rate * limits.stall_s)
+            self._loop.later(limits.stall_s, partial(self._linger, goal), self.failed)
         else:
+            self.close()
+
+    def _give_up(self) -> None:
+        if self._open:
             self.close()
 
     def resume(self) -> None:
@@ -480,12 +485,15 @@ class Link:
         else:
             self._loop.unwatch(self._sock)
 
-    def _half_close(self) -> None:
-        """Tell the peer that no more comes, once it has all."""
+    def _half_close(self) -> bool:
+        """Tell the peer that no more comes, once it has all, and close soon; whether it has all."""
         with self._lock:
-            if self.all_sent:
-                with suppress(OSError):
-                    self._sock.shutdown(socket.SHUT_WR)
+            if not self.all_sent:
+                return False
+            with suppress(OSError):
+                self._sock.shutdown(socket.SHUT_WR)
+        self._loop.later(FLUSH_S, self._give_up, self.failed)
+        return True
 
     def _end(self) -> None:
         """The peer sends no more.  It may still read: it gets what is queued for it, as long as that moves."""

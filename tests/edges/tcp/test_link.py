@@ -402,11 +402,11 @@ def test_a_peer_that_half_closes_and_reads_slowly_gets_all_the_same(world: World
     edge.send([1], [message(0, BIG)], "IMAGE/camera", False)
     peer.sock.shutdown(socket.SHUT_WR)
     got = bytearray()
-    for turn in range(5):  # seconds, five times what one that does not read would have
+    for turn in range(5):  # five times what one that does not read would have
         before = edge.counters()[1].sent_bytes
         while edge.counters()[1].sent_bytes < before + 100_000:
             got += peer.sock.recv(1 << 16)
-        clock.advance(round(link.FLUSH_S * 10**9))
+        clock.advance(round(Limits().stall_s * 10**9))
         other.send(message(turn))
         seen.wait("frame", turn + 1)
     while part := peer.sock.recv(1 << 20):
@@ -431,7 +431,7 @@ def test_a_peer_that_half_closes_and_does_not_read_is_closed_in_time(world: Worl
     until(refused)  # the end was seen: nothing more is taken
     assert [link.number for link in edge.links()] == [1, 2]
     late = edge.counters()[1].queued_messages - 2
-    clock.advance(round(link.FLUSH_S * 10**9))
+    clock.advance(round(Limits().stall_s * 10**9))
     other.send(message(3))
     (down,) = seen.wait("down")
     assert (down.data["reason"], down.data["unsent"]) == ("closed by the peer", 2 + late)
