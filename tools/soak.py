@@ -344,7 +344,7 @@ class Verifier:
     def _verify(self, path: Path) -> None:
         size = path.stat().st_size
         begun = time.monotonic()
-        command = ["nice", "-n", "12", *ours("verify", str(path), "--json")]
+        command = ["nice", "-n", "5", *ours("verify", str(path), "--json")]
         done = subprocess.run(command, capture_output=True, text=True, timeout=_VERIFY_S, check=False)
         part: dict[str, Any] = {
             "part": path.name,
