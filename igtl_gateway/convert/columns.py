@@ -5,7 +5,7 @@ And the one rule for texts that do not fit: cut at the end of a character, with 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sized
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ Array = npt.NDArray[Any]
 MAX_ROWS = 10_000
 
 
-def check_rows(elements: Array, place: str, most: int = MAX_ROWS) -> None:
+def check_rows(elements: Sized, place: str, most: int = MAX_ROWS) -> None:
     """Raises ConversionError for more elements than become objects one by one: they would stop all other traffic."""
     if len(elements) > most:
         raise ConversionError(f"{place}: found {len(elements)} elements, expected at most {most}")

@@ -146,6 +146,7 @@ def colors_to_igtl(message: igtl_msgs.ColorTable, _: ToIgtl) -> Outgoing:
 
 def capability_to_ros(content: Capability, to: ToRos) -> igtl_msgs.Capability:
     """The names as they stand there, ``GET_CAPABIL`` and all."""
+    check_rows(content.types, "CAPABILITY")
     return igtl_msgs.Capability(_header(to), tuple(map(visible, content.types)), to.metadata)
 
 

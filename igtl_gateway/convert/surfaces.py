@@ -24,6 +24,9 @@ GREY = (0.8, 0.8, 0.8, 1.0)
 #: Drawn width of lines and points in ROS viewers, in metres.
 DRAWN_WIDTH = 0.001
 _MIN_LINE, _MIN_FACE = 2, 3
+#: Triangles, and pieces of lines, that a surface may be cut into: a strip of 4 bytes a point becomes 72 of a marker.
+#: The largest surfaces of the field have some hundred thousand; more separate triangles do not fit the longest message.
+MAX_PIECES = 12_000_000
 
 
 def has_faces(content: PolyData) -> bool:
@@ -193,13 +196,25 @@ def _steps(points: int) -> Array:
     return np.stack([first, first + 1], axis=1)
 
 
+def _count(cells: Cells, size: int) -> int:
+    """How many pieces ``_pieces`` makes."""
+    if (table := cells.table) is not None:
+        return cells.count * max(int(table.shape[1]) - size + 1, 0)
+    lengths = cells.data[cells.starts()].astype(np.int64)
+    return int(np.maximum(lengths - size + 1, 0).sum())
+
+
 def _pieces(cells: Cells, size: int, cut: Callable[[int], Array]) -> Array:
     """(n, size) indices: every cell cut up by ``cut(points of the cell)``, in the order of the cells.
 
-    Cells of equal length are cut together; those too short for one piece vanish.
+    Cells of equal length are cut together; those too short for one piece vanish.  Raises ConversionError for more than
+    MAX_PIECES.
     """
     if not cells.count:
         return np.empty((0, size), np.int64)
+    # a cell of n points has no more than n pieces: most messages need no closer look
+    if len(cells.data) > MAX_PIECES and (found := _count(cells, size)) > MAX_PIECES:
+        raise ConversionError(f"POLYDATA: found cells of {found:,} pieces, expected at most {MAX_PIECES:,}")
     if (table := cells.table) is not None:  # nothing to be cut, or all in one go
         width = table.shape[1]
         return table if width == size else table[:, cut(width)].reshape(-1, size)

@@ -110,6 +110,12 @@ def test_longer_lists_than_anybody_reads_are_refused(kind: Any) -> None:
         published(kind(np.zeros(MAX_ROWS + 1, kind.DTYPE)))
 
 
+def test_more_types_than_anybody_has_are_refused() -> None:
+    published(Capability(("TRANSFORM",) * MAX_ROWS))
+    with pytest.raises(ConversionError, match="CAPABILITY: found 10001 elements"):
+        published(Capability(("TRANSFORM",) * (MAX_ROWS + 1)))
+
+
 def unsigned(content: Any) -> Any:
     """With positive zeros only: a vector of no length has no direction."""
     if isinstance(content, VideoMetaList):

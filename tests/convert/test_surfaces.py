@@ -34,6 +34,19 @@ def test_cells_too_small_for_a_piece_vanish() -> None:
     assert len(surfaces.polydata_to_lines(content, TO).points) == 2
 
 
+@pytest.mark.parametrize("cells", [[[0, 1, 2, 3]] * 3, [[0, 1, 2, 3], [0, 1, 2, 3, 0], [0]]])
+def test_more_pieces_than_any_surface_has_are_refused(cells: list[list[int]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A strip of 256 MiB would become 6 GB of triangles."""
+    content = PolyData(POINTS, triangle_strips=Cells.of(cells), lines=Cells.of(cells))
+    triangles, segments = (9 - 3, 9) if len(cells[2]) > 1 else (5, 7)
+    for convert, pieces in ((surfaces.polydata_to_mesh, triangles), (surfaces.polydata_to_lines, segments)):
+        monkeypatch.setattr(surfaces, "MAX_PIECES", pieces)
+        convert(content, TO)
+        monkeypatch.setattr(surfaces, "MAX_PIECES", pieces - 1)
+        with pytest.raises(ConversionError, match=f"found cells of {pieces} pieces, expected at most {pieces - 1}"):
+            convert(content, TO)
+
+
 def test_a_mesh_there_and_back_keeps_every_sign() -> None:
     content = PolyData(POINTS, polygons=Cells.of([[0, 1, 2], [2, 3, 4]]))
     back = surfaces.mesh_to_igtl(surfaces.polydata_to_mesh(content, TO), ToIgtl()).content
