@@ -43,6 +43,9 @@ verification use what was in force that day.
     at = "127.0.0.1:18945"         # its address, or the one that it connects to
     profile = "plus"
 
+    [igtl]                         # the OpenIGTLink side of a bridge, see ``cli.edge_file``: no part of a session
+    listen = ["127.0.0.1:18944"]
+
 Rows may override ros_unit, igtl_unit, stamp and, as ``qos = { depth = 10, reliable = true, latched = false }``,
 the quality of service.  Without any row, what a device sends appears on ``/igtl/in/<device>/<kind>`` and what
 is published below ``/igtl/out/`` goes out.
@@ -273,21 +276,17 @@ class Config:
         tf_out = _rows("tf_out", settings.pop("tf_out", ()), TfOutRow)
         peers = _rows("peers", settings.pop("peers", ()), PeerRow)
         rows = {"to_igtl": to_igtl, "to_ros": to_ros, "tf_out": tf_out, "peers": peers}
-        return _make("gateway", cls, settings | rows)
+        return from_values("gateway", cls, settings | rows)
 
     @classmethod
     def from_toml(cls, path: Path) -> Config:
         """From a TOML file.  Raises ConfigError with file and setting."""
-        try:
-            document = tomllib.loads(path.read_text("utf-8"))
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+        document = read_toml(path)
+        document.pop(EDGE_TABLE, None)
         gateway = document.pop("gateway", {})
         if unknown := set(document) - _TABLES:
             expected = ", ".join(f"[[{name}]]" for name in sorted(_TABLES))
-            raise ConfigError(f"{path}: found [{sorted(unknown)[0]}], expected [gateway], {expected}")
+            raise ConfigError(f"{path}: found [{sorted(unknown)[0]}], expected [gateway], [{EDGE_TABLE}], {expected}")
         if not isinstance(gateway, dict):
             raise ConfigError(f"{path}: found gateway = {gateway!r}, expected a table [gateway]")
         try:
@@ -296,6 +295,18 @@ class Config:
             raise ConfigError(f"{path}: {error}") from None
 
 
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a configuration file.  Raises ConfigError."""
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+
+
+#: The table of a configuration file that says who may connect, where, and at what cost: not what is said.
+EDGE_TABLE = "igtl"
 _TABLES = frozenset({"to_igtl", "to_ros", "tf_out", "peers"})
 
 
@@ -382,13 +393,13 @@ def _rows(place: str, rows: Any, kind: type[T]) -> tuple[T, ...]:
         if isinstance(settings.get("metadata"), Mapping):
             settings["metadata"] = tuple(settings["metadata"].items())
         if isinstance(settings.get("qos"), Mapping):
-            settings["qos"] = _make(f"{place}[{index}].qos", Qos, settings["qos"])
-        made.append(_make(f"{place}[{index}]", kind, settings))
+            settings["qos"] = from_values(f"{place}[{index}].qos", Qos, settings["qos"])
+        made.append(from_values(f"{place}[{index}]", kind, settings))
     return tuple(made)
 
 
-def _make(place: str, kind: type[T], settings: Mapping[str, Any]) -> T:
-    """An instance of a dataclass from plain values, unknown names and wrong types refused."""
+def from_values(place: str, kind: type[T], settings: Mapping[str, Any]) -> T:
+    """An instance of a dataclass from plain values.  Raises ConfigError for unknown names and wrong types."""
     fields = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
     made: dict[str, Any] = {}
     for name, given in settings.items():
@@ -424,7 +435,7 @@ def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:
     return pairs
 
 
-_TEXT_LISTS = frozenset({"deny_in", "deny_out", "frames", "kinds"})
+_TEXT_LISTS = frozenset({"allow", "connect", "deny_in", "deny_out", "frames", "kinds", "listen"})
 _TYPE_NAMES: dict[type, str] = {
     str: "text in quotes",
     bool: "true or false",

@@ -46,18 +46,20 @@ def add_tls(parser: argparse.ArgumentParser) -> None:
 
 
 def add_limits(parser: argparse.ArgumentParser) -> None:
-    """What a peer may cost."""
-    parser.add_argument("--queue-mib", type=int, default=64, metavar="MIB", help="send queue of a peer (%(default)s)")
+    """What a peer may cost; what is not given is None, see ``edge_file``."""
     parser.add_argument(
-        "--queue-messages", type=int, default=4096, metavar="N", help="send queue of a peer (%(default)s)"
+        "--queue-mib", type=int, metavar="MIB", help=f"send queue of a peer ({_USUAL.queue_bytes >> 20})"
     )
-    parser.add_argument("--max-clients", type=int, default=32, metavar="N", help="peers at once (%(default)s)")
     parser.add_argument(
-        "--max-body-mib", type=int, default=256, metavar="MIB", help="longest message accepted (%(default)s)"
+        "--queue-messages", type=int, metavar="N", help=f"send queue of a peer ({_USUAL.queue_messages})"
+    )
+    parser.add_argument("--max-clients", type=int, metavar="N", help=f"peers at once ({_USUAL.max_clients})")
+    parser.add_argument(
+        "--max-body-mib", type=int, metavar="MIB", help=f"longest message accepted ({_USUAL.max_body >> 20})"
     )
     parser.add_argument(
         "--max-body",
-        type=_body,
+        type=size_by_type,
         action="append",
         default=[],
         metavar="TYPE=MIB",
@@ -66,26 +68,25 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-messages",
         type=int,
-        default=_USUAL.messages_per_s,
         metavar="N",
-        help="read from one peer in a second; one that sends more has to wait (%(default)s)",
+        help=f"read from one peer in a second; one that sends more has to wait ({_USUAL.messages_per_s})",
     )
     parser.add_argument(
-        "--stall-s", type=float, default=10.0, metavar="S", help="longest silence inside a message (%(default)s)"
+        "--stall-s", type=float, metavar="S", help=f"longest silence inside a message ({_USUAL.stall_s:g})"
     )
     parser.add_argument(
         "--min-rate-kib",
         type=float,
-        default=_USUAL.min_rate / 2**10,
         metavar="KIB",
-        help="least speed of a message, per second (%(default)g)",
+        help=f"least speed of a message, per second ({_USUAL.min_rate / 2**10:g})",
     )
     parser.add_argument(
-        "--idle-s", type=float, default=0.0, metavar="S", help="close a link that is silent both ways so long (0: no)"
+        "--idle-s", type=float, metavar="S", help="close a link that is silent both ways so long (0: no)"
     )
 
 
-def _body(text: str) -> tuple[str, int]:
+def size_by_type(text: str) -> tuple[str, int]:
+    """``TYPE=MIB``: the type, and bytes."""
     name, equals, number = text.partition("=")
     try:
         if name and equals and (mib := float(number)) > 0:

@@ -31,6 +31,7 @@ from igtl_gateway.cli.common import (
     stop_event,
     with_routes,
 )
+from igtl_gateway.cli.edge_file import completed
 from igtl_gateway.cli.losses import losses
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.config import AUTO, Config
@@ -129,6 +130,7 @@ def run(options: argparse.Namespace) -> int:
     how = recording.record_options(options)
     if options.duration is not None and not 0 < options.duration < float("inf"):
         raise ConfigError(f"--duration: found {options.duration:g}, expected a number of seconds above 0")
+    options = completed(options, options.config)
     listen, connect = addresses(options)
     config = with_routes(load_config(options.config), options)
     config = replace(config, watch=False) if options.no_watch else config.watched()

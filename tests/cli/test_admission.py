@@ -9,6 +9,8 @@ import pytest
 
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.admission import place
+from igtl_gateway.cli.common import add_addresses
+from igtl_gateway.cli.edge_file import completed
 from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import Limits, TlsFiles
 from igtl_gateway.errors import ConfigError
@@ -16,6 +18,7 @@ from igtl_gateway.errors import ConfigError
 
 def parsed(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
+    add_addresses(parser, admission.place)
     admission.add_tls(parser)
     admission.add_limits(parser)
     return parser.parse_args(words)
@@ -52,12 +55,12 @@ def test_files_for_no_address_are_a_mistake() -> None:
 
 
 def test_limits_and_their_defaults(capsys: pytest.CaptureFixture[str]) -> None:
-    assert admission.limits(parsed()) == Limits()
+    assert admission.limits(completed(parsed(), None)) == Limits()
     words = "--max-body STRING=4 --max-body GET_*=0.5 --max-body-mib 1 --max-messages 9 --idle-s 60 --stall-s 1"
     words += " --min-rate-kib 2"
     bodies = (("STRING", 4 << 20), ("GET_*", 1 << 19))
     own = Limits(idle_s=60, stall_s=1, min_rate=2048, max_body=1 << 20, bodies=bodies, messages_per_s=9)
-    assert admission.limits(parsed(*words.split())) == own
+    assert admission.limits(completed(parsed(*words.split()), None)) == own
     for wrong in ("STRING", "STRING=", "=4", "STRING=-1", "STRING=nan", "STRING=inf"):
         with pytest.raises(SystemExit):
             parsed("--max-body", wrong)
