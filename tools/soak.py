@@ -717,18 +717,19 @@ def report(settings: Settings, found: Found, checks: Sequence[Check]) -> dict[st
 
 _PANELS: tuple[tuple[str, str, Callable[[Sample], float]], ...] = (
     ("RSS of the gateway, MB", "#1f77b4", lambda sample: float(sample["gateway"]["rss_mb"])),
+    ("of this its own, MB", "#1f77b4", lambda sample: float(sample["gateway"]["anon_mb"])),
     ("RSS of the recorder, MB", "#2ca02c", lambda sample: float(sample["recorder"]["rss_mb"])),
     ("threads of the gateway", "#d62728", lambda sample: float(sample["gateway"]["threads"])),
     ("file descriptors of the gateway", "#9467bd", lambda sample: float(sample["gateway"]["fds"])),
     ("waiting in queues to peers, MB", "#8c564b", lambda sample: float(sample["queued_mb"])),
+    ("waiting in the recorder's queue, MB", "#7f7f7f", lambda sample: float(sample["recorder_queued_mb"])),
 )
-_WIDTH, _LEFT, _PANEL, _GAP, _TOP = 860, 60, 84, 30, 36
+_WIDTH, _LEFT, _RIGHT, _PANEL, _GAP, _TOP = 860, 60, 30, 70, 28, 48
 _POINTS = 400
 
 
-def picture(samples: Sequence[Sample], title: str) -> str:
+def picture(samples: Sequence[Sample], seconds: float, title: str) -> str:
     """One panel for each figure, over time in minutes; of samples that fall together the least and the largest."""
-    last = float(samples[-1]["at_s"])
     height = _TOP + len(_PANELS) * (_PANEL + _GAP) + 16
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" font-family="sans-serif" '
@@ -742,12 +743,12 @@ def picture(samples: Sequence[Sample], title: str) -> str:
         most = max(*values, 1.0) * 1.05
 
         def x(sample: Sample) -> float:
-            return _LEFT + float(sample["at_s"]) / last * (_WIDTH - _LEFT - 20)
+            return _LEFT + float(sample["at_s"]) / seconds * (_WIDTH - _LEFT - _RIGHT)
 
         def y(value: float, bottom: float = bottom, most: float = most) -> float:
             return bottom - value / most * _PANEL
 
-        lines.append(f'<path d="M{_LEFT} {top} V{bottom} H{_WIDTH - 20}" stroke="#888888" fill="none"/>')
+        lines.append(f'<path d="M{_LEFT} {top} V{bottom} H{_WIDTH - _RIGHT}" stroke="#888888" fill="none"/>')
         lines.append(f'<text x="{_LEFT}" y="{top - 5}">{name}: {min(values):g} to {max(values):g}</text>')
         lines.append(f'<text x="{_LEFT - 6}" y="{y(max(values)) + 4:.0f}" text-anchor="end">{max(values):.0f}</text>')
         lines.append(f'<text x="{_LEFT - 6}" y="{bottom + 4}" text-anchor="end">0</text>')
@@ -758,8 +759,10 @@ def picture(samples: Sequence[Sample], title: str) -> str:
             points += [f"{x(samples[begin]):.1f} {y(value):.1f}" for value in dict.fromkeys((min(few), max(few)))]
         lines.append(f'<path d="M{" L".join(points)}" stroke="{colour}" fill="none"/>')
     for part in range(7):
-        at = _LEFT + part / 6 * (_WIDTH - _LEFT - 20)
-        lines.append(f'<text x="{at:.0f}" y="{height - 8}" text-anchor="middle">{part / 6 * last / 60:.3g} min</text>')
+        at = _LEFT + part / 6 * (_WIDTH - _LEFT - _RIGHT)
+        lines.append(
+            f'<text x="{at:.0f}" y="{height - 8}" text-anchor="middle">{part / 6 * seconds / 60:.3g} min</text>'
+        )
     return "\n".join([*lines, "</svg>"]) + "\n"
 
 
@@ -820,7 +823,7 @@ def main(arguments: Sequence[str]) -> int:
     told = report(settings, found, judge(settings, found))
     (settings.folder / "soak.json").write_text(json.dumps(told, indent=1, default=str), "utf-8")
     title = f"Soak of {settings.seconds / 60:g} min at {settings.scale:g} times the mixed load, seed {settings.seed}"
-    (settings.folder / "soak.svg").write_text(picture(found.samples, title), "utf-8")
+    (settings.folder / "soak.svg").write_text(picture(found.samples, settings.seconds, title), "utf-8")
     text = "\n".join(words(told))
     (settings.folder / "soak.txt").write_text(text + "\n", "utf-8")
     print(text, flush=True)
