@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,12 +15,14 @@ from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, IgtlRow
-from igtl_gateway.gateway import LINK_UP, Gateway, Session
+from igtl_gateway.gateway import LINK_UP, Gateway, Session, plans, queries, sender
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.text import Status
 from tests import strategies
+from tools import fuzz_gateway
 
 # A number too large for float32 is a fact about the message; numpy must not print it on the user's console.
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -83,3 +89,83 @@ def test_a_defect_would_be_seen() -> None:
     note = Note(Level.ERROR, "internal_error", "lost").pack()
     with pytest.raises(AssertionError, match="lost"):
         check([Entry(1, 1, Kind.NOTE, payload=(note,))])
+
+
+# -- tools/fuzz_gateway.py: a short part of every run, and that it would notice ---------------------------------------
+
+
+def test_the_gateway_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fuzz_gateway, "YOUNG", 700)
+    monkeypatch.setattr(fuzz_gateway, "LOOK", 1_000)
+    said: list[str] = []
+    figures = fuzz_gateway.run(7, 3_000, said.append, every_s=0.0)
+    assert figures.broken == ""
+    assert figures.bent >= 3_000 and figures.stages >= 3 and figures.planned > 300
+    # all kinds of ends are met
+    assert {"igtl_in converted", "igtl_in malformed", "igtl_in bad_crc", "ros_in conversion"} <= set(figures.fates)
+    assert "3,0" in said[-1] and "bent messages: 3,0" in fuzz_gateway.report(figures)
+
+
+def test_the_seed_decides() -> None:
+    one, again, other = (fuzz_gateway.run(seed, 200) for seed in (1, 1, 2))
+    assert (one.inputs, one.outputs, one.notes) == (again.inputs, again.outputs, again.notes)
+    assert one.notes != other.notes
+
+
+def broken(count: int = 2_000) -> str:
+    """What the judge says of a run."""
+    figures = fuzz_gateway.run(1, count)
+    assert figures.broken
+    return figures.broken
+
+
+def crash(*_: object) -> None:
+    raise IndexError("crashed")
+
+
+def test_a_defect_is_noticed_and_can_be_repeated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(queries, "start", crash)
+    figures = fuzz_gateway.run(1, 2_000)
+    assert "IndexError: crashed" in figures.broken and figures.culprit
+    fuzz_gateway.write_culprit(tmp_path / "culprit", figures.culprit)
+    assert "IndexError: crashed" in fuzz_gateway.repeat(tmp_path / "culprit")[-1]
+    monkeypatch.undo()
+    assert fuzz_gateway.repeat(tmp_path / "culprit") == []
+
+
+def test_what_never_ends_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def endless(*_: object) -> None:
+        while True:
+            pass
+
+    monkeypatch.setattr(fuzz_gateway, "HANG_S", 0.3)
+    monkeypatch.setattr(queries, "start", endless)
+    assert "Hang" in broken()
+
+
+def test_a_ledger_with_a_gap_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Ledger, "drop", lambda *_: None)
+    assert "the ledger does not close: igtl_in" in broken(300)
+
+
+def test_what_nobody_can_read_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sender, "encode", lambda message: [join(encode(message))[:-1] + b"?"])
+    assert "CRC" in broken()
+
+
+def test_plans_that_say_something_else_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = plans.ToRosPlan.__call__
+
+    def other(self: plans.ToRosPlan, *given: Any) -> list[Entry] | None:
+        entries = plan(self, *given)
+        return entries and [replace(entry, source_ns=7) for entry in entries]
+
+    monkeypatch.setattr(plans.ToRosPlan, "__call__", other)
+    assert "played again without plans, the session says something else" in broken(600)
+
+
+def test_memory_that_grows_is_told_from_peaks() -> None:
+    flat = [(count * 25_000, 100.0 + (50.0 if count % 7 == 0 else 0.0)) for count in range(100)]
+    assert abs(fuzz_gateway.growth(flat)) < 1.0
+    assert fuzz_gateway.growth([(count, mib + count * 5e-6) for count, mib in flat]) == pytest.approx(5.0, abs=1.0)
+    assert fuzz_gateway.growth([(0, 50.0)]) == 0.0

@@ -33,6 +33,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -716,7 +717,7 @@ def told(one: Input) -> str:
 
 @dataclass
 class Seeds:
-    """What is bent."""
+    """What is bent; read once, never changed."""
 
     igtl: list[bytes]
     ros: list[tuple[str, bytes]]
@@ -726,6 +727,7 @@ class Seeds:
     hello: bytes
 
     @classmethod
+    @cache
     def load(cls) -> Seeds:
         ros = ros_seeds()
         topics: dict[str, list[str]] = {}
