@@ -46,8 +46,10 @@ class ClockStep:
     def after(cls, step_ns: int, ahead_ns: int) -> ClockStep:
         """What a step does to a gateway time that was so far ahead."""
         if step_ns >= 0:
-            left_ns = max(0, ahead_ns - step_ns)
-            return cls(step_ns, step_ns - (ahead_ns - left_ns), left_ns)
+            left_ns = ahead_ns - step_ns
+            if abs(left_ns) < LEAST_NS:  # set right again
+                return cls(step_ns, 0, 0)
+            return cls(step_ns, max(0, -left_ns), max(0, left_ns))
         return cls(step_ns, 0, ahead_ns - step_ns if -step_ns > STAND_NS else ahead_ns)
 
     @classmethod

@@ -21,6 +21,8 @@ HOUR_NS = 3600 * NS_PER_S
         (ClockStep.after(HOUR_NS, 0), "forward (or the machine slept) by 3,600.000 s: gateway time jumps by 3,600.0"),
         (ClockStep.after(-NS_PER_S, 0), "back by 1.000 s: gateway time stands until the clock has caught up"),
         (ClockStep.after(HOUR_NS, HOUR_NS), "forward (or the machine slept) by 3,600.000 s: gateway time is ahead of"),
+        (ClockStep.after(HOUR_NS, HOUR_NS - 5_000), "gateway time is ahead of it no more"),
+        (ClockStep.after(HOUR_NS, HOUR_NS + 5_000), "gateway time is ahead of it no more"),
         (ClockStep.after(HOUR_NS, 2 * HOUR_NS), "gateway time goes on, 3,600.000 s ahead of it"),
         (ClockStep.after(2 * HOUR_NS, HOUR_NS), "gateway time jumps by 3,600.000 s"),
     ],
