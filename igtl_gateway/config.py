@@ -15,7 +15,7 @@ verification use what was in force that day.
     publish_tf = true              # poses appear on /tf too
     command_timeout_s = 5.0        # a COMMAND without a reply is given up
     relay = false                  # true: no bridge; peers and a server talk through us, bytes unchanged
-    faults = ""                    # of a relay, on purpose: "delay=50ms,loss=1%", see docs/faults.md
+    faults = ""                    # of a relay, on purpose: "delay=50ms,in:loss=1%", see docs/faults.md
     fault_seed = 0                 # which messages they hit
     deny_in = []                   # types that peers may not send, such as ["COMMAND", "TRANSFORM"] or ["*"]
     deny_out = []                  # types that peers are not sent
@@ -66,7 +66,7 @@ from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, Lengths
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.faults import Faults
+from igtl_gateway.faults import BothWays
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 
@@ -186,7 +186,7 @@ class Config:
         if not 0 < self.command_timeout_s < MAX_TIMEOUT_S:
             found = f"{self.command_timeout_s:g}"
             raise ConfigError(f"gateway.command_timeout_s: found {found}, expected above 0 and below {MAX_TIMEOUT_S:g}")
-        if Faults.parse(self.faults, "gateway.faults") and not self.relay:
+        if BothWays.parse(self.faults, "gateway.faults") and not self.relay:
             raise ConfigError(f"gateway.faults: found {self.faults!r}, expected it with relay = true only")
         for name in ("deny_in", "deny_out"):
             for glob in getattr(self, name):

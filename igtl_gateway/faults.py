@@ -130,6 +130,35 @@ class Faults:
 _NONE = Faults()
 
 
+@dataclass(frozen=True, slots=True)
+class BothWays:
+    """The faults of a relay.
+
+    Attributes:
+        inward: of what clients say to the server.
+        outward: of what the server says.
+    """
+
+    inward: Faults
+    outward: Faults
+
+    @classmethod
+    def parse(cls, text: str, place: str = "--fault") -> BothWays:
+        """As ``Faults.parse``; a fault with ``in:`` or ``out:`` before its name is of one way only."""
+        ways: dict[str, list[str]] = {"in": [], "out": []}
+        for part in text.split(",") if text.strip() else []:
+            way, colon, fault = (word.strip() for word in part.partition(":"))
+            if colon and fault and way in ways:
+                ways[way].append(fault)
+            else:
+                for both in ways.values():
+                    both.append(part)
+        return cls(*(Faults.parse(",".join(parts), place) for parts in ways.values()))
+
+    def __bool__(self) -> bool:
+        return bool(self.inward) or bool(self.outward)
+
+
 def _share(text: str, place: str) -> float:
     found = _SHARE.fullmatch(text)
     share = float(found[1]) / 100 if found else -1.0

@@ -22,6 +22,7 @@ from igtl_gateway.faults import (
     OVERTAKEN_WITHIN_NS,
     REORDER,
     TRUNCATE,
+    BothWays,
     Fate,
     FaultLine,
     Faults,
@@ -199,6 +200,21 @@ def test_all_values_are_read() -> None:
     )
     assert not Faults.parse("")
     assert not Faults.parse("loss=0%")
+
+
+def test_faults_of_one_way_only() -> None:
+    both = BothWays.parse("delay=5ms, in:loss=1%,out: clock-step=-1h@10s")
+    assert both == BothWays(Faults.parse("delay=5ms,loss=1%"), Faults.parse("delay=5ms,clock-step=-1h@10s"))
+    assert both and BothWays.parse("out:loss=1%") and not BothWays.parse("") and not BothWays.parse("in:loss=0%")
+    for told, wrong in (
+        ("in:los=1%", "--fault: found 'los', expected NAME=VALUE"),
+        ("inn:loss=1%", "--fault: found 'inn:loss', expected NAME=VALUE"),
+        ("loss=1%,out:loss=2%", "--fault: found loss twice"),
+        ("in:", "--fault: found 'in:', expected NAME=VALUE"),
+    ):
+        with pytest.raises(ConfigError) as caught:
+            BothWays.parse(told)
+        assert str(caught.value).startswith(wrong)
 
 
 def test_the_document_has_every_fault() -> None:

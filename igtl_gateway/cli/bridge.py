@@ -40,7 +40,7 @@ from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role, RosRow
 from igtl_gateway.edges.ros_env import keep_large_blocks, prepare_environment
 from igtl_gateway.edges.video import CODECS, VideoOptions
 from igtl_gateway.errors import ConfigError, ViewerError
-from igtl_gateway.faults import Faults
+from igtl_gateway.faults import BothWays
 from igtl_gateway.gateway import FAULT
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
@@ -105,7 +105,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="man in the middle: each client of --listen talks to the server of --connect, bytes unchanged; no ROS",
     )
-    add_faults(parser)
+    add_faults(parser, ".  in:NAME=VALUE: of what clients say to the server only; out:NAME=VALUE: of what it says")
     parser.add_argument("--view", action="store_true", help="show everything in rerun's window, live")
     parser.add_argument("--node-name", default="igtl_gateway", metavar="NAME", help="of the ROS node (%(default)s)")
     recording.add_arguments(parser)
@@ -213,7 +213,7 @@ def _relayed(
     """Configuration and addresses to listen at of a relay."""
     if len(connect) != 1:
         raise ConfigError(f"--relay: found {len(connect)} servers, expected one: --connect HOST:PORT")
-    if Faults.parse(options.fault):
+    if BothWays.parse(options.fault):
         config = replace(config, relay=True, faults=options.fault, fault_seed=options.seed)
     return replace(config, relay=True), listen or ((DEFAULT_HOST, DEFAULT_PORT),)
 

@@ -80,14 +80,14 @@ def add_send(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_faults(parser: argparse.ArgumentParser) -> None:
-    """``--fault`` and ``--seed``."""
+def add_faults(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """``--fault`` and ``--seed``; ``more`` about the former."""
     rows = "; ".join(f"{row.name}={row.unit.value.replace('%', '%%')}: {row.meaning}" for row in FAULTS)
     parser.add_argument(
         "--fault",
         default="",
         metavar="NAME=VALUE[,…]",
-        help=f"a bad line, on purpose.  {rows}.  TIME: 50ms, 2s, 1h; SHARE%%: 0.5%%",
+        help=f"a bad line, on purpose.  {rows}.  TIME: 50ms, 2s, 1h; SHARE%%: 0.5%%{more}",
     )
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="of --fault: the same hits the same messages (%(default)s)"

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.errors import WireError
-from igtl_gateway.faults import Fate, FaultLine, Faults
+from igtl_gateway.faults import BothWays, Fate, FaultLine
 from igtl_gateway.gateway.core import LINK_DOWN, LINK_UP, Gateway
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.reply import Reply, note
@@ -48,7 +48,7 @@ class RelayGateway:
         self._servers: set[int] = set()  # links to the server
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)
         self._said: set[tuple[str, str, int]] = set()
-        self._faults = Faults.parse(config.faults)
+        self._faults = BothWays.parse(config.faults)
         self._lines: dict[int, FaultLine[Entry]] = {}  # link → the way of the messages to it
         self._cut: set[int] = set()  # links that are being closed
 
@@ -113,13 +113,13 @@ class RelayGateway:
         if (denied := self._denied(entry)) is not None:
             self.ledger.drop(_IN, entry.channel, "denied")
             return self._once(entry, "denied", denied)
-        if self._faults:
-            if partner in self._cut:
-                self.ledger.drop(_IN, entry.channel, CUT)
-                return []
+        if partner in self._cut:
+            self.ledger.drop(_IN, entry.channel, CUT)
+            return []
+        if faults := self._faults.outward if link in self._servers else self._faults.inward:
             line = self._lines.get(partner)
             if line is None:
-                line = self._lines[partner] = FaultLine(self._faults, self.config.fault_seed, f"{partner}", moved)
+                line = self._lines[partner] = FaultLine(faults, self.config.fault_seed, f"{partner}", moved)
             return self._leave(partner, line.take(entry.stamp_ns, entry, entry.data()))
         return self._sent(entry, entry.payload, partner)
 

@@ -202,6 +202,26 @@ def test_what_is_done_to_a_message_is_told_and_what_is_recorded_is_what_was_sent
     assert lossy.verified()
 
 
+@pytest.mark.parametrize(("way", "hit", "spared"), [("in", 1, 2), ("out", 2, 1)])
+def test_faults_of_one_way_leave_the_other_as_it_is(way: str, hit: int, spared: int) -> None:
+    relay = FaultyRelay(f"{way}:loss=100%")
+    (sent,) = relay.igtl(HELLO, spared)
+    assert (sent.kind, sent.links, sent.data()) == (Kind.IGTL_OUT, (hit,), HELLO)
+    assert codes(relay.igtl(HELLO, hit)) == [FAULT]
+    assert relay.fates() == {"received": 2, "relayed": 1, "dropped": {"fault_loss": 1}}
+    assert relay.verified()
+
+
+def test_a_connection_that_is_cut_by_a_fault_of_one_way() -> None:
+    relay = FaultyRelay("in:disconnect=100%")
+    assert [entry.links for entry in relay.igtl(HELLO, 1)][-1] == (2,)
+    assert relay.igtl(HELLO, 1) == []
+    assert [entry.kind for entry in relay.igtl(HELLO, 2)] == [Kind.IGTL_OUT]  # to the client, which is still there
+    relay.down(2)
+    assert relay.fates() == {"received": 3, "relayed": 2, "dropped": {CUT: 1}}
+    assert relay.verified()
+
+
 def test_a_connection_is_closed_on_purpose_and_what_comes_behind_is_lost() -> None:
     relay = FaultyRelay("delay=50ms,disconnect=50%", seed=4)
     outs: list[Entry] = []
