@@ -17,4 +17,6 @@ def join(buffers: Sequence[Buffer]) -> bytes:
 
 def total_size(buffers: Sequence[Buffer]) -> int:
     """Bytes in all buffers together."""
-    return sum(memoryview(part).nbytes for part in buffers)
+    if len(buffers) == 1 and type(buffers[0]) is bytes:  # as most messages are
+        return len(buffers[0])
+    return sum([memoryview(part).nbytes for part in buffers])

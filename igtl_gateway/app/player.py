@@ -11,6 +11,7 @@ from enum import Enum, auto
 from typing import Literal
 
 from igtl_gateway.app.digest import Digest
+from igtl_gateway.buffers import total_size
 from igtl_gateway.clock import Clock
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.replay.pace import Pace
@@ -49,7 +50,7 @@ class Played:
         self.unheard += 0 if heard else len(entries)
         self.by_stream.update([entry.channel for entry in entries])
         parts = [part for entry in entries for part in entry.payload]
-        size = sum([memoryview(part).nbytes for part in parts])
+        size = total_size(parts)
         self.bytes += size
         if self._digest:
             self._digest.update(parts, size)
@@ -282,10 +283,10 @@ class Player:
                 batch = [entry, *self._ahead]
                 self._ahead.clear()
                 # beforehand: whoever sets a rate meanwhile goes on behind them
-                passed = [each.stamp_ns for each in batch if not self._is_state(each)]
-                if passed:
-                    self._playback.reached(passed[-1], begun_ns)
-                    self._in_pass += len(passed)
+                state = next((at for at, each in enumerate(batch) if not self._is_state(each)), len(batch))
+                if state < len(batch):  # the state comes before all else
+                    self._playback.reached(batch[-1].stamp_ns, begun_ns)
+                    self._in_pass += len(batch) - state
             else:
                 batch = []
         if not batch:
@@ -301,18 +302,17 @@ class Player:
         """Take more from the feed, if it gives them soon."""
         if self._playback.rate is not None or self._playback.paused or self._damage:
             return
-        size = entry.size + sum(each.size for each in self._ahead)
+        ahead, entries, monotonic_ns = self._ahead, self._entries, self._clock.monotonic_ns
+        size = entry.size + sum(each.size for each in ahead)
+        left, until_ns = self._together - 1 - len(ahead), begun_ns + _TOGETHER_NS
         try:
-            while (
-                len(self._ahead) + 1 < self._together
-                and size < _TOGETHER_BYTES
-                and self._clock.monotonic_ns() - begun_ns < _TOGETHER_NS
-            ):
-                following = next(self._entries, None)
+            while left > 0 and size < _TOGETHER_BYTES and monotonic_ns() < until_ns:
+                following = next(entries, None)
                 if following is None:
                     return
-                self._ahead.append(following)
-                size += following.size
+                ahead.append(following)
+                left -= 1
+                size += total_size(following.payload)
         except Exception as error:  # what came before it is sent first
             self._damage = error
 

@@ -14,7 +14,7 @@ import re
 import shlex
 import struct
 import zlib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -207,10 +207,7 @@ class SessionFile:
         if self.foreign or self.format_version != layout.FORMAT_VERSION:
             yield from self.entries()
             return
-        count = 0
-        for entry in self._numbered(self._rows(kinds=kinds), 0, kinds):
-            count += entry.seq > 0
-            yield entry
+        count = yield from self._numbered(self._rows(kinds=kinds), 0, kinds)
         self._check_count(count, sum(channel.count for channel in self.channels if channel.kind in kinds))
 
     def entries_from(self, start_ns: int, rule: StateRule) -> Iterator[Entry]:
@@ -262,10 +259,7 @@ class SessionFile:
             return list(SessionFile(self.path, BytesIO(record.data)).entries())
 
     def _entries(self) -> Iterator[Entry]:
-        count = 0
-        for entry in self._numbered(self._rows(), 0):
-            count += 1
-            yield entry
+        count = yield from self._numbered(self._rows(), 0)
         self._check_count(count, self.entry_count)
 
     def _check_count(self, found: int, expected: int) -> None:
@@ -274,8 +268,11 @@ class SessionFile:
 
     def _numbered(
         self, rows: Iterator[list[Row] | None], seq: int, kinds: Collection[Kind] = _ALL_KINDS
-    ) -> Iterator[Entry]:
-        """The entries in messages; ``seq`` is the number of one before them, or 0.  For the rest see `entries_of`."""
+    ) -> Generator[Entry, None, int]:
+        """The entries in messages; ``seq`` is the number of one before them, or 0.  For the rest see `entries_of`.
+
+        Returns how many there were, without those that are not of the kinds.
+        """
         foreign = self.foreign
         decoders: dict[int, Decode | None] = {
             number: self._decoders[number] if kind in kinds else None for number, (kind, _, _) in self._streams.items()
@@ -285,7 +282,7 @@ class SessionFile:
             for number, (kind, _, _) in self._streams.items()
             if kind not in kinds and kind.is_input
         }
-        first = True
+        first, count = True, 0
         for some in rows:
             if some is None:
                 yield _UNREAD
@@ -294,13 +291,15 @@ class SessionFile:
                 channel, sequence = row[0], row[1]
                 if channel not in decoders:
                     continue
-                number = seq + 1 if foreign else seq + (sequence - seq) % SEQUENCES
-                # what comes before the first one may have been left out
-                if number == seq or (number - seq >= SEQUENCES // 2 and not first):
-                    raise DamagedRecording(
-                        f"{self.path}: found entry number {sequence}, expected one above {seq % SEQUENCES}"
-                        f"{recover_hint(self.path)}"
-                    )
+                number = seq + 1
+                if sequence != number and not foreign:
+                    number = seq + (sequence - seq) % SEQUENCES
+                    # what comes before the first one may have been left out
+                    if number == seq or (number - seq >= SEQUENCES // 2 and not first):
+                        raise DamagedRecording(
+                            f"{self.path}: found entry number {sequence}, expected one above {seq % SEQUENCES}"
+                            f"{recover_hint(self.path)}"
+                        )
                 seq, first = number, False
                 decode = decoders[channel]
                 if decode is None:
@@ -311,7 +310,9 @@ class SessionFile:
                     entry = decode(row, seq)
                 except LayoutError as error:
                     raise DamagedRecording(f"{self.path}: entry {seq}: {error}{recover_hint(self.path)}") from None
+                count += 1
                 yield entry
+        return count
 
     def _rows(self, from_ns: int | None = None, kinds: Collection[Kind] = _ALL_KINDS) -> Iterator[list[Row] | None]:
         """All messages (from a moment on), those of each chunk together, in order.
@@ -543,8 +544,7 @@ def _raw_decoder() -> Decode:
         _, _, log_ns, publish_ns, start, end, data = row
         # a small part of a chunk must not keep all of it
         large = (end - start) * _LARGE_PART >= len(data)
-        message = memoryview(data)[start:end] if large else data[start:end]
-        return unpack(message, seq, log_ns, publish_ns)
+        return unpack(memoryview(data) if large else data, seq, log_ns, publish_ns, start, end)
 
     return raw
 

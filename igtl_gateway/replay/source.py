@@ -38,7 +38,7 @@ def once(entries: Iterable[Entry]) -> Iterator[Entry]:
             if entry.channel in sent:
                 continue
             sent.add(entry.channel)
-        elif sent and entry.kind.is_input:
+        elif sent and entry.kind in _INPUTS:
             sent.clear()
         yield entry
 
@@ -84,3 +84,4 @@ def fits(name: str, globs: Sequence[str]) -> bool:
 
 
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
+_INPUTS = frozenset(kind for kind in Kind if kind.is_input)

@@ -18,7 +18,6 @@ import json
 import re
 import struct
 import zlib
-from dataclasses import replace
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.qos import Qos
@@ -110,9 +109,11 @@ NOTE_KINDS = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})
 ROS_KINDS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
 
 _CDR_LE = b"\x00\x01\x00\x00"
+_CDR_LE_NUMBER = int.from_bytes(_CDR_LE[:2], "little")
 # The fixed heads of the messages behind this encapsulation.  Alignment counts from its end; as it has 4 bytes
 # and nothing behind the heads is aligned to more than 4, offsets in the whole buffer do as well.
 _RAW_HEAD = struct.Struct("<4s iI iI Q B3x")  # stamp, source_stamp, source_ticks, direction
+_RAW_START = struct.Struct("<H10xiI8xB3x")  # the same: first half of the encapsulation, source_stamp, direction
 _NOTE_HEAD = struct.Struct("<4s iI B3x")  # stamp, level
 _U32 = struct.Struct("<I")
 _TICKS = struct.Struct(">Q")
@@ -328,39 +329,38 @@ class RawUnpacker:
     """:func:`unpack_raw` for the messages of one channel: what the last one said again is not read again."""
 
     def __init__(self) -> None:
-        self._same = b""  # links, type and device name, as the last message had them ...
-        self._end = 0  # ... up to here
-        self._last = Entry(0, 0, Kind.IGTL_IN)
+        self._same = b""  # links, type and device name, as the last message had them
+        self._head = _RAW_START  # all before the payload
+        self._channel = self._type = ""
+        self._links: tuple[int, ...] = ()
 
-    def __call__(self, data: bytes | memoryview, seq: int, log_ns: int, publish_ns: int) -> Entry:
-        """The entry; its payload is a view on ``data``.  Arguments and errors as of :func:`unpack_raw`."""
-        end = self._end
-        if (
-            not end
-            or data[_RAW_HEAD.size : end] != self._same
-            or data[:2] != _CDR_LE[:2]
-            or len(data) < end + _U32.size
-            or _U32.unpack_from(data, end)[0] != len(data) - end - _U32.size
-        ):
-            return self._learn(data, seq, log_ns, publish_ns)
-        _, _, _, source_sec, source_nanosec, _, direction = _RAW_HEAD.unpack_from(data)
-        last = self._last
+    def __call__(self, data: bytes | memoryview, seq: int, log_ns: int, publish_ns: int, begin: int, end: int) -> Entry:
+        """The entry in the bytes of ``data`` from ``begin`` to ``end``; its payload is a part of them.
+
+        Other arguments and errors as of :func:`unpack_raw`.
+        """
+        if not self._same or end - begin < self._head.size:
+            return self._learn(data[begin:end], seq, log_ns, publish_ns)
+        encapsulation, source_sec, source_nanosec, direction, same, size = self._head.unpack_from(data, begin)
+        payload = begin + self._head.size
+        if same != self._same or encapsulation != _CDR_LE_NUMBER or payload + size != end:
+            return self._learn(data[begin:end], seq, log_ns, publish_ns)
         return Entry(
             seq,
             log_ns,
             Kind.IGTL_OUT if direction else Kind.IGTL_IN,
-            last.channel,
-            last.type,
-            (memoryview(data)[end + _U32.size :],),
-            last.links,
+            self._channel,
+            self._type,
+            (data[payload:end],),
+            self._links,
             publish_ns if publish_ns != log_ns or source_sec or source_nanosec else 0,
         )
 
     def _learn(self, data: bytes | memoryview, seq: int, log_ns: int, publish_ns: int) -> Entry:
         entry = unpack_raw(data, seq, log_ns, publish_ns)
-        self._last = replace(entry, payload=())
-        self._end = len(data) - entry.size - _U32.size
-        self._same = bytes(data[_RAW_HEAD.size : self._end])
+        self._channel, self._type, self._links = entry.channel, entry.type, entry.links
+        self._same = bytes(data[_RAW_HEAD.size : len(data) - entry.size - _U32.size])
+        self._head = struct.Struct(f"{_RAW_START.format}{len(self._same)}sI")
         return entry
 
 
