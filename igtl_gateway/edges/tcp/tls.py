@@ -272,10 +272,10 @@ class TlsSocket:
             try:
                 while count < len(room):
                     got: Any = self._tls.read(len(room) - count, room[count:])  # a number, with a buffer given
-                    if not got:
+                    if not got:  # the other side has said goodbye
                         break
                     count += got
-                self.more = count == len(room)
+                self.more = count > 0  # there may be more behind a full room; a goodbye is told at the next call
             except ssl.SSLWantReadError:
                 self.more = False
                 if not count:
@@ -361,6 +361,8 @@ class Handshake:
         self._loop.unwatch(self.sock)
 
     def _step(self, _mask: int) -> None:
+        if self._over:  # by something else in the same turn
+            return
         try:
             done = self.sock.shake()
         except TlsError as error:

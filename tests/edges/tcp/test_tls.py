@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import socket
 import ssl
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,8 @@ import pytest
 
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.edges.tcp import Limits, TcpEdge, TlsFiles
-from igtl_gateway.edges.tcp.tls import PLAIN_TO_TLS, TLS_TO_PLAIN
+from igtl_gateway.edges.tcp.loop import READ, WRITE, Loop
+from igtl_gateway.edges.tcp.tls import PLAIN_TO_TLS, TLS_TO_PLAIN, Handshake, TlsSocket
 from igtl_gateway.errors import ConfigError
 from tests.edges.tcp.world import BIG, DEADLINE_S, HERE, Peer, Seen, World, message, number_of, until
 
@@ -82,6 +85,37 @@ def test_a_goodbye_of_the_peer_is_no_loss(world: World) -> None:
     peer.sock.unwrap()  # type: ignore[attr-defined]
     (down,) = seen.wait("down")
     assert (down.data["reason"], seen.of("frame")) == ("closed by the peer", [message(2)])
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_a_goodbye_right_behind_a_message_is_seen(world: World, together: bool) -> None:
+    """In one reception with it, and nothing follows: the peer waits for our goodbye."""
+    _, seen, port = secure(world)
+    raw = world.peer(port).sock
+    incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+    theirs = context().wrap_bio(incoming, outgoing, server_hostname=HERE)
+
+    def tell(step: Callable[[], object]) -> None:
+        while True:
+            try:
+                step()
+            except ssl.SSLWantReadError:
+                raw.sendall(outgoing.read())
+                data = raw.recv(1 << 16)
+                incoming.write(data) if data else incoming.write_eof()
+            else:
+                raw.sendall(outgoing.read())
+                return
+
+    tell(theirs.do_handshake)
+    seen.wait("up")
+    theirs.write(message(1))
+    if not together:
+        raw.sendall(outgoing.read())
+        seen.wait("frame")
+    tell(theirs.unwrap)  # which returns when the other side has said the same
+    (down,) = seen.wait("down")
+    assert (down.data["reason"], seen.of("frame")) == ("closed by the peer", [message(1)])
 
 
 def test_two_edges_flood_each_other_from_several_threads(world: World) -> None:
@@ -225,6 +259,29 @@ def test_who_has_begun_gives_way_last(world: World) -> None:
     seen.wait("frame")
     assert silent.receive() is None
     assert edge.refused() == {"no TLS handshake before others came": 1}
+
+
+def test_one_that_gave_way_in_the_turn_in_which_it_spoke_is_over() -> None:
+    ours, theirs = socket.socketpair()
+    ours.setblocking(False)
+    told: list[str] = []
+    loop = Loop(ManualClock(), lambda: None, lambda exc: told.append(f"{exc}"))
+    secured = TlsSocket(ours, SERVER.server(), server_side=True)
+
+    def refused(reason: str, detail: str) -> None:
+        told.append(reason)
+        secured.close()
+
+    handshake = Handshake(secured, loop, lambda: told.append("done"), refused, lambda exc: told.append(f"{exc}"))
+    handshake.begin(10)
+    theirs.send(b"\x16\x03\x01")
+    # both are ready: the listener, whose peer makes this one give way, and this one
+    loop.watch(theirs, WRITE, lambda _: handshake.give_way() if not told else None)
+    loop.turn(0)
+    handshake._step(READ)
+    assert told == ["no TLS handshake before others came"]
+    loop.close()
+    theirs.close()
 
 
 def test_a_stopped_edge_lets_go_of_who_is_in_the_handshake(world: World) -> None:
