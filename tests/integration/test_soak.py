@@ -1,4 +1,4 @@
-"""``tools/soak.py``: a minute of it, and that its judgement would notice.
+"""``python -m tools.soak``: a minute of it, and that its judgement would notice.
 
 The hour is in docs/soak.md.  This has a tenth of the mixed load, because every test shares two cores with others;
 guests come more often than in the hour.  ``IGTL_GATEWAY_SOAK_S`` makes it longer or shorter.
@@ -18,9 +18,10 @@ from typing import Any
 
 import pytest
 
-from tests.integration.bridge import ROOT, SECOND_DOMAIN, environment
-from tools import soak
-from tools.soak import Found, Settings, judge, trend
+from tests.integration.bridge import SECOND_DOMAIN, environment
+from tools import soak_guests, soak_judge
+from tools.soak_findings import Found, Settings
+from tools.soak_judge import judge, trend
 
 #: How long; of a minute, half is waiting.
 SECONDS = float(os.environ.get("IGTL_GATEWAY_SOAK_S", "60"))
@@ -32,7 +33,7 @@ GROWTH_MB = 20.0
 @pytest.mark.slow
 def test_a_minute_under_load_with_guests_that_come_and_go(tmp_path: Path) -> None:
     words = ["--seconds", f"{SECONDS}", "--scale", f"{SCALE}", "--part-s", f"{SECONDS / 2}", "--guest-s", "1.5"]
-    command = [sys.executable, str(ROOT / "tools/soak.py"), *words, "--growth-mb", f"{GROWTH_MB}"]
+    command = [sys.executable, "-m", "tools.soak", *words, "--growth-mb", f"{GROWTH_MB}"]
     command += ["--folder", str(tmp_path / "soak")]
     env = environment(ROS_DOMAIN_ID=str(SECOND_DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     done = subprocess.run(
@@ -88,7 +89,7 @@ def _good() -> tuple[Settings, Found]:
             "recording": {"entries": 10, "dropped": 0, "failure": "", "files": ["soak_0.mcap", "metadata.yaml"]},
         },
     )
-    found.guests.update([*(f"{manner}, reset" for manner in soak.MANNERS), "ROS node, killed"])
+    found.guests.update([*(f"{manner}, reset" for manner in soak_guests.MANNERS), "ROS node, killed"])
     return settings, found
 
 
@@ -129,7 +130,7 @@ def _stopped(*path: str, value: Any) -> Callable[[Found], None]:
         (_leak("recorder", "shared_mb", 0.05), "memory shared with others of the recorder is flat"),
         (_leak("recorder", "fds", 0.01), "fds of the recorder are flat, and return"),
         (_at_end("gateway", "fds", 1), "fds of the gateway are flat, and return"),
-        (_at_end("gateway", "threads", soak.WORKERS + 1), "threads of the gateway are flat, and return"),
+        (_at_end("gateway", "threads", soak_judge.WORKERS + 1), "threads of the gateway are flat, and return"),
         (_stopped("ledger", "streams", "ros_in", "/a", "received", value=5), "the ledger closes"),
         (_stopped("ledger", "gaps", value=["to peer 1: …"]), "the ledger closes"),
         (_stopped("recording", "dropped", value=1), "the recording is complete"),

@@ -1,0 +1,195 @@
+"""Whether what a soak found is as it should be: the judgement, and what is told of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from igtl_gateway.session.ledger import gaps
+from tools.soak_findings import Check, Found, Sample, Settings
+from tools.soak_guests import MANNERS
+
+BACK = ("threads", "fds")
+#: The workers of rclpy's executor, each of which is started when it is first needed, and then stays.
+WORKERS = 8
+PROCESSES = ("gateway", "recorder")
+_MEMORY = {"rss_mb": "memory (RSS)", "anon_mb": "memory of its own", "shared_mb": "memory shared with others"}
+
+
+def trend(at_s: Sequence[float], values: Sequence[float], windows: int = 50) -> float:
+    """How much a robust line grows from the first to the last time.
+
+    The line goes through the least value of each of so many windows of time (a queue that is filled for a while, and
+    emptied again, is no growth), by Theil and Sen: its slope is the median of the slopes between all pairs.
+    """
+    times, found = np.asarray(at_s, float), np.asarray(values, float)
+    edges = np.linspace(times[0], times[-1], windows + 1)
+    number = np.clip(np.searchsorted(edges, times, "right") - 1, 0, windows - 1)
+    least = [np.flatnonzero(number == one)[np.argmin(found[number == one])] for one in np.unique(number)]
+    x, y = times[least], found[least]
+    first, second = np.triu_indices(len(least), 1)
+    if not len(first):
+        raise ValueError(f"found {len(values)} samples, expected some more for a line")
+    slope = float(np.median((y[second] - y[first]) / (x[second] - x[first])))
+    return slope * float(times[-1] - times[0])
+
+
+def judge(settings: Settings, found: Found) -> list[Check]:
+    """Everything that has to be so."""
+    checks = []
+
+    def check(name: str, good: bool, text: str) -> None:
+        checks.append(Check(name, bool(good), text))
+
+    counted = [sample for sample in found.samples if sample["at_s"] >= settings.warm_s]
+    at_s = [sample["at_s"] for sample in counted]
+    for who in PROCESSES:
+        for what in ("rss_mb", "anon_mb", "shared_mb"):
+            memory = [sample[who][what] for sample in counted]
+            growth = trend(at_s, memory)
+            check(
+                f"{_MEMORY[what]} of the {who} is flat",
+                growth <= settings.growth_mb,
+                f"the line grows by {growth:+.1f} MB in {at_s[-1] - at_s[0]:.0f} s (at most {settings.growth_mb:g}), "
+                f"between {min(memory):.0f} and {max(memory):.0f} MB",
+            )
+        for what in BACK:
+            before, after, more = found.baseline[who][what], found.end[who][what], spare(who, what)
+            most = max(sample[who][what] for sample in found.samples)
+            line = trend(at_s, [sample[who][what] for sample in counted])
+            check(
+                f"{what} of the {who} are flat, and return",
+                after <= before + more and line < 1 + more,
+                f"{before} before the first guest, at most {most}, {after} when all had left; the line grows by "
+                f"{line:+.2f}" + (f"; {more} of them are started when first needed" if more else ""),
+            )
+    told = found.stopped["ledger"]
+    open_ends = [*gaps(told), *told.get("gaps", ())]
+    check("the ledger closes", not open_ends, "; ".join(open_ends) or "by stream, by peer and in sum")
+    recorded, entries = found.stopped["recording"], sum(found.stopped["counts"].values())
+    check(
+        "the recording is complete",
+        not recorded["failure"] and not recorded["dropped"] and recorded["entries"] == entries,
+        f"{recorded['entries']:,} of {entries:,} entries, {recorded['dropped']:,} lost by the recorder"
+        + (f": {recorded['failure']}" if recorded["failure"] else ""),
+    )
+    good = [part for part in found.parts if part["good"] and not part["code"]]
+    verified = sum(part["inputs"] + part["outputs"] for part in good)
+    numbers = {what: sum(part[what] for part in good) for what in ("equal", "lost", "missing", "orphans", "late")}
+    files = sum(1 for path in recorded["files"] if str(path).endswith(".mcap"))
+    check(
+        "the recording verifies",
+        len(good) == len(found.parts) == files and verified == recorded["entries"],
+        f"{len(good)} of {files} parts, {verified:,} entries; outputs equal {numbers.pop('equal'):,}, {numbers}",
+    )
+    arrived = [row["delivered"] for row in found.passages]
+    check(
+        "every stream arrives to the end",
+        all(arrived),
+        ", ".join(f"{row['stream']} {row['direction']} {row['delivered']:,}/{row['sent']:,}" for row in found.passages),
+    )
+    manners = {name.split(",")[0] for name in found.guests}
+    expected = {*MANNERS, "ROS node"}
+    check("guests of all manners came", manners >= expected, f"{sum(found.guests.values()):,} guests")
+    check("nothing else failed", not found.failures, "; ".join(found.failures) or "nothing")
+    return checks
+
+
+def spare(who: str, what: str) -> int:
+    """How much more there may be than before the first guest."""
+    return WORKERS if (who, what) == ("gateway", "threads") else 0
+
+
+def report(settings: Settings, found: Found, checks: Sequence[Check]) -> dict[str, Any]:
+    """All of it, for programs."""
+    streams_told = found.stopped["ledger"].get("streams", {})
+    dropped: Counter[str] = Counter()
+    for direction, books in streams_told.items():
+        for fates in books.values():
+            for reason, number in fates.get("dropped", {}).items():
+                dropped[f"{direction} {reason}"] += number
+    return {
+        "good": all(check.good for check in checks),
+        "settings": {name: str(value) if name == "folder" else value for name, value in asdict(settings).items()},
+        "checks": [asdict(check) for check in checks],
+        "passages": found.passages,
+        "guests": dict(sorted(found.guests.items())),
+        "notes": dict(sorted(found.notes.items())),
+        "dropped": dict(sorted(dropped.items())),
+        "counts": found.stopped["counts"],
+        "recording": {name: value for name, value in found.stopped["recording"].items() if name != "files"},
+        "parts": found.parts,
+        "baseline": found.baseline,
+        "end": found.end,
+        "samples": found.samples,
+        "ledger": found.stopped["ledger"],
+    }
+
+
+_PANELS: tuple[tuple[str, str, Callable[[Sample], float]], ...] = (
+    ("RSS of the gateway, MB", "#1f77b4", lambda sample: float(sample["gateway"]["rss_mb"])),
+    ("of this its own, MB", "#1f77b4", lambda sample: float(sample["gateway"]["anon_mb"])),
+    ("RSS of the recorder, MB", "#2ca02c", lambda sample: float(sample["recorder"]["rss_mb"])),
+    ("threads of the gateway", "#d62728", lambda sample: float(sample["gateway"]["threads"])),
+    ("file descriptors of the gateway", "#9467bd", lambda sample: float(sample["gateway"]["fds"])),
+    ("waiting in queues to peers, MB", "#8c564b", lambda sample: float(sample["queued_mb"])),
+    ("waiting in the recorder's queue, MB", "#7f7f7f", lambda sample: float(sample["recorder_queued_mb"])),
+)
+_WIDTH, _LEFT, _RIGHT, _PANEL, _GAP, _TOP = 860, 60, 30, 70, 28, 48
+_POINTS = 400
+
+
+def picture(samples: Sequence[Sample], seconds: float, title: str) -> str:
+    """One panel for each figure, over time in minutes; of samples that fall together the least and the largest."""
+    height = _TOP + len(_PANELS) * (_PANEL + _GAP) + 16
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" font-family="sans-serif" '
+        'font-size="11">',
+        f'<rect width="{_WIDTH}" height="{height}" fill="white"/>',
+        f'<text x="10" y="18" font-size="14">{title}</text>',
+    ]
+    for index, (name, colour, of) in enumerate(_PANELS):
+        top = _TOP + index * (_PANEL + _GAP)
+        bottom, values = top + _PANEL, [of(sample) for sample in samples]
+        most = max(*values, 1.0) * 1.05
+
+        def x(sample: Sample) -> float:
+            return _LEFT + float(sample["at_s"]) / seconds * (_WIDTH - _LEFT - _RIGHT)
+
+        def y(value: float, bottom: float = bottom, most: float = most) -> float:
+            return bottom - value / most * _PANEL
+
+        lines.append(f'<path d="M{_LEFT} {top} V{bottom} H{_WIDTH - _RIGHT}" stroke="#888888" fill="none"/>')
+        lines.append(f'<text x="{_LEFT}" y="{top - 5}">{name}: {min(values):g} to {max(values):g}</text>')
+        lines.append(f'<text x="{_LEFT - 6}" y="{y(max(values)) + 4:.0f}" text-anchor="end">{max(values):.0f}</text>')
+        lines.append(f'<text x="{_LEFT - 6}" y="{bottom + 4}" text-anchor="end">0</text>')
+        step = max(1, 2 * len(samples) // _POINTS)
+        points = []
+        for begin in range(0, len(samples), step):
+            few = values[begin : begin + step]
+            points += [f"{x(samples[begin]):.1f} {y(value):.1f}" for value in dict.fromkeys((min(few), max(few)))]
+        lines.append(f'<path d="M{" L".join(points)}" stroke="{colour}" fill="none"/>')
+    for part in range(7):
+        at = _LEFT + part / 6 * (_WIDTH - _LEFT - _RIGHT)
+        lines.append(
+            f'<text x="{at:.0f}" y="{height - 8}" text-anchor="middle">{part / 6 * seconds / 60:.3g} min</text>'
+        )
+    return "\n".join([*lines, "</svg>"]) + "\n"
+
+
+def words(told: dict[str, Any]) -> list[str]:
+    """The same for people."""
+    lines = [f"{'ok  ' if check['good'] else 'BAD '} {check['name']}: {check['text']}" for check in told["checks"]]
+    lines.append("stream        direction     sent       arrived    p50 ms    p99 ms")
+    for row in told["passages"]:
+        lines.append(
+            f"{row['stream']:<13} {row['direction']:<12} {row['sent']:>10,} {row['delivered']:>10,} "
+            f"{row['p50_ms'] or 0:9.2f} {row['p99_ms'] or 0:9.1f}"
+        )
+    for name in ("guests", "notes", "dropped", "counts", "recording"):
+        lines.append(f"{name}: {', '.join(f'{key} {value}' for key, value in told[name].items()) or 'none'}")
+    return lines
