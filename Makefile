@@ -18,7 +18,8 @@ demo: $(READY)
 	@$(BIN)/igtl-gateway demo
 
 test: static peers
-	@$(BIN)/python -m pytest -q -n 2 --dist loadfile --durations=10 || { \
+	@$(BIN)/python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder --durations=10 || { \
+		[ $$? -eq 1 ] || exit 1; \
 		echo "Once more, alone: what failed beside others."; $(BIN)/python -m pytest -q --last-failed --last-failed-no-failures none; }
 
 check: static

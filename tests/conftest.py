@@ -44,14 +44,60 @@ settings.register_profile("deep", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what is marked ``ros`` where there is no ROS 2."""
+#: Files that take longest, in that order, some ten seconds each: where several workers take files in turn, one of these
+#: must not be left for the end.  (``make test`` tells the slowest tests.)
+LONGEST = (
+    "integration/test_soak.py",
+    "integration/test_live_faults.py",
+    "integration/test_cli_bridge.py",
+    "replay/test_salvage.py",
+    "cli/test_replay.py",
+    "test_gateway_fuzz.py",
+    "integration/test_crash.py",
+    "wire/test_bodies.py",
+    "integration/test_simulate.py",
+    "integration/test_hostile.py",
+    "test_fixtures.py",
+    "integration/test_demo.py",
+    "integration/test_relay.py",
+    "edges/test_ros.py",
+    "replay/test_lookup.py",
+    "integration/test_replay_ros.py",
+    "edges/tcp/test_edge.py",
+    "record/test_recorder.py",
+    "cli/test_bench.py",
+    "cli/test_main.py",
+    "integration/test_interop.py",
+    "integration/test_ros_types.py",
+    "bench/test_peers.py",
+    "replay/test_verify.py",
+    "replay/test_mcap_reader.py",
+    "integration/test_rosbag2_folder.py",
+    "test_architecture.py",
+    "review/test_assess.py",
+    "simulate/test_star.py",
+    "view/test_shots.py",
+)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Where several workers share the tests the longest files go first; ``ros`` is skipped without ROS 2."""
+    if hasattr(config, "workerinput"):
+        rank = {Path(__file__).parent / name: number for number, name in enumerate(LONGEST)}
+        items.sort(key=lambda item: rank.get(item.path, len(rank)))
     if find_spec("rclpy") is not None:
         return
     absent = pytest.mark.skip(reason="no ROS 2 here: install the extra 'ros' or source a ROS 2")
     for item in items:
         if "ros" in item.keywords:
             item.add_marker(absent)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(error: object | None) -> None:
+    """A worker that dies ends the run, not as a failure of one test: xdist would hang, or leave tests out."""
+    if error:
+        pytest.exit(f"a worker died ({error}); perhaps its stacks are above", 3)
 
 
 @pytest.fixture(autouse=True)

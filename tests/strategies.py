@@ -1,12 +1,14 @@
 """Hypothesis strategies for OpenIGTLink messages and ROS messages: valid ones, odd ones, broken ones.
 
 Numbers are drawn small and often at the edges: what breaks a codec is the shape of a message, not its bulk.
+Tables of strategies are made once: to make them costs more than to draw from them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -92,23 +94,29 @@ def statuses(draw: st.DrawFn) -> Status:
     return Status(draw(u16), subcode, draw(fixed_text(20)), text, terminated)
 
 
-@st.composite
-def elements(draw: st.DrawFn, kind: type[Elements], numbers: st.SearchStrategy[float]) -> Any:
+def elements(kind: type[Elements], numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Any]:
     """A list of any of the types that are lists: any text, any integers, reserved bytes too."""
-    array = np.zeros(draw(st.integers(0, 4)), kind.DTYPE)
-    for name in kind.DTYPE.names or ():
-        item = kind.DTYPE[name].base
-        if item.kind == "S":
-            values: st.SearchStrategy[Any] = st.binary(max_size=item.itemsize)
-        elif item.kind == "f":
-            values = numbers
-        else:
-            info = np.iinfo(item)
-            values = st.sampled_from([0, int(info.max)]) | st.integers(int(info.min), int(info.max))
-        # a few values, repeated: drawing each number of a matrix would take most of the time of the tests
-        few = np.array(draw(st.lists(values, min_size=1, max_size=5)), item)
-        array[name] = np.resize(few, array[name].shape)
-    return kind(array)
+    names = kind.DTYPE.names or ()
+    items = [kind.DTYPE[name].base for name in names]
+    # a few values, repeated: drawing each number of a matrix would take most of the time of the tests
+    columns = [st.lists(_items(item, numbers), min_size=1, max_size=5) for item in items]
+
+    def made(length: int, *few: list[Any]) -> Elements:
+        array = np.zeros(length, kind.DTYPE)
+        for name, item, values in zip(names, items, few, strict=True):
+            array[name] = np.resize(np.array(values, item), array[name].shape)
+        return kind(array)
+
+    return st.builds(made, st.integers(0, 4), *columns)
+
+
+def _items(item: np.dtype[Any], numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Any]:
+    if item.kind == "S":
+        return st.binary(max_size=item.itemsize)
+    if item.kind == "f":
+        return numbers
+    info = np.iinfo(item)
+    return st.sampled_from([0, int(info.max)]) | st.integers(int(info.min), int(info.max))
 
 
 def points(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Points]:
@@ -255,6 +263,7 @@ QUERY_BODIES: dict[type[Body], st.SearchStrategy[Body]] = {
 }
 
 
+@cache
 def bodies(numbers: st.SearchStrategy[float] = any32) -> dict[str, st.SearchStrategy[Body]]:
     """Type name → strategy of its contents."""
     table = _data_bodies(numbers)
@@ -459,6 +468,7 @@ ros_diagnostics = st.builds(
 )
 
 
+@cache
 def ros_messages(numbers: st.SearchStrategy[float] = any64) -> dict[str, st.SearchStrategy[rosmsg.RosMessage]]:
     """Type name → strategy of its messages."""
     table: dict[type[rosmsg.RosMessage], st.SearchStrategy[Any]] = {
@@ -534,6 +544,7 @@ def of_fields(kind: type[Struct]) -> st.SearchStrategy[Any]:
     return st.builds(kind, *(_octets if cdr is OCTETS else value(cdr.name) for cdr in kind.FIELDS))
 
 
+@cache
 def packed(kind: str) -> st.SearchStrategy[bytes]:
     """CDR bytes of one type: mostly good, sometimes damaged, sometimes garbage."""
     messages: st.SearchStrategy[Any] = of_fields(STRUCTS[kind]) if kind in STRUCTS else ros_messages()[kind]

@@ -19,6 +19,7 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
+from tests.files import write_anew
 
 FIN, SYN, RST, ACK = 1, 2, 4, 16
 CLIENT, SERVER = ("10.0.0.1", 50_000), ("10.0.0.2", 18_944)
@@ -93,7 +94,7 @@ def write(path: Path, packets: list[bytes], *, link: int = 101, order: str = "<"
     for index, packet in enumerate(packets):
         made = FRAMES[link](packet)
         data += struct.pack(f"{order}4I", 1000, index, len(made), len(made)) + made
-    path.write_bytes(data)
+    write_anew(path, data)
     return path
 
 

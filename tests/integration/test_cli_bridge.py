@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
 import socket
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +49,28 @@ def run(programs: list[Program], *arguments: str, **changes: str) -> Result:
     """A program that ends by itself."""
     programs.append(gateway(*arguments, **changes))
     return programs[-1].end(None)
+
+
+#: Several calls of the command line in one process, which takes most of its time to start.
+SEVERAL = """
+import contextlib, io, json, sys
+from igtl_gateway.cli import main
+for words in json.loads(sys.argv[1]):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(words)
+    print(json.dumps([code, out.getvalue(), err.getvalue()]), flush=True)
+"""
+
+
+def run_several(programs: list[Program], *calls: Sequence[str]) -> list[Result]:
+    """What comes of each of several calls that end by themselves."""
+    programs.append(Program([sys.executable, "-c", SEVERAL, json.dumps(calls)]))
+    end = programs[-1].end(None)
+    assert (end.code, end.err) == (0, "")
+    results = [Result(*json.loads(line)) for line in end.out.splitlines()]
+    assert len(results) == len(calls)
+    return results
 
 
 def refused(result: Result) -> str:
@@ -149,8 +173,9 @@ def test_port_in_use(programs: list[Program], tmp_path: Path) -> None:
 def test_recording_that_cannot_be_made(programs: list[Program], tmp_path: Path) -> None:
     missing, there = tmp_path / "missing" / "out.mcap", tmp_path / "there.mcap"
     there.write_bytes(b"something else")
-    for path in (missing, there, tmp_path):
-        result = run(programs, "bridge", "--no-ros", "--listen", "0", "--record", str(path))
+    paths = (missing, there, tmp_path)
+    calls = [["bridge", "--no-ros", "--listen", "0", "--record", str(path)] for path in paths]
+    for path, result in zip(paths, run_several(programs, *calls), strict=True):
         assert (result.code, result.out) == (1, "")
         (line,) = result.err.splitlines()
         assert str(path) in line
@@ -158,28 +183,26 @@ def test_recording_that_cannot_be_made(programs: list[Program], tmp_path: Path) 
     assert list(tmp_path.iterdir()) == [there]
 
 
-@pytest.mark.parametrize(
-    ("text", "wanted"),
-    [
-        ("[gateway]\nros_unit = 'yard'\n", ("gateway.ros_unit", "'yard'")),
-        ("[[to_ros]]\ntopics = '/x'\n", ("to_ros[0].topics",)),
-        ("[gateway\n", ("TOML",)),
-    ],
-)
-def test_bad_configuration(programs: list[Program], tmp_path: Path, text: str, wanted: tuple[str, ...]) -> None:
-    path = tmp_path / "bad.toml"
-    path.write_text(text)
-    line = refused(run(programs, "bridge", "--no-ros", "--config", str(path)))
-    assert all(part in line for part in (str(path), *wanted))
-
-
-def test_other_hosts_need_an_allow_list(programs: list[Program]) -> None:
-    line = refused(run(programs, "bridge", "--no-ros", "--listen", "0.0.0.0:0"))
-    assert "0.0.0.0:0" in line and "allow" in line
-
-
-def test_what_to_record_without_a_file(programs: list[Program]) -> None:
-    assert "--record FILE is missing" in refused(run(programs, "bridge", "--no-ros", "--record-all"))
+def test_usage(programs: list[Program], tmp_path: Path) -> None:
+    """A bad configuration, other hosts without an allow-list, what to record without a file."""
+    texts = {
+        "[gateway]\nros_unit = 'yard'\n": ("gateway.ros_unit", "'yard'"),
+        "[[to_ros]]\ntopics = '/x'\n": ("to_ros[0].topics",),
+        "[gateway\n": ("TOML",),
+    }
+    calls: list[list[str]] = []
+    wanted: list[tuple[str, ...]] = []
+    for number, (text, parts) in enumerate(texts.items()):
+        path = tmp_path / f"bad{number}.toml"
+        path.write_text(text)
+        calls.append(["--config", str(path)])
+        wanted.append((str(path), *parts))
+    calls += [["--listen", "0.0.0.0:0"], ["--record-all"]]
+    wanted += [("0.0.0.0:0", "allow"), ("--record FILE is missing",)]
+    results = run_several(programs, *(["bridge", "--no-ros", *words] for words in calls))
+    for parts, result in zip(wanted, results, strict=True):
+        line = refused(result)
+        assert all(part in line for part in parts), line
 
 
 def test_without_ros_installed(programs: list[Program], tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import once
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
+from tests.files import write_anew
 from tests.record import samples
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
@@ -33,7 +34,8 @@ def is_latched(topic: str, _type: str) -> bool:
 
 
 def write(path: Path, entries: Sequence[Entry], chunk_bytes: int = 400, **facts: str) -> Path:
-    writer = SessionWriter(path, {**samples.SESSION, **facts}, chunk_bytes=chunk_bytes, overwrite=True)
+    path.unlink(missing_ok=True)
+    writer = SessionWriter(path, {**samples.SESSION, **facts}, chunk_bytes=chunk_bytes)
     for entry in entries:
         writer.write(entry)
     writer.close({})
@@ -203,7 +205,7 @@ def test_a_damaged_index_makes_no_difference(tmp_path: Path) -> None:
         for at in range(first, first + index.message_index_length, 3):
             damaged = bytearray(sound)
             damaged[at] ^= 1 << at % 8
-            path.write_bytes(damaged)
+            write_anew(path, damaged)
             with SessionFile.open(path) as file:
                 assert found(file, start_ns) == expected
 

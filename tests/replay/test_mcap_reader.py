@@ -20,6 +20,7 @@ from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
+from tests.files import write_anew
 from tests.record import samples
 
 STRING = "std_msgs/msg/String"
@@ -37,7 +38,8 @@ def read(path: Path) -> list[Entry]:
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_session_comes_back(tmp_path: Path, entries: list[Entry], chunk_bytes: int) -> None:
     path = tmp_path / "session.mcap"
-    writer = SessionWriter(path, samples.SESSION, chunk_bytes=chunk_bytes, overwrite=True)
+    path.unlink(missing_ok=True)
+    writer = SessionWriter(path, samples.SESSION, chunk_bytes=chunk_bytes)
     for entry in entries:
         writer.write(entry)
     writer.close({"n": len(entries)})
@@ -197,7 +199,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[Entry]]
 
 def outcome(path: Path, data: bytes) -> list[Entry] | RecordingError:
     """Entries of a file with that content, or how it was refused; any other error is a failure of the test."""
-    path.write_bytes(data)
+    write_anew(path, data)
     try:
         with SessionFile.open(path) as file:
             assert file.session == {**samples.SESSION, "format_version": "1"}

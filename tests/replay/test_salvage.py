@@ -21,6 +21,7 @@ from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.salvage import Report, Salvage
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
+from tests.files import write_anew
 from tests.record import samples
 
 OLD = Path(__file__).parent / "old" / "v1-paper-types.mcap"
@@ -84,7 +85,7 @@ class Outcome:
 
 def read(path: Path, data: bytes | None = None) -> Outcome:
     if data is not None:
-        path.write_bytes(data)
+        write_anew(path, data)
     with Salvage.open(path) as file:
         entries = list(file.entries())
         return Outcome(entries, file.report, file.session)

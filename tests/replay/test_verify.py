@@ -30,6 +30,7 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.simulate.catalogue import SCENARIOS
 from igtl_gateway.simulate.scenario import Scenario
+from tests.files import write_anew
 from tests.gateway.test_guard import pose
 from tests.script import Script
 
@@ -334,7 +335,7 @@ def test_any_bit_of_a_recorded_payload_is_found_in_the_file(tmp_path: Path, caps
             data = bytearray(whole)
             data[at] ^= 1 << at % 8
             path = tmp_path / "bad.mcap"
-            path.write_bytes(data)
+            write_anew(path, data)
             assert main(["verify", str(path)]) == 1
             assert "bad.mcap: entries" in capsys.readouterr().err
 

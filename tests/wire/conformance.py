@@ -20,6 +20,7 @@ from typing import Any
 from igtl_gateway.cli import decode
 from igtl_gateway.stamp import fraction_to_ns
 from igtl_gateway.wire.message import HEADER_VERSIONS
+from tests.files import write_anew
 
 OWN = Path(__file__).with_name("corpus")
 #: Material beside the project, absent where only the project was copied.
@@ -118,7 +119,8 @@ def holds(expected: Any, shown: Any) -> bool:
 def run(case: Case, folder: Path) -> list[Result]:
     """One file through the command line, which writes into ``folder``."""
     source, target = folder / "in.igtl", folder / "out.igtl"
-    source.write_bytes(case.data)
+    write_anew(source, case.data)
+    target.unlink(missing_ok=True)
     parser = argparse.ArgumentParser()
     decode.add_arguments(parser)
     printed = io.StringIO()
