@@ -76,6 +76,9 @@ ENTRY_BYTES = 500
 _WAKE_BYTES = 8 << 20
 _WAKE_ENTRIES = 2_000
 
+#: Payloads from this size on find no room in the last eighth of the bound.
+_LARGE_BYTES = 64 << 10
+
 #: Payloads from this size on may be lent.
 _LENT_BYTES = 64 << 10
 
@@ -129,6 +132,7 @@ class Putter(_End):
     def __init__(self, place: mmap.mmap, max_entries: int, max_bytes: int) -> None:
         super().__init__(place)
         self._max_entries, self._max_bytes = max_entries, max_bytes
+        self._max_large = max_bytes - max_bytes // 8
         self._entries = self._taken = 0
         self._position = self._place = 0  # of the next record
         self._run = (0, 0)  # position and place of the first record since the last mark
@@ -159,7 +163,8 @@ class Putter(_End):
         """Add an entry; False if there is no room for it.  Raises TypeError or the like for what is none.
 
         That a peer came or went finds room beyond the bound, as commands do: without it every later output to the peers
-        would be another one than that of the recording.
+        would be another one than that of the recording.  Large ones give way first: pictures fill a queue in seconds,
+        and what the gateway learns from, such as a query, is small.
         """
         taken = False
         counters = self._counters
@@ -178,7 +183,8 @@ class Putter(_End):
                 stream = _ENTRY
             entries = self._entries - counters[_DONE_ENTRIES]
             waiting = self._taken - counters[_DONE_BYTES] + size + ENTRY_BYTES
-            if (entries < self._max_entries and (waiting <= self._max_bytes or not entries)) or entry.kind is Kind.LINK:
+            most = self._max_bytes if size < _LARGE_BYTES else self._max_large
+            if (entries < self._max_entries and (waiting <= most or not entries)) or entry.kind is Kind.LINK:
                 try:
                     taken = stream < _MAX_STREAMS and self._add(
                         stream, size, (entry.seq, entry.stamp_ns, entry.source_ns), payload, size
@@ -324,6 +330,11 @@ class Getter(_End):
     def refused(self) -> int:
         """Entries for which there was no room."""
         return self._counters[_REFUSED]
+
+    @property
+    def waiting_bytes(self) -> int:
+        """About as much waits to be got."""
+        return self._counters[_HEAD] - self._position
 
     def answer_bell(self) -> None:
         """From here on it may be rung again."""
