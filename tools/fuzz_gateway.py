@@ -65,6 +65,7 @@ from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway.wire.query import Nothing
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Position, Transform
 from tools.fuzz import DAMAGE, EDGES, MAX_FILE, ROOT, Broken, corpus, repaired
@@ -735,7 +736,7 @@ class Seeds:
             for kind in {seed[0] for seed in ros}:
                 if row.topic.endswith(kind[-9:]):
                     topics.setdefault(kind, []).append(row.topic)
-        hello = join(encode(Message("GET_STATUS", "", decode(corpus()[0]).content, header_version=2)))
+        hello = join(encode(Message("GET_STATUS", "", Nothing(), header_version=2)))
         return cls(igtl_seeds(), ros, express_seeds(), ros_express_seeds(ros), topics, hello)
 
 
@@ -754,17 +755,30 @@ def watchdog() -> Iterator[Callable[[], None]]:
         signal.signal(signal.SIGPROF, before)
 
 
+@contextmanager
+def interruptible() -> Iterator[list[int]]:
+    """Gives a list that Ctrl-C, or SIGTERM, puts something into."""
+    stop: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda number, _frame: stop.append(number)) for number in numbers]
+    try:
+        yield stop
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
 def _arm(seconds: float) -> None:
     signal.setitimer(signal.ITIMER_PROF, seconds)
 
 
 def run(seed: int, messages: int, say: Callable[[str], None] = lambda line: None, every_s: float = 60.0) -> Figures:
-    """Stages in turn until so many bent messages were sent, or one breaks something."""
+    """Stages in turn until so many bent messages were sent, one breaks something, or Ctrl-C ends it between rounds."""
     figures, rng = Figures(), Random(seed)
     seeds = Seeds.load()
     began, cpu = time.monotonic(), time.process_time()
     stage: Stage | None = None
-    with warnings.catch_warnings(), watchdog() as fed:
+    with warnings.catch_warnings(), watchdog() as fed, interruptible() as stop:
         warnings.simplefilter("error", RuntimeWarning)  # numpy must not talk to the user's console
         try:
             fed()
@@ -772,7 +786,7 @@ def run(seed: int, messages: int, say: Callable[[str], None] = lambda line: None
             old.begin()
             stage = young = Stage(0, rng, figures, seeds)
             renew, look, said = YOUNG, 0, began
-            while figures.bent < messages:
+            while figures.bent < messages and not stop:
                 fed()
                 if figures.bent >= renew:
                     stage = young
