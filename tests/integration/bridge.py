@@ -137,10 +137,11 @@ class Bridge(Program):
         port: where it listens; 0 without a server.
     """
 
-    def __init__(self, *arguments: str, listen: bool = True, **changes: str) -> None:
+    def __init__(self, *arguments: str, listen: bool = True, within: Sequence[str] = (), **changes: str) -> None:
+        """``within``: a program that runs it, and its arguments."""
         self.events: list[Event] = []
         where = ["--listen", "127.0.0.1:0"] if listen else []
-        command = [sys.executable, "-m", "igtl_gateway", "bridge", "--json", *where, *arguments]
+        command = [*within, sys.executable, "-m", "igtl_gateway", "bridge", "--json", *where, *arguments]
         super().__init__(command, environment(**changes))
         try:
             (started,) = self.wait_events(lambda event: event["event"] == "started", "start")
@@ -184,13 +185,15 @@ class RosClient(Program):
         subscribe: dict[str, str] | None = None,
         advertise: dict[str, str] | None = None,
         domain: int = DOMAIN,
+        within: Sequence[str] = (),
+        **changes: str,
     ) -> None:
-        """``subscribe`` and ``advertise``: type by topic, done when this returns."""
+        """``subscribe`` and ``advertise``: type by topic, done when this returns; ``within`` as for ``Bridge``."""
         self._answers: queue.Queue[dict[str, Any]] = queue.Queue()
         self._pending: list[tuple[str, Any]] = []
         script = str(Path(__file__).with_name("ros_client.py"))
-        env = environment(ROS_DOMAIN_ID=str(domain))
-        super().__init__([sys.executable, script, name], env, stdin=subprocess.PIPE)
+        env = environment(ROS_DOMAIN_ID=str(domain), **changes)
+        super().__init__([*within, sys.executable, script, name], env, stdin=subprocess.PIPE)
         for topic, kind in (subscribe or {}).items():
             self.subscribe(topic, kind)
         for topic, kind in (advertise or {}).items():
@@ -230,6 +233,11 @@ class RosClient(Program):
         with self._changed:
             index = next(index for index, (name, _) in enumerate(self._pending) if name == topic)
             return self._pending.pop(index)[1]
+
+    def received(self, topic: str) -> list[Any]:
+        """All messages of that topic that were received and not asked for."""
+        with self._changed:
+            return [message for name, message in self._pending if name == topic]
 
     def waiting(self, topic: str) -> int:
         """Messages of that topic that were received and not asked for."""
