@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -27,6 +28,7 @@ from igtl_gateway.stamp import NS_PER_S
 _STARTS = 5
 _START_S = 120.0
 _RECORDED_S = 10  # seconds of the mixed load, of the recorded session
+_LARGE_BYTES, _HEAD_BYTES = 100_000, 200  # of messages that are made noise of, and what stays of them
 _QUEUED_BYTES = 64 << 20  # a quarter of what the recorder's queue holds
 _REPLAYED = {"transform": 20_000, "image-fullhd": 30}
 _STAR_S = 12.0  # what the scenario lasts
@@ -82,13 +84,33 @@ def start_up(shop: Workshop) -> list[Row]:
 
 
 def recording(shop: Workshop) -> list[Row]:
-    """The mixed load, through the recorder alone, as fast as it writes: until the file is closed."""
-    shop.tell("recording")
+    """The mixed load through the recorder alone, as fast as it writes: from the first entry until the file is closed.
+
+    Twice, for it depends on what becomes smaller: nothing does of a picture with the noise of a camera.
+    """
     second = list(_mixed_second(shop.clock))
+    noise = np.random.default_rng(1)
+    rows = []
+    for what, entries in (("mixed", second), ("mixed, noise", [_noisy(entry, noise) for entry in second])):
+        shop.tell(f"recording {what}")
+        rows.append({"case": "recording", "what": what} | _recorded(shop, entries))
+    return rows
+
+
+def _noisy(entry: Entry, noise: np.random.Generator) -> Entry:
+    """A large message with other content, which cannot be compressed."""
+    if entry.size < _LARGE_BYTES:
+        return entry
+    return replace(entry, payload=(entry.data()[:_HEAD_BYTES] + noise.bytes(entry.size - _HEAD_BYTES),))
+
+
+def _recorded(shop: Workshop, second: Sequence[Entry]) -> Row:
+    """How fast the entries of a second are recorded, again and again."""
     path = shop.folder / "throughput.mcap"
     rest = threading.Event()
-    begun_ns = shop.clock.monotonic_ns()
     recorder = _recorder(path, Config(), shop.clock)
+    begun_ns = shop.clock.monotonic_ns()
+    before = Usage.of(os.getpid())
     seq, stamp_ns = 0, shop.clock.utc_ns()
     for _ in range(_RECORDED_S):
         for entry in second:
@@ -97,19 +119,22 @@ def recording(shop: Workshop) -> list[Row]:
             if not seq % 64:
                 while recorder.counters()["queued_bytes"] > _QUEUED_BYTES:
                     rest.wait(0.002)
+    while recorder.counters()["queued_bytes"]:
+        rest.wait(0.002)
+    after = Usage.of(os.getpid())
     summary = recorder.close({})
     seconds = (shop.clock.monotonic_ns() - begun_ns) / NS_PER_S
     path.unlink()
-    return [
-        {
-            "case": "recording",
-            "entries": summary.entries,
-            "dropped": sum(summary.dropped.values()),
-            "entries_per_s": round(summary.entries / seconds),
-            "mb_per_s": round(_RECORDED_S * sum(entry.size for entry in second) / seconds / 1e6, 1),
-            "times_mixed_load": round(_RECORDED_S / seconds, 2),
-        }
-    ]
+    return {
+        "entries": summary.entries,
+        "dropped": sum(summary.dropped.values()),
+        "entries_per_s": round(summary.entries / seconds),
+        "mb_per_s": round(_RECORDED_S * sum(entry.size for entry in second) / seconds / 1e6, 1),
+        "times_mixed_load": round(_RECORDED_S / seconds, 2),
+        # at the rate of the mixed load: of who gives and of who writes
+        "gateway_cpu_percent": round(100 * (after.cpu_s - before.cpu_s) / _RECORDED_S, 1),
+        "recorder_cpu_percent": round(100 * (after.children_cpu_s - before.children_cpu_s) / _RECORDED_S, 1),
+    }
 
 
 def replay(shop: Workshop) -> list[Row]:

@@ -27,10 +27,13 @@ def test_what_is_recorded_verifies(tmp_path: Path) -> None:
 
 
 def test_recording(shop: Workshop) -> None:
-    (row,) = WORKS["recording"].run(shop)
-    assert row["dropped"] == 0
-    assert row["entries"] > 2 * 2 * 1060  # in and out, both ways
-    assert row["entries_per_s"] > 0 and row["times_mixed_load"] > 0
+    rows = WORKS["recording"].run(shop)
+    assert [row["what"] for row in rows] == ["mixed", "mixed, noise"]
+    for row in rows:
+        assert row["dropped"] == 0
+        assert row["entries"] > 2 * 2 * 1060  # in and out, both ways
+        assert row["entries_per_s"] > 0 and row["times_mixed_load"] > 0
+        assert row["gateway_cpu_percent"] > 0 and row["recorder_cpu_percent"] > 0
 
 
 def test_replay(shop: Workshop) -> None:
