@@ -38,6 +38,7 @@ verification use what was in force that day.
     frames = ["tool"]
     base = "base_link"
     device = "Tool"                # default: toolTobase_link
+    max_age_s = 0.5                # as above; of a chain its oldest transform counts
 
     [[peers]]                      # which peer is what
     at = "127.0.0.1:18945"         # its address, or the one that it connects to
@@ -135,6 +136,7 @@ class TfOutRow(_Row):
     base: str = ""
     device: str = ""
     type: str = ""
+    max_age_s: float = 0.0
 
     def request(self, place: str = "tf_out") -> TfRequest:
         """What is asked of the tf tree.  Raises ConfigError, naming ``place``."""
@@ -206,6 +208,7 @@ class Config:
             raise ConfigError(f"gateway.max_streams: found {self.max_streams}, expected 1 or more")
         ages = [(f"to_igtl[{index}]", sent.max_age_s) for index, sent in enumerate(self.to_igtl)]
         ages += [(f"to_ros[{index}]", shown.max_age_s) for index, shown in enumerate(self.to_ros)]
+        ages += [(f"tf_out[{index}]", frames.max_age_s) for index, frames in enumerate(self.tf_out)]
         for place, age_s in ages:
             if not 0.0 <= age_s <= MAX_AGE_S:
                 raise ConfigError(f"{place}.max_age_s: found {age_s:g}, expected 0 (any age) to {MAX_AGE_S:g}")

@@ -17,7 +17,7 @@ from functools import lru_cache
 from typing import Any
 
 from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.config import MAX_TIMEOUT_S, Config
+from igtl_gateway.config import MAX_TIMEOUT_S, Config, TfOutRow
 from igtl_gateway.convert import commands as command_conversions
 from igtl_gateway.convert.assembly import VolumeAssembler
 from igtl_gateway.convert.common_msgs import PoseStamped, TFMessage
@@ -77,8 +77,9 @@ MAX_VOLUMES = 64
 #: What all of them may keep, in bytes: several times the largest volumes of the field (250 MiB).
 MAX_VOLUMES_BYTES = 2 << 30
 
-#: Things that are said once: a peer that invents names must fill neither the memory nor the log.
-MAX_SAID = 10_000
+#: Things that are said once, of each link: a peer that invents names must fill neither the memory nor the log, and
+#: what others do is told all the same.
+MAX_SAID = 2_000
 
 #: What the ledger says of messages whose way was a good one.
 _CONVERTED, _UNHEARD = "converted", "unheard"
@@ -483,7 +484,9 @@ class Gateway:
                 outs = [out for out in outs if out.stamp_ns >= least_ns]
             (native if stream.conversion.igtl_type == igtl_type else other).extend(outs)
         native += [
-            out for out in self._tf.latest() if out.igtl_type == igtl_type and device in ("", out.device, out.full_name)
+            out
+            for out in self._tf.latest(cause.stamp_ns - self._guard.ahead_ns)
+            if out.igtl_type == igtl_type and device in ("", out.device, out.full_name)
         ]
         return native or other
 
@@ -743,8 +746,16 @@ class Gateway:
 
     def _send_frames(self, entry: Entry, message: TFMessage, *, static: bool) -> list[Reply]:
         """What a change of the tf tree sends out."""
-        changed, refused = self._tf.update(message, static, entry.stamp_ns)
-        replies = [note(Level.ERROR, "conversion", f"not sent: {text}", entry.channel) for text in refused]
+        stale: list[Reply] = []
+
+        def is_stale(row: TfOutRow, frame: str, stamp_ns: int) -> bool:
+            watched = self._guard.of(0, f"frame {frame} in {row.base}", row.max_age_s)
+            withheld, findings = watched.judge(entry.stamp_ns, stamp_ns) if watched else (False, [])
+            stale.extend(_found(entry, finding) for finding in findings)
+            return withheld
+
+        changed, refused = self._tf.update(message, static, entry.stamp_ns, is_stale)
+        replies = stale + [note(Level.ERROR, "conversion", f"not sent: {text}", entry.channel) for text in refused]
         lengths = {out.channel: lengths for out, lengths in changed}
         outs = [out for out, _ in changed]
         replies += self._each(
@@ -781,16 +792,24 @@ class Gateway:
             self.ledger.drop(_ROS_IN, topic, "denied")
             text = f"{topic} is not sent: {igtl_type} is denied (deny_out)"
             return self._once(entry, Level.WARN, "denied", text, f"{topic} {igtl_type}")
+        found: list[Reply] = []
+        row = self.config.row_to_igtl(topic)
+        if row and row.max_age_s and (watched := self._guard.of(0, topic, row.max_age_s)):
+            own_ns = ticks_to_ns(header.ticks)
+            withheld, found = self._looked_at(entry, watched, own_ns, own_ns or entry.stamp_ns, None)
+            if withheld:
+                self.ledger.drop(_ROS_IN, topic, STALE)
+                return found
         wanted = {int(link) for link in raw.links}
         peers = [peer for peer in self._peers.all() if not wanted or peer.link in wanted]
         links = [peer.link for peer in peers if header.version <= peer.version and peer.profile.may_send(igtl_type)]
         if not links:
             self.ledger.drop(_ROS_IN, topic, "no_peer" if not peers else "not_for_peer")
-            return []
+            return found
         self.ledger.count(_ROS_IN, topic, "converted")
         channel = f"{igtl_type}/{visible(header.device_name)}"
         self._count_sent(channel, links)
-        return [Reply(Kind.IGTL_OUT, channel, igtl_type, (data,), tuple(links), ticks_to_ns(header.ticks))]
+        return [Reply(Kind.IGTL_OUT, channel, igtl_type, (data,), tuple(links), ticks_to_ns(header.ticks)), *found]
 
     def _denied_raw(self, igtl_type: str, data: Buffer) -> bool:
         """Whether a whole message may not go out; a BIND that cannot be looked into may not."""
@@ -961,7 +980,7 @@ class Gateway:
     def _once(self, entry: Entry, level: Level, code: str, text: str, about: str, link: int = 0) -> list[Reply]:
         """A note, but only the first of its kind about this (from this link): the log is for what is new."""
         said = self._said.setdefault(link, set())
-        if (code, about) in said or sum(map(len, self._said.values())) >= MAX_SAID:
+        if (code, about) in said or len(said) >= MAX_SAID:
             return []
         said.add((code, about))
         return [note(level, code, text, entry.channel, entry.links)]

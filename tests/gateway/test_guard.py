@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 
 from igtl_gateway.buffers import join
-from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.config import Config, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
+from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.gateway import LINK_UP, Gateway, Session, guard
 from igtl_gateway.gateway.guard import CODES, STILL_LOOKS, is_unit_jump
 from igtl_gateway.qos import Qos
@@ -19,7 +21,7 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message, encode
-from igtl_gateway.wire.query import Nothing
+from igtl_gateway.wire.query import Nothing, StartTracking
 from igtl_gateway.wire.transform import Transform
 from tests.script import T0_NS, Script
 
@@ -33,6 +35,10 @@ def pose(stamp_ns: int, place: tuple[float, float, float] = (100.0, 200.0, 300.0
 
 def tool(stamp_ns: int) -> rosmsg.TransformStamped:
     return rosmsg.TransformStamped(rosmsg.Header(stamp_ns, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
+
+
+def tf_of(parent: str, child: str, stamp_ns: int, x: float = 0.1) -> TFMessage:
+    return TFMessage((FrameTransform(rosmsg.Header(stamp_ns, parent), child, (x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)),))
 
 
 # -- maximum age --------------------------------------------------------------------------------------------------
@@ -94,6 +100,73 @@ def test_senders_are_judged_by_the_hosts_clock_also_where_gateway_time_is_ahead_
     ]
     watched = dict(script.gateway.guard.items())[1, "TRANSFORM/Tool"]
     assert abs(watched.timing.most_ns) < 10 * NS_PER_S, "what was known of its clock before the step is forgotten"
+
+
+def test_a_frame_that_is_too_old_is_left_out_and_the_others_go_on() -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("a", "b"), base="base", device="Tools", max_age_s=0.5),)))
+    script.up(1)
+
+    def names() -> list[str]:
+        return [element["name"] for message in script.sent() for element in message.content.describe()["elements"]]
+
+    script.ros("/tf_static", tf_of("base", "mount", 0))
+    assert script.ros("/tf", tf_of("mount", "a", script.now_ns)) == ["igtl TDATA/Tools v1 to 1"]
+    script.ros("/tf", tf_of("mount", "b", script.now_ns))
+    assert names() == ["a", "b"]
+    script.now_ns += NS_PER_S
+    said = script.ros("/tf", tf_of("mount", "a", script.now_ns, x=0.2))
+    assert said == ["note stale", "igtl TDATA/Tools v1 to 1"] and names() == ["a"]
+    assert "frame b in base is stale: 1.0" in script.notes[0].text
+    script.now_ns += NS_PER_S
+    late = script.ros("/tf", tf_of("mount", "a", script.now_ns - NS_PER_S // 2 - 10**8, x=0.3))
+    assert late == ["note stale"], "nothing is left to be sent"
+    assert "note query_unanswered" in script.igtl(Message("GET_TDATA", "Tools", Nothing())), "it is old by now"
+    said = script.ros("/tf", tf_of("mount", "b", script.now_ns, x=0.4))
+    assert said == ["note fresh", "igtl TDATA/Tools v1 to 1"] and names() == ["b"]
+    assert "note query_unanswered" not in script.igtl(Message("GET_TDATA", "Tools", Nothing()))
+    assert names() == ["b"]
+
+
+def test_frames_that_do_not_move_have_no_age() -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("a",), base="base", max_age_s=0.5),)))
+    script.up(1)
+    assert script.ros("/tf_static", tf_of("base", "a", 0)) == ["igtl TRANSFORM/aTobase v1 to 1"]
+    script.now_ns += NS_PER_S
+    assert "igtl TRANSFORM/aTobase v1 to 1" in script.igtl(Message("GET_TRANS", "aTobase", Nothing()))
+
+
+def test_a_raw_message_has_the_age_of_its_own_stamp() -> None:
+    script = Script(Config(to_igtl=(ToIgtlRow(max_age_s=0.5),)))
+    script.up(1)
+
+    def raw(stamp_ns: int) -> list[str]:
+        data = join(encode(pose(stamp_ns)))
+        return script.ros("/igtl/out/Any/raw", raw_message(data, script.now_ns, 1))
+
+    assert raw(script.now_ns) == ["igtl TRANSFORM/Tool v1 to 1"]
+    assert raw(script.now_ns - NS_PER_S) == ["note stale"]
+    assert raw(script.now_ns) == ["igtl TRANSFORM/Tool v1 to 1", "note fresh"]
+    assert raw(0) == ["igtl TRANSFORM/Tool v1 to 1", "note age_unknown"]
+    assert script.gateway.ledger.to_dict()["ros_in"]["/igtl/out/Any/raw"]["dropped"] == {"stale": 1}
+
+
+def test_tracking_data_is_put_together_of_fresh_poses_only() -> None:
+    script = Script(Config(to_igtl=(ToIgtlRow(max_age_s=0.5),)))
+    script.up(1)
+    script.igtl(Message("STT_TDATA", "", StartTracking(0)))
+    script.ros("/igtl/out/Probe", tool(script.now_ns))
+
+    def needle(age_ns: int = 0) -> list[str]:
+        script.ros("/igtl/out/Needle", tool(script.now_ns - age_ns))
+        told = [message for message in script.sent() if message.type == "TDATA"]
+        return [element["name"] for message in told for element in message.content.describe()["elements"]]
+
+    assert needle() == ["Probe", "Needle"]
+    script.now_ns += NS_PER_S
+    assert needle() == ["Needle"], "of the probe there is nothing new"
+    script.ros("/igtl/out/Probe", tool(script.now_ns))
+    assert needle() == ["Probe", "Needle"]
+    assert needle(NS_PER_S) == [], "what is withheld is no reason to tell anything"
 
 
 def test_without_stamps_there_is_no_age_which_is_said_once() -> None:
