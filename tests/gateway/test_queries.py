@@ -346,3 +346,5 @@ def test_a_peer_that_invents_names_fills_no_memory(monkeypatch: pytest.MonkeyPat
     lines = [line for name in "abcde" for line in script.igtl(query("GET_TRANS", name))]
     assert lines.count("note query_unanswered") == 3
     assert sum(line.startswith("igtl STATUS") for line in lines) == 5, "each is answered all the same"
+    script.up(2)
+    assert "note query_unanswered" in script.igtl(query("GET_TRANS", "f"), 2), "and others are told of"
