@@ -30,6 +30,11 @@ from igtl_gateway.record.worker import Settings, work
 #: The bridge goes first where there is not processor time enough for both; the queue bridges that.
 _NICENESS = 5
 
+#: Linux may give each session of processes the same share, whatever their niceness; this is that of the session.
+_SESSION_NICENESS = Path("/proc/self/autogroup")
+#: Everybody together may change it ten times a second.  As long as the recorder keeps up it goes behind all others.
+_BEHIND, _LEVEL = 10, 0
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -136,7 +141,21 @@ def main() -> None:
         except OSError as error:
             connection.send(f"cannot record to {settings.path}: no memory for its queue: {error.strerror}")
             return
-        work(settings, queue, connection, SystemClock(), lambda: os.getppid() != bridge)
+        work(settings, queue, connection, SystemClock(), lambda: os.getppid() != bridge, _rank)
+
+
+def _rank(hurried: bool) -> bool:
+    """See to it that the bridge, and all else, goes first, or not; False if that is to be tried again.
+
+    Where the system does not know of sessions, the niceness of the process is all there is.
+    """
+    try:
+        _SESSION_NICENESS.write_text(str(_LEVEL if hurried else _BEHIND))
+    except BlockingIOError:  # it was changed just now
+        return False
+    except OSError:
+        pass
+    return True
 
 
 if __name__ == "__main__":

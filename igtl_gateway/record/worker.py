@@ -43,6 +43,10 @@ PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
 _LOOK_S = 0.05
 _LOOK_NS = 50_000_000
 _NOTE_NS = 1_000_000_000
+#: The worker is in a hurry where more than the first part of the queue's bound waits, until it is the second.
+_HURRY_PART, _CALM_PART = 8, 64
+#: Also where that took longer which should take less than two looks: others leave it too little time.
+_LATE_NS = 200_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,15 +122,21 @@ class State:
 
 
 def work(
-    settings: Settings, queue: Getter, pipe: Connection, clock: Clock, orphaned: Callable[[], bool] = lambda: False
+    settings: Settings,
+    queue: Getter,
+    pipe: Connection,
+    clock: Clock,
+    orphaned: Callable[[], bool] = lambda: False,
+    rank: Callable[[bool], bool] = lambda hurried: True,
 ) -> None:
     """Record until the other end says so or is gone.  Says first whether the file could be created.
 
-    ``orphaned`` tells that the bridge is gone though the pipe is open: whom it has forked has that, too.
+    ``orphaned`` tells that the bridge is gone though the pipe is open: whom it has forked has that, too.  ``rank`` is
+    told whether the worker is in a hurry, which it is at first, whenever that changes, and again if it could not help.
     """
     worker, refused = None, ""
     try:
-        worker = _Worker(settings, queue, pipe, clock, orphaned)
+        worker = _Worker(settings, queue, pipe, clock, orphaned, rank)
     except RecordingError as error:
         refused = str(error)
     with suppress(OSError):  # gone already: the file is closed like any other
@@ -162,10 +172,20 @@ class _Gone(Exception):
 
 class _Worker:
     def __init__(
-        self, settings: Settings, queue: Getter, pipe: Connection, clock: Clock, orphaned: Callable[[], bool]
+        self,
+        settings: Settings,
+        queue: Getter,
+        pipe: Connection,
+        clock: Clock,
+        orphaned: Callable[[], bool],
+        rank: Callable[[bool], bool],
     ) -> None:
         self._settings = settings
         self._orphaned = orphaned
+        self._rank = rank
+        self._hurried = True
+        self._empty_ns = clock.monotonic_ns()  # when the queue was empty
+        self._late_ns = 0  # since it was so before
         self.options = settings.options
         self._session = dict(settings.session) | settings.options.selection.facts()
         if self.options.custom:
@@ -241,6 +261,7 @@ class _Worker:
             self._fail(self._writer.why)
         while self._ledger is None and not self._gone:
             self._guarded(self._round)
+        self._hurry(True)
         if self._ledger is None:  # what it left behind
             self._guarded(self._drain)
         self._finish()
@@ -352,6 +373,8 @@ class _Worker:
             # what time brings, between any two entries: if the disk is too slow, there is always another one
             if monotonic_ns() >= self._due_ns or queue.refused != self._seen_refused:
                 self._see_to()
+        now_ns = monotonic_ns()
+        self._late_ns, self._empty_ns = now_ns - self._empty_ns, now_ns
         return some
 
     def _see_to(self) -> None:
@@ -363,7 +386,16 @@ class _Worker:
         if now_ns - self._stated_ns >= _LOOK_NS:
             self._stated_ns = now_ns
             self._tell_state()
+            if self._ledger is None:
+                part = _CALM_PART if self._hurried else _HURRY_PART
+                late_ns = max(self._late_ns, now_ns - self._empty_ns)
+                self._hurry(late_ns > _LATE_NS or self._queue.waiting_bytes > self.options.queue_bytes // part)
         self._due_ns = min(self._flushed_ns + self._flush_ns, self._stated_ns + _LOOK_NS)
+
+    def _hurry(self, hurried: bool) -> None:
+        """Go behind all others, as long as that does not cost entries."""
+        if hurried != self._hurried and self._rank(hurried):
+            self._hurried = hurried
 
     def _obey(self, command: str, *words: Any) -> None:
         match command:

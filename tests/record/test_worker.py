@@ -1,0 +1,111 @@
+"""The worker goes behind others as long as it keeps up."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from itertools import count
+from multiprocessing import Pipe
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.clock import Clock, SystemClock
+from igtl_gateway.record.host import Place, in_process
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.shared_queue import Getter, Putter, memory
+from igtl_gateway.record.worker import Settings, work
+from tests.record import samples
+
+DEADLINE_S = 60
+QUEUE_BYTES = 1 << 20
+
+
+class Hasty:
+    """A clock by which so much time passes between two looks that all is due."""
+
+    def __init__(self) -> None:
+        self._now = count(1)
+
+    def monotonic_ns(self) -> int:
+        return next(self._now) * 50_000_000
+
+    def utc_ns(self) -> int:
+        return samples.START_NS
+
+
+def test_it_is_in_a_hurry_while_much_waits(tmp_path: Path) -> None:
+    told: list[tuple[bool, int]] = []
+    calm = threading.Event()
+
+    def host(settings: Settings, clock: Clock) -> Place:
+        ours, theirs = Pipe()
+        place = memory(QUEUE_BYTES, QUEUE_BYTES)
+        getter, putter = Getter(place), Putter(place, 1000, QUEUE_BYTES)
+
+        def rank(hurried: bool) -> bool:
+            told.append((hurried, putter.waiting[1]))
+            if told[1:] == []:
+                return False  # try again
+            if len(told) == 2:
+                for seq in range(1, 41):
+                    assert putter.put(samples.igtl(seq, body=bytes(10_000)))
+            elif not hurried:
+                calm.set()
+            return True
+
+        thread = threading.Thread(target=work, args=(settings, getter, theirs, clock, lambda: False, rank))
+        thread.start()
+
+        def wait() -> str:
+            thread.join(DEADLINE_S)
+            theirs.close()
+            return "its end"
+
+        return Place(ours, putter, wait)
+
+    recorder = Recorder(
+        tmp_path / "a.mcap",
+        samples.SESSION,
+        qos_of=lambda *_: None,
+        on_note=lambda note: None,
+        clock=Hasty(),
+        options=RecordOptions(queue_bytes=QUEUE_BYTES),
+        host=host,
+    )
+    assert calm.wait(DEADLINE_S)
+    assert recorder.close({}).entries == 40
+    assert [hurried for hurried, _ in told] == [False, False, True, False, True]
+    assert told[2][1] > QUEUE_BYTES // 8 > 20_000 > told[3][1]
+
+
+@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="this system does not know sessions' niceness")
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc")
+def test_its_session_goes_behind_others(tmp_path: Path) -> None:
+    def sessions() -> dict[int, str]:
+        found = {}
+        for path in Path("/proc").glob("[0-9]*/autogroup"):
+            try:
+                if f"{tmp_path}" in path.with_name("environ").read_text(errors="replace"):
+                    found[int(path.parent.name)] = path.read_text().split()[-1]
+            except OSError:  # it has ended
+                pass
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", str(tmp_path))  # to find the process by
+        recorder = Recorder(
+            tmp_path / "a.mcap",
+            samples.SESSION,
+            qos_of=lambda *_: None,
+            on_note=lambda note: None,
+            clock=SystemClock(),
+            host=in_process,
+        )
+    rest, looks = threading.Event(), 0
+    while list(sessions().values()) != ["10"] and looks < DEADLINE_S * 20:
+        rest.wait(0.05)
+        looks += 1
+    assert list(sessions().values()) == ["10"]
+    recorder.close({})
