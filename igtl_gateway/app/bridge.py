@@ -308,7 +308,9 @@ class Bridge:
         recorder = self.recorder.counters() if self.recorder else None
         try:
             streams, watched = self.gateway.ledger.to_dict(), self.gateway.guard.items()
-            told = diagnostics.array(self._clock.utc_ns(), streams, watched, peers, recorder)
+            told = diagnostics.array(
+                self._clock.utc_ns(), self._clock.monotonic_ns(), streams, watched, peers, recorder
+            )
             self.ros.publish(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, told.pack(), _DIAGNOSTICS)
         except Exception as error:  # a defect of ours must not cost the deadlines that this thread keeps
             self._diagnostics = None

@@ -68,6 +68,7 @@ class Diagnostics:
 
     def array(
         self,
+        utc_ns: int,
         now_ns: int,
         streams: Mapping[str, Mapping[str, Any]],
         watched: Iterable[tuple[tuple[int, str], Watched]],
@@ -77,7 +78,8 @@ class Diagnostics:
         """The message for this moment.
 
         Args:
-            now_ns: UTC ns.
+            utc_ns: of the message.
+            now_ns: on a clock that nobody sets.
             streams: the ledger, as ``Ledger.to_dict`` gives it.
             watched: (link, stream) and what the guard knows of it.
             peers: those that are there.
@@ -95,10 +97,18 @@ class Diagnostics:
         rows = [(side, stream, fates) for side in _SIDES for stream, fates in streams.get(side, {}).items()]
         for side, stream, fates in rows[:MAX_STREAMS]:
             statuses.append(self._stream(now_ns, seconds, side, stream, fates, by_stream.get((side, stream), [])))
+        rowless = [(key[1], ones) for key, ones in by_stream.items() if key[1] not in streams.get(key[0], {})]
+        statuses += [self._frame(stream, ones) for stream, ones in rowless[:MAX_STREAMS]]
         if len(rows) > MAX_STREAMS:
             text = f"{len(rows) - MAX_STREAMS:,} further streams have no status"
             statuses.append(DiagnosticStatus(WARN, "igtl_gateway: further streams", text, self._hardware_id))
-        return DiagnosticArray(Header(now_ns, ""), tuple(statuses))
+        return DiagnosticArray(Header(utc_ns, ""), tuple(statuses))
+
+    def _frame(self, stream: str, watched: list[Watched]) -> DiagnosticStatus:
+        """What is judged by its age, but no stream of the ledger: a frame of the tf tree, a message inside another."""
+        stale = sum(one.stale for one in watched)
+        level, text = (ERROR, f"stale: withheld {stale:,} times so far (max_age_s)") if stale else (OK, "fresh")
+        return DiagnosticStatus(level, f"igtl_gateway: {stream}", text, self._hardware_id)
 
     def _stream(
         self, now_ns: int, seconds: float, side: str, stream: str, fates: Mapping[str, Any], watched: list[Watched]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.config import Config, ToRosRow
+from igtl_gateway.config import Config, TfOutRow, ToRosRow
 from igtl_gateway.convert.common_msgs import DiagnosticArray
 from igtl_gateway.convert.rosmsg import DiagnosticStatus
 from igtl_gateway.gateway.diagnostics import ERROR, MAX_STREAMS, OK, STALE, WARN, Diagnostics, PeerFacts
 from igtl_gateway.stamp import NS_PER_S
-from tests.gateway.test_guard import pose
+from tests.gateway.test_guard import pose, tf_of
 from tests.script import Script
 
 STREAM = "igtl_gateway: OpenIGTLink TRANSFORM/Tool"
@@ -23,12 +23,14 @@ class Told:
         self.diagnostics = Diagnostics("host")
         self.peers: list[PeerFacts] = []
         self.recorder: dict[str, Any] | None = None
+        self.set_ns = 0  # by how much the host's clock was set
 
     def __call__(self) -> dict[str, DiagnosticStatus]:
         """The statuses by name, as a subscriber reads them; then a second passes."""
         gateway = self.script.gateway
         streams, watched = gateway.ledger.to_dict(), gateway.guard.items()
-        array = self.diagnostics.array(self.script.now_ns, streams, watched, self.peers, self.recorder)
+        utc_ns = self.script.now_ns + self.set_ns
+        array = self.diagnostics.array(utc_ns, self.script.now_ns, streams, watched, self.peers, self.recorder)
         assert DiagnosticArray.unpack(array.pack()) == array
         self.script.now_ns += NS_PER_S
         return {status.name: status for status in array.status}
@@ -52,6 +54,28 @@ def test_a_stream_is_ok_then_stale_then_silent() -> None:
     for _ in range(3):
         told.script.igtl(pose(told.script.now_ns))
     assert [told()[STREAM].level for _ in range(8)] == [OK] * 5 + [STALE] * 3
+
+
+def test_a_host_whose_clock_is_set_knows_all_the_same_how_long_a_stream_is_silent() -> None:
+    told = Told(Config(watch=True))
+    told()
+    for _ in range(10):
+        told.script.igtl(pose(told.script.now_ns))
+    told()
+    told.set_ns = -3600 * NS_PER_S
+    assert [told()[STREAM].level for _ in range(7)] == [OK] * 4 + [STALE] * 3
+    told.set_ns = 3600 * NS_PER_S
+    told.script.igtl(pose(told.script.now_ns))
+    (status,) = [each for each in told().values() if each.name == STREAM]
+    assert status.level == OK and dict(status.values)["silent_s"] == "0.0"
+
+
+def test_a_frame_that_is_withheld_is_an_error() -> None:
+    told = Told(Config(tf_out=(TfOutRow(frames=("a",), base="base", max_age_s=0.5),)))
+    told.script.ros("/tf", tf_of("base", "a", told.script.now_ns))
+    assert told()["igtl_gateway: frame a in base"].level == OK
+    told.script.ros("/tf", tf_of("base", "a", told.script.now_ns - NS_PER_S))
+    assert told()["igtl_gateway: frame a in base"].level == ERROR
 
 
 def test_what_is_lost_is_an_error_once_and_what_nobody_wants_is_none() -> None:
@@ -85,6 +109,6 @@ def test_peers_and_the_recorder_have_statuses() -> None:
 
 def test_more_streams_than_anybody_reads_are_told_as_one() -> None:
     streams = {"ros_in": {f"/t{number}": {"received": 1} for number in range(MAX_STREAMS + 5)}}
-    array = Diagnostics("host").array(NS_PER_S, streams, [], [], None)
+    array = Diagnostics("host").array(NS_PER_S, NS_PER_S, streams, [], [], None)
     assert len(array.status) == MAX_STREAMS + 2
     assert (array.status[-1].level, array.status[-1].message) == (WARN, "5 further streams have no status")
