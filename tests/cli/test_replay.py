@@ -26,6 +26,7 @@ from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import once, select
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.stamp import ticks_to_ns
+from tests.several import outcomes
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 STAR, TYPES = FIXTURES / "star.mcap", FIXTURES / "paper-types.mcap"
@@ -259,12 +260,12 @@ def test_damage_in_the_middle_ends_a_replay_with_one_line(tmp_path: Path) -> Non
     assert err.count("\n") == 1 and str(path) in err
 
 
-@pytest.mark.parametrize("arguments", [("--rate", "0"), ("--rate", "-2"), ("--wait-peers", "-1")])
-def test_impossible_options_are_usage(arguments: tuple[str, str]) -> None:
-    with replay(str(TYPES), "--to", "igtl", *arguments) as process:
-        _, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 2
-    assert err.count("\n") == 1 and arguments[0] in err
+def test_impossible_options_are_usage() -> None:
+    wrong = [("--rate", "0"), ("--rate", "-2"), ("--wait-peers", "-1")]
+    found = outcomes([["replay", str(TYPES), "--to", "igtl", *arguments] for arguments in wrong])
+    for arguments, outcome in zip(wrong, found, strict=True):
+        assert outcome.code == 2, arguments
+        assert outcome.err.count("\n") == 1 and arguments[0] in outcome.err
 
 
 def messages(data: bytes) -> list[bytes]:
@@ -415,20 +416,17 @@ def test_keys_of_a_terminal() -> None:
         os.close(ours)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("--start", "soon"), "--start: found 'soon'"),
-        (("--start", "9999"), "--start: found +9999.000 s"),
-        (("--start", "1", "--end", "0.5"), "--end"),
-        (("--duration", "0"), "--duration"),
-        (("--delay", "-1"), "--delay"),
-        (("--clock",), "--clock: found --to igtl"),
-        (("--start-paused",), "needs a terminal"),
-    ],
-)
-def test_what_cannot_be_is_said_before_anything_is_sent(arguments: tuple[str, ...], named: str) -> None:
-    with replay(str(TYPES), "--to", "igtl", "--listen", ":0", *arguments) as process:
-        _, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 2
-    assert err.count("\n") == 1 and named in err
+def test_what_cannot_be_is_said_before_anything_is_sent() -> None:
+    wrong = {
+        ("--start", "soon"): "--start: found 'soon'",
+        ("--start", "9999"): "--start: found +9999.000 s",
+        ("--start", "1", "--end", "0.5"): "--end",
+        ("--duration", "0"): "--duration",
+        ("--delay", "-1"): "--delay",
+        ("--clock",): "--clock: found --to igtl",
+        ("--start-paused",): "needs a terminal",
+    }
+    found = outcomes([["replay", str(TYPES), "--to", "igtl", "--listen", ":0", *arguments] for arguments in wrong])
+    for (arguments, named), outcome in zip(wrong.items(), found, strict=True):
+        assert outcome.code == 2, arguments
+        assert outcome.err.count("\n") == 1 and named in outcome.err

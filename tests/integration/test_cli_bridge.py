@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
 import socket
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +28,7 @@ from tests.integration.bridge import (
     gateway,
     string,
 )
+from tests.several import Outcome, outcomes
 
 needs_ros = pytest.mark.ros
 
@@ -51,29 +50,7 @@ def run(programs: list[Program], *arguments: str, **changes: str) -> Result:
     return programs[-1].end(None)
 
 
-#: Several calls of the command line in one process, which takes most of its time to start.
-SEVERAL = """
-import contextlib, io, json, sys
-from igtl_gateway.cli import main
-for words in json.loads(sys.argv[1]):
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main(words)
-    print(json.dumps([code, out.getvalue(), err.getvalue()]), flush=True)
-"""
-
-
-def run_several(programs: list[Program], *calls: Sequence[str]) -> list[Result]:
-    """What comes of each of several calls that end by themselves."""
-    programs.append(Program([sys.executable, "-c", SEVERAL, json.dumps(calls)]))
-    end = programs[-1].end(None)
-    assert (end.code, end.err) == (0, "")
-    results = [Result(*json.loads(line)) for line in end.out.splitlines()]
-    assert len(results) == len(calls)
-    return results
-
-
-def refused(result: Result) -> str:
+def refused(result: Result | Outcome) -> str:
     """The one line of a usage error."""
     assert (result.code, result.out) == (2, "")
     (line,) = result.err.splitlines()
@@ -170,12 +147,12 @@ def test_port_in_use(programs: list[Program], tmp_path: Path) -> None:
     assert not path.exists()
 
 
-def test_recording_that_cannot_be_made(programs: list[Program], tmp_path: Path) -> None:
+def test_recording_that_cannot_be_made(tmp_path: Path) -> None:
     missing, there = tmp_path / "missing" / "out.mcap", tmp_path / "there.mcap"
     there.write_bytes(b"something else")
     paths = (missing, there, tmp_path)
     calls = [["bridge", "--no-ros", "--listen", "0", "--record", str(path)] for path in paths]
-    for path, result in zip(paths, run_several(programs, *calls), strict=True):
+    for path, result in zip(paths, outcomes(calls), strict=True):
         assert (result.code, result.out) == (1, "")
         (line,) = result.err.splitlines()
         assert str(path) in line
@@ -183,7 +160,7 @@ def test_recording_that_cannot_be_made(programs: list[Program], tmp_path: Path) 
     assert list(tmp_path.iterdir()) == [there]
 
 
-def test_usage(programs: list[Program], tmp_path: Path) -> None:
+def test_usage(tmp_path: Path) -> None:
     """A bad configuration, other hosts without an allow-list, what to record without a file."""
     texts = {
         "[gateway]\nros_unit = 'yard'\n": ("gateway.ros_unit", "'yard'"),
@@ -199,7 +176,7 @@ def test_usage(programs: list[Program], tmp_path: Path) -> None:
         wanted.append((str(path), *parts))
     calls += [["--listen", "0.0.0.0:0"], ["--record-all"]]
     wanted += [("0.0.0.0:0", "allow"), ("--record FILE is missing",)]
-    results = run_several(programs, *(["bridge", "--no-ros", *words] for words in calls))
+    results = outcomes([["bridge", "--no-ros", *words] for words in calls])
     for parts, result in zip(wanted, results, strict=True):
         line = refused(result)
         assert all(part in line for part in parts), line
