@@ -58,12 +58,17 @@ class Echo:
         self._lock = threading.Lock()
         self._begun_ns: list[int] = []
         self._sent: list[tuple[int, bytes]] = []  # (end of the call, how the message begins)
+        # the same of before the host's clock was set back: what was on its way then has stamps of then
+        self._before: tuple[list[int], list[tuple[int, bytes]]] = [], []
 
     def publish(self, publisher: Publisher, cdr: bytes, clock: Clock) -> None:
         """Send, and remember; the lock makes the receiver wait until the end of the call is known."""
         with self._lock:
             begun_ns = clock.utc_ns()
             publisher.publish(cdr)
+            if self._begun_ns and begun_ns < self._begun_ns[-1]:
+                self._before = self._begun_ns, self._sent
+                self._begun_ns, self._sent = [], []
             self._begun_ns.append(begun_ns)
             self._sent.append((clock.utc_ns(), cdr[:_ECHO_PREFIX]))
             if len(self._sent) > 2 * _ECHO_MEMORY:
@@ -71,15 +76,20 @@ class Echo:
 
     def is_own(self, cdr: bytes, source_ns: int) -> bool:
         with self._lock:
-            index = bisect_right(self._begun_ns, source_ns + _DDS_STAMP_NS) - 1
-            if index < 0:
-                return False
-            ended_ns, prefix = self._sent[index]
-            own = source_ns <= ended_ns + _DDS_STAMP_NS and cdr.startswith(prefix)
-            if own:
-                # Each comes back once: should somebody send the very same at this moment, that one is let through.
-                self._sent[index] = _CAME_BACK
-            return own
+            return _came_back(self._begun_ns, self._sent, cdr, source_ns) or _came_back(*self._before, cdr, source_ns)
+
+
+def _came_back(begun_ns: list[int], sent: list[tuple[int, bytes]], cdr: bytes, source_ns: int) -> bool:
+    """Whether a message is one of those that were sent."""
+    index = bisect_right(begun_ns, source_ns + _DDS_STAMP_NS) - 1
+    if index < 0:
+        return False
+    ended_ns, prefix = sent[index]
+    own = source_ns <= ended_ns + _DDS_STAMP_NS and cdr.startswith(prefix)
+    if own:
+        # Each comes back once: should somebody send the very same at this moment, that one is let through.
+        sent[index] = _CAME_BACK
+    return own
 
 
 class Reader:

@@ -92,6 +92,20 @@ def test_echo_knows_own_messages_by_time_and_bytes() -> None:
     assert not echo.is_own(b"second", third)  # somebody else's, at the same moment
 
 
+def test_echo_knows_own_messages_also_when_the_clock_was_set_back() -> None:
+    _, publisher, clock = writer_and_publisher()
+    echo = Echo()
+    for _ in range(20):
+        echo.publish(publisher, b"before", clock)
+    later = ManualClock(clock.utc_ns() - 3600 * 10**9)
+    publisher.clock = later
+    for _ in range(3):
+        echo.publish(publisher, b"behind", later)
+    *_, on_its_way, first, second, third = publisher.stamps
+    assert [echo.is_own(b"behind", stamp) for stamp in (first, second, third, third)] == [True, True, True, False]
+    assert echo.is_own(b"before", on_its_way) and not echo.is_own(b"behind", publisher.stamps[0])
+
+
 def test_echo_forgets_the_oldest(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros_streams, "_ECHO_MEMORY", 2)
     _, publisher, clock = writer_and_publisher()
