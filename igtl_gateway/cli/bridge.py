@@ -27,6 +27,7 @@ from igtl_gateway.cli.common import (
     count,
     load_config,
     print_json,
+    printable,
     size,
     stop_event,
     with_routes,
@@ -303,7 +304,7 @@ class _TextOutput:
 
     def _print(self, text: str) -> None:
         clear = "\r\x1b[K" if self._terminal else ""
-        print(f"{clear}{text}", flush=not self._terminal or not self._status)
+        print(f"{clear}{printable(text)}", flush=not self._terminal or not self._status)
         if self._terminal and self._status:
             print(self._status, end="", flush=True)
 
@@ -376,7 +377,7 @@ class _TextOutput:
             print(f"  connections refused, {reason}: {number:,}")
         for cause, number in sorted(self._repeats.items()):
             if number > 1 and cause[0] not in ("stream",):
-                print(f"  {' '.join(filter(None, cause))}: {number:,} times")
+                print(printable(f"  {' '.join(filter(None, cause))}: {number:,} times"))
         if bridge.summary:
             summary = bridge.summary
             lost, left_out = sum(summary.dropped.values()), sum(summary.left_out.values())
@@ -390,7 +391,7 @@ class _TextOutput:
             )
         lines = losses(bridge.losses)
         for line in lines[:_MAX_LOSSES]:
-            print(f"  {line}")
+            print(printable(f"  {line}"))
         if len(lines) > _MAX_LOSSES:
             print(f"  … and {len(lines) - _MAX_LOSSES:,} more kinds of losses")
 

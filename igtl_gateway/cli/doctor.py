@@ -7,7 +7,7 @@ from pathlib import Path
 
 from igtl_gateway.app.examine import ExamineOptions, examine
 from igtl_gateway.cli import admission
-from igtl_gateway.cli.common import DEFAULT_HOST, DEFAULT_PORT, load_config, print_json, stop_event
+from igtl_gateway.cli.common import DEFAULT_HOST, DEFAULT_PORT, load_config, print_json, printable, stop_event
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.doctor.report import Report
 from igtl_gateway.errors import ConfigError
@@ -83,5 +83,5 @@ def run(options: argparse.Namespace) -> int:
         print_json(report.to_dict())
     else:
         for line in report.lines():
-            print(line)
+            print(printable(line))
     return int(report.failed)

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import count, print_json, size
+from igtl_gateway.cli.common import count, print_json, printable, size
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.errors import DamagedRecording
@@ -328,7 +328,7 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
         if lines:
             print(f"  {title}")
             for line in lines:
-                print(f"    {line}")
+                print(printable(f"    {line}"))
 
 
 def _origin(session: dict[str, str]) -> list[str]:
@@ -367,7 +367,7 @@ def _print_streams(streams: list[dict[str, Any]]) -> None:
         ros_type = stream["type"] if "/" in stream["type"] else ""
         facts = ", ".join(fact for fact in (ros_type, stream["stamps"], gap) if fact)
         counts = f"{stream['messages']:>7,} {rate:>10} {size(stream['bytes']):>9}"
-        print(f"    {stream['stream']:<{width}} {counts}  {facts}".rstrip())
+        print(printable(f"    {stream['stream']:<{width}} {counts}  {facts}").rstrip())
 
 
 def _peer(clock: dict[str, Any]) -> str:

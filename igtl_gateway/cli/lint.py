@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import count, print_json, recorded_config
+from igtl_gateway.cli.common import count, print_json, printable, recorded_config
 from igtl_gateway.doctor.observer import Observer
 from igtl_gateway.doctor.report import Report
 from igtl_gateway.errors import DamagedRecording
@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         print(f"{options.file}: {count(len(seen.streams), 'OpenIGTLink stream')}")
         for line in report.lines():
-            print(line)
+            print(printable(line))
     return int(report.failed)
 
 

@@ -451,6 +451,13 @@ OTHERS: tuple[tuple[str, str, str, str, str], ...] = (
         "each under its stream",
     ),
     (
+        "test_promises_reserve_nothing",
+        "8 peers that announce 250 MiB each and send 100 kB of it",
+        "memory grows with what has come",
+        "`truncated` when they go, `stalled` if they stay",
+        "`link_faults`: the same",
+    ),
+    (
         "test_a_text_of_70000_bytes_from_ros",
         "A text of 70,000 bytes from ROS",
         "not sent",
