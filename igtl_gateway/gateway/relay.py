@@ -24,6 +24,7 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.reply import Reply, note
 from igtl_gateway.gateway.stamps import moved
 from igtl_gateway.qos import Qos
+from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.session.note import Level, Note
@@ -61,6 +62,8 @@ class RelayGateway:
             replies += self._on_link(entry)
         elif entry.kind is Kind.IGTL_IN:
             replies += self._relay(entry)
+        elif ClockStep.of(entry):
+            self.ledger.count("edges", "", CLOCK_STEP)
         return [reply.entry(entry, step) for step, reply in enumerate(replies, start=1)]
 
     @property

@@ -20,6 +20,7 @@ from igtl_gateway.gateway import (
     gateway_of,
 )
 from igtl_gateway.replay.verify import verify
+from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import Message, encode
@@ -248,6 +249,12 @@ def test_the_last_words_of_a_peer_that_leaves_still_arrive() -> None:
     assert relay.fates() == {"received": 2, "relayed": 1, "dropped": {LINK_DOWN: 1}}
     assert relay.gateway.due_ns is None
     assert relay.verified()
+
+
+def test_a_step_of_the_hosts_clock_is_counted() -> None:
+    relay = Relay()
+    assert relay.feed(Kind.EDGE_NOTE, ClockStep.after(-(10**12), 0).note().pack(), 0) == []
+    assert relay.gateway.ledger.to_dict()["edges"] == {"": {CLOCK_STEP: 1}}
 
 
 def test_faults_are_for_relays() -> None:
