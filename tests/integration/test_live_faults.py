@@ -50,7 +50,7 @@ from tests.integration.bridge import (
     free_port,
     string,
 )
-from tests.integration.netns import Lines, NotHereError, Weather, far_address
+from tests.integration.netns import NETEM, Lines, NotHereError, Weather, far_address
 from tests.integration.talker import TICK, Server, Talker
 
 _log = logging.getLogger(__name__)
@@ -584,11 +584,12 @@ def killed(folder: Path) -> Killed:
 
         memory = shared_memory(bridge.process.pid)
         assert memory or not Path("/dev/shm").is_dir()
-        killed_at = time.monotonic()
-        bridge.process.kill()
-        bridge.process.wait()
-        again = start(paths[1])
-        started_s = time.monotonic() - killed_at
+        with starting:
+            killed_at = time.monotonic()
+            bridge.process.kill()
+            bridge.process.wait()
+            again = start(paths[1])
+            started_s = time.monotonic() - killed_at
         again.wait_code("stream", stream="STRING/Back")
         wait_for(lambda: len(client.talkers) > 1 and client.talkers[1].said > client.talkers[0].said + 5, bridge.said)
         back_s = client.talkers[1].began - killed_at
@@ -687,7 +688,8 @@ def net(scenes: dict[str, Future[Any]], record_property: Callable[[str, object],
 def test_the_network_is_a_bad_one(net: Network) -> None:
     _log.info("lines: %s; packets spoilt %s, early %s; round trips %s s", net.how, net.spoilt, net.early, net.rtt_s)
     assert net.rtt_s[DELAY] > 0.08
-    assert net.spoilt[LOSS] > 0 and net.spoilt[REORDER] > 0 and net.spoilt[DOWN] > 0
+    assert net.spoilt[LOSS] > 0 and net.spoilt[DOWN] > 0
+    assert net.spoilt[REORDER] > 0 or net.how == NETEM  # which does not count them
     assert net.early > 0
 
 
