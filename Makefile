@@ -1,6 +1,8 @@
 # Every target works as the first command on a fresh machine: what it needs is installed first (tools/setup.sh).
 BIN := .venv/bin
 READY := .venv/.ready
+# For the tests, on two cores: some of them only wait.
+WORKERS := 3
 
 .PHONY: help demo test check static peers pictures clean
 .DEFAULT_GOAL := help
@@ -18,7 +20,7 @@ demo: $(READY)
 	@$(BIN)/igtl-gateway demo
 
 test: static peers
-	@$(BIN)/python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder --durations=10 || { \
+	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations=10 || { \
 		[ $$? -eq 1 ] || exit 1; \
 		echo "Once more, alone: what failed beside others."; $(BIN)/python -m pytest -q --last-failed --last-failed-no-failures none; }
 

@@ -36,12 +36,17 @@ def test_what_cannot_be_compiled_is_said(monkeypatch: pytest.MonkeyPatch, tmp_pa
         _ = Library(tmp_path).binary
 
 
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    """Compiled once."""
+    return Library(tmp_path_factory.mktemp("library"))
+
+
 @pytest.mark.parametrize(("sender", "listener"), [(LIBRARY, "igtl"), ("igtl", LIBRARY), (PYIGTL, "igtl")])
-def test_peers_understand_each_other(sender: str, listener: str, tmp_path: Path) -> None:
+def test_peers_understand_each_other(sender: str, listener: str, library: Library, tmp_path: Path) -> None:
     for peer in {sender, listener} & set(PEERS):
         if reason := lacks(peer, CASES["string-100"]):
             pytest.skip(reason)
-    library = Library(tmp_path)
     hears = Job(listener, "listener", (), (PART,), 0.0, str(tmp_path / "heard"), listen=True)
     with Program("listener", command(hears, library)) as hearing:
         place = hearing.wait_for("listening", 60.0)
