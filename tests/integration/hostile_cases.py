@@ -194,6 +194,15 @@ def _pieces() -> Iterable[Case]:
         manner=Manner.LEAVES,
     )
     yield Case(
+        "asks-and-leaves",
+        "A query, then the end of what it sends",
+        message("GET_STATUS", b"", device="asks-and-leaves"),
+        _FINE,
+        kept=False,
+        answer=("STATUS",),
+        manner=Manner.LEAVES,
+    )
+    yield Case(
         "leaves-in-header",
         "Half a header, then the end",
         string("never", "leaves-in-header")[: HEADER_SIZE // 2],
@@ -417,7 +426,7 @@ OTHERS: tuple[tuple[str, str, str, str, str], ...] = (
     ),
     (
         "test_a_peer_that_never_reads",
-        "A peer that reads nothing of 80 images of 1 MiB",
+        "A peer that reads nothing of 40 images of 1 MiB",
         "what it asks for when it reads: all texts, the newest images",
         "`queue_drop`",
         "`dropped` of its link",
@@ -472,8 +481,8 @@ def page() -> str:
     lines = ["| Peer | Sent | Answered | Noted | Counted |", "| --- | --- | --- | --- | --- |"]
     for case in CASES:
         answer = ", ".join(f"`{kind}`" for kind in dict.fromkeys(case.answer)) if case.answer else "nothing"
-        if not case.kept:
-            answer = "" if case.manner in (Manner.LEAVES, Manner.RESETS) else "the connection is closed"
+        if not case.kept and case.manner is Manner.WHOLE:
+            answer = "the connection is closed"
         noted = ", ".join(f"`{code}`" for code in case.noted)
         counted = [f"`{word}`" + (f" {number}" if number > 1 else "") for word, number in case.counted.items()]
         if case.noted and not case.kept:

@@ -49,7 +49,7 @@ MAX_CLIENTS = 12
 QUEUE_MIB = 4
 STALL_S = 4.0
 LORIS_S = 0.4  # between two bytes of the slow loris: far below the silence that is allowed
-IMAGES, IMAGE_BYTES = 80, 1 << 20
+IMAGES, IMAGE_BYTES = 40, 1 << 20
 TINY = 5_000
 CROWDED = f"{MAX_CLIENTS} clients are connected already"
 
@@ -388,6 +388,12 @@ def test_the_ledger_closes_and_counts_the_faults_of_links(scene: Scene, told: To
     assert expected <= Counter(faults)
     codes = {code for _, code, _ in told.notes}
     assert not codes & {"internal_error", "callback_failed"}
+
+
+@pytest.mark.usefixtures("told")
+def test_the_recording_verifies(scene: Scene) -> None:
+    """What was made of all this follows from what came, byte for byte."""
+    assert main(["verify", str(scene.recording)]) == 0
 
 
 @pytest.mark.usefixtures("told")
