@@ -7,6 +7,7 @@ guests come more often than in the hour.  ``IGTL_GATEWAY_SOAK_S`` makes it longe
 from __future__ import annotations
 
 import copy
+import faulthandler
 import json
 import os
 import subprocess
@@ -36,6 +37,7 @@ def test_a_minute_under_load_with_guests_that_come_and_go(tmp_path: Path) -> Non
     command = [sys.executable, "-m", "tools.soak", *words, "--growth-mb", f"{GROWTH_MB}"]
     command += ["--folder", str(tmp_path / "soak")]
     env = environment(ROS_DOMAIN_ID=str(SECOND_DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    faulthandler.cancel_dump_traceback_later()  # the suite's: this has a deadline of its own
     done = subprocess.run(
         command, env=env, capture_output=True, text=True, timeout=SECONDS + 300, cwd=tmp_path, check=False
     )
