@@ -447,10 +447,10 @@ OTHERS: tuple[tuple[str, str, str, str, str], ...] = (
     ),
     (
         "test_tiny_messages",
-        "5,000 messages without a body in one go",
+        "2,000 messages without a body in one go",
         "nothing",
         "`no_conversion`, once",
-        "5,000 `received` and `converted`",
+        "2,000 `received` and `converted`",
     ),
     (
         "test_no_body_for_every_type",

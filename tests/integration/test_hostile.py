@@ -50,7 +50,7 @@ QUEUE_MIB = 4
 STALL_S = 4.0
 LORIS_S = 0.4  # between two bytes of the slow loris: far below the silence that is allowed
 IMAGES, IMAGE_BYTES = 40, 1 << 20
-TINY = 5_000
+TINY = 2_000
 CROWDED = f"{MAX_CLIENTS} clients are connected already"
 
 GOOD_IN, AFTER_IN = "/igtl/in/Good/string", "/igtl/in/After/string"
