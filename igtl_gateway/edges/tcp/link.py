@@ -107,6 +107,7 @@ class Link:
         self._open = True
         self._reading = True
         self._writing = False
+        self._foreign = False  # what came first was no header of OpenIGTLink
         self._ended = False  # the peer sends no more; what is queued for it is still sent
         self._leaving = False  # we send no more than what is queued; what the peer still sends is read
         self._torn = False  # bytes are on their way in or out: an error here loses the place in the stream
@@ -269,7 +270,9 @@ class Link:
         self._watch()
 
     def lasted(self, least_s: float) -> bool:
-        """Whether the link was a real one: it brought a byte, or lived that long."""
+        """Whether the link was a real one: it brought a byte, or lived that long, and spoke no other protocol."""
+        if self._foreign:
+            return False
         return self._received_bytes > 0 or self._loop.now() - self._up_ns >= least_s * NS_PER_S
 
     def sweep(self, step_ns: int) -> None:
@@ -456,6 +459,7 @@ class Link:
             self._room = self._framer.buffer()
             self._count(len(messages))
         except MessageTooLarge as exc:
+            self._foreign = not self._received_messages
             if self._framer.pending_head().startswith(_TLS_HELLO) and not self._received_messages:
                 self._around.refusals.counts[TLS_TO_PLAIN] += 1
                 self._fault(Level.WARN, "refused", f"connection of {self.peer} refused: {TLS_TO_PLAIN}")

@@ -47,6 +47,26 @@ def test_client_finds_a_late_server_and_comes_back_when_it_goes(world: World, mo
     assert [link.number for link in edge.links()] == [2]
 
 
+def test_a_server_of_another_protocol_is_tried_ever_more_rarely(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dialer, "_RETRY_FIRST_S", 0.001)
+    monkeypatch.setattr(dialer, "_RETRY_LAST_S", 0.016)
+    listener = world.listener()
+    edge, seen = world.edge()
+    edge.connect(*listener.getsockname())
+    edge.start()
+    for attempt in range(1, 6):
+        world.accepted(listener).send(b"220 mail.clinic ESMTP ready, and what a server says that speaks first\r\n")
+        seen.wait("too_large", attempt)
+        seen.wait("down", attempt)
+    until(lambda: edge._dialers[0]._delay_s == 0.016)
+    peer = world.accepted(listener)
+    peer.send(message(1))
+    seen.wait("frame")
+    peer.close()
+    seen.wait("down", 6)
+    until(lambda: edge._dialers[0]._delay_s < 0.016)  # a real one is tried at once
+
+
 def test_client_by_name_and_an_unknown_name(world: World) -> None:
     listener = world.listener()
     edge, seen = world.edge()
