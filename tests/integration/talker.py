@@ -22,6 +22,7 @@ from tests.integration.bridge import HEADER_SIZE, TIMEOUT_S, string
 
 #: The device that the other side says its numbers as.
 TICK = "Tick"
+PERIOD_S = 0.1
 
 
 class Talker:
@@ -42,7 +43,7 @@ class Talker:
         device: str,
         *,
         first: int = 1,
-        period_s: float = 0.1,
+        period_s: float = PERIOD_S,
         on_heard: Callable[[int], None] | None = None,
     ) -> None:
         self.socket = sock

@@ -51,14 +51,14 @@ from tests.integration.bridge import (
     string,
 )
 from tests.integration.netns import NETEM, Lines, NotHereError, Weather, far_address
-from tests.integration.talker import TICK, Server, Talker
+from tests.integration.talker import PERIOD_S, TICK, Server, Talker
 
 _log = logging.getLogger(__name__)
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 TEXT, OUT = "std_msgs/msg/String", f"/igtl/out/{TICK}"
-TICK_S = 0.05
+TICK_S = 0.1
 DOWN_S = 30.0
 STOPPED_S = 10.0
 #: Without a discovery server.  One that is back before those who knew it have missed it (20 s) does not know them.
@@ -781,7 +781,7 @@ def test_a_server_that_is_killed_and_started_again_is_connected_to_again(seen: G
 def test_who_has_been_found_needs_no_discovery_server(seen: Graph) -> None:
     ticked, good = seen.alone_from
     assert seen.before > ticked + (ALONE_S - 6) / TICK_S / 10
-    assert seen.alone_until > good + (ALONE_S - 6) / 0.1 / 10
+    assert seen.alone_until > good + (ALONE_S - 6) / PERIOD_S / 10
 
 
 def test_a_ros_node_that_is_killed_is_found_again_with_a_new_discovery_server(seen: Graph) -> None:
