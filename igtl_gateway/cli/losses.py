@@ -38,6 +38,7 @@ _LINK_FAULTS = {
     "idle": "idle for too long",
     "queue_full": "did not read what must not be dropped",
     "refused": "spoke TLS to a plain port",
+    "tls_failed": "TLS that could not be read",
 }
 
 

@@ -50,7 +50,7 @@ class TcpEdge:
             ``reason`` and the counts.
         on_note: link number (0 if none) and a fact: ``truncated``, ``too_large``, ``stalled``, ``unreachable``,
             ``idle``, ``out_of_memory``, ``queue_drop``, ``queue_full``, ``rate_limited``, ``refused``,
-            ``accept_failed``, ``connect_failed``, ``callback_failed``, ``internal_error``.
+            ``tls_failed``, ``accept_failed``, ``connect_failed``, ``callback_failed``, ``internal_error``.
         clock: see above.
         limits: what a peer can cost.
         allow: networks (CIDR) whose peers may connect beside this host's own, or ``"any"``.

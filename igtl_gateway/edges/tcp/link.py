@@ -21,7 +21,7 @@ from igtl_gateway.edges.tcp.outbox import IOV_MAX, Message, Outbox, Part
 from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S, Reporter, error_note
 from igtl_gateway.edges.tcp.sockets import UNANSWERED_S, place_of, unanswered_s, unconfirmed_bytes
-from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN, TlsSocket
+from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN, TlsError, TlsSocket
 from igtl_gateway.errors import MessageTooLarge
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
@@ -34,7 +34,10 @@ _BODY_SIZE_AT = slice(42, 50)  # in the header, big-endian
 _ERRORS_MAX = 3  # unexpected errors of ours in a link's life; this one ends it
 #: Notes that end a link.
 _FAULTS = frozenset(
-    {"too_large", "out_of_memory", "stalled", "unreachable", "idle", "queue_full", "internal_error", "refused"}
+    {
+        *("too_large", "out_of_memory", "stalled", "unreachable", "idle", "queue_full"),
+        *("internal_error", "refused", "tls_failed"),
+    }
 )
 _TLS_HELLO, _TLS_ALERT = b"\x16\x03", b"\x15\x03"  # no header version of OpenIGTLink
 _BURST_S = 1.0  # so long may a peer have said nothing and then say it all at once
@@ -441,6 +444,9 @@ class Link:
         try:
             count = self._sock.recv_into(self._room)
         except (BlockingIOError, InterruptedError):
+            return
+        except TlsError as exc:
+            self._fault(Level.WARN, "tls_failed", f"{self.peer} sent what is no TLS any more: {exc}")
             return
         except OSError as exc:
             self.close(self._reason or f"receiving failed: {exc.strerror or exc}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import ssl
 import threading
@@ -116,6 +117,20 @@ def test_a_goodbye_right_behind_a_message_is_seen(world: World, together: bool) 
     tell(theirs.unwrap)  # which returns when the other side has said the same
     (down,) = seen.wait("down")
     assert (down.data["reason"], seen.of("frame")) == ("closed by the peer", [message(1)])
+
+
+def test_garbage_behind_the_handshake_costs_its_link_only(world: World) -> None:
+    edge, seen, port = secure(world)
+    good, bad = client(world, port), client(world, port)
+    seen.wait("up", 2)
+    bad.send(message(1))
+    seen.wait("frame")
+    os.write(bad.sock.fileno(), bytes(range(200)))
+    (note,) = seen.wait("tls_failed")
+    assert note.data["peer"] in seen.wait("down", 1, 2)[0].text
+    assert edge.link_faults() == {"tls_failed": 1}
+    good.send(message(2))
+    assert seen.wait("frame", 1, 1) == [message(2)]
 
 
 def test_two_edges_flood_each_other_from_several_threads(world: World) -> None:
