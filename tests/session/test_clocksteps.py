@@ -35,8 +35,12 @@ def test_it_is_told_in_words_and_in_fields(step: ClockStep, words: str) -> None:
 
 
 def test_other_entries_tell_of_none() -> None:
-    other = Note(Level.INFO, "tick", "not a clock_step").pack()
-    assert ClockStep.of(Entry(1, 1, Kind.EDGE_NOTE, payload=(other,))) is None
+    for other in (
+        Note(Level.INFO, "tick", "not a clock_step"),
+        Note(Level.WARN, CLOCK_STEP, "without numbers"),
+        Note(Level.WARN, CLOCK_STEP, "of a foreign hand", data={"step_ns": 1, "jump_ns": "2", "ahead_ns": None}),
+    ):
+        assert ClockStep.of(Entry(1, 1, Kind.EDGE_NOTE, payload=(other.pack(),))) is None
     assert ClockStep.of(Entry(1, 1, Kind.NOTE, payload=(ClockStep.after(HOUR_NS, 0).note().pack(),))) is None
 
 
