@@ -58,10 +58,10 @@ class ClockStep:
         if entry.kind is not Kind.EDGE_NOTE or _MARK not in (data := entry.data()):
             return None
         note = Note.unpack(data)
-        numbers = {name: note.data.get(name) for name in ("step_ns", "jump_ns", "ahead_ns")}
-        if note.code != CLOCK_STEP or not all(type(number) is int for number in numbers.values()):
+        step_ns, jump_ns, ahead_ns = (note.data.get(name) for name in ("step_ns", "jump_ns", "ahead_ns"))
+        if note.code != CLOCK_STEP or not (type(step_ns) is type(jump_ns) is type(ahead_ns) is int):
             return None
-        return cls(**numbers, at_ns=entry.stamp_ns)
+        return cls(step_ns, jump_ns, ahead_ns, entry.stamp_ns)
 
     def note(self) -> Note:
         """The note about it."""
