@@ -663,7 +663,8 @@ try:
 except RecordingError as error:
     print(error)
 """
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    # -B: Python would keep the first 100 bytes of modules that it compiles, and does not notice
+    done = subprocess.run([sys.executable, "-B", "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.startswith(f"cannot record to {path}: ")
     assert done.stdout.count("\n") == 1
     assert not path.exists()
