@@ -531,10 +531,11 @@ class Gateway:
     @staticmethod
     def _replying(entry: Entry, pending: Pending, message: CommandReply) -> Outbound:
         """A reply as the command wants it: with its device and name."""
-        named = replace(message, device_name=pending.device, name=message.name or pending.name)
+        device = short_device_name(pending.device)  # a name of odd bytes is longer as text
+        named = replace(message, device_name=device, name=message.name or pending.name)
         outgoing = command_conversions.reply_to_igtl(named, ToIgtl())
         stamp_ns = message.header.stamp_ns or entry.stamp_ns
-        return Outbound("RTS_COMMAND", pending.device, outgoing.content, stamp_ns, metadata=outgoing.metadata)
+        return Outbound("RTS_COMMAND", device, outgoing.content, stamp_ns, metadata=outgoing.metadata)
 
     # -- ROS → OpenIGTLink --------------------------------------------------------------------------------------
 

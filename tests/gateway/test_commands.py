@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply, MetadataItem
@@ -50,6 +52,21 @@ def test_a_command_that_nobody_answers_fails_in_time() -> None:
     told = metadata(script.sent()[0])
     assert told["Status"] == "FAIL" and "no reply in time" in told["ErrorMessage"]
     assert script.gateway.due_ns is None
+
+
+@pytest.mark.parametrize("config", [Config(), Config(deny_in=("COMMAND",))])
+def test_a_name_of_odd_bytes_costs_nobody_the_answer(config: Config) -> None:
+    """Found by tools/fuzz_gateway.py: as text it is longer than a header holds; no time-out of that tick was told."""
+    script = Script(config)
+    script.up(1)
+    script.up(2)
+    odd = (b"\xff" * 12).decode("utf-8", "surrogateescape")
+    told = [*script.igtl(asked(device=odd)), *script.igtl(asked(device=odd)), *script.igtl(asked(), link=2)]
+    told += script.tick(60.0)
+    assert "note internal_error" not in told
+    replies = [line for line in told if line.startswith("igtl RTS_COMMAND/")]
+    assert [line.rpartition(" ")[2] for line in replies] == ["1", "1", "2"]
+    assert "igtl RTS_COMMAND/Robot v1 to 2" in replies
 
 
 def test_the_same_id_twice_is_refused_while_the_first_waits() -> None:
