@@ -20,7 +20,7 @@ demo: $(READY)
 	@$(BIN)/igtl-gateway demo
 
 test: static peers
-	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations=10 || { \
+	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0 --durations=10 || { \
 		[ $$? -eq 1 ] || exit 1; \
 		echo "Once more, alone: what failed beside others."; $(BIN)/python -m pytest -q --last-failed --last-failed-no-failures none; }
 

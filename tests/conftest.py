@@ -93,11 +93,21 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(absent)
 
 
+_deaths: list[object] = []
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(error: object | None) -> None:
-    """A worker that dies ends the run, not as a failure of one test: xdist would hang, or leave tests out."""
+    """A worker of xdist is gone: if it died, it took tests along that nobody ran."""
     if error:
-        pytest.exit(f"a worker died ({error}); perhaps its stacks are above", 3)
+        _deaths.append(error)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Then the run is not one with a failed test, which might pass alone: it tells nothing."""
+    if _deaths:
+        session.exitstatus = pytest.ExitCode.INTERNAL_ERROR
 
 
 @pytest.fixture(autouse=True)
