@@ -44,24 +44,25 @@ settings.register_profile("deep", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 
 
-#: Files that take longest, in that order, some ten seconds each: where several workers take files in turn, one of these
-#: must not be left for the end.  (``make test`` tells the slowest tests.)
+#: Files that take longest, ten seconds or more each: where several workers take files in turn, none of these must be
+#: left for the end.  Beside the first two, which mostly wait, go some that only compute.
 LONGEST = (
     "integration/test_soak.py",
     "integration/test_live_faults.py",
-    "integration/test_cli_bridge.py",
     "replay/test_salvage.py",
-    "cli/test_replay.py",
     "test_gateway_fuzz.py",
-    "integration/test_crash.py",
     "wire/test_bodies.py",
+    "integration/test_cli_bridge.py",
+    "cli/test_replay.py",
+    "integration/test_crash.py",
     "integration/test_simulate.py",
     "integration/test_hostile.py",
-    "test_fixtures.py",
+    "integration/test_hostile_crowds.py",
+    "integration/test_recording_faults.py",
     "integration/test_demo.py",
     "integration/test_relay.py",
+    "test_fixtures.py",
     "edges/test_ros.py",
-    "replay/test_lookup.py",
     "integration/test_replay_ros.py",
     "edges/tcp/test_edge.py",
     "record/test_recorder.py",
@@ -72,11 +73,12 @@ LONGEST = (
     "bench/test_peers.py",
     "replay/test_verify.py",
     "replay/test_mcap_reader.py",
-    "integration/test_rosbag2_folder.py",
+    "replay/test_lookup.py",
     "test_architecture.py",
     "review/test_assess.py",
     "simulate/test_star.py",
     "view/test_shots.py",
+    "integration/test_rosbag2_folder.py",
 )
 
 

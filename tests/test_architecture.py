@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import LONGEST
+
 PACKAGE = "igtl_gateway"
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
@@ -397,3 +399,7 @@ def test_a_test_without_its_module_is_seen() -> None:
     assert mirrored(Path("peers/test_reference.py"))
     assert not mirrored(Path("session/test_wire.py"))
     assert not mirrored(Path("test_entry.py"))
+
+
+def test_the_longest_files_of_tests_are_there() -> None:
+    assert [name for name in LONGEST if not (TESTS / name).is_file()] == []
