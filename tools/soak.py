@@ -11,7 +11,8 @@ seconds memory, threads and file descriptors of the bridge and of its recorder a
 be.
 
 In the end the guests leave, threads and descriptors have to come back to what they were before the first came, the
-bridge is interrupted, and judged: see ``judge``.  The exit code is 1 if anything is not as it should be.
+bridge is interrupted, and judged: see ``judge``.  The exit code is 1 if anything is not as it should be.  Ctrl-C ends a
+soak before its time, and it is judged as it is.
 
 Pictures and clouds have the sizes of the mixed load, but content that compresses: two thirds of what an hour records,
 460 GB, would be noise.
@@ -107,10 +108,14 @@ def soak(settings: Settings) -> Found:
         found.baseline = _baseline(bridge, url, rest) | {"at_s": round(time.monotonic() - begun, 2)}
         _rest_recorder(bridge, rest)
         guests = stack.enter_context(_closing(Guests(place["port"], settings, found)))
-        _watch(settings, found, bridge, url, begun, guests, steady, rest)
-        guests.close()
-        sent = {one.name: program.wait_for("sent", 120)["messages"] for one, program in steady if one.sends}
-        say(f"sent {sent}; guests have left")
+        try:
+            _watch(settings, found, bridge, url, begun, guests, steady, rest)
+            guests.close()
+            sent = {one.name: program.wait_for("sent", 120)["messages"] for one, program in steady if one.sends}
+            say(f"sent {sent}; guests have left")
+        except KeyboardInterrupt:
+            say("interrupted: what was until now is judged")
+            guests.close()
         found.end = _calm(found, bridge, url, begun, rest)
         for _, program in steady:
             program.end()
@@ -118,7 +123,6 @@ def soak(settings: Settings) -> Found:
         bridge.interrupt(120)
         found.stopped = bridge.wait_for("stopped", 60, lambda event: _note(found, event))
         say("the bridge has stopped; verifying what is left")
-        guests.tidy()
         verifier.close()
     return found
 
@@ -268,6 +272,8 @@ def main(arguments: Sequence[str]) -> int:
         options.disk_gb,
         options.keep,
     )
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)  # in the background of a shell, too
     settings.folder.mkdir(parents=True, exist_ok=True)
     # neither hear nor disturb other robots
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

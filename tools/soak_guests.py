@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from random import Random
 
@@ -51,7 +51,6 @@ class Guests:
         self._here: list[tuple[subprocess.Popen[bytes], float]] = []  # and when it is killed
         self._node: subprocess.Popen[bytes] | None = None
         self._node_until = 0.0
-        self._shared: set[str] = set()
         self.many = 0
         made = payload("transform").igtl_maker("Guest"), payload(PICTURE).igtl_maker("Guest")
         for name, make in zip(("small", "picture"), made, strict=True):
@@ -63,17 +62,6 @@ class Guests:
         """All leave."""
         self._over.set()
         self._thread.join()
-
-    def tidy(self) -> None:
-        """Remove the shared memory of nodes that were killed, which nobody else has."""
-        names = self._shared | {f"{name}_el" for name in self._shared}
-        for maps in Path("/proc").glob("[0-9]*/maps"):
-            try:
-                names -= set(_shared(maps))
-            except OSError:
-                continue  # it has gone
-        for name in names:
-            Path(name).unlink(missing_ok=True)
 
     def _run(self) -> None:
         try:
@@ -122,10 +110,6 @@ class Guests:
 
     def _node_goes(self, node: subprocess.Popen[bytes], leave: str) -> None:
         self._found.guests[f"ROS node, {leave}"] += 1
-        try:
-            self._shared |= set(_shared(Path(f"/proc/{node.pid}/maps")))
-        except OSError:
-            pass  # it has gone before
         assert node.stdin
         match leave:
             case "killed":
@@ -140,11 +124,3 @@ class Guests:
             node.kill()
             node.wait()
         self._node = None
-
-
-def _shared(maps: Path) -> Iterator[str]:
-    """Files of shared memory that a process has."""
-    for line in maps.read_text("utf-8", "replace").splitlines():
-        name = line.rpartition(" ")[2]
-        if name.startswith("/dev/shm/"):
-            yield name
