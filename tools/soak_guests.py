@@ -20,10 +20,11 @@ _GUEST = Path(__file__).with_name("soak_guest.py")
 #: What a guest does, and how it leaves, as often as it stands here.
 MANNERS = ("listen", "listen", "listen", "talk", "talk", "talk", "talk", "slow", "slow", "deaf")
 _LEAVES = ("politely", "reset", "killed", "middle")
-_MOST_GUESTS = 3
+MOST_GUESTS = 3
 _STAY_S, _DEAF_S = 8.0, 75.0
 _NODE_LEAVES = ("politely", "interrupted", "killed")
 _MOST_NODE_STAY_S = 60.0
+_LEAVES_S = 60.0
 
 
 class Deck:
@@ -66,7 +67,7 @@ class Guests:
     def _run(self) -> None:
         try:
             # The worst at once and at first: what memory it takes stays with the process, and is no growth later.
-            for _ in range(_MOST_GUESTS):
+            for _ in range(MOST_GUESTS):
                 self._come("deaf", "politely", min(0.6 * self._settings.warm_s, _DEAF_S))
             due = time.monotonic()
             while not self._over.wait(0.1):
@@ -75,7 +76,7 @@ class Guests:
                 if now >= due:
                     due = now + self._rng.expovariate(1 / self._settings.guest_s)
                     stay = min(self._rng.expovariate(1 / _STAY_S), self._settings.most_stay_s)
-                    if len(self._here) < _MOST_GUESTS:
+                    if len(self._here) < MOST_GUESTS:
                         self._come(self._manners.draw(), self._leaves.draw(), stay)
         finally:
             for process, _ in self._here:
@@ -118,7 +119,7 @@ class Guests:
                 node.send_signal(signal.SIGINT)
         node.stdin.close()
         try:
-            node.wait(20)
+            node.wait(_LEAVES_S)
         except subprocess.TimeoutExpired:
             self._found.failures.append(f"the ROS node did not leave ({leave})")
             node.kill()
