@@ -237,7 +237,8 @@ def _passages(settings: Settings, steady: Sequence[tuple[Job, Program]]) -> list
                 Passage(columns[f"sent {device}"], columns[f"numbers {device}"], columns[f"received {device}"])
                 for device in devices
             ]
-            rows.append({"stream": kind, "direction": direction.value} | latency(passages))
+            last = min(float(one.numbers.max(initial=0)) / max(1, len(one.sent)) for one in passages)
+            rows.append({"stream": kind, "direction": direction.value, "last": round(last, 4)} | latency(passages))
     return rows
 
 

@@ -80,7 +80,7 @@ def _good() -> tuple[Settings, Found]:
         samples=[copy.deepcopy(sample) | {"at_s": 5.0 * index} for index in range(720)],
         baseline=copy.deepcopy(sample),
         end=copy.deepcopy(sample),
-        passages=[{"stream": "transform", "direction": "ros-to-igtl", "sent": 10, "delivered": 9}],
+        passages=[{"stream": "transform", "direction": "ros-to-igtl", "sent": 10, "delivered": 9, "last": 1.0}],
         parts=[
             {"good": True, "code": 0, "inputs": 4, "outputs": 6, "equal": 6, "lost": 0, "missing": 0, "orphans": 0}
             | {"late": 0}
@@ -140,7 +140,7 @@ def _stopped(*path: str, value: Any) -> Callable[[Found], None]:
         (_stopped("recording", "files", value=["soak_0.mcap", "soak_1.mcap"]), "the recording verifies"),
         (lambda found: found.parts[0].update(good=False), "the recording verifies"),
         (lambda found: found.parts[0].update(inputs=3), "the recording verifies"),
-        (lambda found: found.passages[0].update(delivered=0), "every stream arrives to the end"),
+        (lambda found: found.passages[0].update(last=0.64), "every stream arrives to the end"),
         (lambda found: found.guests.pop("deaf, reset"), "guests of all manners came"),
         (lambda found: found.failures.append("the ROS node did not leave"), "nothing else failed"),
     ],
