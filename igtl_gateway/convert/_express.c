@@ -52,24 +52,36 @@ static void put_u64(uint8_t *at, uint64_t value)
     memcpy(at, &value, 8);
 }
 
-static double get_f32(const uint8_t *at)
+static uint32_t get_u32(const uint8_t *at)
 {
     uint32_t word;
-    float value;
     memcpy(&word, at, 4);
+    return __builtin_bswap32(word);
+}
+
+static void put_u32(uint8_t *at, uint32_t word)
+{
     word = __builtin_bswap32(word);
+    memcpy(at, &word, 4);
+}
+
+static float float_of(uint32_t word)
+{
+    float value;
     memcpy(&value, &word, 4);
     return value;
 }
 
-static void put_f32(uint8_t *at, double value)
+static uint32_t word_of(float value)
 {
-    float rounded = (float)value;
     uint32_t word;
-    memcpy(&word, &rounded, 4);
-    word = __builtin_bswap32(word);
-    memcpy(at, &word, 4);
+    memcpy(&word, &value, 4);
+    return word;
 }
+
+static double get_f32(const uint8_t *at) { return float_of(get_u32(at)); }
+
+static void put_f32(uint8_t *at, double value) { put_u32(at, word_of((float)value)); }
 
 /* -- stamps (stamp.py) -------------------------------------------------------------------------------------------- */
 
@@ -427,19 +439,6 @@ static int crc_of(const uint8_t *data, Py_ssize_t size, uint64_t *crc)
     return !PyErr_Occurred();
 }
 
-static uint32_t get_u32(const uint8_t *at)
-{
-    uint32_t word;
-    memcpy(&word, at, 4);
-    return __builtin_bswap32(word);
-}
-
-static void put_u32(uint8_t *at, uint32_t word)
-{
-    word = __builtin_bswap32(word);
-    memcpy(at, &word, 4);
-}
-
 static uint32_t get_u32_ros(const uint8_t *at)
 {
     uint32_t word;
@@ -450,19 +449,7 @@ static uint32_t get_u32_ros(const uint8_t *at)
 static void put_u32_ros(uint8_t *at, uint32_t word) { memcpy(at, &word, 4); }
 
 /* Single precision, one rounding: of the two numbers of a ratio one is 1. */
-static float scaled(uint32_t word, float times, float by)
-{
-    float value;
-    memcpy(&value, &word, 4);
-    return value * times / by;
-}
-
-static uint32_t word_of(float value)
-{
-    uint32_t word;
-    memcpy(&word, &value, 4);
-    return word;
-}
+static float scaled(uint32_t word, float times, float by) { return float_of(word) * times / by; }
 
 /* All bits of the exponent are set in what is not finite. */
 static uint32_t not_finite(uint32_t word) { return (word & 0x7F800000u) == 0x7F800000u; }
