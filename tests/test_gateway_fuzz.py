@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config, ToIgtlRow
+from igtl_gateway.convert.express import COMPILED
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, IgtlRow
@@ -100,7 +101,7 @@ def test_the_gateway_stands(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     figures = fuzz_gateway.run(7, 3_000, said.append, every_s=0.0)
     assert figures.broken == ""
-    assert figures.bent >= 3_000 and figures.stages >= 3 and figures.planned > 300
+    assert figures.bent >= 3_000 and figures.stages >= 3 and figures.planned > (300 if COMPILED else 100)
     # all kinds of ends are met
     assert {"igtl_in converted", "igtl_in malformed", "igtl_in bad_crc", "ros_in conversion"} <= set(figures.fates)
     assert "3,0" in said[-1] and "bent messages: 3,0" in fuzz_gateway.report(figures)
