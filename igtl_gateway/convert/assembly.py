@@ -59,9 +59,11 @@ class VolumeAssembler:
         form = form_of(image)
         shape, _ = form
         if image.sub_size == image.dimensions:
-            self._begin(form)
-            if memoryview(image.pixels).nbytes <= room:
-                self._whole, self.missing, self.held = image.array, 0, memoryview(image.pixels).nbytes
+            pixels = memoryview(image.pixels)
+            if pixels.nbytes <= room:
+                self.keep(form, _dtype(image), pixels)
+            else:
+                self._begin(form)
             return image
         size = math.prod(shape) * _dtype(image).itemsize
         if size > MAX_VOLUME_BYTES:
@@ -103,7 +105,7 @@ class VolumeAssembler:
         return self._form == form and self._whole is not None
 
     def keep(self, form: Form, dtype: np.dtype[Any], pixels: memoryview) -> None:
-        """``update`` with a whole image, where ``takes`` is true."""
+        """Have a whole image for later updates; by itself ``update`` with one, where ``takes`` is true."""
         self._begin(form)
         self._whole = np.frombuffer(pixels, dtype).reshape(form[0])
         self.missing, self.held = 0, pixels.nbytes

@@ -144,8 +144,6 @@ class ToRosPlan:
                 return []  # the last message is kept for the first who listens
             if not forms and self._place is None:
                 return []  # bulk is looked at as it is made: the general way knows whether it is well
-            if not forms and self._place is None:
-                return []  # bulk is looked at as it is made: the general way knows whether it is well
         at, size = self._places
         volume = self._volume
         if volume and not volume[0].takes(volume[1]):
