@@ -17,6 +17,7 @@
         ├── DiskRefused             the disk is full, read-only or not ours
         ├── UnsupportedRecording    not a session log, or a version we do not know
         └── DamagedRecording        a session log that cannot be read to its end
+            └── LimitExceeded       a file that asks for more memory, depth or time than it may have
 
 Every message of an error names the place, the value found and the value expected.
 """
@@ -110,3 +111,7 @@ class UnsupportedRecording(RecordingError):
 
 class DamagedRecording(RecordingError):
     """The file is a session log, but cut off or corrupt."""
+
+
+class LimitExceeded(DamagedRecording):
+    """The file asks for more memory, nesting, repetition or time than the limits allow (``--limit``)."""

@@ -33,6 +33,7 @@ LEVELS = {
     "stamp": 0,
     "values": 0,
     "session": 1,
+    "untrusted": 1,
     "wire": 1,
     "faults": 1,
     "config": 2,

@@ -17,11 +17,11 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-PROJECT = Requirement("igtl-gateway[ros,view,video,dev]")
+PROJECT = Requirement("igtl-gateway[ros,view,video,nifti,dev]")
 CONSTRAINTS = Path(__file__).parent.parent / "constraints.txt"
 HEADER = """\
-# What the extras [ros,view,video,dev] install, with everything they need, on CPython 3.11, Linux x86_64.
-# To renew: make a virtual environment, pip install -e '.[ros,view,video,dev]' without this file, and there
+# What the extras [ros,view,video,nifti,dev] install, with everything they need, on CPython 3.11, Linux x86_64.
+# To renew: make a virtual environment, pip install -e '.[ros,view,video,nifti,dev]' without this file, and there
 #   python tools/constraints.py > constraints.txt
 """
 

@@ -78,11 +78,11 @@ make_venv() {
 }
 
 setup_venv() {
-    local extras='ros,view,video,dev' attempt
+    local extras='ros,view,video,nifti,dev' attempt
     if [ -n "${AMENT_PREFIX_PATH:-}" ]; then
         # The wheels and a sourced ROS 2 do not go together in one environment.
         say "A ROS 2 environment is sourced: its rclpy is used, the ROS wheels are not installed."
-        extras='view,video,dev'
+        extras='view,video,nifti,dev'
     fi
     "$VENV/bin/python" -c 'import pip' 2>/dev/null || make_venv
     say "Installing Python packages into $VENV (about 1 GB, a few minutes, only once)."

@@ -13,7 +13,9 @@ import sys
 from collections.abc import Sequence
 
 from igtl_gateway import __version__
+from igtl_gateway.cli.terminal import say
 from igtl_gateway.errors import ConfigError, GatewayError, RosError, UnsupportedRecording
+from igtl_gateway.untrusted import limits
 
 FAILURE, USAGE = 1, 2
 
@@ -39,6 +41,9 @@ VERBS = {
     "demo": "the main job in a minute: bridge, record, verify, replay",
 }
 
+#: Verbs that read files which somebody else may have written.
+READERS = frozenset(VERBS) - {"bridge", "doctor", "simulate", "bench", "demo"}
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; the console script ``igtl-gateway``."""
@@ -63,6 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if verb == asked:
             module = importlib.import_module(f"igtl_gateway.cli.{verb}{'_' * keyword.iskeyword(verb)}")
             module.add_arguments(made)
+            if verb in READERS:
+                _add_limits(made)
             made.epilog = "examples:\n" + module.EXAMPLES
             made.set_defaults(run=module.run)
     options = parser.parse_args(given)
@@ -70,7 +77,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return USAGE
     try:
-        return int(options.run(options))
+        with limits.use(limits.parse(getattr(options, "limit", []))):
+            return int(options.run(options))
     except (ConfigError, RosError, UnsupportedRecording) as error:
         return _say(options.verb, error, USAGE)
     except GatewayError as error:
@@ -84,6 +92,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILURE
 
 
+def _add_limits(parser: argparse.ArgumentParser) -> None:
+    """``--limit``, any number of times."""
+    names = "; ".join(
+        f"{name}: {meaning} ({getattr(limits.Limits(), name)})" for name, meaning in limits.MEANINGS.items()
+    )
+    parser.add_argument(
+        "--limit",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help=f"what reading a file may cost; may be repeated.  {names}",
+    )
+
+
 def _open_outputs() -> None:
     """Python has None for an output that the caller closed (``>&-``): nothing that is printed may fail for that."""
     for name in ("stdout", "stderr"):
@@ -92,5 +114,5 @@ def _open_outputs() -> None:
 
 
 def _say(verb: str, error: object, code: int) -> int:
-    print(f"igtl-gateway {verb}: {error}", file=sys.stderr)
+    say(f"igtl-gateway {verb}: {error}", error=True)
     return code

@@ -23,7 +23,7 @@ from igtl_gateway.bench.rounds import merged, with_costs
 from igtl_gateway.bench.runner import Extent, Plan, Row, Runner
 from igtl_gateway.bench.sweeps import SWEEPS, fits
 from igtl_gateway.bench.works import WORKS, Workshop
-from igtl_gateway.cli.common import print_json
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.errors import ConfigError
 

@@ -26,14 +26,13 @@ from igtl_gateway.cli.common import (
     addresses,
     count,
     load_config,
-    print_json,
-    printable,
     size,
     stop_event,
     with_routes,
 )
 from igtl_gateway.cli.edge_file import completed
 from igtl_gateway.cli.losses import losses
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.config import AUTO, Config
 from igtl_gateway.convert.igtl_msgs import Query
@@ -46,6 +45,7 @@ from igtl_gateway.gateway import FAULT
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S, utc_text
+from igtl_gateway.untrusted.text import printable
 
 if TYPE_CHECKING:
     from igtl_gateway.app.metrics import MetricsServer

@@ -239,20 +239,6 @@ def stop_event() -> Iterator[threading.Event]:
         os.close(reader)
 
 
-def print_json(value: Any) -> None:
-    """One JSON object on one line, at once."""
-    print(json.dumps(value, ensure_ascii=False, default=str), flush=True)
-
-
-#: Escape sequences in a device name could clear a terminal, or show what is not so; a line feed begins another line.
-_CONTROLS = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
-
-
-def printable(text: str) -> str:
-    """One line that a peer may have had a say in, for a terminal: control characters as ``\\x1b``."""
-    return text.translate(_CONTROLS)
-
-
 def count(number: int, thing: str, things: str = "") -> str:
     """``1 message``, ``1,234 messages``."""
     return f"{number:,} {thing if number == 1 else things or thing + 's'}"

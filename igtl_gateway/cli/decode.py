@@ -9,7 +9,7 @@ from io import BufferedReader, FileIO
 from pathlib import Path
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.cli.common import print_json
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.errors import ConfigError, MessageTooLarge, WireError
 from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer

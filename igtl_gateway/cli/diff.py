@@ -9,7 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import count, print_json, recorded_config
+from igtl_gateway.cli.common import count, recorded_config
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.replay.compare import Decoder, Tolerance

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from igtl_gateway.cli.common import count, print_json
+from igtl_gateway.cli.common import count
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.exchange.targets import TARGETS
 from igtl_gateway.replay.mcap_reader import SessionFile

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import count, print_json, size
+from igtl_gateway.cli.common import count, size
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, DamagedRecording, WireError
 from igtl_gateway.exchange.formats import open_source

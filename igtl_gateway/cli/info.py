@@ -12,9 +12,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import count, print_json, printable, size
+from igtl_gateway.cli.common import count, size
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.recover import print_losses
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.replay.mcap_reader import PartSummary, SessionFile, recover_hint
 from igtl_gateway.replay.salvage import Salvage
@@ -25,6 +26,7 @@ from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.session.timing import Timing, best
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.untrusted.text import printable
 
 EXAMPLES = """\
   igtl-gateway info out.mcap            streams, rates, gaps, errors, losses, peers, configuration

@@ -7,12 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import count, print_json, printable, recorded_config
+from igtl_gateway.cli.common import count, recorded_config
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.doctor.observer import Observer
 from igtl_gateway.doctor.report import Report
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.salvage import Salvage
+from igtl_gateway.untrusted.text import printable
 
 EXAMPLES = """\
   igtl-gateway lint out.mcap            findings: stamps, names, units, CRCs, header versions, losses

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import count, print_json, size
+from igtl_gateway.cli.common import count, size
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
 from igtl_gateway.record.mcap_copy import CopyWriter
 from igtl_gateway.record.mcap_writer import reason

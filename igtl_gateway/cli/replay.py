@@ -19,7 +19,6 @@ from igtl_gateway.cli.common import (
     add_faults,
     add_send,
     count,
-    print_json,
     recorded_config,
     size,
     stop_event,
@@ -27,6 +26,7 @@ from igtl_gateway.cli.common import (
 )
 from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, is_ours, keyboard, read_lines
 from igtl_gateway.cli.replay_sides import Side, open_sides
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.errors import ConfigError, GatewayError

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.cli.common import count, print_json, recorded_config
+from igtl_gateway.cli.common import count, recorded_config
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.replay.mcap_reader import SessionFile

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from igtl_gateway import __version__
 from igtl_gateway.cli import stage
-from igtl_gateway.cli.common import address, count, print_json, size
+from igtl_gateway.cli.common import address, count, size
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway import Gateway

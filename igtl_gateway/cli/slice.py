@@ -8,7 +8,8 @@ from itertools import chain
 from pathlib import Path
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import count, print_json, recorded_config, size
+from igtl_gateway.cli.common import count, recorded_config, size
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.mcap_writer import SessionWriter

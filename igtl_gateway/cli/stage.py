@@ -16,15 +16,8 @@ from typing import Any
 
 from igtl_gateway.app.stage_actor import ActorProgram, Connection
 from igtl_gateway.app.stage_live import End, Event, Outcome, Plan, Stage
-from igtl_gateway.cli.common import (
-    DEFAULT_HOST,
-    DEFAULT_PORT,
-    count,
-    print_json,
-    recorded_config,
-    size,
-    stop_event,
-)
+from igtl_gateway.cli.common import DEFAULT_HOST, DEFAULT_PORT, count, recorded_config, size, stop_event
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros_env import prepare_environment
 from igtl_gateway.errors import ConfigError, RecordingError

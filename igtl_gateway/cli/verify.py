@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import count, print_json, recorded_config
+from igtl_gateway.cli.common import count, recorded_config
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.config import Config
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import UnsupportedRecording

@@ -13,7 +13,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from igtl_gateway.cli.common import count, print_json, recorded_config, size, stop_event
+from igtl_gateway.cli.common import count, recorded_config, size, stop_event
+from igtl_gateway.cli.terminal import print_json
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, GatewayError, ViewerError

@@ -1,0 +1,121 @@
+"""What reading one file may cost: memory, ratio of compression, depth, count and time, each with a name.
+
+The limits are those of the running program (a context variable, so that readers need no argument for them);
+``--limit NAME=VALUE`` of the command line and :func:`use` replace them.  A file that asks for more ends in
+:class:`~igtl_gateway.errors.LimitExceeded`, which names the place, the value found and the limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, fields, replace
+
+from igtl_gateway.clock import Clock, SystemClock
+from igtl_gateway.errors import ConfigError, LimitExceeded
+
+_MIB = 1 << 20
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Bounds for reading one file.
+
+    Attributes:
+        memory: bytes that one piece (a chunk, a record, a frame, a header) may have, unpacked.
+        ratio: unpacked bytes for each packed byte of a piece; asked for only above ``free`` bytes.
+        free: bytes that a piece may always have, whatever its ratio: a black picture packs to nothing.
+        depth: levels of nesting of JSON, YAML, message definitions and the like.
+        count: things of one sort: fields of a header, connections of a capture, channels, names.
+        seconds: time that reading may take, plus ``seconds_per_mb`` for each megabyte of the file.
+        seconds_per_mb: see ``seconds``.
+    """
+
+    memory: int = 1024 * _MIB
+    ratio: int = 250
+    free: int = 64 * _MIB
+    depth: int = 64
+    count: int = 200_000
+    seconds: int = 20
+    seconds_per_mb: int = 10
+
+    def unpacked(self, packed: int) -> int:
+        """The bytes that a piece of ``packed`` bytes may unpack to."""
+        return min(self.memory, max(self.free, self.ratio * packed))
+
+
+#: Limit → what it bounds, for ``--help`` and the documentation.
+MEANINGS = {
+    "memory": "bytes that one chunk, record, frame or header may have unpacked",
+    "ratio": "unpacked bytes for each packed byte, above `free`",
+    "free": "bytes that a piece may have unpacked whatever its ratio",
+    "depth": "levels of nesting (JSON, YAML, message definitions)",
+    "count": "things of one sort (header fields, connections, channels, names)",
+    "seconds": "time that reading a file may take, plus `seconds_per_mb`",
+    "seconds_per_mb": "further seconds for each megabyte of the file",
+}
+
+_current: ContextVar[Limits] = ContextVar("igtl_gateway_limits", default=Limits())  # noqa: B039  # frozen
+
+
+def current() -> Limits:
+    """The limits that are in force."""
+    return _current.get()
+
+
+@contextmanager
+def use(limits: Limits) -> Iterator[None]:
+    """Read with these limits inside a ``with`` statement."""
+    token = _current.set(limits)
+    try:
+        yield
+    finally:
+        _current.reset(token)
+
+
+def parse(words: list[str]) -> Limits:
+    """The limits in force with each ``NAME=VALUE`` replaced.  Raises ConfigError."""
+    limits, names = current(), [field.name for field in fields(Limits)]
+    for word in words:
+        name, _, value = word.partition("=")
+        if name not in names or not value.isascii() or not value.isdigit() or not 0 < int(value) < 1 << 62:
+            raise ConfigError(f"--limit: found {word!r}, expected NAME=NUMBER with one of {', '.join(names)}")
+        limits = replace(limits, **{name: int(value)})
+    return limits
+
+
+def check(name: str, found: int, place: str, bound: int | None = None) -> None:
+    """Raise LimitExceeded if ``found`` is above the limit ``name``, or above ``bound`` that follows from it."""
+    allowed = int(getattr(current(), name)) if bound is None else bound
+    if found > allowed:
+        raise exceeded(name, found, place, allowed)
+
+
+def check_unpacked(packed: int, unpacked: int, place: str) -> None:
+    """Raise LimitExceeded if ``packed`` bytes may not become ``unpacked`` ones."""
+    check("memory", unpacked, place)
+    check("ratio", unpacked, place, current().unpacked(packed))
+
+
+def exceeded(name: str, found: object, place: str, allowed: object) -> LimitExceeded:
+    """The error that says so."""
+    return LimitExceeded(
+        f"{place}: found {found}, expected at most {allowed} (--limit {name}={getattr(current(), name)})"
+    )
+
+
+class Deadline:
+    """The time that reading a file of ``size`` bytes may take, from now on."""
+
+    def __init__(self, size: int, clock: Clock | None = None) -> None:
+        limits = current()
+        self._clock = clock or SystemClock()
+        self._seconds = limits.seconds + limits.seconds_per_mb * size // 1_000_000
+        self._end_ns = self._clock.monotonic_ns() + self._seconds * _NS_PER_S
+
+    def check(self, place: str) -> None:
+        """Raise LimitExceeded if the time is over."""
+        if self._clock.monotonic_ns() > self._end_ns:
+            raise exceeded("seconds", f"more than {self._seconds} s of work", place, f"{self._seconds} s")

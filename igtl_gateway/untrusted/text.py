@@ -1,0 +1,61 @@
+"""Text and JSON of others: for a terminal without control characters, and parsed within the limits."""
+
+from __future__ import annotations
+
+import json
+import unicodedata
+from typing import Any
+
+from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.untrusted import limits
+
+#: Unicode categories that move the cursor, reorder or break lines: control, format, surrogate, line, paragraph.
+_UNSAFE = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+
+
+def printable(text: str) -> str:
+    """One line that somebody else had a say in, for a terminal.
+
+    Control characters become ``\\x1b``, others that hide or reorder text ``\\u202e``.
+    """
+    if text.isprintable():
+        return text
+    return "".join(_escape(char) if unicodedata.category(char) in _UNSAFE else char for char in text)
+
+
+def _escape(char: str) -> str:
+    code = ord(char)
+    return f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}" if code < 1 << 16 else f"\\U{code:08x}"
+
+
+def json_line(value: Any) -> str:
+    """``value`` as JSON on one line: readable letters stay, what a terminal would act on is escaped."""
+    text = json.dumps(value, ensure_ascii=False, default=str)
+    if text.isprintable():
+        return text
+    return "".join(
+        json.dumps(char)[1:-1] if ord(char) > 126 and unicodedata.category(char) in _UNSAFE else char for char in text
+    ).replace("\x7f", "\\u007f")
+
+
+def parse_json(text: str, place: str) -> Any:
+    """JSON within the limits of memory and depth.  Raises DamagedRecording."""
+    limits.check("free", len(text), place)
+    check_nesting(text, place)
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise DamagedRecording(f"{place}: found no JSON: {error}") from None
+
+
+def check_nesting(text: str, place: str) -> None:
+    """Raise LimitExceeded where brackets nest deeper than the limit; brackets inside strings count too."""
+    if text.count("[") + text.count("{") <= limits.current().depth:
+        return
+    depth = 0
+    for char in text:
+        if char in "[{":
+            depth += 1
+            limits.check("depth", depth, place)
+        elif char in "]}":
+            depth -= 1

@@ -1,0 +1,61 @@
+"""Opening files of others: ordinary ones only, and never out of the folder."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.errors import DamagedRecording, LimitExceeded, UnsupportedRecording
+from igtl_gateway.untrusted import limits
+from igtl_gateway.untrusted.files import beside, open_file, read_bytes
+from igtl_gateway.untrusted.limits import Limits
+
+
+def test_an_ordinary_file_opens(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"abc")
+    with open_file(path) as stream:
+        assert stream.read() == b"abc"
+    assert read_bytes(path) == b"abc"
+
+
+def test_a_fifo_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    with pytest.raises(UnsupportedRecording, match="found a FIFO, expected a file"):
+        open_file(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [("/dev/zero", "a device"), ("/", "a folder"), ("/nowhere", "No such file"), ("a\0b", "null byte")],
+)
+def test_what_is_no_file_is_refused(name: str, fault: str) -> None:
+    with pytest.raises(UnsupportedRecording, match=fault):
+        open_file(Path(name))
+
+
+def test_a_small_file_that_is_large_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_bytes(b"x" * 11)
+    with limits.use(Limits(free=10)), pytest.raises(LimitExceeded, match="free=10"):
+        read_bytes(path)
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "../a.raw", "/etc/passwd", "sub/a.raw", "a\\b", "a\0b", "out"])
+def test_a_reference_stays_in_the_folder(tmp_path: Path, name: str) -> None:
+    (tmp_path / "out").symlink_to("/etc/passwd")
+    with pytest.raises(DamagedRecording, match="reference"):
+        beside(tmp_path / "a.mhd", name)
+
+
+def test_a_reference_to_a_file_beside(tmp_path: Path) -> None:
+    (tmp_path / "a.raw").touch()
+    (tmp_path / "b.raw").symlink_to(tmp_path / "a.raw")
+    os.mkfifo(tmp_path / "pipe")
+    assert beside(tmp_path / "a.mhd", "a.raw") == tmp_path / "a.raw"
+    assert beside(tmp_path / "a.mhd", "b.raw") == tmp_path / "b.raw"
+    with pytest.raises(UnsupportedRecording, match="FIFO"):
+        beside(tmp_path / "a.mhd", "pipe")
