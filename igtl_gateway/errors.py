@@ -13,6 +13,7 @@
     │   └── NotFinite               numbers that are none (NaN), or without end
     ├── RosError                    the ROS 2 side: missing installation, unknown type, refused name
     ├── ViewerError                 rerun and its viewer: not installed, nothing to draw with, no answer
+    ├── OutputError                 standard output or error takes nothing more: the disk is full
     └── RecordingError              a session file (fault of the file or of the disk)
         ├── DiskRefused             the disk is full, read-only or not ours
         ├── UnsupportedRecording    not a session log, or a version we do not know
@@ -95,6 +96,10 @@ class RosError(GatewayError):
 
 class ViewerError(GatewayError):
     """rerun or its viewer is not installed, has nothing to draw with, or does not answer."""
+
+
+class OutputError(GatewayError):
+    """What is printed cannot be written: the disk that stdout goes to is full."""
 
 
 class RecordingError(GatewayError):

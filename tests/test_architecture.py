@@ -56,6 +56,7 @@ LEVELS = {
     "cli": 6,
     "testing": 6,
     "__main__": 7,
+    "ros_interfaces.__main__": 7,
     "demo": 7,
 }
 
@@ -140,7 +141,10 @@ HIGHEST_PURE_LEVEL = 3
 #: Who may choose a module's name at run time: message types from the graph, verbs from the command line.
 DYNAMIC_IMPORTERS = ("edges.ros", "cli")
 
-PRINTERS = ("cli", "ros_interfaces.__main__")
+#: Who may print or write to the standard streams: whatever else prints does it by ``cli.terminal``, which escapes.
+PRINTERS = ("cli.terminal",)
+#: Programs that tell our own process what they do, and one line of our own beside the work of a compiler.
+STREAM_WRITERS = (*PRINTERS, "bench.programs", "ros_interfaces.cache")
 CLOCK_CALLS = frozenset({"now", "today", "utcnow"})
 
 #: Tests of no single module, relative to the folder of tests; a folder stands for all that is in it.
@@ -212,8 +216,14 @@ def violations(module: str, source: str, *, is_package: bool = False) -> list[st
     found = [(line, fault) for line, name in imports if (fault := _import_fault(module, unit, name))]
     for node in ast.walk(tree):
         match node:
-            case ast.Call(func=ast.Name("print")) if not any(lies_in(module, home) for home in PRINTERS):
-                found.append((node.lineno, "prints; only the command line does"))
+            case ast.Name("print") if not _is_home(module, PRINTERS):
+                found.append((node.lineno, "prints; only cli.terminal does"))
+            case ast.Attribute(value=ast.Name("sys"), attr="stdout" | "stderr" | "__stdout__" | "__stderr__") if (
+                not _is_home(module, STREAM_WRITERS)
+            ):
+                found.append((node.lineno, f"uses sys.{node.attr}; only cli.terminal does"))
+            case ast.Attribute(value=ast.Name("traceback"), attr="print_exc" | "print_exception"):
+                found.append((node.lineno, "prints; only cli.terminal does"))
             case ast.Attribute(value=ast.Name(of) | ast.Attribute(attr=of), attr=call) if (
                 of in {"date", "datetime"} and call in CLOCK_CALLS
             ):
@@ -316,7 +326,7 @@ def test_tests_mirror_the_package() -> None:
         ("replay.verify", "from igtl_gateway.gateway import Gateway\nfrom rosbags.typesys import Stores"),
         ("simulate.star", "import random"),
         ("app", "from igtl_gateway.record.recorder import Recorder\nfrom igtl_gateway.edges import ros, tcp"),
-        ("cli.bridge", "def run():\n    from igtl_gateway.app import App\n    print(App)"),
+        ("cli.bridge", "def run():\n    from igtl_gateway.app import App\n    say(App)"),
         ("__main__", "from igtl_gateway.cli import main"),
         ("demo.ros_node", "import rclpy, time\nfrom igtl_gateway.demo import pattern\nprint(time.time())"),
         ("stamp", "from datetime import datetime, timezone\ndatetime.fromtimestamp(0, timezone.utc)"),
@@ -379,6 +389,11 @@ def test_what_is_allowed(module: str, source: str) -> None:
         ("app", "import datetime\ndatetime.datetime.utcnow()", "reads the time by datetime.utcnow"),
         # Words
         ("app", "print('hello')", "prints"),
+        ("cli.info", "print('hello')", "cli.info:1: prints; only cli.terminal does"),
+        ("cli.info", "tell = print", "prints"),
+        ("cli.info", "import sys\nsys.stdout.write('hello')", "uses sys.stdout; only cli.terminal does"),
+        ("app.hub", "import sys\nfile = sys.stderr", "uses sys.stderr"),
+        ("replay.verify", "import traceback\ntraceback.print_exc()", "prints"),
         # A module that the table does not know
         ("utils", "", "has no level"),
     ],

@@ -8,13 +8,12 @@ from __future__ import annotations
 import argparse
 import importlib
 import keyword
-import os
 import sys
 from collections.abc import Sequence
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.terminal import say
-from igtl_gateway.errors import ConfigError, GatewayError, RosError, UnsupportedRecording
+from igtl_gateway.cli.terminal import Parser, abandon, finish, open_outputs, say
+from igtl_gateway.errors import ConfigError, GatewayError, OutputError, RosError, UnsupportedRecording
 from igtl_gateway.untrusted import limits
 
 FAILURE, USAGE = 1, 2
@@ -47,8 +46,8 @@ READERS = frozenset(VERBS) - {"bridge", "doctor", "simulate", "bench", "demo"}
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; the console script ``igtl-gateway``."""
-    _open_outputs()
-    parser = argparse.ArgumentParser(
+    open_outputs()
+    parser = Parser(
         prog="igtl-gateway",
         description="ROS 2 and OpenIGTLink: bridged, recorded, replayed, verified.",
         epilog="`igtl-gateway VERB --help` shows the options of a verb, with examples.",
@@ -78,17 +77,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         return USAGE
     try:
         with limits.use(limits.parse(getattr(options, "limit", []))):
-            return int(options.run(options))
+            code = int(options.run(options))
+        finish()
+        return code
     except (ConfigError, RosError, UnsupportedRecording) as error:
         return _say(options.verb, error, USAGE)
     except GatewayError as error:
+        if isinstance(error, OutputError):
+            abandon()
         return _say(options.verb, error, FAILURE)
     except KeyboardInterrupt:
-        print(file=sys.stderr)
+        say(error=True)
         return _say(options.verb, "interrupted", FAILURE)
     except BrokenPipeError:
         # whoever read our output has seen enough; nothing more can be printed
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        abandon()
         return FAILURE
 
 
@@ -104,13 +107,6 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help=f"what reading a file may cost; may be repeated.  {names}",
     )
-
-
-def _open_outputs() -> None:
-    """Python has None for an output that the caller closed (``>&-``): nothing that is printed may fail for that."""
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
 
 
 def _say(verb: str, error: object, code: int) -> int:

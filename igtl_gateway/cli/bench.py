@@ -6,7 +6,6 @@ import argparse
 import importlib.util
 import os
 import platform
-import sys
 import tempfile
 from dataclasses import dataclass, field, replace
 from importlib import metadata
@@ -23,7 +22,7 @@ from igtl_gateway.bench.rounds import merged, with_costs
 from igtl_gateway.bench.runner import Extent, Plan, Row, Runner
 from igtl_gateway.bench.sweeps import SWEEPS, fits
 from igtl_gateway.bench.works import WORKS, Workshop
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import print_json, say
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.errors import ConfigError
 
@@ -103,11 +102,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     if options.list:
         for case in CASES.values():
-            print(f"{case.name:<15} {case.text}")
+            say(f"{case.name:<15} {case.text}")
         for name, work in WORKS.items():
-            print(f"{name:<15} {work.text}")
+            say(f"{name:<15} {work.text}")
         for name, sweep in SWEEPS.items():
-            print(f"{f'--sweep {name}':<15} {sweep.text}")
+            say(f"{f'--sweep {name}':<15} {sweep.text}")
         return 0
     groups, works = _asked(options)
     if importlib.util.find_spec("rclpy") is None:
@@ -137,7 +136,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"rows": rows, **({"fits": lines} if lines else {}), "ambient": ambient})
     else:
-        print("\n".join([*_table(rows), *_fitted(lines), "", *_words(ambient)]))
+        say(*_table(rows), *_fitted(lines), "", *_words(ambient))
     return 0
 
 
@@ -350,4 +349,4 @@ def _words(ambient: dict[str, Any]) -> list[str]:
 
 
 def _tell(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    say(line, error=True, flush=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +31,7 @@ from igtl_gateway.cli.common import (
 )
 from igtl_gateway.cli.edge_file import completed
 from igtl_gateway.cli.losses import losses
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import clear, is_terminal, live, print_json, say
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.config import AUTO, Config
 from igtl_gateway.convert.igtl_msgs import Query
@@ -45,7 +44,6 @@ from igtl_gateway.gateway import FAULT
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S, utc_text
-from igtl_gateway.untrusted.text import printable
 
 if TYPE_CHECKING:
     from igtl_gateway.app.metrics import MetricsServer
@@ -126,7 +124,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     if options.types:
-        print("\n".join(types()))
+        say(*types())
         return 0
     how = recording.record_options(options)
     if options.duration is not None and not 0 < options.duration < float("inf"):
@@ -182,7 +180,7 @@ def run(options: argparse.Namespace) -> int:
             if window:
                 window.close()
             raise
-        out: _Output = _JsonOutput(clock) if options.log_format == "json" else _TextOutput(sys.stdout.isatty())
+        out: _Output = _JsonOutput(clock) if options.log_format == "json" else _TextOutput(is_terminal())
         started_ns = clock.monotonic_ns()
         try:
             with recording.steering(bridge.recorder) as keys:
@@ -204,7 +202,7 @@ def run(options: argparse.Namespace) -> int:
         out.events(watch.take())
         out.stopped(bridge, watch)
         if unseen:
-            print(f"igtl-gateway bridge: --view: {unseen}", file=sys.stderr)
+            say(f"igtl-gateway bridge: --view: {unseen}", error=True)
     return 1 if bridge.summary and bridge.summary.failure else 0
 
 
@@ -303,34 +301,35 @@ class _TextOutput:
         self._repeats: Counter[tuple[str, str]] = Counter()
 
     def _print(self, text: str) -> None:
-        clear = "\r\x1b[K" if self._terminal else ""
-        print(f"{clear}{printable(text)}", flush=not self._terminal or not self._status)
+        if self._terminal:
+            clear()
+        say(text, flush=True)
         if self._terminal and self._status:
-            print(self._status, end="", flush=True)
+            live(self._status)
 
     def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None:
-        print(f"igtl-gateway {__version__}")
+        say(f"igtl-gateway {__version__}")
         for (host, port), asked in zip(bridge.addresses, bridge.options.listen, strict=True):
-            print(f"OpenIGTLink  server on {host}:{port}{', TLS' if asked in bridge.options.tls_listen else ''}")
+            say(f"OpenIGTLink  server on {host}:{port}{', TLS' if asked in bridge.options.tls_listen else ''}")
         how = "a connection for each client (--relay)" if config.relay else "reconnecting"
         for host, port in bridge.options.connect:
             tls = ", TLS" if (host, port) in bridge.options.tls_connect else ""
-            print(f"OpenIGTLink  client of {host}:{port}{tls}, {how}")
+            say(f"OpenIGTLink  client of {host}:{port}{tls}, {how}")
         off = "--relay" if config.relay else "--no-ros"
-        print(f"ROS 2        node /{bridge.options.node_name}" if bridge.ros else f"ROS 2        off ({off})")
+        say(f"ROS 2        node /{bridge.options.node_name}" if bridge.ros else f"ROS 2        off ({off})")
         for note in notes:
-            print(f"             {note.partition(' (')[0]}")
-        print(f"recording    {bridge.options.record or 'off (--record FILE)'}")
+            say(f"             {note.partition(' (')[0]}")
+        say(f"recording    {bridge.options.record or 'off (--record FILE)'}")
         if metrics:
-            print(f"metrics      {metrics.url}")
+            say(f"metrics      {metrics.url}")
         if config.faults:
-            print(f"faults       {config.faults}, seed {config.fault_seed}: messages are spoilt on purpose")
+            say(f"faults       {config.faults}, seed {config.fault_seed}: messages are spoilt on purpose")
         for line in (*admission.denials(config), *profiles(config)):
-            print(line)
+            say(line)
         if bridge.ros:
             for line in mapping(config):
-                print(line)
-        print("Ctrl-C stops.", flush=True)
+                say(line)
+        say("Ctrl-C stops.", flush=True)
 
     def events(self, events: list[_Event]) -> None:
         for event in events:
@@ -363,26 +362,26 @@ class _TextOutput:
             f"> {rates[Kind.IGTL_OUT]:.0f}/s | ROS < {rates[Kind.ROS_IN]:.0f}/s > {rates[Kind.ROS_OUT]:.0f}/s | "
             f"dropped {dropped:,} refused {watch.refused:,}{recorded}"
         )
-        print(f"\r\x1b[K{self._status}", end="", flush=True)
+        live(self._status)
 
     def stopped(self, bridge: Bridge, watch: _Watch) -> None:
         if self._terminal:
-            print("\r\x1b[K", end="")
+            clear()
         counts = watch.counts
-        print(
+        say(
             f"stopped.  OpenIGTLink: {counts[Kind.IGTL_IN]:,} in, {counts[Kind.IGTL_OUT]:,} out.  "
             f"ROS: {counts[Kind.ROS_IN]:,} in, {counts[Kind.ROS_OUT]:,} out.  refused: {watch.refused:,}"
         )
         for reason, number in bridge.tcp.refused().items():
-            print(f"  connections refused, {reason}: {number:,}")
+            say(f"  connections refused, {reason}: {number:,}")
         for cause, number in sorted(self._repeats.items()):
             if number > 1 and cause[0] not in ("stream",):
-                print(printable(f"  {' '.join(filter(None, cause))}: {number:,} times"))
+                say(f"  {' '.join(filter(None, cause))}: {number:,} times")
         if bridge.summary:
             summary = bridge.summary
             lost, left_out = sum(summary.dropped.values()), sum(summary.left_out.values())
             files = f"{count(len(summary.files), 'snapshot')} of " if bridge.options.recording.snapshot_s else ""
-            print(
+            say(
                 f"recorded {count(summary.entries, 'entry', 'entries')} into {files}{summary.path} "
                 f"({size(summary.size)})"
                 + (f", left out {left_out:,}" if left_out else "")
@@ -391,9 +390,9 @@ class _TextOutput:
             )
         lines = losses(bridge.losses)
         for line in lines[:_MAX_LOSSES]:
-            print(printable(f"  {line}"))
+            say(f"  {line}")
         if len(lines) > _MAX_LOSSES:
-            print(f"  … and {len(lines) - _MAX_LOSSES:,} more kinds of losses")
+            say(f"  … and {len(lines) - _MAX_LOSSES:,} more kinds of losses")
 
 
 class _JsonOutput:

@@ -9,7 +9,7 @@ from io import BufferedReader, FileIO
 from pathlib import Path
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import print_json, say
 from igtl_gateway.errors import ConfigError, MessageTooLarge, WireError
 from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
                     target.writelines(_encoded(data))
                 offset += len(data)
     except MessageTooLarge as error:
-        print(f"igtl-gateway decode: offset {offset}: {error}", file=sys.stderr)
+        say(f"igtl-gateway decode: offset {offset}: {error}", error=True)
         return 1
     except BrokenPipeError:
         raise  # of our output, not of the file
@@ -64,10 +64,10 @@ def run(options: argparse.Namespace) -> int:
         if target:
             target.close()
     if framer.pending:
-        print(
+        say(
             f"igtl-gateway decode: offset {offset}: found {framer.pending} bytes of a message, expected a whole one: "
             f"the stream ends inside it",
-            file=sys.stderr,
+            error=True,
         )
     return 1 if damaged or framer.pending else 0
 

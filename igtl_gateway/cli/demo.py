@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from igtl_gateway.cli.common import count, size
+from igtl_gateway.cli.terminal import say
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.stamp import NS_PER_S
@@ -63,9 +64,9 @@ def _demo(recording: Path, seconds: float) -> int:
     _title(1, "the bridge runs and records; a ROS 2 node and an OpenIGTLink client talk through it")
     summaries = _traffic(recording, seconds)
     for name, summary in summaries.items():
-        print(f"\n{name} sent {count(sum(summary['sent'].values()), 'message')} and received:")
+        say("", f"{name} sent {count(sum(summary['sent'].values()), 'message')} and received:")
         for stream, told in sorted(summary["received"].items()):
-            print(f"  {stream:<36} {told['messages']:>5}, last: {told['last']}")
+            say(f"  {stream:<36} {told['messages']:>5}, last: {told['last']}")
         if not summary["received"]:
             raise DemoError(f"{name} received nothing")
     _title(2, f"what was recorded ({size(recording.stat().st_size)})")
@@ -77,14 +78,14 @@ def _demo(recording: Path, seconds: float) -> int:
     digests = [_replayed(recording, pace) for pace in (("--rate", "4"), ("--as-fast-as-possible",))]
     if any(digest != wanted for digest in digests):
         raise DemoError(f"the replays differ from the recording: {digests}, expected {wanted}")
-    print(f"both replays delivered {count(wanted[1], 'byte')} with SHA-256 {wanted[0][:16]}…")
-    print("the bytes were identical to those that the bridge sent to the client.")
-    print("\ndemo: all good")
+    say(f"both replays delivered {count(wanted[1], 'byte')} with SHA-256 {wanted[0][:16]}…")
+    say("the bytes were identical to those that the bridge sent to the client.")
+    say("", "demo: all good")
     return 0
 
 
 def _title(number: int, text: str) -> None:
-    print(f"\n--- {number}/4  {text}", flush=True)
+    say("", f"--- {number}/4  {text}", flush=True)
 
 
 def _traffic(recording: Path, seconds: float) -> dict[str, dict[str, Any]]:
@@ -93,20 +94,20 @@ def _traffic(recording: Path, seconds: float) -> dict[str, dict[str, Any]]:
     with _program("igtl_gateway", *command) as bridge:
         started = _event(bridge, "started")
         port = started["listen"][0]["port"]
-        print(f"bridge: OpenIGTLink server on 127.0.0.1:{port}, ROS 2 node /igtl_gateway", flush=True)
+        say(f"bridge: OpenIGTLink server on 127.0.0.1:{port}, ROS 2 node /igtl_gateway", flush=True)
         with _program("igtl_gateway.demo.ros_node") as node:
             _event(node, "ready")
-            print("ROS 2 node (rclpy): publishes and listens", flush=True)
+            say("ROS 2 node (rclpy): publishes and listens", flush=True)
             with _program("igtl_gateway.demo.igtl_client", str(port), str(seconds)) as client:
                 _event(client, "ready")
-                print(f"OpenIGTLink client (pyigtl): sends and listens for {seconds:g} s", flush=True)
+                say(f"OpenIGTLink client (pyigtl): sends and listens for {seconds:g} s", flush=True)
                 client_said = _event(client, "summary")
             _close_input(node)
             node_said = _event(node, "summary")
         bridge.send_signal(signal.SIGINT)
         stopped = _event(bridge, "stopped")
         recorded = stopped["recording"]
-        print(f"bridge: stopped, {count(recorded['entries'], 'entry', 'entries')} recorded, {recorded['dropped']} lost")
+        say(f"bridge: stopped, {count(recorded['entries'], 'entry', 'entries')} recorded, {recorded['dropped']} lost")
     return {"ROS 2 node (rclpy)": node_said, "OpenIGTLink client (pyigtl)": client_said}
 
 
@@ -131,7 +132,7 @@ def _event(program: subprocess.Popen[str], name: str) -> dict[str, Any]:
         if told["event"] == name:
             return told
         if told.get("level") in ("WARN", "ERROR"):
-            print(f"  {told['text']}")
+            say(f"  {told['text']}")
     raise DemoError(f"{program.args!r} ended before it said {name!r}")
 
 
@@ -143,7 +144,7 @@ def _close_input(program: subprocess.Popen[str]) -> None:
 
 def _gateway(*arguments: str) -> None:
     """Another verb of this command line, as the user would call it."""
-    print(f"$ igtl-gateway {' '.join(arguments)}", flush=True)
+    say(f"$ igtl-gateway {' '.join(arguments)}", flush=True)
     code = subprocess.run([sys.executable, "-m", "igtl_gateway", *arguments], check=False).returncode
     if code:
         raise DemoError(f"igtl-gateway {arguments[0]} ended with exit code {code}")
@@ -172,5 +173,5 @@ def _replayed(recording: Path, pace: tuple[str, ...]) -> tuple[str, int]:
         with _program("igtl_gateway", "replay", str(recording), "--to", "igtl", "--connect", target, "--json", *pace):
             told = _event(collector, "summary")
         seconds = (clock.monotonic_ns() - begun_ns) / NS_PER_S
-    print(f"replay {' '.join(pace):<24} {count(told['bytes'], 'byte')} in {seconds:.1f} s", flush=True)
+    say(f"replay {' '.join(pace):<24} {count(told['bytes'], 'byte')} in {seconds:.1f} s", flush=True)
     return told["sha256"], told["bytes"]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.cli.common import count, recorded_config
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import cell, print_json, say, width
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.replay.compare import Decoder, Tolerance
@@ -91,22 +91,22 @@ def _plain(value: Any) -> Any:
 def _print(options: argparse.Namespace, report: DiffReport) -> None:
     messages = sum(stream.messages for stream in report.streams)
     others = sum(stream.other_messages for stream in report.streams)
-    print(f"A {options.one}: {count(messages, 'message')}")
-    print(f"B {options.other}: {count(others, 'message')}")
-    print(f"  by gateway time B is {_signed(report.offset_ns)} later" if report.offset_ns else "  at the same times")
+    say(f"A {options.one}: {count(messages, 'message')}")
+    say(f"B {options.other}: {count(others, 'message')}")
+    say(f"  by gateway time B is {_signed(report.offset_ns)} later" if report.offset_ns else "  at the same times")
     if report.stamp_offset_ns:
-        print(f"  stamps in messages of B are {_signed(report.stamp_offset_ns)} later")
+        say(f"  stamps in messages of B are {_signed(report.stamp_offset_ns)} later")
     title = ("stream", "A", "B", "missing", "extra", "different", "mm", "deg", "offset", "jitter")
     rows = [title, *(_row(stream, report) for stream in report.streams)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(title))]
+    widths = [width(row[column] for row in rows) for column in range(len(title))]
     for row in rows:
-        cells = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
-        print(f"  {row[0]:<{widths[0]}}  {'  '.join(cells)}".rstrip())
+        cells = [text.rjust(columns) for text, columns in zip(row[1:], widths[1:], strict=True)]
+        say(f"  {cell(row[0], widths[0])}  {'  '.join(cells)}".rstrip())
     for stream in report.streams:
         for line in _places(stream):
-            print(f"{stream.kind} {stream.stream}".rstrip() + f": {line}")
+            say(f"{stream.kind} {stream.stream}".rstrip() + f": {line}")
     wrong = sum(not stream.equal for stream in report.streams)
-    print("equal" if report.equal else f"DIFFERENT: {count(wrong, 'stream')} of {len(report.streams)}")
+    say("equal" if report.equal else f"DIFFERENT: {count(wrong, 'stream')} of {len(report.streams)}")
 
 
 def _row(stream: StreamDiff, report: DiffReport) -> tuple[str, ...]:

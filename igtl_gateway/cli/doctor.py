@@ -8,11 +8,10 @@ from pathlib import Path
 from igtl_gateway.app.examine import ExamineOptions, examine
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import DEFAULT_HOST, DEFAULT_PORT, load_config, stop_event
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import print_json, say
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.doctor.report import Report
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.untrusted.text import printable
 
 EXAMPLES = """\
   igtl-gateway doctor 192.168.1.20:18944          connect to a server, look for 5 seconds, say what is wrong
@@ -85,5 +84,5 @@ def run(options: argparse.Namespace) -> int:
         print_json(report.to_dict())
     else:
         for line in report.lines():
-            print(printable(line))
+            say(line)
     return int(report.failed)

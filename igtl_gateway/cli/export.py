@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from igtl_gateway.cli.common import count
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import cell, print_json, say, width
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.exchange.targets import TARGETS
 from igtl_gateway.replay.mcap_reader import SessionFile
@@ -67,13 +67,13 @@ def run(options: argparse.Namespace) -> int:
         told = {"file": str(options.file), "to": options.to, "out": str(options.out), "good": good}
         print_json({**told, "files": account.files, "rows": rows, "notes": account.notes})
         return 0 if good else 1
-    width = max(len(row.stream) for row in account.rows)
-    kinds = max(len(row.type) for row in account.rows)
+    streams = width(row.stream for row in account.rows)
+    kinds = width(row.type for row in account.rows)
     for row in account.rows:
         mark = " " if row.good else "!"
         numbers = f"{row.declared:>10,} {row.taken:>10,} {row.left_out:>10,}"
-        print(f"{mark} {row.stream:<{width}}  {row.type:<{kinds}} {numbers}  {row.why}".rstrip())
+        say(f"{mark} {cell(row.stream, streams)}  {cell(row.type, kinds)} {numbers}  {row.why}".rstrip())
     for note in account.notes:
-        print(f"note: {note}")
-    print(f"{options.out}: {count(written, 'message')} in {count(account.files, 'file')}")
+        say(f"note: {note}")
+    say(f"{options.out}: {count(written, 'message')} in {count(account.files, 'file')}")
     return 0 if good else 1

@@ -11,7 +11,7 @@ from typing import Any
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import count, size
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import cell, print_json, say, width
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, DamagedRecording, WireError
 from igtl_gateway.exchange.formats import open_source
@@ -121,17 +121,17 @@ def _told(row: Row) -> dict[str, Any]:
 
 
 def _print(source: Source, told: dict[str, Any]) -> None:
-    print(f"{source.title}: {len(source.rows)} rows; found, imported, left out")
-    width = max((len(row.stream) for row in source.rows), default=0)
-    kinds = max((len(row.type or row.unit) for row in source.rows), default=0)
+    say(f"{source.title}: {len(source.rows)} rows; found, imported, left out")
+    streams = width(row.stream for row in source.rows)
+    kinds = width(row.type or row.unit for row in source.rows)
     for row in source.rows:
         mark = " " if row.good else "!"
         numbers = f"{row.declared:>12,} {row.taken:>12,} {row.left_out:>12,}"
-        print(f"{mark} {row.stream:<{width}}  {row.type or row.unit:<{kinds}} {numbers}  {row.why}".rstrip())
+        say(f"{mark} {cell(row.stream, streams)}  {cell(row.type or row.unit, kinds)} {numbers}  {row.why}".rstrip())
     for note in told["notes"]:
-        print(f"note: {note}")
+        say(f"note: {note}")
     if told["failure"]:
-        print(f"FAILED: {told['failure']}")
+        say(f"FAILED: {told['failure']}")
     elif not told["good"]:
-        print("DIFFERENT: the rows marked ! have not all that the source declares")
-    print(f"{told['file']}: {count(told['entries'], 'entry', 'entries')}, {size(told['bytes'])}")
+        say("DIFFERENT: the rows marked ! have not all that the source declares")
+    say(f"{told['file']}: {count(told['entries'], 'entry', 'entries')}, {size(told['bytes'])}")

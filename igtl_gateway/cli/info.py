@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
@@ -15,7 +14,7 @@ from typing import Any
 from igtl_gateway.cli.common import count, size
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.recover import print_losses
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import cell, print_json, say, width
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.replay.mcap_reader import PartSummary, SessionFile, recover_hint
 from igtl_gateway.replay.salvage import Salvage
@@ -26,7 +25,6 @@ from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.session.timing import Timing, best
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway.untrusted.text import printable
 
 EXAMPLES = """\
   igtl-gateway info out.mcap            streams, rates, gaps, errors, losses, peers, configuration
@@ -220,10 +218,10 @@ def _run_damaged(options: argparse.Namespace, why: str) -> int:
         print_json(told | {"skipped": [], "damaged": {"why": why, **asdict(report)}})
         return 1
     _print(told | {"skipped": []}, content.notes, report.start_ns)
-    print("  DAMAGED")
+    say("  DAMAGED")
     print_losses(report)
     hint = recover_hint(options.file)
-    print(f"igtl-gateway info: {why.removesuffix(hint)}{hint}", file=sys.stderr)
+    say(f"igtl-gateway info: {why.removesuffix(hint)}{hint}", error=True)
     return 1
 
 
@@ -285,35 +283,35 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
     kind = "a foreign MCAP file" if told["foreign"] else f"session log version {told['format_version']}"
     parts = told.get("parts", [])
     number = f"{count(len(parts), 'part')}, " if parts else ""
-    print(f"{told['file']}: {kind}, {number}{size(told['bytes'])}")
+    say(f"{told['file']}: {kind}, {number}{size(told['bytes'])}")
     if told["entries"]:
         jumped_s = sum(step["jump_s"] for step in told["clock_steps"])
         jumps = f" ({jumped_s:,.3f} s of them jumps of the clock)" if jumped_s else ""
         number = count(told["entries"], "entry", "entries")
-        print(f"  start     {told['start']}, {told['duration_s']:.3f} s{jumps}, {number}")
+        say(f"  start     {told['start']}, {told['duration_s']:.3f} s{jumps}, {number}")
     else:
-        print("  no entries")
+        say("  no entries")
     made = session.get("igtl_gateway_version")
     if made:
-        print(f"  made by   igtl-gateway {made}" + (f" ({session['scenario']})" if "scenario" in session else ""))
+        say(f"  made by   igtl-gateway {made}" + (f" ({session['scenario']})" if "scenario" in session else ""))
     if "synthetic" in session:
-        print(f"  synthetic {session['synthetic']}")
+        say(f"  synthetic {session['synthetic']}")
     for key, value in json.loads(session.get(layout.CUSTOM_KEY, "{}")).items():
-        print(f"  {key:<9} {value}")
+        say(f"  {key:<9} {value}")
     for line in _origin(session):
-        print(f"  {line}")
+        say(f"  {line}")
     config = json.loads(session.get("config", "{}"))
     if config:
-        print(
+        say(
             f"  units     {config['igtl_unit']} in OpenIGTLink, {config['ros_unit']} in ROS; "
             f"stamps: {config['stamp']}; base frame {config['base_frame']!r}"
         )
     if parts:
-        print("  parts")
-        width = max(len(part["file"]) for part in parts)
+        say("  parts")
+        columns = width(part["file"] for part in parts)
         for part in parts:
             span = f"from {part['start']}, {part['duration_s']:.3f} s" if part["entries"] else "no entries"
-            print(f"    {part['file']:<{width}} {part['entries']:>7,} {size(part['bytes']):>9}  {span}")
+            say(f"    {cell(part['file'], columns)} {part['entries']:>7,} {size(part['bytes']):>9}  {span}")
     _print_streams(told["streams"])
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
@@ -328,9 +326,9 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
         ),
     ):
         if lines:
-            print(f"  {title}")
+            say(f"  {title}")
             for line in lines:
-                print(printable(f"    {line}"))
+                say(f"    {line}")
 
 
 def _origin(session: dict[str, str]) -> list[str]:
@@ -359,17 +357,17 @@ def _globs(text: str) -> str:
 
 def _print_streams(streams: list[dict[str, Any]]) -> None:
     direction = ""
-    width = max((len(stream["stream"]) for stream in streams), default=0)
+    columns = width(stream["stream"] for stream in streams)
     for stream in streams:
         if stream["direction"] != direction:
             direction = stream["direction"]
-            print(f"  {DIRECTIONS[Kind(direction)]}")
+            say(f"  {DIRECTIONS[Kind(direction)]}")
         rate = f"{stream['rate_hz']:.1f} Hz" if stream["rate_hz"] else ""
         gap = f"GAP of {stream['longest_pause_s']:.1f} s" if stream["gap"] else ""
         ros_type = stream["type"] if "/" in stream["type"] else ""
         facts = ", ".join(fact for fact in (ros_type, stream["stamps"], gap) if fact)
         counts = f"{stream['messages']:>7,} {rate:>10} {size(stream['bytes']):>9}"
-        print(printable(f"    {stream['stream']:<{width}} {counts}  {facts}").rstrip())
+        say(f"    {cell(stream['stream'], columns)} {counts}  {facts}".rstrip())
 
 
 def _peer(clock: dict[str, Any]) -> str:

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.cli.common import count, recorded_config
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import print_json, say
 from igtl_gateway.doctor.observer import Observer
 from igtl_gateway.doctor.report import Report
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.salvage import Salvage
-from igtl_gateway.untrusted.text import printable
 
 EXAMPLES = """\
   igtl-gateway lint out.mcap            findings: stamps, names, units, CRCs, header versions, losses
@@ -42,9 +41,9 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"file": str(options.file)} | report.to_dict())
     else:
-        print(f"{options.file}: {count(len(seen.streams), 'OpenIGTLink stream')}")
+        say(f"{options.file}: {count(len(seen.streams), 'OpenIGTLink stream')}")
         for line in report.lines():
-            print(printable(line))
+            say(line)
     return int(report.failed)
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import count, size
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import clear, is_terminal, live, print_json, say
 from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
 from igtl_gateway.record.mcap_copy import CopyWriter
 from igtl_gateway.record.mcap_writer import reason
@@ -74,7 +73,7 @@ def _run_parts(options: argparse.Namespace) -> int:
         except UnsupportedRecording as error:
             told = {"file": str(part), "whole": False, "why": str(error)}
             if not options.json:
-                print(f"LOST {error}")
+                say(f"LOST {error}")
         else:
             written.append(copy)
             if not options.json:
@@ -90,7 +89,7 @@ def _run_parts(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"file": str(source), "output": str(output), "whole": whole, "parts": everything})
     else:
-        print(f"{output / SIDE_FILE}: written")
+        say(f"{output / SIDE_FILE}: written")
     return 0 if whole else 1
 
 
@@ -107,7 +106,7 @@ def _recover(source: Path, output: Path, options: argparse.Namespace) -> tuple[d
             compression=file.compression,
             overwrite=options.overwrite,
         ) as writer:
-            _copy(file, writer, progress=sys.stderr.isatty() and not options.json)
+            _copy(file, writer, progress=is_terminal(error=True) and not options.json)
             facts = _facts(file)
             ledger = file.ledger or {}
             if "recovered" in ledger:
@@ -127,10 +126,10 @@ def _copy(file: Salvage, writer: CopyWriter, *, progress: bool) -> None:
     for each in file.read():
         writer.write(each.schema, each.channel, each.message)
         if progress and file.position >= next_word:
-            print(f"\r{100 * file.position // file.report.size:3} %", end="", file=sys.stderr, flush=True)
+            live(f"{100 * file.position // file.report.size:3} %", error=True)
             next_word = file.position + _STEP
     if next_word > _STEP:
-        print("\r     \r", end="", file=sys.stderr, flush=True)
+        clear(error=True)
 
 
 def _facts(file: Salvage) -> dict[str, Any]:
@@ -151,25 +150,25 @@ def _facts(file: Salvage) -> dict[str, Any]:
 
 
 def _print(told: dict[str, Any], report: Report) -> None:
-    print(f"{told['file']}: {count(report.messages, 'message')} read of {size(report.size)}")
+    say(f"{told['file']}: {count(report.messages, 'message')} read of {size(report.size)}")
     print_losses(report)
-    print(f"{told['output']}: written, closed and with its index, {size(told['output_bytes'])}")
+    say(f"{told['output']}: written, closed and with its index, {size(told['output_bytes'])}")
     if report.whole:
-        print("whole: nothing that was recorded is lost")
+        say("whole: nothing that was recorded is lost")
 
 
 def print_losses(report: Report) -> None:
     """What is lost, in words; nothing where nothing is."""
     start_ns = min((each for each in (report.start_ns, *(loss.start_ns for loss in report.lost)) if each), default=0)
     for loss in report.lost[:_SHOWN]:
-        print(f"  LOST {_words(loss, start_ns)}")
+        say(f"  LOST {_words(loss, start_ns)}")
     more = max(0, len(report.lost) - _SHOWN) + report.more_lost
     if more:
-        print(f"  LOST in {count(more, 'more place')}")
+        say(f"  LOST in {count(more, 'more place')}")
     if report.missing:
-        print(f"  {count(report.missing, 'message')} of the index could not be read")
+        say(f"  {count(report.missing, 'message')} of the index could not be read")
     elif report.missing is None and report.missing_numbers:
-        print(
+        say(
             f"  up to {count(report.missing_numbers, 'entry', 'entries')}, by their numbers, are missing between others"
         )
 

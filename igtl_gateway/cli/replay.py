@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from threading import Event, Thread
@@ -26,7 +25,7 @@ from igtl_gateway.cli.common import (
 )
 from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, is_ours, keyboard, read_lines
 from igtl_gateway.cli.replay_sides import Side, open_sides
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import cell, print_json, say
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.errors import ConfigError, GatewayError
@@ -269,7 +268,7 @@ def _controls(
 def _tell(options: argparse.Namespace, text: str) -> None:
     # also called by the edges' threads: whether there still is a reader, the report finds out in ours
     with suppress(BrokenPipeError):
-        print(text, file=sys.stderr if options.json else sys.stdout, flush=True)
+        say(text, error=options.json, flush=True)
 
 
 def _tell_jump(options: argparse.Namespace, file: SessionFile, jump: Jump) -> None:
@@ -312,18 +311,17 @@ def _report(options: argparse.Namespace, player: Player, complete: bool, faulty:
             told["faults"] = {"fault": options.fault, "seed": options.seed, "counts": faulty.counts}
         print_json(told)
         return
-    print(f"{'sent' if complete else 'stopped after'} {count(played.messages, 'message')}, {size(played.bytes)}")
+    say(f"{'sent' if complete else 'stopped after'} {count(played.messages, 'message')}, {size(played.bytes)}")
     if played.unheard:
-        print(f"  {played.unheard:,} of them while no peer was connected")
+        say(f"  {played.unheard:,} of them while no peer was connected")
     if faulty:
         counts = faulty.counts
         hit = ", ".join(f"{name} {counts[name]:,}" for name in sorted(counts) if name != "messages" and counts[name])
-        print(f"faults (seed {options.seed}): of {count(counts['messages'], 'message')}: {hit or 'none hit'}")
+        say(f"faults (seed {options.seed}): of {count(counts['messages'], 'message')}: {hit or 'none hit'}")
     for stream, number in sorted(played.by_stream.items()):
-        print(f"  {stream:<40} {number:>8,}")
+        say(f"  {cell(stream, 40)} {number:>8,}")
     if options.to == "both" and played.digest:
         for side, part in sorted(player.sides.items()):
-            print(f"{side}: sha256 {part.digest}")
+            say(f"{side}: sha256 {part.digest}")
     if played.digest:
-        print(f"sha256 {played.digest}")
-    sys.stdout.flush()
+        say(f"sha256 {played.digest}")

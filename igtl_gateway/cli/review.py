@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-import sys
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, fields
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.cli.common import count, recorded_config
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import cell, is_terminal, print_json, say, width
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.replay.mcap_reader import SessionFile
@@ -214,30 +213,29 @@ def _number(value: float | None) -> str:
 
 
 def _print(path: Path, review: Review, start_ns: int) -> None:
-    colour = sys.stdout.isatty()
+    colour = is_terminal()
     cloud, plans = review.cloud, review.plans
-    print(
-        f"{path}: {count(len(review.last.stitches), 'stitch', 'stitches')}, {count(len(plans), 'version')} of the plan"
-    )
+    say(f"{path}: {count(len(review.last.stitches), 'stitch', 'stitches')}, {count(len(plans), 'version')} of the plan")
     size = f"{cloud.width} × {cloud.height}" if cloud.height > 1 else f"{cloud.width:,} points, not organised"
-    print(f"  cloud  {cloud.topic}, {count(cloud.clouds, 'cloud')} of {size}, frame {cloud.frame_id}")
+    say(f"  cloud  {cloud.topic}, {count(cloud.clouds, 'cloud')} of {size}, frame {cloud.frame_id}")
     low, middle, high = _noise(review)
     if middle is not None:
         how = "from cloud to cloud" if cloud.temporal else "from pixel to pixel, a lower bound"
-        print(f"  noise  {middle:.2f} mm in depth ({low:.2f} … {high:.2f}), {how}")
+        say(f"  noise  {middle:.2f} mm in depth ({low:.2f} … {high:.2f}), {how}")
     if review.tool:
-        print(f"  tool   {review.tool}")
+        say(f"  tool   {review.tool}")
     for note in review.notes:
-        print(f"  note   {note}")
+        say(f"  note   {note}")
     for version, plan in enumerate(plans, 1):
         when = f"{(plan.stamp_ns - start_ns) / _NS_PER_S:.3f} s"
-        print(f"\nplan {version} of {len(plans)}: {plan.topic} at {when}, {_levels(plan)}")
+        say("", f"plan {version} of {len(plans)}: {plan.topic} at {when}, {_levels(plan)}")
         if plan is review.first or plan is review.last:
             _print_plan(plan, colour, with_tool=bool(review.tool) and plan is review.last)
     _print_changes(review, colour)
     wrong = [stitch.label for stitch in review.last.wrong]
     verdict = f"WRONG: {', '.join(wrong)}" if wrong else "no stitch of the last plan is wrong"
-    print(f"\n{_painted(verdict, Level.WRONG if wrong else Level.OK, colour)}")
+    say()
+    say(verdict, colour=_COLOURS[Level.WRONG if wrong else Level.OK] if colour else "")
 
 
 def _levels(plan: PlanReview) -> str:
@@ -267,24 +265,25 @@ def _print_plan(plan: PlanReview, colour: bool, with_tool: bool) -> None:
     table += [_row(stitch, with_tool) for stitch in plan.stitches]
     # a title in the first line may lie over the columns to its right
     widths = [max(len(row[column]) for row in table[1:]) for column in range(len(titles))]
-    widths[0] = max(len(row[0]) for row in table)
+    widths[0] = width(row[0] for row in table)
     over = ""
-    for column, (title, width) in enumerate(zip(table[0], widths, strict=True)):
+    for column, (title, wide) in enumerate(zip(table[0], widths, strict=True)):
         at = sum(widths[:column]) + 2 * column
         over = over.ljust(at) + (title if not column else "")
         if column and title:
-            over += title if len(title) > width else title.rjust(width)
-    print(f"    {over}".rstrip())
+            over += title if len(title) > wide else title.rjust(wide)
+    say(f"    {over}".rstrip())
     for number, row in enumerate(table[1:]):
-        cells = [row[0].ljust(widths[0])] + [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
+        cells = [cell(row[0], widths[0]), *(text.rjust(wide) for text, wide in zip(row[1:], widths[1:], strict=True))]
         line = "  ".join(cells).rstrip()
         if number == 0:
-            print(f"    {line}")
+            say(f"    {line}")
             continue
         stitch = plan.stitches[number - 1]
-        print(f"  {_painted(f'{_MARKS[stitch.level]} {line}', stitch.level, colour and stitch.level is not Level.OK)}")
+        painted = colour and stitch.level is not Level.OK
+        say(f"  {_MARKS[stitch.level]} {line}", colour=_COLOURS[stitch.level] if painted else "")
         for reason in stitch.reasons:
-            print(f"    {' ' * widths[0]}  {reason}")
+            say(f"    {' ' * widths[0]}  {reason}")
 
 
 def _row(stitch: StitchReview, with_tool: bool) -> tuple[str, ...]:
@@ -320,9 +319,9 @@ def _mm(value: float | None, digits: int = 2) -> str:
 def _print_changes(review: Review, colour: bool) -> None:
     if len(review.plans) == 1:
         return
-    print("\nfrom the first plan to the last")
+    say("", "from the first plan to the last")
     if not review.changes:
-        print("  nothing changed")
+        say("  nothing changed")
     for change in review.changes:
         before, after = (level.value if level else "" for level in (change.before, change.after))
         if change.moved_mm:
@@ -330,8 +329,4 @@ def _print_changes(review: Review, colour: bool) -> None:
             text = f"entry moved by {entry:.2f} mm, exit by {leave:.2f} mm: {before} → {after}"
         else:
             text = f"added: {after}" if change.after else f"taken out: was {before}"
-        print(f"  {_painted(f'{change.label}  {text}', change.after or Level.OK, colour)}")
-
-
-def _painted(text: str, level: Level, colour: bool) -> str:
-    return f"\x1b[{_COLOURS[level]}m{text}\x1b[0m" if colour else text
+        say(f"  {change.label}  {text}", colour=_COLOURS[change.after or Level.OK] if colour else "")

@@ -9,7 +9,7 @@ from pathlib import Path
 from igtl_gateway import __version__
 from igtl_gateway.cli import stage
 from igtl_gateway.cli.common import address, count, size
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import print_json, say, show
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway import Gateway
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
     if options.actor:
         return stage.play_actor(options, scenario)
     if options.print_config:
-        print(scenario.config.to_toml(), end="")
+        show(scenario.config.to_toml())
         return 0
     if not options.out:
         return stage.play(options, scenario)
@@ -148,10 +148,10 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
         actors = {name: stage.report_facts(done, report) for name, (done, report) in reports.items()}
         print_json(told | ({"actors": actors} if actors else {}))
     else:
-        print(f"{scenario.title}")
+        say(scenario.title)
         for name, (done, report) in reports.items():
-            print("\n".join(stage.report_lines(name, "", done, report)))
-        print(f"{options.out}: {count(entries, 'entry', 'entries')}, {size(told['bytes'])}")
+            say(*stage.report_lines(name, "", done, report))
+        say(f"{options.out}: {count(entries, 'entry', 'entries')}, {size(told['bytes'])}")
     return 0 if good else 1
 
 

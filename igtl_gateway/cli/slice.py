@@ -9,7 +9,7 @@ from pathlib import Path
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import count, recorded_config, size
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import print_json, say
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.mcap_writer import SessionWriter
@@ -119,17 +119,17 @@ def _told(report: SliceReport) -> dict[str, object]:
 
 
 def _print(out: Path, report: SliceReport) -> None:
-    print(
+    say(
         f"{out}: {count(report.inputs, 'input')} and {count(report.outputs, 'output')}, "
         f"{size(out.stat().st_size)}; before them {count(report.prologue, 'input')} that the state follows from"
     )
     if report.computed:
-        print(
+        say(
             f"computed: the outputs of {count(report.computed, 'input')} follow from streams that are left out; "
             "the file has what today's gateway says without those"
         )
     elif report.differing:
-        print(
+        say(
             f"as recorded, but not what today's gateway says: {count(report.differing, 'output')}; "
             "see `igtl-gateway verify` of the whole recording"
         )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
-import shutil
 import sys
 import tempfile
 import threading
@@ -17,7 +16,7 @@ from typing import Any
 from igtl_gateway.app.stage_actor import ActorProgram, Connection
 from igtl_gateway.app.stage_live import End, Event, Outcome, Plan, Stage
 from igtl_gateway.cli.common import DEFAULT_HOST, DEFAULT_PORT, count, recorded_config, size, stop_event
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import clear, finish, is_terminal, live, print_json, say
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros_env import prepare_environment
 from igtl_gateway.errors import ConfigError, RecordingError
@@ -157,19 +156,19 @@ class _Output:
         self._json = as_json
         self._alone = False
         self._begun = False
-        self._terminal = sys.stdout.isatty() and not as_json
+        self._terminal = is_terminal() and not as_json
         self._state = {actor.name: "starts" for actor in actors}
 
     def started(self, plan: Plan, options: argparse.Namespace) -> None:
         if self._json:
             return
         self._alone = bool(options.side)
-        print(f"{self._name}: {self._scenario.title}")
+        say(f"{self._name}: {self._scenario.title}")
         if plan.bridge is None and options.side == "ros":
-            print("             waits for a bridge of yours in this ROS 2 domain that has an OpenIGTLink peer")
-            print(f"             igtl-gateway simulate {self._name} --print-config > its.toml")
-            print("             igtl-gateway bridge --config its.toml")
-        sys.stdout.flush()
+            say("             waits for a bridge of yours in this ROS 2 domain that has an OpenIGTLink peer")
+            say(f"             igtl-gateway simulate {self._name} --print-config > its.toml")
+            say("             igtl-gateway bridge --config its.toml")
+        finish()
         self._status()
 
     def event(self, name: str, event: Event) -> None:
@@ -209,13 +208,13 @@ class _Output:
         for name, part in outcome.parts.items() if self._begun else ():
             sent, received = sum(part.sent.values()), sum(part.received.values())
             what = f"  {_SIDES[part.side]}: {sent:,} sent, {received:,} received"
-            print("\n".join(report_lines(name, what, part.done, part.report)))
+            say(*report_lines(name, what, part.done, part.report))
         for name, what in outcome.waiting.items():
-            print(f"{name:<12} waited for {what}")
+            say(f"{name:<12} waited for {what}")
         for text in outcome.warnings[:_WARNINGS]:
-            print(f"?            {text}")
+            say(f"?            {text}")
         if len(outcome.warnings) > _WARNINGS:
-            print(f"?            and {count(len(outcome.warnings) - _WARNINGS, 'more warning')}: --json shows all")
+            say(f"?            and {count(len(outcome.warnings) - _WARNINGS, 'more warning')}: --json shows all")
         if outcome.recording and verification:
             where = f"{outcome.recording['path']}: " if kept else ""
             entries = count(outcome.recording["entries"], "entry", "entries")
@@ -226,22 +225,22 @@ class _Output:
                 if verification.good
                 else f"DIFFERENT: {verification.differences[0]}"
             )
-            print(f"recording    {where}{entries}, {size(outcome.recording['bytes'])}; {told}")
+            say(f"recording    {where}{entries}, {size(outcome.recording['bytes'])}; {told}")
         why = "" if outcome.end is End.OVER else f" ({outcome.end.value})"
-        print(f"{self._name}: {'good' if good else 'NOT GOOD'}{why}, {outcome.seconds:.1f} s")
+        say(f"{self._name}: {'good' if good else 'NOT GOOD'}{why}, {outcome.seconds:.1f} s")
 
     def _line(self, name: str, text: str) -> None:
         self._clear()
-        print(f"{name:<12} {text}", flush=True)
+        say(f"{name:<12} {text}", flush=True)
 
     def _clear(self) -> None:
         if self._terminal:
-            print("\r\x1b[K", end="")
+            clear()
 
     def _status(self) -> None:
         if self._terminal:
             told = " | ".join(f"{name} {state}" for name, state in self._state.items())
-            print(f"\r\x1b[K{told[: shutil.get_terminal_size().columns - 1]}", end="", flush=True)
+            live(told)
 
 
 def _facts(name: str, outcome: Outcome, verification: Verification | None, good: bool) -> dict[str, Any]:

@@ -1,19 +1,147 @@
-"""The one place where the command line prints: no text of others reaches the terminal without its guard."""
+"""The one place where the command line prints: no text of others reaches the terminal without its guard.
+
+Each argument of :func:`say` is one line: line feeds, escape sequences and the like in it are shown, not obeyed.  What
+the encoding of the output does not have is escaped as well, so that no name can stop the program.
+"""
 
 from __future__ import annotations
 
+import argparse
+import os
+import shutil
 import sys
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, TextIO
 
+from igtl_gateway.errors import OutputError
 from igtl_gateway.untrusted.text import json_line, printable
+
+#: Longer lines are cut: a name of a megabyte must not bury the rest.  ``--json`` has everything.
+LONGEST_LINE = 4000
+#: Columns of a table that one text may take; the rest of its row moves to the right.
+_WIDEST_COLUMN = 72
+_CLEAR = "\r\x1b[K"
+
+
+def say(*lines: str, error: bool = False, flush: bool = False, colour: str = "") -> None:
+    """Print lines, each as one line whatever foreign text is in it: to stdout, or to stderr for an ``error``.
+
+    ``colour`` holds the parameters of the escape sequence SGR (``"1;31"``), for a terminal.
+    """
+    for line in lines or ("",):
+        text = _shown(line)
+        _write(f"\x1b[{colour}m{text}\x1b[0m\n" if colour else f"{text}\n", error)
+    if flush:
+        _flush(error)
+
+
+def show(text: str, error: bool = False) -> None:
+    """Print a text of our own that has lines of any length, such as a page of help."""
+    _write("\n".join(map(printable, text.split("\n"))), error)
 
 
 def print_json(value: Any) -> None:
     """One JSON object on one line, at once."""
-    print(json_line(value), flush=True)
+    text = json_line(value)
+    try:
+        text.encode(_stream().encoding or "utf-8")
+    except UnicodeEncodeError:
+        text = json_line(value, ascii_only=True)
+    _write(f"{text}\n")
+    _flush()
 
 
-def say(*lines: str, error: bool = False) -> None:
-    """Print lines, each as one line whatever foreign text is in it: to stdout, or to stderr for an ``error``."""
-    for line in lines or ("",):
-        print(printable(line), file=sys.stderr if error else sys.stdout)
+def live(text: str, error: bool = False) -> None:
+    """Replace the last line of a terminal by this one, without a line end; :func:`clear` takes it away."""
+    _write(f"{_CLEAR}{_shown(text)[: shutil.get_terminal_size().columns - 1]}", error)
+    _flush(error)
+
+
+def clear(error: bool = False) -> None:
+    """Take the :func:`live` line away."""
+    _write(_CLEAR, error)
+
+
+def is_terminal(error: bool = False) -> bool:
+    """Whether a person reads stdout (or stderr) on a terminal."""
+    return _stream(error).isatty()
+
+
+def width(texts: Iterable[str], title: str = "") -> int:
+    """Width of a column with these texts, as :func:`cell` shows them, within bounds."""
+    return min(max((len(printable(text[:_WIDEST_COLUMN])) for text in (title, *texts)), default=0), _WIDEST_COLUMN)
+
+
+def cell(text: str, columns: int = 0) -> str:
+    """A text of others as it stands in a column of a table."""
+    return _shown(text).ljust(columns)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser of arguments whose help and errors pass through here too."""
+
+    color = False  # of Python 3.14: escape sequences in the help
+
+    def error(self, message: str) -> Any:
+        """Print the usage and what is wrong with the arguments, and end the program."""
+        self.print_usage(sys.stderr)
+        say(f"{self.prog}: error: {message}", error=True)
+        self.exit(2)
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        if message:
+            show(message, error=file is not sys.stdout)
+
+
+def open_outputs() -> None:
+    """Python has None for an output that the caller closed (``>&-``): nothing that is printed may fail for that."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+
+
+def finish() -> None:
+    """Write out what is still in memory.  Raises BrokenPipeError, OutputError."""
+    _flush()
+
+
+def abandon() -> None:
+    """Print to nowhere from now on: stdout takes nothing more."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _shown(line: str) -> str:
+    more = len(line) - LONGEST_LINE
+    return printable(line) if more <= 0 else f"{printable(line[:LONGEST_LINE])} … and {more:,} more characters"
+
+
+def _stream(error: bool = False) -> TextIO:
+    return sys.stderr if error else sys.stdout
+
+
+def _write(text: str, error: bool = False) -> None:
+    """Raises BrokenPipeError where nobody reads any more, OutputError for everything else (a full disk)."""
+    stream = _stream(error)
+    try:
+        try:
+            stream.write(text)
+        except UnicodeEncodeError:
+            encoding = stream.encoding or "ascii"
+            stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
+    except BrokenPipeError:
+        raise
+    except OSError as problem:
+        raise _output_error(problem, error) from None
+
+
+def _flush(error: bool = False) -> None:
+    try:
+        _stream(error).flush()
+    except BrokenPipeError:
+        raise
+    except OSError as problem:
+        raise _output_error(problem, error) from None
+
+
+def _output_error(problem: OSError, error: bool) -> OutputError:
+    return OutputError(f"cannot write to standard {'error' if error else 'output'}: {problem.strerror or problem}")

@@ -9,7 +9,7 @@ from typing import Any
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import count, recorded_config
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import print_json, say
 from igtl_gateway.config import Config
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import UnsupportedRecording
@@ -80,18 +80,18 @@ def _config(options: argparse.Namespace, file: SessionFile, recorded_by: str) ->
 def _print(told: dict[str, Any], report: Report, everything: bool) -> None:
     versions = f"recorded by igtl-gateway {told['recorded_by'] or '(unknown)'}, verified by {told['verified_by']}"
     configuration = "the recorded configuration" if told["config"] == "recorded" else told["config"]
-    print(f"{told['file']}: {versions} with {configuration}")
-    print(f"  {count(report.inputs, 'input')} fed to the gateway, {count(report.outputs, 'output')} compared")
+    say(f"{told['file']}: {versions} with {configuration}")
+    say(f"  {count(report.inputs, 'input')} fed to the gateway, {count(report.outputs, 'output')} compared")
     if report.good and not report.outputs:
-        print("nothing to verify: there are no outputs, neither recorded nor due")
+        say("nothing to verify: there are no outputs, neither recorded nor due")
     elif report.good:
-        print(f"verified: all {count(report.equal, 'output')} equal, byte for byte")
+        say(f"verified: all {count(report.equal, 'output')} equal, byte for byte")
     else:
-        print(f"DIFFERENT: {count(report.differing, 'output')} of {report.outputs:,}")
+        say(f"DIFFERENT: {count(report.differing, 'output')} of {report.outputs:,}")
         for difference in report.firsts.values() if everything else report.differences[:1]:
-            print(f"  {difference}")
+            say(f"  {difference}")
         for stream, number in sorted(report.by_stream.items()):
-            print(f"  {stream}: {count(number, 'difference')}")
+            say(f"  {stream}: {count(number, 'difference')}")
     for number, thing, things, why in (
         (report.lost, "output", "", "that the recording says it lost"),
         (report.missing, "further entry", "further entries", "that the recording says it lost or left out"),
@@ -99,4 +99,4 @@ def _print(told: dict[str, Any], report: Report, everything: bool) -> None:
         (report.late, "note", "", "of a stream whose first message is among those"),
     ):
         if number:
-            print(f"not verified: {count(number, thing, things)} {why}")
+            say(f"not verified: {count(number, thing, things)} {why}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import os
-import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.cli.common import count, recorded_config, size, stop_event
-from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.cli.terminal import cell, clear, is_terminal, live, print_json, say, width
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, GatewayError, ViewerError
@@ -184,34 +183,34 @@ class _Progress:
     def __init__(self, total: int) -> None:
         self._total = total
         self._done = 0
-        self._shown = sys.stderr.isatty()
+        self._shown = is_terminal(error=True)
 
     def step(self) -> None:
         self._done += 1
         if self._shown and self._done % _PROGRESS_EVERY == 0:
-            print(f"\r\x1b[Kdrawing {min(self._done / max(self._total, 1), 1.0):4.0%}", end="", file=sys.stderr)
+            live(f"drawing {min(self._done / max(self._total, 1), 1.0):4.0%}", error=True)
 
     def end(self) -> None:
         if self._shown:
-            print("\r\x1b[K", end="", file=sys.stderr)
+            clear(error=True)
 
 
 def _print(options: argparse.Namespace, view: SessionView, told: dict[str, Any]) -> None:
-    width = max((len(shown.topic) for shown in view.seen.shown.values()), default=0)
+    columns = width(shown.topic for shown in view.seen.shown.values())
     for shown in view.seen.shown.values():
         note = "no picture" if shown.ros_type in view.told.without_picture else shown.what.value
-        print(f"  {shown.topic:<{width}} {shown.count:>8,}  {note:<10} {shown.ros_type}")
+        say(f"  {cell(shown.topic, columns)} {shown.count:>8,}  {note:<10} {shown.ros_type}")
     for topic, number in told["refused"].items():
-        print(f"? {topic}: {count(number, 'message')} could not be shown, the log says why")
+        say(f"? {topic}: {count(number, 'message')} could not be shown, the log says why")
     if told["without_field"]:
         fields = ", ".join(sorted(view.seen.fields)) or "none"
-        print(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")
-    print(
+        say(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")
+    say(
         f"{options.file}: {count(told['messages'], 'message')} drawn in {told['seconds']:.1f} s, "
         f"blueprint {told['blueprint']}" + (", suture plan reviewed" if told["reviewed"] else "")
     )
     if options.save:
-        print(f"{options.save}: {size(told['bytes'])}; `rerun {options.save}` shows it")
+        say(f"{options.save}: {size(told['bytes'])}; `rerun {options.save}` shows it")
 
 
 def _picture(options: argparse.Namespace, recording: Path, view: SessionView) -> int:
@@ -229,9 +228,9 @@ def _picture(options: argparse.Namespace, recording: Path, view: SessionView) ->
     except OSError as error:
         raise GatewayError(f"cannot write to {options.screenshot}: {error.strerror or error}") from None
     for complaint in shot.complaints:
-        print(f"? {complaint}", file=sys.stderr)
+        say(f"? {complaint}", error=True)
     if not options.json:
-        print(f"{options.screenshot}: {size(len(shot.png))}")
+        say(f"{options.screenshot}: {size(len(shot.png))}")
     return 1 if shot.complaints else 0
 
 
@@ -241,6 +240,6 @@ def _show(options: argparse.Namespace, recording: Path, wait: Any) -> None:
 
     with Viewer.page(recording, options.port or 0) if options.web else Viewer.window(recording) as viewer:
         if options.web:
-            print(f"{viewer.url}\nCtrl-C stops.", flush=True)
+            say(viewer.url, "Ctrl-C stops.", flush=True)
         while not viewer.ended and not wait(_WAIT_S):
             pass

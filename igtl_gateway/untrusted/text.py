@@ -28,9 +28,9 @@ def _escape(char: str) -> str:
     return f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}" if code < 1 << 16 else f"\\U{code:08x}"
 
 
-def json_line(value: Any) -> str:
+def json_line(value: Any, *, ascii_only: bool = False) -> str:
     """``value`` as JSON on one line: readable letters stay, what a terminal would act on is escaped."""
-    text = json.dumps(value, ensure_ascii=False, default=str)
+    text = json.dumps(value, ensure_ascii=ascii_only, default=str)
     if text.isprintable():
         return text
     return "".join(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -148,7 +149,12 @@ def test_a_bridge_whose_recording_failed_ends_with_a_failure(tmp_path: Path) -> 
     # 2,560 bytes: enough to begin a recording, not enough to close it
     command = 'ulimit -f 5; exec "$0" -m igtl_gateway bridge --no-ros --listen :0 --duration 0.1 --record "$1"'
     ended = subprocess.run(
-        ["sh", "-c", command, sys.executable, str(path)], capture_output=True, text=True, check=False, timeout=60
+        ["sh", "-c", command, sys.executable, str(path)],
+        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"},  # Python would leave compiled modules that are cut off
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
     )
     assert ended.returncode == 1, ended.stderr
     assert "File too large" in ended.stdout
