@@ -12,7 +12,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.view.colours import SERIES
-from igtl_gateway.view.pen import Pen, Xyz, valid
+from igtl_gateway.view.pen import Pen, Pose, Xyz
 from igtl_gateway.view.seen import FRAMES, LOG, Seen, Shown, What, escape
 
 NS_PER_MS = 1_000_000
@@ -68,9 +68,7 @@ class Canvas:
         self.colour = SERIES[number % len(SERIES)]
         self._seen = seen
         self._trails: dict[str, _Trail] = {}
-        self._axes: set[str] = set()
-        self._frames: dict[str, str] = {}  # frame → its entity
-        self._stood: set[str] = set()
+        self._paths = {"": shown.path}  # child → its entity
 
     def fields(self, names: Iterable[str]) -> None:
         """Say what a cloud could be coloured by."""
@@ -78,7 +76,7 @@ class Canvas:
 
     def frame(self, frame_id: str) -> str:
         """The frame to draw in; the session's base frame where the message names none."""
-        self.shown.frame = valid(frame_id.lstrip("/")) or self._seen.base_frame
+        self.shown.frame = self.pen.letters(frame_id.lstrip("/")) or self._seen.base_frame
         return self.shown.frame
 
     def what(self, what: What) -> None:
@@ -88,19 +86,20 @@ class Canvas:
 
     def log(self, *archetypes: Any, child: str = "", frame: str = "") -> None:
         """A row of the topic (or of ``child`` below it), in 3-D in the frame ``frame``."""
-        path = f"{self.shown.path}/{child}" if child else self.shown.path
-        self._stand(path, frame)
+        path = self._path(child)
+        if frame:
+            self.pen.stand(path, frame)
         where: tuple[Any, ...] = (rr.CoordinateFrame(frame),) if frame else ()
         self.pen.log(path, *where, *archetypes)
         self.rows += not child
 
     def static(self, archetype: Any, child: str = "") -> None:
-        """What holds for the whole session."""
-        self.pen.static(f"{self.shown.path}/{child}" if child else self.shown.path, archetype)
+        """What holds for the whole session: of an archetype that no row of the entity has."""
+        self.pen.static(self._path(child), archetype)
 
     def numbers(self, values: Sequence[float], child: str = "") -> None:
         """A row of numbers over time."""
-        self.pen.numbers(f"{self.shown.path}/{child}" if child else self.shown.path, values)
+        self.pen.numbers(self._path(child), values)
         self.rows += not child
 
     def text(self, text: str, level: str = "INFO", colour: int | None = None) -> None:
@@ -113,16 +112,21 @@ class Canvas:
             self.memory["said"].add(text)
             self.text(text)
 
-    def tool(self, pose: Xyz, frame: str, child: str = "") -> None:
-        """Axes of a tool and its trail; ``pose`` is x, y, z, qx, qy, qz, qw."""
-        path = f"{self.shown.path}/{child}" if child else self.shown.path
-        if path not in self._axes:
-            self._axes.add(path)
-            self.pen.static(path, rr.TransformAxes3D(self.options.axis_m), _place(pose, frame))
-        self.pen.pose(path, frame, pose[:3], pose[3:])
+    def tool(self, pose: Xyz, frame: str, child: str = "", *, labelled: bool = True) -> None:
+        """Axes of a tool and its trail.
+
+        Args:
+            pose: x, y, z in metres, quaternion x, y, z, w.
+            frame: the frame that the pose is given in.
+            child: entity below the topic, where the topic has several tools.
+            labelled: write the entity's path at the axes, as their frame has no name of its own.
+        """
+        path = self._path(child)
+        self.pen.stand(path, frame)
+        self.pen.pose(path, Pose(frame, f"/{path}" if labelled else "", pose[:3], pose[3:], self.options.axis_m))
         self.rows += not child
         if self.options.trails:
-            self._trail(path, frame, pose[:3])
+            self._trail(child, frame, pose[:3])
 
     def box(self, places: npt.NDArray[Any]) -> None:
         """Where the topic's things are: the eye of a 3-D view is set by the box around most of them."""
@@ -151,33 +155,34 @@ class Canvas:
 
         A frame is told at one entity, whatever topics tell it; the topic that told it first is believed.
         """
-        child = valid(child.lstrip("/"))
-        owner = self.pen.owners.setdefault(child, self.shown.topic)
-        if not child or child == frame or owner != self.shown.topic:
+        child = self.pen.letters(child.lstrip("/"))
+        owner = self.pen.owners.setdefault(child, self.shown.path)
+        if not child or child == frame or owner != self.shown.path:
             return
-        path = self._frames.get(child)
+        path = self._seen.frames.get(child)
         if path is None:
-            path = self._frames[child] = f"{FRAMES}/{escape(child)}"
-        if child not in self._seen.parents:
-            axes = rr.TransformAxes3D(self.options.axis_m)
-            self.pen.static(path, rr.CoordinateFrame(child), axes, _place(pose, frame, child))
-        elif static:
-            self.pen.static(path, _place(pose, frame, child))
+            path = self._seen.frames[child] = self.pen.claim(f"{FRAMES}/{escape(child)}")
         self._seen.parents[child] = frame
         self._seen.places[child] = tuple(pose)
-        if not static:
-            self.pen.pose(path, frame, pose[:3], pose[3:], child)
+        told = Pose(frame, child, pose[:3], pose[3:], self.options.axis_m)
+        if static:
+            self.pen.static_pose(path, told)
+        else:
+            self.pen.stand(path, child)
+            self.pen.begin(path, told)
+            self.pen.pose(path, told)
 
-    def _stand(self, path: str, frame: str) -> None:
-        """Tell an entity's first frame for all times, too: a view that finds an entity in none reports an error."""
-        if frame and path not in self._stood:
-            self._stood.add(path)
-            self.pen.static(path, rr.CoordinateFrame(frame))
+    def _path(self, child: str) -> str:
+        """The entity of the topic, or of ``child`` below it."""
+        path = self._paths.get(child)
+        if path is None:
+            path = self._paths[child] = self.pen.claim(f"{self.shown.path}/{child}")
+        return path
 
-    def _trail(self, path: str, frame: str, place: Xyz) -> None:
-        trail = self._trails.get(path)
+    def _trail(self, child: str, frame: str, place: Xyz) -> None:
+        trail = self._trails.get(child)
         if trail is None:
-            trail = self._trails[path] = _Trail(frame=frame)
+            trail = self._trails[child] = _Trail(frame=frame)
         now = self.pen.stamp_ns
         if trail.frame != frame:
             trail.points.clear()
@@ -191,12 +196,4 @@ class Canvas:
             trail.drawn_ns = now
             strip = np.array([point for _, point in trail.points], np.float32)
             lines = rr.LineStrips3D([strip], colors=[self.colour], radii=[rr.Radius.ui_points(1.5)])
-            self._stand(f"{path}/trail", frame)
-            self.pen.log(f"{path}/trail", rr.CoordinateFrame(frame), lines)
-
-
-def _place(pose: Xyz, parent: str, child: str | None = None) -> rr.Transform3D:
-    """The first place of a frame, told for all times: before it is known nothing is drawn there, nor an error told."""
-    x, y, z, w = pose[3:]
-    rotation = rr.Quaternion(xyzw=(x, y, z, w))
-    return rr.Transform3D(translation=pose[:3], quaternion=rotation, parent_frame=parent, child_frame=child)
+            self.log(lines, child=f"{child}/trail" if child else "trail", frame=frame)

@@ -38,9 +38,9 @@ def draw_review(review: Review, pen: Pen) -> None:
         pen.static(path, rr.CoordinateFrame(cloud.frame_id))
     for number, plan in enumerate(review.plans, 1):
         pen.at(Entry(0, plan.stamp_ns, Kind.NOTE, source_ns=plan.source_ns))
-        pen.log(REVIEW_STITCHES, rr.CoordinateFrame(cloud.frame_id), _stitches(plan))
-        pen.log(REVIEW_DISTANCE, rr.CoordinateFrame(cloud.frame_id), _by_distance(cloud.positions, plan))
-        pen.log(_NAMES, rr.CoordinateFrame(cloud.frame_id), _names(plan))
+        pen.log(REVIEW_STITCHES, _stitches(plan))
+        pen.log(REVIEW_DISTANCE, _by_distance(cloud.positions, plan))
+        pen.log(_NAMES, _names(plan))
         pen.log(
             REVIEW_TABLE, rr.TextDocument(pen.letters(_table(review, plan, number, red_mm)), media_type="text/markdown")
         )

@@ -16,6 +16,7 @@ import rerun as rr
 
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.view.colours import INFO
+from igtl_gateway.view.seen import PLACES
 
 #: The time lines: gateway time, the sender's own stamp (where it set one), and the entry number.
 GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"
@@ -24,6 +25,26 @@ GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"
 _ROWS = 2048
 
 Xyz = Sequence[float]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where a frame is.
+
+    Attributes:
+        parent: the frame that it is given in.
+        child: the frame itself, which labels the axes; "" = the entity's own, without a label.
+        xyz: metres.
+        quaternion: x, y, z, w.
+        axis_m: length of the axes, metres.
+    """
+
+    parent: str
+    child: str
+    xyz: Xyz
+    quaternion: Xyz
+    axis_m: float
+
 
 #: All but the Latin, Greek and Cyrillic letters and the signs of the one font that rerun's viewer brings.
 _STRANGE = re.compile(r"[^\n\t\x20-\u024f\u0370-\u052f\u2010-\u2026\u20ac\u2190-\u2193\u2212\u2260\u2264\u2265]")
@@ -52,6 +73,35 @@ class Pen:
         self.cameras: set[str] = set()  # frames that have a pinhole
         self._told: tuple[int, int, int] | None = None
         self._waiting: dict[tuple[str, str], _Column] = {}
+        self._paths: set[str] = set()
+        self._placed: set[str] = set()
+
+    def claim(self, path: str) -> str:
+        """``path`` for an entity, or where another one has it already ``<path>_2`` and so on."""
+        free, number = path, 2
+        while free in self._paths:
+            free, number = f"{path}_{number}", number + 1
+        self._paths.add(free)
+        return free
+
+    def stand(self, path: str, frame: str) -> None:
+        """Say at the first call that the entity is in ``frame`` until its first row says so.
+
+        A view reports an error for entities that nothing connects with its own frame, even where they have nothing to
+        draw yet.  What is static hides all rows of the same component, so it must not be at the entity: another one
+        says where the entity's implicit frame is (``Transform3D.child_frame``: "you may first mention a child frame on
+        one entity statically and later on another one temporally").
+        """
+        if path not in self._placed:
+            self._placed.add(path)
+            self.static(f"{PLACES}/{path}", rr.Transform3D(parent_frame=frame, child_frame=f"tf#/{path}"))
+
+    def begin(self, path: str, pose: Pose) -> None:
+        """Say at the first call that a frame is at its first pose before that, too: what is drawn in it needs one."""
+        place = f"{PLACES}/{path}/frame"
+        if place not in self._placed:
+            self._placed.add(place)
+            self.static(place, _transform(pose))
 
     def at(self, entry: Entry) -> None:
         """What is drawn from now on belongs to this entry."""
@@ -66,9 +116,14 @@ class Pen:
         """What holds at all times."""
         self.recording.log(path, *archetypes, static=True)
 
-    def pose(self, path: str, parent: str, xyz: Xyz, quaternion: Xyz, child: str = "") -> None:
-        """The frame ``child`` (default: the entity's own) in the frame ``parent``; metres, quaternion x, y, z, w."""
-        self._wait((path, "pose"), (parent, child, xyz, quaternion))
+    def pose(self, path: str, pose: Pose) -> None:
+        """A row of axes."""
+        self._wait((path, "named pose" if pose.child else "pose"), pose)
+
+    def static_pose(self, path: str, pose: Pose) -> None:
+        """Axes at all times."""
+        axes = rr.TransformAxes3D(pose.axis_m, show_frame=True)
+        self.static(path, rr.CoordinateFrame(pose.child), axes, _transform(pose))
 
     def numbers(self, path: str, values: Sequence[float]) -> None:
         """One value each of several series, NaN where one has none."""
@@ -116,13 +171,23 @@ class Pen:
 
     def _send(self, key: tuple[str, str], column: _Column) -> None:
         path, kind = key
-        make = _poses if kind == "pose" else _numbers
+        make = _poses if kind.endswith("pose") else _numbers
         stamped = [row for row in column.rows if row[2]]
         unstamped = [row for row in column.rows if not row[2]]
         column.rows.clear()
         for rows in (stamped, unstamped):
             if rows:
                 self.recording.send_columns(path, _times(rows), make([row[3] for row in rows]))
+
+
+def _transform(pose: Pose) -> rr.Transform3D:
+    x, y, z, w = pose.quaternion
+    return rr.Transform3D(
+        translation=pose.xyz,
+        quaternion=rr.Quaternion(xyzw=(x, y, z, w)),
+        parent_frame=pose.parent,
+        child_frame=pose.child or None,
+    )
 
 
 def valid(text: str) -> str:
@@ -141,16 +206,20 @@ def _times(rows: list[tuple[int, int, int, Any]]) -> list[rr.TimeColumn]:
     return [*times, rr.TimeColumn(SENDER_TIME, timestamp=stamps(2))] if rows[0][2] else times
 
 
-def _poses(values: list[Any]) -> Any:
-    parents, children, places, rotations = zip(*values, strict=True)
+def _poses(values: list[Pose]) -> Any:
     columns: dict[str, Any] = {
-        "translation": np.array(places, np.float32),
-        "quaternion": np.array(rotations, np.float32),
-        "parent_frame": parents,
+        "translation": np.array([pose.xyz for pose in values], np.float32),
+        "quaternion": np.array([pose.quaternion for pose in values], np.float32),
+        "parent_frame": [pose.parent for pose in values],
     }
-    if children[0]:
-        columns["child_frame"] = children
-    return rr.Transform3D.columns(**columns)
+    children = [pose.child for pose in values]
+    named = bool(children[0])
+    lengths = np.array([pose.axis_m for pose in values], np.float32)
+    axes = rr.TransformAxes3D.columns(axis_length=lengths, show_frame=[named] * len(values))
+    if not named:
+        return [*rr.Transform3D.columns(**columns), *axes]
+    columns["child_frame"] = children
+    return [*rr.Transform3D.columns(**columns), *axes, *rr.CoordinateFrame.columns(frame=children)]
 
 
 def _numbers(values: list[Any]) -> Any:

@@ -20,6 +20,7 @@ from igtl_gateway.errors import ConversionError
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.colours import span
 from igtl_gateway.view.other_msgs import CameraInfo
+from igtl_gateway.view.seen import PLACES
 
 Array = npt.NDArray[Any]
 
@@ -156,7 +157,7 @@ def draw_camera(message: CameraInfo, canvas: Canvas) -> None:
     matrix = np.array(message.k).reshape(3, 3)
     if not matrix[0, 0] > 0 or not matrix[1, 1] > 0 or not message.width or not message.height:
         raise ConversionError(f"{message.TYPE}: found focal lengths {message.k[0]:g}, {message.k[4]:g}, expected some")
-    if canvas.pen.owners.setdefault(f"{frame}/image", canvas.shown.topic) != canvas.shown.topic:
+    if canvas.pen.owners.setdefault(f"{frame}/image", canvas.shown.path) != canvas.shown.path:
         canvas.once(f"frame {frame} has a camera already")
         return
     pinhole = rr.Pinhole(
@@ -169,7 +170,7 @@ def draw_camera(message: CameraInfo, canvas: Canvas) -> None:
     )
     if frame not in canvas.pen.cameras:
         canvas.pen.cameras.add(frame)
-        canvas.static(pinhole)  # at all times, since a view that has no camera yet reports an error
+        canvas.pen.static(f"{PLACES}/{canvas.shown.path}", pinhole)  # a view that has no camera yet reports an error
     canvas.log(pinhole)
 
 

@@ -50,7 +50,7 @@ def _tool(pose: Sequence[float], frame: str, canvas: Canvas, child: str = "", ch
     if not _is_pose(pose):
         canvas.once(f"{child or 'the tool'} has no place: found {tuple(pose)}, expected a pose")
         return
-    canvas.tool(pose, frame, child)
+    canvas.tool(pose, frame, child, labelled=not child_frame)
     canvas.reach(pose[:3])
     if child_frame:
         canvas.link(child_frame, frame, pose)

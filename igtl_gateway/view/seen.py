@@ -15,6 +15,8 @@ LOG, LINKS, DROPS = "session/log", "session/links", "session/drops"
 RATES, LATENCIES = "plots/rate", "plots/latency"
 #: Frames of the transform tree: ``frames/<frame id>`` each, with axes.
 FRAMES = "frames"
+#: Where entities stand before their first row, see ``Pen.stand``.
+PLACES = "places"
 REVIEW = "review"
 REVIEW_CLOUD, REVIEW_STITCHES, REVIEW_TABLE = f"{REVIEW}/cloud", f"{REVIEW}/stitches", f"{REVIEW}/table"
 REVIEW_DISTANCE = f"{REVIEW}/distance"
@@ -112,6 +114,7 @@ class Seen:
         first_ns, last_ns: gateway time of the first and last entry, UTC ns; 0 = none.
         reviewed: whether a review of the suture plan was drawn.
         fields: names of the fields that clouds had, to colour by.
+        frames: child frame → its entity, ``frames/<frame id>``.
     """
 
     base_frame: str = "world"
@@ -122,6 +125,7 @@ class Seen:
     last_ns: int = 0
     reviewed: bool = False
     fields: set[str] = field(default_factory=set)
+    frames: dict[str, str] = field(default_factory=dict)
 
     def of(self, *kinds: What) -> list[Shown]:
         """Everything of these kinds, in the order of appearance."""
@@ -164,8 +168,8 @@ class Seen:
         return next(iter(self.trees()), self.root_of(self.base_frame))
 
     def frames_of(self, root: str) -> list[str]:
-        """Entity paths ``frames/<frame id>`` of the frames below a root, for their axes."""
-        return [f"{FRAMES}/{escape(child)}" for child in self.parents if self.root_of(child) == root]
+        """Entity paths of the frames below a root, for their axes."""
+        return [path for child, path in self.frames.items() if self.root_of(child) == root]
 
     @property
     def seconds(self) -> float:

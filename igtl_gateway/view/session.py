@@ -23,12 +23,25 @@ from igtl_gateway.view.canvas import Canvas, Options
 from igtl_gateway.view.colours import ERROR, INFO, WARN
 from igtl_gateway.view.judged import draw_review
 from igtl_gateway.view.pen import Pen
-from igtl_gateway.view.seen import DROPS, FRAMES, LATENCIES, LINKS, LOG, RATES, REVIEW, Seen, Shown, What, path_of
+from igtl_gateway.view.seen import (
+    DROPS,
+    FRAMES,
+    LATENCIES,
+    LINKS,
+    LOG,
+    PLACES,
+    RATES,
+    REVIEW,
+    Seen,
+    Shown,
+    What,
+    path_of,
+)
 from igtl_gateway.view.table import PICTURES, Picture
 
 _ROS = frozenset((Kind.ROS_IN, Kind.ROS_OUT))
 _NOTES = frozenset((Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE))
-_RESERVED = frozenset((LOG.partition("/")[0], RATES.partition("/")[0], FRAMES, REVIEW))
+_RESERVED = frozenset((LOG.partition("/")[0], RATES.partition("/")[0], FRAMES, PLACES, REVIEW))
 _COLOURS = {Level.INFO: INFO, Level.WARN: WARN, Level.ERROR: ERROR}
 _DROP_WORDS = ("drop", "lost", "full", "missed", "left_out")
 
@@ -96,7 +109,6 @@ class SessionView:
         self._options = options or Options()
         self._pen = Pen(recording, plain=self._options.plain)
         self._topics: dict[tuple[str, str], _Topic] = {}
-        self._paths: set[str] = set()
         self._siblings: list[_Sibling] = []
         self._rhythms: dict[tuple[Kind, str], _Rhythm] = {}
         self._second = 0
@@ -171,11 +183,13 @@ class SessionView:
         path = path_of(entry.channel)
         if path.partition("/")[0] in _RESERVED:
             path = f"topics/{path}"
-        free, number = path, 2
-        while free in self._paths:
-            free, number = f"{path}_{number}", number + 1
-        self._paths.add(free)
-        shown = Shown(free, entry.channel, entry.type, picture.what if picture else What.DATA, self.seen.base_frame)
+        shown = Shown(
+            self._pen.claim(path),
+            entry.channel,
+            entry.type,
+            picture.what if picture else What.DATA,
+            self.seen.base_frame,
+        )
         known = entry.channel in self.seen.shown
         self.seen.shown[f"{entry.channel} ({entry.type})" if known else entry.channel] = shown
         canvas = Canvas(self._pen, self.seen, shown, self._options, len(self._topics))

