@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from igtl_gateway.cli.common import count
 from igtl_gateway.cli.terminal import cell, print_json, say, width
 from igtl_gateway.errors import GatewayError
-from igtl_gateway.exchange.targets import TARGETS
+from igtl_gateway.exchange.account import Account, Exported
+from igtl_gateway.exchange.source import MESSAGES
+from igtl_gateway.exchange.targets import TARGETS, export_to
 from igtl_gateway.replay.mcap_reader import SessionFile
 
 EXAMPLES = """\
@@ -43,37 +46,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     with SessionFile.open(options.file) as file:
         try:
-            account = TARGETS[options.to].export(file, options.out, options.streams)
+            account = export_to(options.to, file, options.out, options.streams)
         except OSError as error:
             raise GatewayError(f"cannot write to {options.out}: {error.strerror or error}") from None
     written = sum(row.taken for row in account.rows)
     if not written:
+        why = "".join(f"\n  {row.stream}: {row.why}" for row in account.rows if row.why)
         raise GatewayError(
-            f"{options.file}: nothing in it goes to {options.to}: see `igtl-gateway info`, and --streams"
+            f"{options.file}: nothing in it goes to {options.to}: see `igtl-gateway info`, and --streams{why}"
         )
     good = all(row.good for row in account.rows)
     if options.json:
-        rows = [
-            {
-                "stream": row.stream,
-                "type": row.type,
-                "found": row.declared,
-                "exported": row.taken,
-                "left_out": row.left_out,
-                "why": row.why,
-            }
-            for row in account.rows
-        ]
         told = {"file": str(options.file), "to": options.to, "out": str(options.out), "good": good}
-        print_json({**told, "files": account.files, "rows": rows, "notes": account.notes})
-        return 0 if good else 1
-    streams = width(row.stream for row in account.rows)
-    kinds = width(row.type for row in account.rows)
-    for row in account.rows:
+        rows, parts = ([_as_json(row) for row in each] for each in (account.rows, account.parts))
+        more = {"files": account.files, "rows": rows, "parts": parts, "others": account.others}
+        print_json({**told, **more, "notes": account.notes})
+    else:
+        _print(account, options)
+        say(f"{options.out}: {count(written, 'message')} in {count(account.files, 'file')}")
+    return 0 if good else 1
+
+
+def _print(account: Account, options: argparse.Namespace) -> None:
+    rows = [*account.rows, *(part for part in account.parts if part.left_out)]
+    streams = width(row.stream for row in rows)
+    kinds = width(row.type for row in rows)
+    for row in rows:
         mark = " " if row.good else "!"
         numbers = f"{row.declared:>10,} {row.taken:>10,} {row.left_out:>10,}"
-        say(f"{mark} {cell(row.stream, streams)}  {cell(row.type, kinds)} {numbers}  {row.why}".rstrip())
+        why = row.why if row.unit == MESSAGES else f"{row.unit}: {row.why}"
+        say(f"{mark} {cell(row.stream, streams)}  {cell(row.type, kinds)} {numbers}  {why}".rstrip())
+    if account.others:
+        others = count(sum(account.others.values()), "message")
+        say(f"note: {others} of other types are not for {options.to}: {', '.join(sorted(account.others))}")
     for note in account.notes:
         say(f"note: {note}")
-    say(f"{options.out}: {count(written, 'message')} in {count(account.files, 'file')}")
-    return 0 if good else 1
+
+
+def _as_json(row: Exported) -> dict[str, Any]:
+    return {
+        "stream": row.stream,
+        "type": row.type,
+        "unit": row.unit,
+        "found": row.declared,
+        "exported": row.taken,
+        "left_out": row.left_out,
+        "failed": row.failed,
+        "why": row.why,
+    }

@@ -156,7 +156,7 @@ def polydata_to_cloud(content: PolyData, to: ToRos) -> PointCloud2:
         values = attribute.values
         field = colour_field(attribute)
         if field and field not in columns:
-            columns[field] = _packed(_bytes_of(values))
+            columns[field] = _packed(colour_bytes(values))
             if field == "rgb":
                 columns[field] = columns[field].view("<f4")  # as PCL packs it
         elif attribute.type == NORMAL and values.shape[1] == len(_NORMALS) and columns.keys().isdisjoint(_NORMALS):
@@ -312,11 +312,11 @@ def _colours(columns: _Columns) -> Array | None:
 
 
 def _unit_range(colours: Array) -> Array:
-    """uint8 0 … 255 as 0 … 1 in a way that ``_bytes_of`` undoes exactly."""
+    """uint8 0 … 255 as 0 … 1 in a way that ``colour_bytes`` undoes exactly."""
     return np.divide(colours, 255.0, out=np.empty(colours.shape, ">f4"), dtype=np.float64, casting="same_kind")
 
 
-def _bytes_of(colours: Array) -> Array:
+def colour_bytes(colours: Array) -> Array:
     """Colours 0 … 1 as uint8."""
     numbers = unit_colours(colours).astype(np.float64)
     np.fmin(np.fmax(numbers, 0.0, out=numbers), 1.0, out=numbers)  # what is no number is 0

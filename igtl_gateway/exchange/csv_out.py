@@ -1,114 +1,149 @@
 """Export to CSV: one file per stream, one row per message; several where a message lists several things.
 
 Columns: ``entry`` (its number in the session), ``time_ns`` (gateway, UTC), ``source_ns`` (the sender's stamp, empty if
-unset), ``item`` (place in the list, where there is one), then the fields of the message, nested ones with dots and
-rows of numbers with their index.  OpenIGTLink numbers are as on the wire (millimetres), a TRANSFORM also as position
-and quaternion; those of ROS as in the message.  Streams with pixels, points or other long rows of numbers are left
-out: that is no table.
+unset), ``item`` (place in the list, where there is one), then the fields of the message; ``exchange/columns.py`` says
+how they and their units are named.  Numbers are as in the message: those of OpenIGTLink in
+millimetres.  Images, surfaces and other long rows of numbers are left out: they do not fit a table.
+
+A file has the columns of all its messages: where a later message brings a new one, the file is written anew in the end.
+Text is kept as it came.  A spreadsheet takes cells that begin with ``=``, ``+``, ``-`` or ``@`` for formulas, so the
+account notes how many there are.
 """
 
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
 
-from igtl_gateway.convert.context import ToRos
-from igtl_gateway.convert.poses import pose_of_matrix
-from igtl_gateway.convert.units import Lengths
-from igtl_gateway.errors import ConversionError, WireError
-from igtl_gateway.exchange.recording import (
-    IGTL_KINDS,
-    ROS_KINDS,
-    Account,
-    Names,
-    Recording,
-    chosen,
-    left_out,
-    new_folder,
-)
-from igtl_gateway.exchange.source import Row
+from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.columns import MAX_COLUMNS, Cells, TooLong, listed, of_description, of_message
+from igtl_gateway.exchange.folder import Folder, Names, new_folder, reason
+from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.wire import decode
-from igtl_gateway.wire.transform import Transform
 
-#: Longer rows of numbers are no columns.
-MAX_NUMBERS = 64
 _HEAD = ("entry", "time_ns", "source_ns")
 #: Files that are open at once; a session has some dozens of streams.
 _MAX_FILES = 500
+#: Larger messages are not taken apart: each element of a list costs some hundred bytes of memory.
+_MAX_BYTES = 8 << 20
+#: Characters of one cell: bytes are shown as hexadecimal digits or as numbers.
+_MAX_FIELD = 8 * _MAX_BYTES
 
-#: Types that are not read at all: what they say is in their pixels and points.
+#: Types that are not read at all: their content is in their pixels and points.
 _NO_TABLES = frozenset({"IMAGE", "POLYDATA", "VIDEO", "COLORT", "COLORTABLE", "NDARRAY"})
-_QUATERNION = ("qx", "qy", "qz", "qw")
-
-Cells = dict[str, Any]
-
-_AS_IT_IS = Lengths("mm", "mm")
-
-
-class TooLong(Exception):
-    """A message that does not fit a table."""
-
-
-@dataclass(slots=True)
-class _Table:
-    stream: IO[str]
-    writer: Any
-    columns: list[str]
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_UNWRITABLE = re.compile(r"[\x00\ud800-\udfff]")
 
 
 def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
     """Write the folder ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
-    account, names, folder = Account(), Names(), new_folder(out)
+    account, names = Account(), Names()
     tables: dict[str, _Table] = {}
-    closed: set[str] = set()
     read = _Reader(recording.definitions)
-    with ExitStack() as stack:
-        for entry in chosen(recording, (*IGTL_KINDS, *ROS_KINDS), globs):
+    with new_folder(out, account) as folder, ExitStack() as stack:
+        for entry in chosen(recording, (*IGTL_KINDS, *ROS_KINDS), globs, account):
             row, name = account.row(entry), names.of(entry)
-            if name in closed:
-                left_out(row, "")
-                continue
             try:
                 lines = list(read.rows(entry))
+                table = tables.get(name)
+                if table is None:
+                    if len(tables) >= _MAX_FILES:
+                        row.fail(f"more than {_MAX_FILES} streams")
+                        continue
+                    table = _Table(lines)
+                columns = table.columns_with(lines)
             except TooLong as error:
-                left_out(row, str(error))
-                if name not in tables:
-                    closed.add(name)
+                row.leave_out(str(error))
                 continue
-            except (WireError, ValueError, LookupError, AssertionError) as error:
-                row.why = f"cannot be decoded: {error}"
+            except Exception as error:  # whatever decoding makes of a damaged message costs that message
+                row.fail(reason(error))
                 continue
             if name not in tables:
-                if len(tables) >= _MAX_FILES:
-                    row.why = f"more than {_MAX_FILES} streams"
-                    continue
-                stream = stack.enter_context((folder / f"{name}.csv").open("x", encoding="utf-8", newline=""))
-                columns = [*_HEAD, *(lines[0] if lines else ())]
-                tables[name] = _Table(stream, csv.DictWriter(stream, columns, extrasaction="ignore"), columns)
-                tables[name].writer.writeheader()
-            _write(tables[name], entry, lines, row)
+                stack.callback(table.open(folder, f"{name}.csv").close)
+                tables[name] = table
+            table.write(columns, entry, lines)
+            row.taken += 1
+        for table in tables.values():
+            table.finish()
     account.files = len(tables)
+    if formulas := sum(table.formulas for table in tables.values()):
+        account.notes.append(
+            f"{formulas:,} text cells begin with = + - or @, and spreadsheets take those for formulas: import as text"
+        )
     return account
 
 
-def _write(table: _Table, entry: Entry, lines: list[Cells], row: Row) -> None:
-    head = {"entry": entry.seq, "time_ns": entry.stamp_ns, "source_ns": entry.source_ns or ""}
-    for line in lines:
-        if not line.keys() <= set(table.columns):
-            row.why = "some messages have more fields than the first one: those are not in the table"
-        table.writer.writerow({**head, **line})
-    row.taken += 1
+class _Table:
+    """A file that is being written; its columns grow."""
+
+    def __init__(self, lines: list[Cells]) -> None:
+        self.formulas = 0
+        self._columns = dict.fromkeys((*_HEAD, *(lines[0] if lines else ())))
+        self._head_columns = len(self._columns)
+
+    def open(self, folder: Folder, name: str) -> io.TextIOWrapper:
+        """Create the file and write its header; the caller closes it."""
+        self._path = folder.path / name
+        self._stream = io.TextIOWrapper(folder.create(name), "utf-8", newline="")
+        self._writer = csv.writer(self._stream)
+        self._head_columns = len(self._columns)
+        self._writer.writerow(self._columns)
+        return self._stream
+
+    def columns_with(self, lines: list[Cells]) -> dict[str, None]:
+        """The columns that the table has with some more rows.  Raises TooLong."""
+        new = [name for line in lines for name in line if name not in self._columns]
+        if not new:
+            return self._columns
+        columns = self._columns | dict.fromkeys(new)
+        if len(columns) > MAX_COLUMNS:
+            raise TooLong(f"more than {MAX_COLUMNS} columns")
+        return columns
+
+    def write(self, columns: dict[str, None], entry: Entry, lines: list[Cells]) -> None:
+        """Write the rows of a message; ``columns`` are those of ``columns_with``."""
+        self._columns = columns
+        head = {"entry": entry.seq, "time_ns": entry.stamp_ns, "source_ns": entry.source_ns or ""}
+        for line in lines:
+            cells = head | line
+            self._writer.writerow([self._cell(cells.get(name, "")) for name in columns])
+
+    def _cell(self, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        self.formulas += value.startswith(_FORMULA)
+        return _UNWRITABLE.sub("\ufffd", value)
+
+    def finish(self) -> None:
+        """Close the file, with the names of all columns in its first row."""
+        self._stream.close()
+        if len(self._columns) == self._head_columns:
+            return
+        whole = self._path.with_suffix(".part")
+        limit = csv.field_size_limit(_MAX_FIELD)
+        try:
+            with (
+                self._path.open(encoding="utf-8", newline="") as old,
+                whole.open("x", encoding="utf-8", newline="") as new,
+            ):
+                rows, writer = csv.reader(old), csv.writer(new)
+                next(rows)
+                writer.writerow(self._columns)
+                for row in rows:
+                    writer.writerow(row + [""] * (len(self._columns) - len(row)))
+            whole.replace(self._path)
+        finally:
+            csv.field_size_limit(limit)
+            whole.unlink(missing_ok=True)
 
 
 class _Reader:
@@ -116,83 +151,32 @@ class _Reader:
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
         self._definitions = definitions
-        self._decoders: dict[str, Callable[[bytes], dict[str, Any]]] = {}
+        self._decoders: dict[str, Callable[[bytes], dict[str, Any]] | Exception] = {}
 
     def rows(self, entry: Entry) -> Iterator[Cells]:
         """Raises TooLong, and whatever the decoders raise."""
+        if entry.size > _MAX_BYTES:
+            raise TooLong(f"found messages of more than {_MAX_BYTES >> 20} MiB, expected less in a table")
         if entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT):
             if entry.type in _NO_TABLES:
-                raise TooLong("no table")
-            content = decode(entry.data()).content
-            yield from listed(_pose(content) if isinstance(content, Transform) else content.describe())
+                raise TooLong("pixels, points or cells are no table: see the other formats")
+            yield from listed(of_description(decode(entry.data()).content.describe()), entry.size)
             return
-        if entry.type not in self._decoders:
-            self._decoders[entry.type] = self._decoder(entry.type)
-        yield from listed(self._decoders[entry.type](entry.data()))
+        decoder = self._decoders.get(entry.type)
+        if decoder is None:
+            decoder = self._decoders[entry.type] = self._decoder(entry.type)
+        if isinstance(decoder, Exception):
+            raise decoder
+        yield from listed(decoder(entry.data()), entry.size)
 
-    def _decoder(self, ros_type: str) -> Callable[[bytes], dict[str, Any]]:
-        store: Typestore = get_typestore(Stores.EMPTY)
+    def _decoder(self, ros_type: str) -> Callable[[bytes], dict[str, Any]] | Exception:
+        """What reads messages of a type, or why there is nothing: that is found out once for each type."""
         text = self._definitions.get(ros_type, "")
         if not text:
-            raise TooLong("the session has no definition of its type")
-        store.register(get_types_from_msg(text, ros_type))
-        return lambda data: _plain(store, store.deserialize_cdr(data, ros_type))
-
-
-def _plain(store: Typestore, value: Any) -> Any:
-    """A message of rosbags' as a dict, without its constants; its lists as they are."""
-    ros_type = getattr(value, "__msgtype__", "")
-    if ros_type:
-        names = [name for name, _ in store.fielddefs[ros_type][1]]
-        return {name: _plain(store, getattr(value, normalize_fieldname(name))) for name in names}
-    return [_plain(store, one) for one in value] if isinstance(value, list) else value
-
-
-def _pose(content: Transform) -> dict[str, Any]:
-    named: dict[str, Any] = dict(zip("xyz", content.wire_matrix[9:], strict=True))
-    try:
-        pose = pose_of_matrix(content.wire_matrix, ToRos("", 0, "", "", _AS_IT_IS), "TRANSFORM")
-        named |= zip(_QUATERNION, pose[3:], strict=True)
-    except ConversionError:
-        named |= dict.fromkeys(_QUATERNION, "")  # no rotation: the matrix tells what it is
-    return named | {f"r{i + 1}{j + 1}": content.rows[i][j] for i in range(3) for j in range(3)}
-
-
-def listed(fields: Mapping[str, Any]) -> Iterator[Cells]:
-    """The rows of a message: one for each element where a field of it is a list of things, else one."""
-    lists = [name for name, value in fields.items() if _is_list_of_things(value)]
-    if not lists:
-        yield dict(_cells("", fields))
-        return
-    rest = dict(_cells("", {name: value for name, value in fields.items() if name not in lists}))
-    for index in range(max(len(fields[name]) for name in lists)):
-        line: Cells = {"item": index, **rest}
-        for name in lists:
-            if index < len(fields[name]):
-                line |= dict(_cells(name, fields[name][index]))
-        yield line
-
-
-def _is_list_of_things(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(one, dict) for one in value)
-
-
-def _cells(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Columns and values of a field.  Raises TooLong."""
-    if isinstance(value, np.ndarray | bytes | memoryview):
-        if len(value) > MAX_NUMBERS:
-            raise TooLong(f"{name}: {len(value)} numbers, expected at most {MAX_NUMBERS} in a table")
-        value = value.tolist() if isinstance(value, np.ndarray) else list(value)
-    match value:
-        case dict():
-            for key, inner in value.items():
-                yield from _cells(f"{name}.{key}" if name else key, inner)
-        case list() | tuple():
-            if len(value) > MAX_NUMBERS:
-                raise TooLong(f"{name}: {len(value)} values, expected at most {MAX_NUMBERS} in a table")
-            for index, inner in enumerate(value):
-                yield from _cells(f"{name}.{index}", inner)
-        case str():
-            yield name, re.sub(r"[\x00\ud800-\udfff]", "\ufffd", value)
-        case _:
-            yield name, value
+            return TooLong("the session has no definition of its type")
+        store: Typestore = get_typestore(Stores.EMPTY)
+        try:
+            store.register(get_types_from_msg(text, ros_type))
+        except Exception as error:  # of the library: whatever it makes of a damaged definition
+            return error
+        return lambda data: of_message(store, store.deserialize_cdr(data, ros_type))

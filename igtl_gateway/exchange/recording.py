@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Protocol, TypeVar
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from typing import Protocol
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import ConversionError, GatewayError, UnsupportedRecording, WireError
-from igtl_gateway.exchange.source import Row
+from igtl_gateway.errors import WireError
+from igtl_gateway.exchange.account import Account, Exported
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.wire.message import HEADER_SIZE, Extended, Header
 
 IGTL_KINDS = (Kind.IGTL_IN, Kind.IGTL_OUT)
 ROS_KINDS = (Kind.ROS_IN, Kind.ROS_OUT)
+_MESSAGES = frozenset({*IGTL_KINDS, *ROS_KINDS})
+REPEATED = "the same message in another header version"
 
 
 class Channel(Protocol):
@@ -32,6 +31,19 @@ class Channel(Protocol):
     def qos(self) -> Qos | None: ...
 
 
+class Skipped(Protocol):
+    """A channel that cannot be read; see ``replay.mcap_reader.SkippedChannel``."""
+
+    @property
+    def topic(self) -> str: ...
+    @property
+    def type(self) -> str: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def why(self) -> str: ...
+
+
 class Recording(Protocol):
     """An open session file; see ``replay.mcap_reader.SessionFile``."""
 
@@ -41,56 +53,87 @@ class Recording(Protocol):
     def channels(self) -> Sequence[Channel]: ...
     @property
     def definitions(self) -> Mapping[str, str]: ...
+    @property
+    def skipped(self) -> Sequence[Skipped]: ...
     def entries(self) -> Iterator[Entry]: ...
 
 
-@dataclass(slots=True)
-class Account:
-    """What became of the streams that were asked for.
-
-    Attributes:
-        rows: by stream: what the session has, what was written, what was left out and why.
-        files: number of files written.
-        notes: what else people should know.
-    """
-
-    rows: list[Row] = field(default_factory=list)
-    files: int = 0
-    notes: list[str] = field(default_factory=list)
-    _by_stream: dict[tuple[Kind, str, str], Row] = field(default_factory=dict)
-
-    def row(self, entry: Entry) -> Row:
-        """The row of an entry's stream, with the entry counted as one that the session has."""
-        key = (entry.kind, entry.channel, entry.type)
-        row = self._by_stream.get(key)
-        if row is None:
-            row = self._by_stream[key] = Row(entry.channel, 0, entry.type)
-            self.rows.append(row)
-        row.declared += 1
-        return row
-
-
-def chosen(recording: Recording, kinds: Iterable[Kind], globs: Sequence[str]) -> Iterator[Entry]:
+def chosen(
+    recording: Recording,
+    kinds: Iterable[Kind],
+    globs: Sequence[str],
+    account: Account | None = None,
+    types: Container[str] | None = None,
+) -> Iterator[Entry]:
     """Entries of some kinds whose stream fits a glob, if there is any: ``TYPE/device``, the device alone, or the topic.
 
-    Of a message that went out in several header versions, the first form.
+    Of a message that went out in both header versions, the first form; ``account`` counts the other one as left out.
+
+    Args:
+        account: counts what fits a glob and is not given.
+        types: only these types of messages.
     """
-    wanted, fitting = frozenset(kinds), dict[str, bool]()
-    sent: set[str] = set()
+    wanted, fitting = frozenset(kinds), dict[tuple[Kind, str], bool]()
+    forms = _Forms()
     for entry in recording.entries():
         if entry.kind.is_input:
-            sent = set()
-        if entry.kind not in wanted:
+            forms = _Forms()
+        if entry.kind not in wanted and (account is None or entry.kind not in _MESSAGES):
             continue
-        if entry.channel not in fitting:
-            fitting[entry.channel] = fits(entry.channel, entry.kind, globs)
-        if not fitting[entry.channel]:
+        key = (entry.kind, entry.channel)
+        if key not in fitting:
+            fitting[key] = fits(entry.channel, entry.kind, globs)
+        if not fitting[key]:
             continue
-        if entry.kind is Kind.IGTL_OUT:
-            if entry.channel in sent:
-                continue
-            sent.add(entry.channel)
+        if entry.kind not in wanted or (types is not None and entry.type not in types):
+            if account is not None:
+                account.others[entry.type] = account.others.get(entry.type, 0) + 1
+            continue
+        if entry.kind is Kind.IGTL_OUT and forms.repeat(entry):
+            if account is not None:
+                account.row(entry).leave_out(REPEATED)
+            continue
         yield entry
+
+
+def count_skipped(recording: Recording, globs: Sequence[str], account: Account) -> None:
+    """Count as left out the channels of the file that cannot be read, such as those that are not CDR."""
+    for channel in recording.skipped:
+        if channel.count and fits(channel.topic, Kind.ROS_IN, globs):
+            row = Exported(channel.topic, channel.count, channel.type)
+            row.leave_out(channel.why, channel.count)
+            account.rows.append(row)
+
+
+class _Forms:
+    """The messages that one input caused, to find those that went out in both header versions."""
+
+    def __init__(self) -> None:
+        self._first: dict[str, Entry] = {}
+        self._forms: dict[str, list[tuple[int, int, bytes]]] = {}
+
+    def repeat(self, entry: Entry) -> bool:
+        """Whether a message with this device, stamp and content went out before in the other header version."""
+        first = self._first.setdefault(entry.channel, entry)
+        if first is entry:
+            return False
+        forms = self._forms.setdefault(entry.channel, [_form(first)])
+        version, ticks, content = form = _form(entry)
+        known = any(of != version and (at, told) == (ticks, content) for of, at, told in forms)
+        if not known:
+            forms.append(form)
+        return known
+
+
+def _form(entry: Entry) -> tuple[int, int, bytes]:
+    """Header version, stamp and content of an OpenIGTLink message; a damaged one equals no other."""
+    data = memoryview(entry.data())
+    try:
+        header, body = Header.unpack(data), data[HEADER_SIZE:]
+        content = Extended.unpack(body).split(body)[0] if header.version > 1 else body
+    except WireError:
+        return 0, entry.seq, bytes(data)
+    return header.version, header.ticks, bytes(content)
 
 
 def fits(channel: str, kind: Kind, globs: Sequence[str]) -> bool:
@@ -104,85 +147,3 @@ def fits(channel: str, kind: Kind, globs: Sequence[str]) -> bool:
 def time_of(entry: Entry) -> int:
     """The sender's stamp, or else when it arrived; UTC ns."""
     return entry.source_ns or entry.stamp_ns
-
-
-def left_out(row: Row, why: str) -> None:
-    """Count an entry that is not written."""
-    row.left_out += 1
-    row.why = row.why or why
-
-
-def new_folder(path: Path) -> Path:
-    """A folder for the files of an export: new, or empty.  Raises UnsupportedRecording."""
-    try:
-        path.mkdir(exist_ok=True)
-        filled = any(path.iterdir())
-    except OSError as error:
-        raise GatewayError(f"cannot write to {path}: {error.strerror}") from None
-    if filled:
-        raise UnsupportedRecording(f"{path}: found a folder with files in it, expected a new or an empty one")
-    return path
-
-
-def file_name(entry: Entry) -> str:
-    """Name for the files of an entry's stream: kind, type and device or topic."""
-    token = re.sub(r"[^A-Za-z0-9_-]+", "_", entry.channel).strip("_")[:100]
-    return f"{entry.kind.value}.{token or 'unnamed'}"
-
-
-class Names:
-    """Gives each stream a file name of its own."""
-
-    def __init__(self) -> None:
-        self._names: dict[tuple[Kind, str, str], str] = {}
-
-    def of(self, entry: Entry) -> str:
-        """Name without suffix; the same for all entries of a stream."""
-        key = (entry.kind, entry.channel, entry.type)
-        if key not in self._names:
-            wanted, number = file_name(entry), 1
-            name = wanted
-            while name.lower() in (taken.lower() for taken in self._names.values()):
-                number += 1
-                name = f"{wanted}_{number}"
-            self._names[key] = name
-        return self._names[key]
-
-
-Content = TypeVar("Content")
-
-
-def one_file_each(
-    recording: Recording,
-    out: Path,
-    globs: Sequence[str],
-    types: Container[str],
-    suffix: str,
-    read: Callable[[Entry], Content],
-    parts: Callable[[Content], Iterable[Buffer]],
-) -> Account:
-    """Write the folder ``out`` with a file for each message of some types.
-
-    Args:
-        types: OpenIGTLink and ROS types of the messages.
-        suffix: of the files.
-        read: the content of a message; where it raises WireError, ConversionError or ValueError, that is told instead.
-        parts: the bytes of a file.
-
-    Raises UnsupportedRecording where the folder is not empty; OSError.
-    """
-    account, names, folder = Account(), Names(), new_folder(out)
-    for entry in chosen(recording, (*IGTL_KINDS, *ROS_KINDS), globs):
-        if entry.type not in types:
-            continue
-        row = account.row(entry)
-        try:
-            content = read(entry)
-        except (WireError, ConversionError, ValueError) as error:
-            row.why = str(error)
-            continue
-        with (folder / f"{names.of(entry)}.{row.declared:06}.{suffix}").open("xb") as stream:
-            stream.writelines(parts(content))
-        row.taken += 1
-        account.files += 1
-    return account

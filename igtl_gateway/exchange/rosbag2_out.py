@@ -6,15 +6,18 @@ Messages are copied byte for byte with both of their times.  What OpenIGTLink sa
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
 from igtl_gateway import __version__
-from igtl_gateway.exchange.recording import ROS_KINDS, Account, Recording, chosen, new_folder
+from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.folder import new_folder
+from igtl_gateway.exchange.recording import ROS_KINDS, Recording, chosen
 from igtl_gateway.exchange.rostypes import definition
-from igtl_gateway.exchange.source import Row
 from igtl_gateway.qos import Qos
 from igtl_gateway.session import layout
 
@@ -24,64 +27,80 @@ _CHUNK_BYTES = 1 << 20
 def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
     """Write the directory ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
     account = Account()
-    offered = {(channel.topic, channel.type): channel.qos for channel in recording.channels}
-    channels: dict[tuple[str, str], int] = {}
-    rows: dict[tuple[str, str], Row] = {}
-    schemas: dict[str, tuple[int, str]] = {}
-    hashes: dict[tuple[str, str], str] = {}
-    qos = {key: layout.qos_yaml(offered.get(key) or Qos()) for key in offered}
+    name = f"{out.resolve().name or 'rosbag2'}_0.mcap"
+    topics: dict[tuple[str, str], _Topic] = {}
     first = last = 0
-    folder = new_folder(out)
-    storage = folder / f"{folder.name}_0.mcap"
-    with storage.open("xb") as stream:
-        writer = Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
-        writer.start(layout.MCAP_PROFILE, f"igtl-gateway {__version__}")
-        for sequence, entry in enumerate(chosen(recording, ROS_KINDS, globs), 1):
-            key = (entry.channel, entry.type)
-            if key not in channels:
-                rows[key] = Row(entry.channel, 0, entry.type)
-                if entry.type not in schemas:
-                    text = recording.definitions.get(entry.type, "")
-                    told = definition(entry.type, text, layout.SCHEMA_ENCODING) or ("", "")
-                    encoding = layout.SCHEMA_ENCODING if told[0] else ""
-                    schemas[entry.type] = (writer.register_schema(entry.type, encoding, told[0].encode()), told[1])
-                    if not told[0]:
-                        account.notes.append(f"{entry.type}: the session has no definition of it")
-                schema, hashes[key] = schemas[entry.type]
-                facts = {layout.QOS_KEY: qos[key], layout.TYPE_HASH_KEY: hashes[key]}
-                channels[key] = writer.register_channel(entry.channel, layout.MESSAGE_ENCODING, schema, facts)
-            rows[key].declared += 1
-            writer.add_message(
-                channels[key],
-                log_time=entry.stamp_ns,
-                data=entry.data(),
-                publish_time=entry.source_ns or entry.stamp_ns,
-                sequence=sequence & 0xFFFFFFFF,
-            )
-            rows[key].taken += 1
-            first, last = first or entry.stamp_ns, entry.stamp_ns
-        # one of each, or judges of MCAP files complain
-        writer.add_metadata("igtl_gateway.export", {"igtl_gateway_version": __version__})
-        session = json.dumps(dict(recording.session), sort_keys=True)
-        writer.add_attachment(0, 0, "session.json", "application/json", session.encode())
-        writer.finish()  # type: ignore[no-untyped-call]
-    account.rows = list(rows.values())
-    text = _metadata(storage.name, first, last, account.rows, qos, hashes)
-    (folder / "metadata.yaml").write_text(text, "utf-8")
+    with new_folder(out, account) as folder:
+        with folder.create(name) as stream:
+            writer = Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
+            writer.start(layout.MCAP_PROFILE, f"igtl-gateway {__version__}")
+            register = _Register(writer, recording, account)
+            for sequence, entry in enumerate(chosen(recording, ROS_KINDS, globs, account), 1):
+                row, key = account.row(entry), (entry.channel, entry.type)
+                topic = topics.get(key)
+                if topic is None:
+                    topic = topics[key] = register.topic(*key)
+                writer.add_message(
+                    topic.channel,
+                    log_time=entry.stamp_ns,
+                    data=entry.data(),
+                    publish_time=entry.source_ns or entry.stamp_ns,
+                    sequence=sequence & 0xFFFFFFFF,
+                )
+                row.taken += 1
+                topic.count += 1
+                first, last = first or entry.stamp_ns, entry.stamp_ns
+            # one of each, or judges of MCAP files complain
+            writer.add_metadata("igtl_gateway.export", {"igtl_gateway_version": __version__})
+            session = json.dumps(dict(recording.session), sort_keys=True)
+            writer.add_attachment(0, 0, "session.json", "application/json", session.encode())
+            writer.finish()  # type: ignore[no-untyped-call]
+        with folder.create("metadata.yaml") as stream:
+            stream.write(_metadata(name, first, last, list(topics.values())).encode())
     account.files = 2
     return account
 
 
-def _metadata(
-    name: str,
-    first: int,
-    last: int,
-    rows: list[Row],
-    qos: dict[tuple[str, str], str],
-    hashes: dict[tuple[str, str], str],
-) -> str:
-    """Version 9 of rosbag2's side file, that of Jazzy.  A JSON string is a YAML string."""
-    total = sum(row.taken for row in rows)
+@dataclass(slots=True)
+class _Topic:
+    """A channel of the bag: its number there, its facts for ``metadata.yaml``, and its messages so far."""
+
+    channel: int
+    name: str
+    type: str
+    qos: str
+    type_hash: str
+    count: int = 0
+
+
+class _Register:
+    """Registers schemas and channels with the writer."""
+
+    def __init__(self, writer: Writer, recording: Recording, account: Account) -> None:
+        self._writer, self._definitions, self._account = writer, recording.definitions, account
+        self._offered = {(channel.topic, channel.type): channel.qos for channel in recording.channels}
+        self._schemas: dict[str, tuple[int, str]] = {}
+
+    def topic(self, name: str, ros_type: str) -> _Topic:
+        if ros_type not in self._schemas:
+            text, type_hash = definition(ros_type, self._definitions.get(ros_type, ""), layout.SCHEMA_ENCODING) or (
+                "",
+                "",
+            )
+            encoding = layout.SCHEMA_ENCODING if text else ""
+            self._schemas[ros_type] = self._writer.register_schema(ros_type, encoding, text.encode()), type_hash
+            if not text:
+                self._account.notes.append(f"{ros_type}: the session has no definition of it")
+        schema, type_hash = self._schemas[ros_type]
+        qos = layout.qos_yaml(self._offered.get((name, ros_type)) or Qos())
+        facts = {layout.QOS_KEY: qos, layout.TYPE_HASH_KEY: type_hash}
+        channel = self._writer.register_channel(name, layout.MESSAGE_ENCODING, schema, facts)
+        return _Topic(channel, name, ros_type, qos, type_hash)
+
+
+def _metadata(name: str, first: int, last: int, topics: list[_Topic]) -> str:
+    """Version 9 of rosbag2's side file, that of Jazzy."""
+    total = sum(topic.count for topic in topics)
     lines = [
         "rosbag2_bagfile_information:",
         "  version: 9",
@@ -91,27 +110,26 @@ def _metadata(
         "  starting_time:",
         f"    nanoseconds_since_epoch: {first}",
         f"  message_count: {total}",
-        f"  topics_with_message_count:{'' if rows else ' []'}",
+        f"  topics_with_message_count:{'' if topics else ' []'}",
     ]
-    for row in rows:
-        key = (row.stream, row.type)
+    for topic in topics:
         lines += [
             "    - topic_metadata:",
-            f"        name: {json.dumps(row.stream)}",
-            f"        type: {json.dumps(row.type)}",
-            "        serialization_format: cdr",
+            f"        name: {_yaml(topic.name)}",
+            f"        type: {_yaml(topic.type)}",
+            f"        serialization_format: {layout.MESSAGE_ENCODING}",
             "        offered_qos_profiles:",
-            *(f"          {line}" for line in qos[key].splitlines()),
-            f"        type_description_hash: {json.dumps(hashes[key])}",
-            f"      message_count: {row.taken}",
+            *(f"          {line}" for line in topic.qos.splitlines()),
+            f"        type_description_hash: {_yaml(topic.type_hash)}",
+            f"      message_count: {topic.count}",
         ]
     lines += [
         '  compression_format: ""',
         '  compression_mode: ""',
         "  relative_file_paths:",
-        f"    - {json.dumps(name)}",
+        f"    - {_yaml(name)}",
         "  files:",
-        f"    - path: {json.dumps(name)}",
+        f"    - path: {_yaml(name)}",
         "      starting_time:",
         f"        nanoseconds_since_epoch: {first}",
         "      duration:",
@@ -122,3 +140,14 @@ def _metadata(
         "",
     ]
     return "\n".join(lines)
+
+
+def _yaml(text: str) -> str:
+    """A JSON string is a YAML string, but for letters beyond U+FFFF, which YAML does not write as two halves."""
+    pairs = re.compile(r"\\u(d[89ab][0-9a-f]{2})\\u(d[c-f][0-9a-f]{2})")
+
+    def whole(match: re.Match[str]) -> str:
+        high, low = (int(half, 16) for half in match.groups())
+        return f"\\U{0x10000 + (high - 0xD800 << 10) + low - 0xDC00:08x}"
+
+    return pairs.sub(whole, json.dumps(text))

@@ -23,7 +23,8 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert.geometry import Placement
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import ConfigError, UnsupportedRecording, WireError
-from igtl_gateway.exchange.recording import Account, Recording, chosen, fits, time_of
+from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.recording import Recording, chosen, fits, time_of
 from igtl_gateway.exchange.sequence import EPOCH_FIELD, MET_NAMES, TRANSFORM_STATUS
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note

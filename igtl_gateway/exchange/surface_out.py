@@ -2,12 +2,14 @@
 
 Whatever the message, it is first what the gateway would send as POLYDATA: points in millimetres.  PLY (little-endian)
 has points, colours, normals and polygons; VTK (big-endian, as its format asks) has lines, strips and all attributes
-of points and cells besides.
+of points and cells besides.  What a format has no place for is counted: points without finite coordinates, cells, and
+attributes whose number of values is neither that of the points nor, for attributes of cells, that of the cells.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,15 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.convert import igtl_msgs
-from igtl_gateway.convert.clouds import cloud_to_polydata, colour_field
+from igtl_gateway.convert.clouds import cloud_to_polydata, colour_bytes, colour_field
 from igtl_gateway.convert.context import Outgoing, ToIgtl
 from igtl_gateway.convert.polydata import polydata_to_igtl
 from igtl_gateway.convert.rosmsg import Marker, Mesh, PointCloud2
 from igtl_gateway.convert.surfaces import marker_to_igtl, mesh_to_igtl
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.exchange.recording import Account, Recording, one_file_each
+from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.folder import one_file_each
+from igtl_gateway.exchange.recording import Recording
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.polydata import CELL, NORMAL, Attribute, PolyData
@@ -29,52 +33,118 @@ from igtl_gateway.wire.polydata import CELL, NORMAL, Attribute, PolyData
 Array = npt.NDArray[Any]
 
 _TO_POLYDATA: dict[str, Callable[[bytes, ToIgtl], Outgoing]] = {
-    PointCloud2.TYPE: lambda data, to: cloud_to_polydata(PointCloud2.unpack(data), to),
     Mesh.TYPE: lambda data, to: mesh_to_igtl(Mesh.unpack(data), to),
     Marker.TYPE: lambda data, to: marker_to_igtl(Marker.unpack(data), to),
     igtl_msgs.PolyData.TYPE: lambda data, to: polydata_to_igtl(igtl_msgs.PolyData.unpack(data), to),
 }
-_READ = frozenset({"POLYDATA", *_TO_POLYDATA})
+_READ = frozenset({"POLYDATA", PointCloud2.TYPE, *_TO_POLYDATA})
+_SECTIONS = ("vertex cells", "lines", "polygons", "triangle strips")
+_POLYGONS = 2
+#: Notes on what conversions changed: those of hostile files can all be different.
+_MAX_NOTES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A message as POLYDATA.
+
+    Attributes:
+        content: points in millimetres, cells, attributes.
+        holes: points of the message that have no finite coordinates and are not in ``content``.
+        warnings: what the conversion changed.
+    """
+
+    content: PolyData
+    holes: int = 0
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """A file, and how many parts of the message are in it or, with a reason, are not."""
+
+    data: bytes
+    parts: tuple[tuple[str, int, str], ...]
 
 
 def export_ply(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
     """Write the folder ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
-    return one_file_each(recording, out, globs, _READ, "ply", _polydata, lambda content: (ply(content),))
+    return one_file_each(recording, out, globs, _READ, "ply", lambda entry: _file(entry, ply), _data, _count)
 
 
 def export_vtk(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
     """As ``export_ply``."""
-    return one_file_each(recording, out, globs, _READ, "vtk", _polydata, lambda content: (vtk(content),))
+    return one_file_each(recording, out, globs, _READ, "vtk", lambda entry: _file(entry, vtk), _data, _count)
 
 
-def _polydata(entry: Entry) -> PolyData:
-    if entry.type in _TO_POLYDATA:
-        content = _TO_POLYDATA[entry.type](entry.data(), ToIgtl()).content
+def surface_of(entry: Entry) -> Surface:
+    """The surface or cloud of a message.  Raises WireError or ConversionError where it has none."""
+    to, holes = ToIgtl(), 0
+    if entry.type == PointCloud2.TYPE:
+        message = PointCloud2.unpack(entry.data())
+        content = cloud_to_polydata(message, to).content
+        holes = message.width * message.height - len(content.points) if isinstance(content, PolyData) else 0
+    elif entry.type in _TO_POLYDATA:
+        content = _TO_POLYDATA[entry.type](entry.data(), to).content
     else:
         content = decode(entry.data()).content
     if not isinstance(content, PolyData):
         raise ConversionError(f"{entry.channel}: found {type(content).__name__}, expected POLYDATA")
-    return content
+    return Surface(content, holes, tuple(text for _, text in to.warnings))
 
 
-def ply(content: PolyData) -> bytes:
+def _file(entry: Entry, write: Callable[[PolyData], Written]) -> tuple[Surface, Written]:
+    surface = surface_of(entry)
+    return surface, write(surface.content)
+
+
+def _data(file: tuple[Surface, Written]) -> tuple[bytes]:
+    return (file[1].data,)
+
+
+def _count(file: tuple[Surface, Written], entry: Entry, account: Account) -> None:
+    surface, written = file
+    holes = (("points", surface.holes, "no finite coordinates"),) if surface.holes else ()
+    for unit, number, why in (("points", len(surface.content.points), ""), *holes, *written.parts):
+        if not number:
+            continue
+        row = account.part(entry, unit)
+        row.declared += number
+        if why:
+            row.leave_out(why, number)
+        else:
+            row.taken += number
+    for warning in surface.warnings:
+        note = f"{entry.channel}: {warning}"
+        if note not in account.notes and len(account.notes) < _MAX_NOTES:
+            account.notes.append(note)
+
+
+def ply(content: PolyData) -> Written:
     """A PLY file, binary little-endian: vertices with normals and colours, faces."""
     count = len(content.points)
-    columns: list[tuple[str, str, Array]] = [
-        (name, "float", content.points[:, axis].astype("<f4")) for axis, name in enumerate("xyz")
+    columns: dict[str, tuple[str, Array]] = {
+        name: ("float", content.points[:, axis].astype("<f4")) for axis, name in enumerate("xyz")
+    }
+    parts = [
+        (unit, cells.count, "" if index == _POLYGONS else "PLY has none")
+        for index, (unit, cells) in enumerate(zip(_SECTIONS, content.cells, strict=True))
     ]
     for attribute in content.attributes:
-        if attribute.type & CELL or attribute.tuples != count:
-            continue
-        values = attribute.values
-        if attribute.type == NORMAL and values.shape[1] == 3:
-            columns += [(f"n{name}", "float", values[:, axis].astype("<f4")) for axis, name in enumerate("xyz")]
-        elif colour_field(attribute) and not any(name == "red" for name, _, _ in columns):
-            colours = np.clip(np.rint(values * 255.0), 0, 255).astype("u1")
+        values, why = attribute.values, _misfit(attribute, content)
+        if why:
+            pass
+        elif attribute.type == NORMAL and values.shape[1] == 3 and "nx" not in columns:
+            columns |= {f"n{name}": ("float", values[:, axis].astype("<f4")) for axis, name in enumerate("xyz")}
+        elif not attribute.type & CELL and colour_field(attribute) and "red" not in columns:
+            colours = colour_bytes(values)
             names = ("red", "green", "blue", "alpha")[: colours.shape[1]]
-            columns += [(name, "uchar", colours[:, axis]) for axis, name in enumerate(names)]
-    vertices = np.empty(count, [(name, values.dtype) for name, _, values in columns])
-    for name, _, values in columns:
+            columns |= {name: ("uchar", colours[:, axis]) for axis, name in enumerate(names)}
+        else:
+            why = "PLY has one set of colours and normals of points"
+        parts.append(("attributes", 1, why))
+    vertices = np.empty(count, [(name, values.dtype) for name, (_, values) in columns.items()])
+    for name, (_, values) in columns.items():
         vertices[name] = values
     faces = content.polygons
     head = [
@@ -82,37 +152,64 @@ def ply(content: PolyData) -> bytes:
         "format binary_little_endian 1.0",
         "comment igtl-gateway, millimetres",
         f"element vertex {count}",
-        *(f"property {kind} {name}" for name, kind, _ in columns),
+        *(f"property {kind} {name}" for name, (kind, _) in columns.items()),
         f"element face {faces.count}",
         "property list uint int vertex_indices",
         "end_header",
         "",
     ]
-    return "\n".join(head).encode() + vertices.tobytes() + faces.data.astype("<u4").tobytes()
+    data = "\n".join(head).encode() + vertices.tobytes() + faces.data.astype("<u4").tobytes()
+    return Written(data, tuple(parts))
 
 
-def vtk(content: PolyData) -> bytes:
+def vtk(content: PolyData) -> Written:
     """A legacy VTK file, version 3.0, binary (big-endian)."""
-    count = len(content.points)
-    head = f"# vtk DataFile Version 3.0\nigtl-gateway, millimetres\nBINARY\nDATASET POLYDATA\nPOINTS {count} float\n"
-    parts = [head.encode(), content.points.astype(">f4").tobytes(), b"\n"]
+    head = "# vtk DataFile Version 3.0\nigtl-gateway, millimetres\nBINARY\nDATASET POLYDATA\n"
+    data = [f"{head}POINTS {len(content.points)} float\n".encode(), content.points.astype(">f4").tobytes(), b"\n"]
     for name, cells in zip(("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS"), content.cells, strict=True):
         if cells.count:
-            parts += [f"{name} {cells.count} {len(cells.data)}\n".encode(), cells.data.astype(">i4").tobytes(), b"\n"]
-    of_points = [one for one in content.attributes if not one.type & CELL and one.tuples == count]
-    cell_count = sum(cells.count for cells in content.cells)
-    of_cells = [one for one in content.attributes if one.type & CELL and one.tuples == cell_count]
-    parts += _fields(f"POINT_DATA {count}", of_points) + _fields(f"CELL_DATA {cell_count}", of_cells)
-    return b"".join(parts)
+            data += [f"{name} {cells.count} {len(cells.data)}\n".encode(), cells.data.astype(">i4").tobytes(), b"\n"]
+    parts = [(unit, cells.count, "") for unit, cells in zip(_SECTIONS, content.cells, strict=True)]
+    written: dict[int, list[Attribute]] = {0: [], CELL: []}
+    for attribute in content.attributes:
+        why = _misfit(attribute, content)
+        parts.append(("attributes", 1, why))
+        if not why:
+            written[attribute.type & CELL].append(attribute)
+    data += _fields(f"POINT_DATA {len(content.points)}", written[0])
+    data += _fields(f"CELL_DATA {sum(cells.count for cells in content.cells)}", written[CELL])
+    return Written(b"".join(data), tuple(parts))
 
 
-def _fields(head: str, attributes: list[Attribute]) -> list[bytes]:
+def _misfit(attribute: Attribute, content: PolyData) -> str:
+    """Why an attribute belongs to no points or cells; ``""`` where it does."""
+    of_cells = bool(attribute.type & CELL)
+    count = sum(cells.count for cells in content.cells) if of_cells else len(content.points)
+    if not attribute.components:
+        return "attributes without components"
+    if attribute.tuples != count:
+        things = "cells" if of_cells else "points"
+        return f"{attribute.tuples:,} values for {count:,} {things}"
+    return "" if count else "no points or cells to belong to"
+
+
+def _fields(head: str, attributes: list[Attribute]) -> Iterator[bytes]:
     if not attributes:
-        return []
-    parts = [f"{head}\nFIELD attributes {len(attributes)}\n".encode()]
+        return
+    yield f"{head}\nFIELD attributes {len(attributes)}\n".encode()
+    taken: set[str] = set()
     for number, attribute in enumerate(attributes):
-        values = attribute.values
-        name = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in attribute.name)
-        parts.append(f"{name or f'attribute{number}'} {values.shape[1]} {values.shape[0]} float\n".encode())
-        parts += [values.astype(">f4").tobytes(), b"\n"]
-    return parts
+        values, name = attribute.values, attribute.name or f"attribute{number}"
+        while name in taken:  # VTK keeps one array of a name
+            name += "_"
+        taken.add(name)
+        yield f"{_encoded(name)} {values.shape[1]} {values.shape[0]} float\n".encode()
+        yield values.astype(">f4").tobytes() + b"\n"
+
+
+def _encoded(name: str) -> str:
+    """A name as VTK's own writer has it: blanks, quotes, per cent and what is not ASCII as ``%XX``."""
+    return "".join(
+        chr(byte) if 32 < byte < 127 and byte not in b'"%' else f"%{byte:02X}"
+        for byte in name.encode("utf-8", "surrogateescape")
+    )

@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from igtl_gateway.exchange.account import Account
 from igtl_gateway.exchange.csv_out import export_csv
-from igtl_gateway.exchange.recording import Account, Recording
+from igtl_gateway.exchange.recording import Recording, count_skipped
 from igtl_gateway.exchange.rosbag2_out import export_rosbag2
 from igtl_gateway.exchange.sequence_out import export_sequence
 from igtl_gateway.exchange.surface_out import export_ply, export_vtk
@@ -20,6 +21,16 @@ class Target:
 
     text: str
     export: Callable[[Recording, Path, Sequence[str]], Account]
+
+
+def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str]) -> Account:
+    """Write a recording to ``out`` in a format of the table, and count what was written and what was left out.
+
+    Raises GatewayError and OSError.
+    """
+    account = TARGETS[name].export(recording, out, globs)
+    count_skipped(recording, globs, account)
+    return account
 
 
 TARGETS = {

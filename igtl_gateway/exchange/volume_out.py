@@ -18,7 +18,9 @@ from igtl_gateway.convert.images import image_to_igtl
 from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.convert.volumes import volume_to_image
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.exchange.recording import Account, Recording, one_file_each
+from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.folder import one_file_each
+from igtl_gateway.exchange.recording import Recording
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import BIG_ENDIAN, LPS, SCALARS, Image

@@ -238,19 +238,19 @@ def test_tables(recording: Path, tmp_path: Path) -> None:
     files = exported(recording, "csv", tmp_path / "tables")
     tables = {name: list(csv.DictReader(file.open(encoding="utf-8", newline=""))) for name, file in files.items()}
     poses = tables["igtl_in.TRANSFORM_ProbeToTracker.csv"]
-    assert [(row["time_ns"], row["source_ns"], row["x"], row["qw"], row["r11"]) for row in poses] == [
+    assert [(row["time_ns"], row["source_ns"], row["x_mm"], row["qw"], row["r11"]) for row in poses] == [
         (str(START + 1_000), str(START + 1_000), "1.5", "1.0", "1.0"),
         (str(START + 7_000), str(START + 7_000), "2.5", "1.0", "1.0"),
     ]
     assert [row["string"] for row in tables["igtl_in.STRING_Said.csv"]] == ['one, "two"\nthree']
     assert [row["data"] for row in tables["ros_in.said.csv"]] == ["ähm"]
     (speed,) = tables["ros_in.speed.csv"]
-    assert [speed[f"{part}.{axis}"] for part in ("linear", "angular") for axis in "xyz"] == [
+    assert [speed[f"{part}.{axis}_{unit}"] for part, unit in (("linear", "m_s"), ("angular", "rad_s")) for axis in "xyz"] == [
         f"{value}.0" for value in range(1, 7)
     ]
     assert not any("POLYDATA" in name or "IMAGE" in name for name in files)
     frames = tables["ros_out.tf.csv"]
-    assert [row["transforms.transform.translation.x"] for row in frames] == ["0.0015", "0.0025"]
+    assert [row["transforms.transform.translation.x_m"] for row in frames] == ["0.0015", "0.0025"]
 
 
 def test_ply_holds_the_surface(recording: Path, tmp_path: Path) -> None:
