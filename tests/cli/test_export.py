@@ -245,9 +245,9 @@ def test_tables(recording: Path, tmp_path: Path) -> None:
     assert [row["string"] for row in tables["igtl_in.STRING_Said.csv"]] == ['one, "two"\nthree']
     assert [row["data"] for row in tables["ros_in.said.csv"]] == ["ähm"]
     (speed,) = tables["ros_in.speed.csv"]
-    assert [speed[f"{part}.{axis}_{unit}"] for part, unit in (("linear", "m_s"), ("angular", "rad_s")) for axis in "xyz"] == [
-        f"{value}.0" for value in range(1, 7)
-    ]
+    assert [
+        speed[f"{part}.{axis}_{unit}"] for part, unit in (("linear", "m_s"), ("angular", "rad_s")) for axis in "xyz"
+    ] == [f"{value}.0" for value in range(1, 7)]
     assert not any("POLYDATA" in name or "IMAGE" in name for name in files)
     frames = tables["ros_out.tf.csv"]
     assert [row["transforms.transform.translation.x_m"] for row in frames] == ["0.0015", "0.0025"]
