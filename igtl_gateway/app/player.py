@@ -6,6 +6,7 @@ import dataclasses
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import Literal
@@ -13,7 +14,7 @@ from typing import Literal
 from igtl_gateway.app.digest import Digest
 from igtl_gateway.buffers import total_size
 from igtl_gateway.clock import Clock
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, RosError
 from igtl_gateway.replay.pace import Pace
 from igtl_gateway.replay.playback import PlaybackClock, checked_rate
 from igtl_gateway.replay.restamp import Restamper
@@ -43,6 +44,7 @@ class Played:
     bytes: int = 0
     unheard: int = 0  #: of the messages, those for which nobody was there
     by_stream: Counter[str] = field(default_factory=Counter)
+    refused: Counter[tuple[str, str]] = field(default_factory=Counter)  #: not sent: by stream and reason
     _digest: Digest | None = field(default_factory=Digest)
 
     def add(self, entries: Sequence[Entry], heard: bool) -> None:
@@ -58,7 +60,7 @@ class Played:
     def copy(self) -> Played:
         """The same, to go on by itself."""
         digest = self._digest.copy() if self._digest else None
-        return Played(self.messages, self.bytes, self.unheard, Counter(self.by_stream), digest)
+        return Played(self.messages, self.bytes, self.unheard, Counter(self.by_stream), Counter(self.refused), digest)
 
     @property
     def digest(self) -> str | None:
@@ -94,7 +96,8 @@ class Player:
 
     Args:
         feed: opens what is sent.
-        send: sends one entry; may wait; tells whether anybody was there.
+        send: sends one entry; may wait; tells whether anybody was there.  Where it raises RosError, the entry is
+            counted as refused and not as sent.
         clock: paces, and gives new stamps.
         stop: ends the playback when set.
         rate: recorded seconds per real second; None: as fast as possible.
@@ -342,7 +345,8 @@ class Player:
                 if left_ns == 0 or (left_ns is None and self._to_step):
                     return _Turn.SEND
                 if left_ns is None and self._tick:
-                    self._send(self._tick)  # nodes that come while it is paused want to know the time, too
+                    with suppress(RosError):
+                        self._send(self._tick)  # nodes that come while it is paused want to know the time, too
                 self._changed.wait(_LOOK_S if left_ns is None else min(left_ns / NS_PER_S, _LOOK_S))
 
     def _no_more_steps(self) -> None:
@@ -355,11 +359,15 @@ class Player:
 
     def _deliver(self, entry: Entry) -> None:
         sent = self._restamped(entry, self._restamp) if self._restamp else entry
-        heard = self._send(sent)
-        if is_tick(entry):
-            self._tick = sent
+        try:
+            heard = self._send(sent)
+        except RosError as error:
+            self.played.refused[entry.channel, str(error)] += 1
         else:
-            self._count([sent], heard)
+            if is_tick(entry):
+                self._tick = sent
+            else:
+                self._count([sent], heard)
         with self._changed:
             now_ns = self._clock.monotonic_ns()
             if self._is_state(entry):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -10,6 +11,7 @@ from itertools import chain
 from igtl_gateway.config import Config
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge
+from igtl_gateway.errors import RosError
 from igtl_gateway.qos import Qos
 from igtl_gateway.replay.latched import part, rule
 from igtl_gateway.replay.mcap_reader import SessionFile
@@ -27,7 +29,7 @@ _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 #: Between two looks at the stop event.
 _LOOK_S = 0.2
 
-#: Sends one entry; tells whether anybody was there.
+#: Sends one entry; tells whether anybody was there.  Raises RosError where ROS refuses it.
 Send = Callable[[Entry], bool]
 #: The same of several.
 SendAll = Callable[[Sequence[Entry]], bool]
@@ -79,6 +81,8 @@ def planned(
     start_ns: int | None = None,
     end_ns: int | None = None,
     role: str = "server",
+    passed_over: Counter[str] | None = None,
+    made: Counter[Kind] | None = None,
 ) -> Iterator[Entry]:
     """The entries of a plan, in order; those that were latched before ``start_ns`` (UTC) first, none after ``end_ns``.
 
@@ -87,6 +91,8 @@ def planned(
 
     Args:
         role: whose words of a relay's recording are played: those of the ``"server"`` or of the ``"client"``.
+        passed_over: counts what is recorded for the side, but not sent, by reason.
+        made: counts the outputs of today's gateway.
     """
     latched = {(channel.topic, channel.type) for channel in file.channels if channel.qos and channel.qos.latched}
 
@@ -101,12 +107,12 @@ def planned(
         found = file.entries_from(start_ns, rule(is_latched))
     entries: Iterable[Entry] = chain(file.prologue(), found)
     if how.recompute:
-        entries = through_gateway(entries, config, has_links=any(c.kind is Kind.LINK for c in file.channels if c.count))
-    if config.relay:
-        entries = spoken_to(role, entries)
+        has_links = any(c.kind is Kind.LINK for c in file.channels if c.count)
+        entries = through_gateway(entries, config, has_links=has_links, made=made)
     # a relay sends in one form only, and with faults several messages of a stream behind one input
-    entries = part(entries if config.relay else once(entries), start_ns, end_ns, is_latched)
-    return select(entries, how.kinds, streams)
+    mine = passed_over if Kind.IGTL_OUT in how.kinds else None
+    entries = spoken_to(role, entries, mine) if config.relay else once(entries, mine)
+    return select(part(entries, start_ns, end_ns, is_latched), how.kinds, streams, passed_over)
 
 
 def igtl_sender_of_many(edge: TcpEdge, stop: threading.Event) -> SendAll:
@@ -147,7 +153,8 @@ def ros_sender(edge: RosEdge, file: SessionFile, stop: threading.Event | None = 
 
     def send(entry: Entry) -> bool:
         qos = offered.get((entry.channel, entry.type)) or PLAYED_QOS
-        edge.publish(entry.channel, entry.type, entry.data(), qos)
+        if reason := edge.publish(entry.channel, entry.type, entry.data(), qos):
+            raise RosError(reason)
         while stop and not stop.is_set() and not edge.wait_acked(entry.channel, _LOOK_S):
             pass
         return True

@@ -11,6 +11,7 @@ from typing import Any
 from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.player_services import PlayerServices
+from igtl_gateway.app.replay_account import Account, lines
 from igtl_gateway.app.replay_plan import plan, planned
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import (
@@ -29,7 +30,7 @@ from igtl_gateway.cli.terminal import cell, print_json, say
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.errors import ConfigError, GatewayError
-from igtl_gateway.faults import CLOCK_STEP, Fate, Faults
+from igtl_gateway.faults import CLOCK_STEP, LOSS, Fate, Faults
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.moment import moment
 from igtl_gateway.replay.pace import Pace, steps_of
@@ -58,6 +59,8 @@ T is in seconds from the beginning, in UTC seconds, or a time as 2026-11-21T08:0
 into the middle sends what was latched before (static transforms, plans, surfaces, last status) first.
 
 keys, on a terminal: space pause or go on, → next message while paused, ↑ ↓ rate ±10 %, q end
+exit code 1 if it is stopped, or if ROS refuses messages (a type that is not installed): the others are sent.
+
 services, with --to ros, as of `ros2 bag play`: ~/pause ~/resume ~/toggle_paused ~/is_paused ~/seek ~/play_next ~/burst
 ~/set_rate ~/get_rate of /igtl_gateway_replay
 
@@ -132,7 +135,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     _check(options)
-    with SessionFile.open(options.file) as file, stop_event() as stop, ExitStack() as stack:
+    with SessionFile.open(options.file) as file, stop_event() as stop, ExitStack() as at_end, ExitStack() as stack:
         start_ns, end_ns = _part(options, file)
         config = with_sends(recorded_config(file.session, options.config), options.send)
         how = plan(file, options.to, options.through_gateway)
@@ -143,12 +146,16 @@ def run(options: argparse.Namespace) -> int:
             _tell(options, "stopped before the replay began")
             return 1
 
+        account = Account.of(file, how)
         faults = Faults.parse(options.fault)
         faulty = FaultyFeed(faults, options.seed, lambda fate: _tell_fault(options, fate)) if faults else None
         role = "client" if options.connect and not options.listen else "server"
 
         def feed(from_ns: int | None) -> Any:
-            entries = planned(file, config, how, options.streams, from_ns, end_ns, role)
+            account.begin()
+            entries = planned(
+                file, config, how, options.streams, from_ns, end_ns, role, account.passed_over, account.made
+            )
             entries = faulty(entries) if faulty else entries
             return with_ticks(entries, from_ns, period_ns(options.clock), pace) if options.clock else entries
 
@@ -168,16 +175,23 @@ def run(options: argparse.Namespace) -> int:
             digest=not options.no_digest,
             pace=pace,
         )
+        complete = False
+
+        def report() -> None:
+            _report(options, player, side, complete, faulty, account, start_ns is not None or end_ns is not None)
+
+        # when the edges are closed: what still left then counts as sent, and what did not does not
+        at_end.callback(report)
         _controls(options, file, player, side, stop, stack)
         stop.wait(options.delay)
         try:
             player.run()
         finally:
             complete = side.finish() and not stop.is_set()
-            _report(options, player, complete, faulty)
     if complete and not player.played.messages:
-        raise GatewayError(f"{options.file}: nothing in it goes to {options.to}: see `igtl-gateway info`, and --send")
-    return 0 if complete or options.loop else 1
+        why = next(iter(player.played.refused), ("", "see `igtl-gateway info`, and --send"))[1]
+        raise GatewayError(f"{options.file}: nothing in it goes to {options.to}: {why}")
+    return 0 if (complete or options.loop) and not player.played.refused else 1
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -290,38 +304,77 @@ def _at(file: SessionFile, recorded_ns: int | None) -> str:
     return "the beginning" if recorded_ns is None else f"{(recorded_ns - file.start_ns) / NS_PER_S:+.3f} s"
 
 
-def _report(options: argparse.Namespace, player: Player, complete: bool, faulty: FaultyFeed | None) -> None:
+def _report(
+    options: argparse.Namespace,
+    player: Player,
+    side: Side,
+    complete: bool,
+    faulty: FaultyFeed | None,
+    account: Account,
+    partial: bool,
+) -> None:
+    """What was sent, what was not and why; after the edges are closed."""
     played = player.played
+    refused = dict(played.refused)
+    for stream, number in side.failed().items():  # those that were held for their subscribers, and failed then
+        if later := number - sum(many for (name, _), many in played.refused.items() if name == stream):
+            refused[stream, "ROS did not take it"] = later
+    failed = sum(refused.values()) - played.refused.total()
+    undelivered, single = side.undelivered()
+    facts = None
+    if account.passes == 1:  # a loop or a jump sends messages again
+        facts = account.facts(
+            played,
+            failed=failed,
+            left=undelivered if single else 0,
+            lost=faulty.counts[LOSS] if faulty else 0,
+            partial=partial,
+            stopped=not complete,
+        )
     if options.json:
         told: dict[str, Any] = {
             "file": str(options.file),
             "complete": complete,
-            "messages": played.messages,
+            "messages": played.messages - failed,
             "bytes": played.bytes,
             "unheard": played.unheard,
+            "undelivered": undelivered,
+            "refused": [
+                {"stream": stream, "messages": number, "reason": reason}
+                for (stream, reason), number in sorted(refused.items())
+            ],
             "sha256": played.digest,
             "streams": played.by_stream,
+            "account": facts,
         }
         if options.to == "both":
             told["sides"] = {
-                side: {"messages": part.messages, "bytes": part.bytes, "sha256": part.digest}
-                for side, part in sorted(player.sides.items())
+                name: {"messages": part.messages, "bytes": part.bytes, "sha256": part.digest}
+                for name, part in sorted(player.sides.items())
             }
         if faulty:
             told["faults"] = {"fault": options.fault, "seed": options.seed, "counts": faulty.counts}
         print_json(told)
         return
-    say(f"{'sent' if complete else 'stopped after'} {count(played.messages, 'message')}, {size(played.bytes)}")
+    sent = count(played.messages - failed, "message")
+    say(f"{'sent' if complete else 'stopped after'} {sent}, {size(played.bytes)}")
     if played.unheard:
         say(f"  {played.unheard:,} of them while no peer was connected")
+    if undelivered:
+        say(f"  {undelivered:,} of them were still queued for a peer when it left")
     if faulty:
         counts = faulty.counts
         hit = ", ".join(f"{name} {counts[name]:,}" for name in sorted(counts) if name != "messages" and counts[name])
         say(f"faults (seed {options.seed}): of {count(counts['messages'], 'message')}: {hit or 'none hit'}")
     for stream, number in sorted(played.by_stream.items()):
         say(f"  {cell(stream, 40)} {number:>8,}")
+    for line in lines(facts) if facts else ():
+        say(line)
+    for (stream, reason), number in sorted(refused.items()):
+        say(f"! not published: {count(number, 'message')} of {stream}: {reason}")
     if options.to == "both" and played.digest:
-        for side, part in sorted(player.sides.items()):
-            say(f"{side}: sha256 {part.digest}")
+        for name, part in sorted(player.sides.items()):
+            say(f"{name}: sha256 {part.digest}")
     if played.digest:
         say(f"sha256 {played.digest}")
+    sys.stdout.flush()

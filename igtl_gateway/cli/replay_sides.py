@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from threading import Event
 
 from igtl_gateway.app.faulty import all_with_cuts, disconnector, with_cuts
@@ -23,10 +23,12 @@ from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import addresses, count
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.edges.ros_env import prepare_environment
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, CLOCK_TYPE
 from igtl_gateway.replay.source import fits
+from igtl_gateway.session.note import Note
 
 _FLUSH_S = 30.0
 _LOOK_S = 0.2
@@ -43,12 +45,17 @@ class Side:
         finish: waits until all that was sent is on its way; False if that took too long.
         ros: the edge, where ROS is driven.
         send_all: sends several; None: they go one by one.
+        failed: topic → messages that ROS did not take, at the end.
+        undelivered: messages that did not leave for their peer, once for each peer; and whether there was never more
+            than one peer at a time, so that these are messages that nobody got.  Asked for when the edge is closed.
     """
 
     send: Send
     finish: Callable[[], bool]
     ros: RosEdge | None = None
     send_all: SendAll | None = None
+    failed: Callable[[], Mapping[str, int]] = dict
+    undelivered: Callable[[], tuple[int, bool]] = lambda: (0, True)
 
 
 def open_sides(
@@ -56,6 +63,10 @@ def open_sides(
 ) -> Side | None:
     """The side or sides of ``--to``, once all that is waited for is there; None if ``stop`` came first."""
     igtl = ros = None
+    if options.to != "igtl":
+        # before peers are waited for: what is missing here is told at once
+        prepare_environment(lock_step=options.speed_of_light)
+        RosEdge.check()
     if options.to != "ros":
         igtl = _open_igtl(options, stop, stack, tell)
         if igtl is None:
@@ -66,7 +77,13 @@ def open_sides(
             return None
     if igtl and ros:
         finishes = (igtl.finish, ros.finish)
-        return Side(both_sender(igtl.send, ros.send), lambda: all([finish() for finish in finishes]), ros.ros)
+        return Side(
+            both_sender(igtl.send, ros.send),
+            lambda: all([finish() for finish in finishes]),
+            ros.ros,
+            failed=ros.failed,
+            undelivered=igtl.undelivered,
+        )
     return igtl or ros
 
 
@@ -74,9 +91,10 @@ def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell:
     """A sender to OpenIGTLink peers, once they are there."""
     listen, connect = addresses(options)
     tls_listen, tls_connect = admission.secured(options, listen, connect)
+    peers = _Peers(tell)
     edge = TcpEdge(
         on_frame=lambda _link, _message: None,  # what peers say during a replay is not part of it
-        on_link=lambda _link, _up, note: tell(f"= {note.text}"),
+        on_link=peers,
         on_note=lambda _link, note: tell(f"! {note.text}"),
         clock=SystemClock(),
         allow=tuple(options.allow),
@@ -101,16 +119,34 @@ def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell:
     if options.fault:
         disconnect = disconnector(edge, stop)
         send, send_all = with_cuts(send, disconnect), send_all and all_with_cuts(send_all, disconnect)
-    return Side(send, lambda: edge.flush(0.0 if stop.is_set() else _FLUSH_S), send_all=send_all)
+
+    def undelivered() -> tuple[int, bool]:
+        gone = edge.counters()[0]
+        return sum(gone.dropped.values()) + sum(gone.ignored.values()), peers.most <= 1
+
+    return Side(
+        send, lambda: edge.flush(0.0 if stop.is_set() else _FLUSH_S), send_all=send_all, undelivered=undelivered
+    )
+
+
+@dataclass(slots=True)
+class _Peers:
+    """Tells of links, and counts how many there are at a time."""
+
+    tell: Tell
+    most: int = 0
+    _up: set[int] = field(default_factory=set)
+
+    def __call__(self, link: int, up: bool, note: Note) -> None:
+        self.tell(f"= {note.text}")
+        (self._up.add if up else self._up.discard)(link)
+        self.most = max(self.most, len(self._up))
 
 
 def _open_ros(
     options: argparse.Namespace, file: SessionFile, how: Plan, stop: Event, stack: ExitStack, tell: Tell
 ) -> Side | None:
     """A sender to the ROS graph, its topics advertised."""
-    from igtl_gateway.edges.ros_env import prepare_environment
-
-    prepare_environment(lock_step=options.speed_of_light)
     edge = RosEdge(
         node_name="igtl_gateway_replay",
         on_message=lambda *_: None,
@@ -135,4 +171,12 @@ def _open_ros(
         if stop.is_set():
             return None
     send = ros_sender(edge, file, stop if options.speed_of_light else None)
-    return Side(send, lambda: stop.is_set() or edge.wait_ready(_FLUSH_S), edge)
+
+    def failed() -> Mapping[str, int]:
+        return {
+            topic: counts["failed"]
+            for topic, counts in edge.counters().items()
+            if counts["failed"] and not (options.clock and topic == CLOCK_TOPIC)
+        }
+
+    return Side(send, lambda: stop.is_set() or edge.wait_ready(_FLUSH_S), edge, failed=failed)

@@ -142,8 +142,14 @@ class RosEdge:
         self._readers: dict[str, Reader] = {}
         self._writers: dict[str, Writer] = {}  # by the name as given and by the full name
         self._noted: set[tuple[str, ...]] = set()
+        self._refusals: dict[tuple[str, str, str], str] = {}  # action, topic, type → why
 
     # --- life -----------------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def check() -> None:
+        """Raises RosError, in one line, if there is no ROS 2 here that a node can be made with."""
+        _import_rclpy()
 
     def start(self) -> None:
         """Join the graph.  Raises RosError, in one line, if ROS is missing or refuses."""
@@ -219,25 +225,29 @@ class RosEdge:
 
     # --- publishing -----------------------------------------------------------------------------------------------
 
-    def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos) -> None:
+    def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos) -> str:
         """Send CDR bytes (with encapsulation); from any thread.
 
         The publisher is created on first use, and ``qos`` counts then.  Never raises for a bad topic or type, nor
         before start or after stop: that is noted once and counted as failed.
+
+        Returns:
+            Why the message is not published, or ``""``.  One that is held for its subscribers may still fail later,
+            which `counters` show.
         """
         writer = self._writers.get(topic)
         if writer is None or writer.type_name != type_name:
             writer = self._writer(topic, type_name, qos)
             if writer is None:
                 self._count(topic).failed += 1
-                return
+                return self._refusals.get(("publish", topic, type_name), "the node is not running")
         if len(cdr) < _CDR_HEADER:
             # DDS would carry it, and each reader would fail over it
             with writer.lock:
                 writer.counts.failed += 1
             found = f"{len(cdr)} bytes, expected CDR with {_CDR_HEADER} bytes of encapsulation"
             self._note_failure(writer.topic, found)
-            return
+            return found
         overflown, failure = False, ""
         with writer.lock:
             if writer.ready:
@@ -251,6 +261,8 @@ class RosEdge:
             self._note_failure(writer.topic, failure)
         if overflown:
             self._note_overflow(writer.topic)
+            return ""  # the failure is of an older one, and counted
+        return failure
 
     def serve(self, name: str, type_name: str, answer: Callable[[Any, Any], Any]) -> bool:
         """Offer a service; ``answer`` fills a response and may wait, in a thread of the executor's.
@@ -350,7 +362,7 @@ class RosEdge:
 
     def _writer(self, topic: str, type_name: str, qos: Qos) -> Writer | None:
         """The publisher of the topic, made if there is none; None (and a note) if that is impossible."""
-        if ("ros_refused", "publish", topic, type_name) in self._noted:
+        if ("publish", topic, type_name) in self._refusals:
             return None
         try:
             with self._lock:
@@ -487,7 +499,7 @@ class RosEdge:
         """Subscribe to what is new in the graph and wanted."""
         for publication in self.publications():
             topic, type_name = publication.topic, publication.type
-            if topic in self._readers or ("ros_refused", "subscribe", topic, type_name) in self._noted:
+            if topic in self._readers or ("subscribe", topic, type_name) in self._refusals:
                 continue
             qos = self._wants(topic, type_name)
             if qos is None:
@@ -663,13 +675,13 @@ class RosEdge:
         self._note_once(Level.INFO, "ros_hold_overflow", text, topic)
 
     def _refuse(self, action: str, topic: str, type_name: str, error: Exception) -> None:
-        key = ("ros_refused", action, topic, type_name)
+        why = f"cannot {action} {type_name}: {first_line(error)}"
         with self._lock:
-            if key in self._noted:
+            if (action, topic, type_name) in self._refusals:
                 return
-            self._noted.add(key)
+            self._refusals[action, topic, type_name] = why
         code = "ros_unknown_type" if isinstance(error, _UnknownTypeError) else "ros_refused"
-        text = f"{topic}: cannot {action} {type_name}: {first_line(error)}"
+        text = f"{topic}: {why}"
         self._note(Level.WARN, code, text, topic, {"action": action, "type": type_name})
 
     def _note_once(self, level: Level, code: str, text: str, topic: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
 from igtl_gateway.config import Config
@@ -13,13 +14,20 @@ from igtl_gateway.session.note import Level, Note
 #: The link that stands for "whoever listens" where a recording knows of no link.
 _ANY_LINK = 1
 
+#: Why a replay passes over a message: names in its account.
+FORMS, RELAY, STREAMS, MADE_ANEW = "other_forms", "other_side", "not_chosen", "made_anew"
 
-def through_gateway(entries: Iterable[Entry], config: Config, *, has_links: bool) -> Iterator[Entry]:
+
+def through_gateway(
+    entries: Iterable[Entry], config: Config, *, has_links: bool, made: Counter[Kind] | None = None
+) -> Iterator[Entry]:
     """Inputs and outputs of today's gateway for the recorded inputs.
 
     Args:
         has_links: whether the recording tells of links; if not, one that reads header version 1 is assumed.
+        made: counts the outputs.
     """
+    made = Counter() if made is None else made
     gateway = gateway_of(config)
     if not has_links:
         note = Note(Level.INFO, LINK_UP, "replay").pack()
@@ -27,15 +35,23 @@ def through_gateway(entries: Iterable[Entry], config: Config, *, has_links: bool
     for entry in entries:
         if entry.kind.is_input:
             yield entry
-            yield from gateway.handle(entry)
+            for output in gateway.handle(entry):
+                made[output.kind] += 1
+                yield output
 
 
-def once(entries: Iterable[Entry]) -> Iterator[Entry]:
-    """Of a message that went out in several header versions only the first form: version 1 where it was sent."""
+def once(entries: Iterable[Entry], passed_over: Counter[str] | None = None) -> Iterator[Entry]:
+    """Of a message that went out in several header versions only the first form: version 1 where it was sent.
+
+    Args:
+        passed_over: counts the others.
+    """
+    passed_over = Counter() if passed_over is None else passed_over
     sent: set[str] = set()
     for entry in entries:
         if entry.kind is Kind.IGTL_OUT:
             if entry.channel in sent:
+                passed_over[FORMS] += 1
                 continue
             sent.add(entry.channel)
         elif sent and entry.kind in _INPUTS:
@@ -43,13 +59,15 @@ def once(entries: Iterable[Entry]) -> Iterator[Entry]:
         yield entry
 
 
-def spoken_to(role: str, entries: Iterable[Entry]) -> Iterator[Entry]:
+def spoken_to(role: str, entries: Iterable[Entry], passed_over: Counter[str] | None = None) -> Iterator[Entry]:
     """Of a relay's recording the inputs, and of the outputs the words to one side.
 
     Args:
+        passed_over: counts the outputs that are left out.
         role: our own in the replay.  ``"server"``: what was sent to those that had connected to the relay, which is
             what their server said; ``"client"``: what was sent to that server.
     """
+    passed_over = Counter() if passed_over is None else passed_over
     listeners: set[int] = set()
     for entry in entries:
         if entry.kind is Kind.LINK:
@@ -58,13 +76,22 @@ def spoken_to(role: str, entries: Iterable[Entry]) -> Iterator[Entry]:
                 listeners.update(entry.links)
         if entry.kind.is_input or listeners.intersection(entry.links):
             yield entry
+        elif entry.kind is Kind.IGTL_OUT:
+            passed_over[RELAY] += 1
 
 
-def select(entries: Iterable[Entry], kinds: frozenset[Kind], streams: Iterable[str] = ()) -> Iterator[Entry]:
+def select(
+    entries: Iterable[Entry],
+    kinds: frozenset[Kind],
+    streams: Iterable[str] = (),
+    passed_over: Counter[str] | None = None,
+) -> Iterator[Entry]:
     """Entries of some kinds, of streams that match one of the globs (no glob: all).
 
-    A glob fits the channel (``TYPE/device`` or the topic) or the device name alone.
+    A glob fits the channel (``TYPE/device`` or the topic) or the device name alone.  ``passed_over`` counts the
+    entries of other streams.
     """
+    passed_over = Counter() if passed_over is None else passed_over
     globs = tuple(streams)
     few = tuple(kinds)  # found sooner than by their hash
     known: dict[str, bool] = {}
@@ -76,6 +103,8 @@ def select(entries: Iterable[Entry], kinds: frozenset[Kind], streams: Iterable[s
                 )
             if known[entry.channel]:
                 yield entry
+            else:
+                passed_over[STREAMS] += 1
 
 
 def fits(name: str, globs: Sequence[str]) -> bool:

@@ -430,3 +430,40 @@ def test_what_cannot_be_is_said_before_anything_is_sent() -> None:
     for (arguments, named), outcome in zip(wrong.items(), found, strict=True):
         assert outcome.code == 2, arguments
         assert outcome.err.count("\n") == 1 and named in outcome.err
+
+
+def test_the_outcome_accounts_for_all_that_is_recorded(capfd: pytest.CaptureFixture[str]) -> None:
+    data, told = received(str(STAR), "--as-fast-as-possible", "--streams", "TRANSFORM/*", "--start", "1", "--end", "2")
+    account: Any = told["account"]
+    with SessionFile.open(STAR) as file:
+        assert account["recorded"] == file.entry_count
+    assert account["sent"] == told["messages"] == len(messages(data))
+    assert account["recorded"] == account["sent"] + sum(account["not_sent"].values())
+    assert set(account["not_sent"]) == {"notes", "igtl_in", "ros_in", "ros_out", "not_chosen", "outside"}
+
+
+def test_what_waits_for_a_peer_that_leaves_is_not_sent() -> None:
+    """The queue of a peer that reads nothing is full long before the end."""
+    with server() as listener:
+        to = ("--to", "igtl", "--connect", target(listener), "--json", "--as-fast-as-possible")
+        with replay(str(STAR), *to) as process:
+            peer, _ = listener.accept()
+            peer.recv(1)
+            peer.close()
+            listener.close()
+            out, err = process.communicate(timeout=PATIENCE_S)
+    told = json.loads(out.splitlines()[-1])
+    account = told["account"]
+    assert account["recorded"] == account["sent"] + sum(account["not_sent"].values())
+    assert account["not_sent"]["no_peer"] == told["unheard"] > 0, err
+    assert account["sent"] < told["messages"]
+
+
+WITHOUT_ROS = "import sys; sys.modules['rclpy'] = None; from igtl_gateway.cli import main; sys.exit(main(sys.argv[1:]))"
+
+
+def test_that_ros_is_missing_is_said_before_a_peer_is_waited_for() -> None:
+    command = [sys.executable, "-c", WITHOUT_ROS, "replay", str(TYPES), "--to", "both", "--listen", "127.0.0.1:0"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+    assert "ROS 2 is not available" in ended.stderr and ended.stderr.count("\n") == 1
+    assert "waiting for" not in ended.stdout

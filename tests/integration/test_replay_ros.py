@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.writer import Writer
 
+from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import once, select
 from igtl_gateway.session.entry import Entry, Kind
@@ -148,3 +150,35 @@ def test_both_sides_at_once_in_the_order_of_the_log() -> None:
             assert told["sha256"] == digest(sorted(igtl + ros, key=lambda entry: entry.seq))
         finally:
             program.close()
+
+
+def test_what_ros_refuses_is_not_counted_as_sent(tmp_path: Path) -> None:
+    """Ten messages each of a type that is here, of one that is not, and of a topic that cannot be a name."""
+    path = tmp_path / "foreign.mcap"
+    data = [f"message {number}" for number in range(10)]
+    text = {"std_msgs/msg/String": "string data\n", "lab_msgs/msg/Thing": "string data\n"}
+    topics = {"/known": "std_msgs/msg/String", "/unknown": "lab_msgs/msg/Thing", "/not a name": "std_msgs/msg/String"}
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        channels = {
+            topic: writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", text[kind].encode()))
+            for topic, kind in topics.items()
+        }
+        for second, said in enumerate(data):
+            for channel in channels.values():
+                writer.add_message(channel, START_S * 10**9 + second, String(said).pack(), second)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with RosClient("listener", subscribe={"/known": "std_msgs/msg/String"}) as node:
+        program = gateway("replay", str(path), "--to", "ros", "--json", "--as-fast-as-possible")
+        try:
+            assert [node.receive("/known")["data"] for _ in data] == data
+            program.wait_until(lambda: '"complete"' in program.said(), "the outcome")
+            told = json.loads(next(line for line in program.said().splitlines() if '"complete"' in line))
+        finally:
+            program.close()
+    assert (told["messages"], told["streams"]) == (10, {"/known": 10})
+    assert told["sha256"] == hashlib.sha256(b"".join(String(said).pack() for said in data)).hexdigest()
+    assert told["account"] == {"recorded": 30, "made": 0, "sent": 10, "not_sent": {"refused": 20}}
+    assert [(each["stream"], each["messages"]) for each in told["refused"]] == [("/not a name", 10), ("/unknown", 10)]
+    assert "lab_msgs/msg/Thing: unknown type" in told["refused"][1]["reason"]

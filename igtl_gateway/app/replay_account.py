@@ -1,0 +1,124 @@
+"""The account of a replay: what the recording has is what was sent and what was not, with the reason."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from igtl_gateway.app.player import Played
+from igtl_gateway.app.replay_plan import Plan
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.source import FORMS, MADE_ANEW, RELAY, STREAMS
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.layout import NOTE_KINDS
+
+NOTES, UNREAD, LOST, NO_PEER, REFUSED, LEFT, OUTSIDE, NOT_REACHED = (
+    "notes",
+    "unread",
+    "lost",
+    "no_peer",
+    "refused",
+    "peer_left",
+    "outside",
+    "not_reached",
+)
+
+#: Reason of the account → what it says to people; of messages that are not of a chosen kind, the kind is the reason.
+REASONS: Mapping[str, str] = {
+    NOTES: "notes and links, which are for the recording only",
+    Kind.IGTL_IN.value: "received from OpenIGTLink peers",
+    Kind.IGTL_OUT.value: "sent to OpenIGTLink peers",
+    Kind.ROS_IN.value: "received from ROS",
+    Kind.ROS_OUT.value: "published on ROS",
+    UNREAD: "in channels that cannot be read",
+    STREAMS: "of streams that --streams leaves out",
+    FORMS: "of another header version of the same message",
+    RELAY: "sent to the other side of the relay",
+    MADE_ANEW: "recorded outputs, computed anew instead",
+    LOST: "lost by --fault",
+    NO_PEER: "while no peer was connected",
+    LEFT: "still queued for a peer when it left",
+    REFUSED: "refused by ROS",
+    OUTSIDE: "outside --start and --end",
+    NOT_REACHED: "not reached before the end of the replay",
+}
+
+
+@dataclass(slots=True)
+class Account:
+    """Counts what a replay passes over.
+
+    Attributes:
+        recorded: messages of the recording, notes and links included.
+        passed_over: reason → messages, counted while they pass.
+        made: messages that today's gateway made.
+        passes: how often the feed was opened; the account is of one pass only.
+    """
+
+    recorded: int = 0
+    passed_over: Counter[str] = field(default_factory=Counter)
+    made: Counter[Kind] = field(default_factory=Counter)
+    passes: int = 0
+    _fixed: Counter[str] = field(default_factory=Counter)
+    _kinds: frozenset[Kind] = frozenset()
+
+    @classmethod
+    def of(cls, file: SessionFile, how: Plan) -> Account:
+        """The account of a file and a plan, before the first message."""
+        fixed: Counter[str] = Counter()
+        for channel in file.channels:
+            if channel.kind in NOTE_KINDS:
+                fixed[NOTES] += channel.count
+            elif channel.kind not in how.kinds:
+                fixed[channel.kind.value] += channel.count
+            elif how.recompute and not channel.kind.is_input:
+                fixed[MADE_ANEW] += channel.count
+        fixed[UNREAD] = sum(channel.count for channel in file.skipped)
+        before = sum(entry.kind in how.kinds for entry in file.prologue())
+        return cls(file.entry_count + fixed[UNREAD] + before, _fixed=fixed, _kinds=how.kinds)
+
+    def begin(self) -> None:
+        """The feed is opened."""
+        self.passes += 1
+        self.passed_over.clear()
+        self.made.clear()
+
+    def facts(
+        self, played: Played, *, failed: int, left: int, lost: int, partial: bool, stopped: bool
+    ) -> dict[str, Any]:
+        """The account for JSON; ``recorded`` + ``made`` = ``sent`` + all of ``not_sent``.
+
+        Args:
+            played: what the player handed on.
+            failed: messages of these that ROS refused later.
+            left: messages of these that a peer left in its queue, while it was the only one.
+            lost: messages that a fault kept back.
+            partial: the replay is of a part of the recording only.
+            stopped: it ended before its end.
+        """
+        made = sum(number for kind, number in self.made.items() if kind in self._kinds)
+        missed = self._fixed + self.passed_over
+        missed[LOST] = lost
+        missed[NO_PEER] = played.unheard
+        missed[LEFT] = left
+        missed[REFUSED] = sum(played.refused.values()) + failed
+        sent = played.messages - played.unheard - failed - left
+        missed[NOT_REACHED if stopped or not partial else OUTSIDE] = self.recorded + made - sent - missed.total()
+        return {
+            "recorded": self.recorded,
+            "made": made,
+            "sent": sent,
+            "not_sent": {reason: missed[reason] for reason in REASONS if missed[reason]},
+        }
+
+
+def lines(account: dict[str, Any]) -> list[str]:
+    """The account for people; empty where all was sent."""
+    not_sent: dict[str, int] = account["not_sent"]
+    if not not_sent:
+        return []
+    made = f" and {account['made']:,} computed" if account["made"] else ""
+    head = f"not sent: {sum(not_sent.values()):,} of {account['recorded']:,} messages recorded{made}"
+    return [head, *(f"  {number:>8,}  {REASONS[reason]}" for reason, number in not_sent.items())]

@@ -1,0 +1,90 @@
+"""The account of a replay: it adds up for every recording, side and part."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.app.faulty import FaultyFeed
+from igtl_gateway.app.player import Player
+from igtl_gateway.app.replay_account import LEFT, LOST, NO_PEER, NOT_REACHED, OUTSIDE, REFUSED, Account, lines
+from igtl_gateway.app.replay_plan import plan, planned
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.config import Config
+from igtl_gateway.errors import RosError
+from igtl_gateway.faults import Faults
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.replay.source import FORMS, MADE_ANEW, STREAMS
+from igtl_gateway.session.entry import Entry
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+TYPES = FIXTURES / "paper-types.mcap"
+
+
+def played(
+    path: Path,
+    to: str,
+    *,
+    recompute: bool = False,
+    streams: tuple[str, ...] = (),
+    part: tuple[float, float] | None = None,
+    faults: str = "",
+    refuse: str = "",
+    stop_after: int = 1 << 30,
+) -> dict[str, object]:
+    """The account of a replay whose sides take everything, but for the stream ``refuse``."""
+    with SessionFile.open(path) as file:
+        how = plan(file, to, recompute)
+        account = Account.of(file, how)
+        start_ns, end_ns = (file.start_ns + round(s * 1e9) for s in part) if part else (None, None)
+        faulty = FaultyFeed(Faults.parse(faults), 7)
+        stop = threading.Event()
+        sent: list[Entry] = []
+
+        def feed(from_ns: int | None) -> object:
+            account.begin()
+            return faulty(
+                planned(file, Config(), how, streams, from_ns, end_ns, "server", account.passed_over, account.made)
+            )
+
+        def send(entry: Entry) -> bool:
+            if entry.channel == refuse:
+                raise RosError("unknown type")
+            sent.append(entry)
+            if len(sent) == stop_after:
+                stop.set()
+            return len(sent) % 10 != 0
+
+        player = Player(feed, send, SystemClock(), stop, rate=None, start_ns=start_ns)  # type: ignore[arg-type]
+        run = player.run()
+        facts = account.facts(
+            run, failed=0, left=2, lost=faulty.counts["loss"], partial=part is not None, stopped=stop.is_set()
+        )
+    missed = facts["not_sent"]
+    assert facts["recorded"] + facts["made"] == facts["sent"] + sum(missed.values())
+    assert facts["sent"] == len(sent) - len(sent) // 10 - 2, "what was sent is what the sides took"
+    assert missed.get(NO_PEER, 0) == len(sent) // 10 and missed[LEFT] == 2
+    assert min(missed.values()) > 0
+    assert lines(facts)[0].startswith(f"not sent: {sum(missed.values()):,} of ")
+    return missed  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("to", ["igtl", "ros", "both"])
+@pytest.mark.parametrize("name", ["paper-types", "every-type", "acquisition", "lego"])
+@pytest.mark.parametrize("recompute", [False, True])
+def test_all_of_a_recording_is_accounted_for(name: str, to: str, recompute: bool) -> None:
+    missed = played(FIXTURES / f"{name}.mcap", to, recompute=recompute)
+    assert not {NOT_REACHED, OUTSIDE, REFUSED, LOST} & set(missed), missed
+    assert (MADE_ANEW in missed) == recompute
+
+
+def test_each_reason_has_its_number() -> None:
+    assert FORMS in played(TYPES, "igtl")
+    assert STREAMS in played(TYPES, "igtl", streams=("STRING/*",))
+    assert OUTSIDE in played(TYPES, "both", part=(0.5, 1.5))
+    assert NOT_REACHED in played(TYPES, "igtl", stop_after=5)
+    assert LOST in played(TYPES, "igtl", faults="loss=30%")
+    missed = played(TYPES, "ros", refuse="/igtl/in/Greeting/string")
+    assert missed[REFUSED] == 2
