@@ -377,4 +377,3 @@ def _report(
             say(f"{name}: sha256 {part.digest}")
     if played.digest:
         say(f"sha256 {played.digest}")
-    sys.stdout.flush()
