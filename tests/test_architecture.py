@@ -98,7 +98,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     # Libraries
     "av": ("edges.video",),
     "fastcrc": ("wire", "record.mcap_stream", "replay.chunks"),
-    "lz4": ("record.mcap_stream",),
+    "lz4": ("record.mcap_stream", "untrusted.unpack"),
     "pyigtl": ("bench.pyigtl_side",),  # somebody else's peer
     "mcap": (
         "exchange",
@@ -131,7 +131,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
     "rosbags": ("exchange", "record.rostypes", "replay", "cli"),
     "ruamel": ("exchange.rosbag2",),  # brought by rosbags, as zstandard is by mcap
-    "zstandard": ("exchange.rosbag2", "record.mcap_stream"),
+    "zstandard": ("exchange.rosbag2", "record.mcap_stream", "untrusted.unpack"),
 }
 
 #: What the levels up to the gateway may not use, on top: the environment, other threads, other processes.
