@@ -152,6 +152,7 @@ UNMIRRORED = (
     "record/test_node_reader.py",  # our files in a reader of another language
     "integration",
     "peers",
+    "exchange/test_import_mutations.py",  # tools/import_mutations.py
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
     "test_architecture.py",
     "test_defects.py",  # docs/defects.md
