@@ -77,7 +77,8 @@ def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> Account
     account.files = len(tables)
     if formulas := sum(table.formulas for table in tables.values()):
         account.notes.append(
-            f"{formulas:,} text cells begin with = + - or @, and spreadsheets take those for formulas: import as text"
+            f"text cells that begin with = + - or @: {formulas:,}; "
+            "spreadsheets take those for formulas, import such columns as text"
         )
     return account
 
