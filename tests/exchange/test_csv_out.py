@@ -64,8 +64,8 @@ def numbers(row: dict[str, str], *names: str) -> list[float]:
 def test_poses_of_openigtlink_are_in_millimetres(tmp_path: Path) -> None:
     turned = Transform((0, 1, 0, -1, 0, 0, 0, 0, 1, 10.0, 20.0, 30.0))
     tools = TrackingData(np.array([(b"Probe", 2, 0, turned.wire_matrix)], TRACKING_DTYPE))
-    element = (b"Probe", 2, 0, (1.0, 2.0, 3.0), (0.5, 0.5, 0.5, 0.5))
-    positions = QuaternionTrackingData(np.array([element], QTRACKING_DTYPE))
+    probe = (b"Probe", 2, 0, (1.0, 2.0, 3.0), (0.5, 0.5, 0.5, 0.5))
+    positions = QuaternionTrackingData(np.array([probe], QTRACKING_DTYPE))
     tables, _ = exported(
         tmp_path,
         "csv",
