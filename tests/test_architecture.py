@@ -110,6 +110,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "replay.mcap_reader",
         "replay.salvage",
     ),
+    "nibabel": ("exchange.nifti",),
     "numpy": (
         "wire",
         "convert",
@@ -129,7 +130,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "pytest": ("testing.plugin",),
     "rerun": ("view",),
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
-    "rosbags": ("exchange", "record.rostypes", "replay", "untrusted"),
+    "rosbags": ("exchange", "record.rostypes", "replay", "cli"),
     "ruamel": ("exchange.rosbag2",),  # brought by rosbags, as zstandard is by mcap
     "zstandard": ("exchange.rosbag2", "record.mcap_stream", "untrusted.unpack"),
 }

@@ -25,6 +25,8 @@ EXAMPLES = """\
   igtl-gateway import recording/ -o session.mcap          rosbag2: sqlite3 or MCAP, split or not
   igtl-gateway import freehand.igs.mha -o session.mcap    tracked ultrasound: IMAGE and TRANSFORM with their stamps
   igtl-gateway import freehand.igs.nrrd -o session.mcap --epoch 2026-03-14T09:00:00Z
+  igtl-gateway import head.nrrd -o session.mcap           an image or volume (.mha .mhd .nrrd .nhdr): IMAGE at its place
+  igtl-gateway import head.nii.gz -o session.mcap         the same of NIfTI, with the extra nifti
   igtl-gateway import probe.s2c.igtl -o session.mcap      what an OpenIGTLink server sent, byte for byte
   igtl-gateway import traffic.pcap -o session.mcap        OpenIGTLink in captured TCP, both directions
 

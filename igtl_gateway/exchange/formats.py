@@ -8,11 +8,13 @@ from pathlib import Path
 
 from igtl_gateway.errors import UnsupportedRecording
 from igtl_gateway.exchange.capture import Capture, looks_like_igtl
+from igtl_gateway.exchange.nifti import looks_like_nifti, read_nifti
 from igtl_gateway.exchange.pcap import MAGICS, PCAPNG, Pcap
 from igtl_gateway.exchange.rosbag1 import Rosbag1
 from igtl_gateway.exchange.rosbag2 import METADATA, Rosbag2
 from igtl_gateway.exchange.sequence import Sequence
 from igtl_gateway.exchange.source import Source, reading
+from igtl_gateway.untrusted import files
 
 _START = 512
 _META_KEYS = (b"ObjectType", b"NDims", b"DimSize")
@@ -45,10 +47,11 @@ FORMATS = (
     ),
     Format(
         "sequence",
-        (".igs.mha", ".mha", ".mhd", ".igs.nrrd", ".nrrd", ".nhdr"),
+        (".igs.mha", ".mha", ".mhd", ".igs.nrrd", ".seq.nrrd", ".nrrd", ".nhdr"),
         lambda start: start.startswith((b"NRRD000", *_META_KEYS)),
         Sequence,
     ),
+    Format("nifti", (".nii", ".nii.gz"), looks_like_nifti, lambda path, epoch: Sequence(path, epoch, read_nifti)),
     Format(
         "pcap",
         (".pcap", ".cap"),
@@ -72,7 +75,7 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
         raise UnsupportedRecording(f"{path}: found a directory without {METADATA}, expected a rosbag2 recording")
     if not path.is_file():
         raise UnsupportedRecording(f"{path}: not a regular file")
-    with reading(path), path.open("rb") as stream:
+    with reading(path), files.open_file(path) as stream:
         start = stream.read(_START)
     if path.name.endswith(".zstd"):
         return Rosbag2(path)

@@ -1,32 +1,34 @@
-"""Tracked-ultrasound sequences of PLUS and 3D Slicer: ``.igs.mha``, ``.mha``, ``.mhd``, ``.igs.nrrd``, ``.nrrd``.
+"""Images and tracked sequences: MetaImage, NRRD and NIfTI as IMAGE and TRANSFORM.
 
-A sequence is one image whose last axis is time, with fields ``Seq_Frame0012_ProbeToTrackerTransform`` in its header.
-Frame by frame it becomes what the tracker and the ultrasound machine would have sent: a TRANSFORM for each transform
+A *tracked sequence* of PLUS or 3D Slicer has images over time and fields ``Seq_Frame0012_ProbeToTrackerTransform`` in
+its header.  Frame by frame it becomes what the tracker and the ultrasound machine sent: a TRANSFORM for each transform
 whose status is OK, named as in the file without ``Transform``, then an IMAGE named ``Image``, all with the frame's
-own stamp.  Pixels are passed on as they are, byte order included; the header's other fields are kept in the session.
+own stamp.  A *plain image* (slice, volume, volumes over time) becomes an IMAGE for each frame.
 
-Frames are seconds from some start: ``epoch_ns`` says when that was.  Memory: the header, and one frame.
+Every IMAGE has the place that the header states, in RAS.  Pixels stay as they are, byte order included; the header's
+other fields are kept in the session.  Frames are seconds from some start: ``epoch_ns`` says when that was.
+Memory: the header, and one frame.
 """
 
 from __future__ import annotations
 
 import json
-import math
-import re
-import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import IO
-
-import numpy as np
+from typing import BinaryIO
 
 from igtl_gateway.buffers import join
-from igtl_gateway.convert.geometry import Placement
-from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.exchange import pixels
+from igtl_gateway.exchange.header import Imported
+from igtl_gateway.exchange.metaimage import read_metaimage
+from igtl_gateway.exchange.nrrd import read_nrrd
+from igtl_gateway.exchange.place import COORDINATE
+from igtl_gateway.exchange.raster import WIDER, check_room
 from igtl_gateway.exchange.source import Item, Row, Told, fact, from_peer, link_down, link_up, reading
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.untrusted import files
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.fields import cut_text
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, SCALARS, Image
@@ -40,233 +42,211 @@ EPOCH_FIELD = "IgtlGatewayEpochNs"
 TRANSFORM_STATUS = "transform_status"
 IMAGE_DEVICE = "Image"
 OK = "OK"
+#: Status of a frame's image: PLUS writes the first in MetaImage, the second in NRRD.
+_IMAGE_STATUS = ("ImageStatus", "Status")
+_TIMESTAMP = "Timestamp"
 
 _LINK = 1
-_MAX_HEADER = 1 << 30
-_READ = 1 << 20
-_FIELD = re.compile(r"Seq_Frame(\d+)_(.+)")
-
-_MET_TYPES = {
-    "MET_CHAR": "i1",
-    "MET_UCHAR": "u1",
-    "MET_SHORT": "i2",
-    "MET_USHORT": "u2",
-    "MET_INT": "i4",
-    "MET_UINT": "u4",
-    "MET_FLOAT": "f4",
-    "MET_DOUBLE": "f8",
-}
-#: numpy's name of a type without byte order → MetaIO's.
-MET_NAMES = {dtype: name for name, dtype in _MET_TYPES.items()}
-_NRRD_TYPES = {
-    **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),
-    **dict.fromkeys(("uchar", "unsigned char", "uint8", "uint8_t"), "u1"),
-    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), "i2"),
-    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), "u2"),
-    **dict.fromkeys(("int", "signed int", "int32", "int32_t"), "i4"),
-    **dict.fromkeys(("uint", "unsigned int", "uint32", "uint32_t"), "u4"),
-    "float": "f4",
-    "double": "f8",
-}
+#: Where the stamps of OpenIGTLink end, in 2106.
+_STAMPS_END = NS_PER_S << 32
+#: Characters of a header's field that the session keeps.
+_KEPT = 10_000
 _SCALAR_OF = {dtype: number for number, dtype in SCALARS.items()}
 
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """How the pixels lie, whichever of the formats told it.
-
-    Attributes:
-        size: columns, rows, slices.
-        frames: number of them.
-        components: values per pixel.
-        dtype: numpy's name without byte order; ``""`` where the file has no pixels.
-        big_endian: of the pixels.
-        spacing, origin: as the header says.
-        compression: ``""``, ``"zlib"`` or ``"gzip"``.
-        data_file: where the pixels are; None: behind the header.
-    """
-
-    size: tuple[int, int, int]
-    frames: int
-    components: int
-    dtype: str
-    big_endian: bool
-    spacing: tuple[float, float, float]
-    origin: tuple[float, float, float]
-    compression: str
-    data_file: str | None
-
-    @property
-    def frame_bytes(self) -> int:
-        return math.prod(self.size) * self.components * (np.dtype(self.dtype).itemsize if self.dtype else 0)
+Reader = Callable[[Path, BinaryIO], Imported]
 
 
 class Sequence(Told):
-    """An open sequence.  Raises DamagedRecording, or UnsupportedRecording for an image that is no sequence."""
+    """An open file.  Raises DamagedRecording, or UnsupportedRecording for what an IMAGE cannot hold."""
 
-    def __init__(self, path: Path, epoch_ns: int | None = None) -> None:
-        super().__init__(f"tracked sequence {path.name}", {"imported_format": "sequence"})
+    def __init__(self, path: Path, epoch_ns: int | None = None, read: Reader | None = None) -> None:
+        super().__init__("", {})
         self._path = path
-        self._stream: IO[bytes] = path.open("rb")
-        try:
-            with reading(path):
-                self._open(epoch_ns)
-        except BaseException:
-            self.close()
-            raise
+        with reading(path), files.open_file(path) as stream:
+            if read is None:
+                start = stream.read(4)
+                stream.seek(0)
+                read = read_nrrd if start == b"NRRD" else read_metaimage
+            imported = read(path, stream)
+            check_room(imported.raster, files.size_of(imported.raster.data))
+        self._raster = raster = imported.raster
+        self.notes += imported.notes
+        tracked = bool(imported.frames)
+        self._frames = self._numbered(imported)
+        self.title = f"{'tracked sequence' if tracked else 'image'} {path.name}"
+        self.epoch_ns = self._epoch(imported.fields) if epoch_ns is None else epoch_ns
+        kept = {key: value for key, value in imported.fields.items() if len(value) <= _KEPT}
+        if left := sorted(imported.fields.keys() - kept.keys()):
+            self.notes.append(f"fields of the header that are not kept, above {_KEPT} characters: {_listed(left)}")
+        self.facts |= {
+            "imported_format": "sequence" if tracked else "image",
+            "sequence_epoch_ns": str(self.epoch_ns),
+            "sequence_header": json.dumps(kept, sort_keys=True),
+        }
+        self._transform_rows = self._rows_of_transforms()
+        self._image_row = Row(IMAGE_DEVICE, raster.frames, "IMAGE")
+        if not raster.frame_bytes:
+            self._image_row.left_out, self._image_row.why = raster.frames, "the file has no pixels"
+        self.rows = [*self._transform_rows.values(), self._image_row]
+        self._matrix = raster.place.wire_matrix(raster.size, str(path)) if raster.place else Image.IDENTITY
+        self._stampless = 0
+        self._tell(tracked)
 
-    def _open(self, epoch_ns: int | None) -> None:
-        is_nrrd = self._stream.read(4) == b"NRRD"
-        self._stream.seek(0)
-        header, self._frames = _read_nrrd(self._stream) if is_nrrd else _read_meta(self._stream)
-        self._layout = layout = _nrrd_layout(header) if is_nrrd else _meta_layout(header)
-        if not self._frames:
-            raise UnsupportedRecording(f"{self._path}: has no Seq_Frame fields: an image, not a tracked sequence")
-        declared_epoch = header.get(EPOCH_FIELD, "")
-        default = int(declared_epoch) if declared_epoch.isdigit() else DEFAULT_EPOCH_NS
-        self.epoch_ns = default if epoch_ns is None else epoch_ns
-        self.facts |= {"sequence_epoch_ns": str(self.epoch_ns), "sequence_header": json.dumps(header, sort_keys=True)}
-        names = sorted({name for frame in self._frames for name in frame if _is_transform(name)})
-        self._devices = _device_names([name.removesuffix("Transform") for name in names])
+    def _numbered(self, imported: Imported) -> dict[int, dict[str, str]]:
+        """Fields of the frames by index; numbers of what was cut from a sequence need not begin at 0."""
+        numbers, frames = sorted(imported.frames), self._raster.frames
+        if numbers and numbers[-1] >= frames > numbers[-1] - numbers[0]:
+            return {number - numbers[0]: imported.frames[number] for number in numbers}
+        return {number: imported.frames[number] for number in numbers}
+
+    def _epoch(self, fields: dict[str, str]) -> int:
+        declared = fields.get(EPOCH_FIELD, "")
+        good = declared.isascii() and declared.isdigit() and len(declared) < 20 and int(declared) < _STAMPS_END
+        return int(declared) if good else DEFAULT_EPOCH_NS
+
+    def _rows_of_transforms(self) -> dict[str, Row]:
+        rows: dict[str, Row] = {}
+        for fields in self._frames.values():
+            for name in _transforms_of(fields):
+                row = rows.setdefault(name, Row(name, 0, "TRANSFORM"))
+                row.declared += 1
+                if fields.get(f"{name}TransformStatus", OK) != OK:
+                    row.left_out += 1
+                    row.why = "status not OK"
+        self._devices = _device_names(sorted(rows))
         for name, device in self._devices.items():
             if device != name:
                 self.notes.append(f"{name}: cut to {device}, a device name has at most 20 bytes")
-        self._transform_rows = {}
-        for name in self._devices:
-            held = [frame for frame in self._frames if f"{name}Transform" in frame]
-            valid = sum(frame.get(f"{name}TransformStatus", OK) == OK for frame in held)
-            why = "status not OK" if valid < len(held) else ""
-            row = Row(name, len(held), "TRANSFORM", left_out=len(held) - valid, why=why)
-            self._transform_rows[name] = row
-        self._image_row = Row(IMAGE_DEVICE, layout.frames, "IMAGE")
-        if not layout.frame_bytes:
-            self._image_row.left_out, self._image_row.why = layout.frames, "the file has no pixels"
-        self.rows = [*self._transform_rows.values(), self._image_row]
-        extra = {name for frame in self._frames for name in frame} - {"Timestamp", "ImageStatus"}
+        return dict(sorted(rows.items()))
+
+    def _tell(self, tracked: bool) -> None:
+        """Notes on what does not come over as it stands."""
+        raster = self._raster
+        extra = {name for fields in self._frames.values() for name in fields} - {_TIMESTAMP, *_IMAGE_STATUS}
         extra -= {f"{name}Transform{end}" for name in self._devices for end in ("", "Status")}
         if extra:
-            self.notes.append(f"fields of frames that are not kept: {', '.join(sorted(extra))}")
-        if layout.frames != len(self._frames):
-            self.notes.append(f"{layout.frames} frames declared, fields of {len(self._frames)} of them")
+            self.notes.append(f"fields of frames that are not kept: {_listed(sorted(extra))}")
+        if tracked and (len(self._frames) != raster.frames or max(self._frames) >= raster.frames):
+            self.notes.append(f"{raster.frames} frames declared, fields of {len(self._frames)} of them")
+        if not tracked and raster.frames > 1 and not raster.times_s:
+            self.notes.append("the frames have no times: they are a nanosecond apart")
+        if raster.dtype in WIDER:
+            self.notes.append("whole numbers of 64 bits, which IMAGE does not have, become float64 of the same values")
 
     def items(self) -> Iterator[Item]:
         peer = {"peer": f"file {self._path.name}", "local": "import", "role": "server"}
-        pixels = self._pixels()
+        raster = self._raster
+        images = pixels.frames(raster) if raster.frame_bytes else iter(())
+        count = raster.frames if raster.frame_bytes else 0
         start_ns = time_ns = self._time_ns(0, self.epoch_ns)
         yield link_up(start_ns, _LINK, peer)
         yield fact(start_ns, "imported", f"imported from {self._path.name}: nothing of this was sent to a gateway")
+        self._stampless = 0
         invalid: set[str] = set()
-        for index in range(max(self._layout.frames, len(self._frames))):
+        for index in self._indices(count):
             time_ns = self._time_ns(index, time_ns)
-            ticks = ns_to_ticks(time_ns)
-            frame = self._frames[index] if index < len(self._frames) else {}
-            for name, device in self._devices.items():
-                text = frame.get(f"{name}Transform")
-                if text is None:
-                    continue
-                status = frame.get(f"{name}TransformStatus", OK)
-                if status != OK:
-                    if name not in invalid:
-                        told = f"{name} is {status} from frame {index} on"
-                        yield fact(
-                            time_ns,
-                            TRANSFORM_STATUS,
-                            told,
-                            stream=f"TRANSFORM/{device}",
-                            data={"status": status, "transform": name},
-                        )
-                    invalid.add(name)
-                    continue
+            fields = self._frames.get(index, {})
+            yield from self._transforms(index, time_ns, fields, invalid)
+            if index >= count:
+                continue
+            data = next(images)
+            if (status := _image_status(fields)) != OK:
+                self._image_row.left_out += 1
+                self._image_row.why = f"image status {status[:20]}"
+                continue
+            self._image_row.taken += 1
+            message = Message("IMAGE", IMAGE_DEVICE, self._image(data), ns_to_ticks(time_ns))
+            yield from_peer(time_ns, _LINK, join(encode(message)))
+        yield link_down(time_ns, _LINK, peer, "the end of the file")
+        if self._stampless:
+            self.notes.append(f"{self._stampless} frames without a time stamp: they have that of the frame before")
+
+    def _indices(self, images: int) -> Iterator[int]:
+        """Frames with pixels or fields, in order."""
+        yield from range(images)
+        yield from (index for index in self._frames if index >= images)
+
+    def _transforms(self, index: int, time_ns: int, fields: dict[str, str], invalid: set[str]) -> Iterator[Item]:
+        """The TRANSFORMs of a frame; ``invalid`` has the names of those that are not OK by now."""
+        ticks = ns_to_ticks(time_ns)
+        for name in _transforms_of(fields):
+            device, status = self._devices[name], fields.get(f"{name}TransformStatus", OK)
+            if status == OK:
                 invalid.discard(name)
-                content = Transform.from_rows(_matrix(text, f"frame {index}, {name}Transform"))
+                text, place = fields[f"{name}Transform"], f"{self._path}: frame {index}, {name}Transform"
+                content = Transform.from_rows(_matrix(text, place))
                 self._transform_rows[name].taken += 1
                 yield from_peer(time_ns, _LINK, join(encode(Message("TRANSFORM", device, content, ticks))))
-            if index < self._layout.frames and self._layout.frame_bytes:
-                data = next(pixels)
-                if frame.get("ImageStatus", OK) != OK:
-                    self._image_row.left_out += 1
-                    self._image_row.why = "image status not OK"
-                    continue
-                self._image_row.taken += 1
-                yield from_peer(time_ns, _LINK, join(encode(Message("IMAGE", IMAGE_DEVICE, self._image(data), ticks))))
-        yield link_down(time_ns, _LINK, peer, "the end of the file")
+            elif name not in invalid:
+                invalid.add(name)
+                told = f"{name} is {status} from frame {index} on"
+                data: dict[str, object] = {"status": status, "transform": name}
+                yield fact(time_ns, TRANSFORM_STATUS, told, stream=f"TRANSFORM/{device}", data=data)
 
     def _time_ns(self, index: int, before_ns: int) -> int:
         """When a frame was taken; a frame without a stamp is as late as the one before."""
-        text = self._frames[index].get("Timestamp", "") if index < len(self._frames) else ""
+        times = self._raster.times_s
+        text = self._frames.get(index, {}).get(_TIMESTAMP, repr(times[index]) if index < len(times) else "")
         try:
-            time_ns = self.epoch_ns + int(Decimal(text) * NS_PER_S)
-        except (InvalidOperation, ValueError, OverflowError):
+            seconds = Decimal(text)
+        except InvalidOperation:
+            seconds = Decimal("NaN")
+        if not seconds.is_finite():
+            self._stampless += bool(self._frames)
             return before_ns
-        if not 0 <= time_ns < 1 << 62:
-            raise DamagedRecording(f"{self._path}: frame {index}: found time stamp {text}, expected seconds")
+        # a number of seconds with twelve digits is past every stamp; larger powers of ten must not be multiplied out
+        time_ns = self.epoch_ns + int(seconds * NS_PER_S) if seconds.adjusted() < 12 else _STAMPS_END
+        if not 0 <= time_ns < _STAMPS_END:
+            raise DamagedRecording(
+                f"{self._path}: frame {index}: found time stamp {text[:40]}, expected a time between 1970 and 2106"
+            )
         return time_ns
 
-    def _image(self, pixels: bytes) -> Image:
-        layout = self._layout
-        placement = Placement.from_origin(Image.IDENTITY[:9], layout.spacing, layout.origin, layout.size)
-        x, y, z = layout.spacing
-        # such a header as PLUS writes for want of a better one says nothing of a place
-        unplaced = layout.spacing == (1.0, 1.0, 1.0) and layout.origin == (0.0, 0.0, 0.0)
-        matrix = (x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z, *placement.center)
+    def _image(self, data: bytes) -> Image:
+        raster = self._raster
         return Image(
-            layout.size,
-            _SCALAR_OF[layout.dtype],
-            pixels,
-            layout.components,
-            BIG_ENDIAN if layout.big_endian else LITTLE_ENDIAN,
-            wire_matrix=Image.IDENTITY if unplaced else matrix,
+            raster.size,
+            _SCALAR_OF[WIDER.get(raster.dtype, raster.dtype)],
+            data,
+            raster.components,
+            BIG_ENDIAN if raster.big_endian else LITTLE_ENDIAN,
+            COORDINATE,
+            self._matrix,
         )
 
-    def _pixels(self) -> Iterator[bytes]:
-        """The frames, unpacked one after the other."""
-        layout, size = self._layout, self._layout.frame_bytes
-        if layout.data_file is not None:
-            if Path(layout.data_file).name != layout.data_file:
-                raise UnsupportedRecording(
-                    f"{self._path}: found data file {layout.data_file!r}, expected one beside it"
-                )
-            self._stream.close()
-            with reading(self._path.parent / layout.data_file):
-                self._stream = (self._path.parent / layout.data_file).open("rb")
-        unpack = zlib.decompressobj(zlib.MAX_WBITS | 32) if layout.compression else None
-        for index in range(layout.frames):
-            data = bytearray()
-            while len(data) < size:
-                missing = size - len(data)
-                if unpack is None:
-                    part = self._stream.read(missing)
-                    ended = not part
-                else:
-                    packed = unpack.unconsumed_tail or self._stream.read(_READ)
-                    with reading(self._path):
-                        part = unpack.decompress(packed, missing)
-                    ended = not packed and not part
-                if ended:
-                    raise DamagedRecording(
-                        f"{self._path}: frame {index}: found {len(data)} bytes of pixels, expected {size}"
-                    )
-                data += part
-            yield bytes(data)
-
     def close(self) -> None:
-        """Close the file."""
-        self._stream.close()
+        """Nothing is open between the items."""
 
 
-def _is_transform(name: str) -> bool:
-    return name.endswith("Transform")
+def _image_status(fields: dict[str, str]) -> str:
+    return next((fields[key] for key in _IMAGE_STATUS if key in fields), OK)
+
+
+def _transforms_of(fields: dict[str, str]) -> list[str]:
+    """Names of the transforms of a frame."""
+    return sorted(name.removesuffix("Transform") for name in fields if name.endswith("Transform"))
+
+
+def _listed(names: list[str]) -> str:
+    """Some of the names."""
+    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
+    return ", ".join(name[:60] for name in names[:12]) + more
 
 
 def _device_names(names: list[str]) -> dict[str, str]:
     """Name in the file → device name of at most 20 bytes, all different."""
     made: dict[str, str] = {}
+    taken: set[str] = set()
+    last: dict[str, int] = {}
     for name in names:
-        device, number = cut_text(name, 20), 1
-        while device in made.values():
+        cut = device = cut_text(name, 20)
+        number = last.get(cut, 1)
+        while device in taken:
             number += 1
             device = f"{cut_text(name, 20 - len(str(number)))}{number}"
+        last[cut] = number
         made[name] = device
+        taken.add(device)
     return made
 
 
@@ -278,136 +258,3 @@ def _matrix(text: str, place: str) -> list[list[float]]:
     if len(values) != 16:
         raise DamagedRecording(f"{place}: found {text[:60]!r}, expected 16 numbers")
     return [values[row * 4 : row * 4 + 4] for row in range(4)]
-
-
-# --- headers ---------------------------------------------------------------------------------------------------------
-
-Frames = list[dict[str, str]]
-
-
-def _lines(stream: IO[bytes]) -> Iterator[str]:
-    """Header lines; the stream stands behind each as it is given."""
-    left = _MAX_HEADER
-    while left > 0:
-        line = stream.readline(left)
-        if not line:
-            return
-        left -= len(line)
-        yield line.decode("utf-8", "replace").rstrip("\r\n")
-
-
-class _Fields:
-    """Fields of the header, and of the frames by number."""
-
-    def __init__(self) -> None:
-        self.header: dict[str, str] = {}
-        self._frames: dict[int, dict[str, str]] = {}
-
-    def add(self, key: str, value: str) -> None:
-        found = _FIELD.fullmatch(key)
-        if found:
-            self._frames.setdefault(int(found[1]), {})[found[2]] = value
-        else:
-            self.header[key] = value
-
-    @property
-    def frames(self) -> Frames:
-        """In order of their numbers, which begin at 0 in what PLUS writes and need not in what was cut from that."""
-        return [self._frames[number] for number in sorted(self._frames)]
-
-
-def _read_meta(stream: IO[bytes]) -> tuple[dict[str, str], Frames]:
-    """MetaIO: ``Key = value`` lines, the last one ElementDataFile."""
-    fields = _Fields()
-    for line in _lines(stream):
-        key, equals, value = (part.strip() for part in line.partition("="))
-        if equals:
-            fields.add(key, value)
-        if key == "ElementDataFile":
-            return fields.header, fields.frames
-    raise DamagedRecording("the header has no ElementDataFile")
-
-
-def _meta_layout(header: dict[str, str]) -> Layout:
-    size = [int(word) for word in header["DimSize"].split()]
-    if len(size) not in (3, 4):
-        raise UnsupportedRecording(f"found {len(size)} dimensions, expected 3 or 4, the last one time")
-    spacing = [float(word) for word in header.get("ElementSpacing", "").split()]
-    origin = [float(word) for word in header.get("Offset", header.get("Position", "")).split()]
-    element = header.get("ElementType", "")
-    data_file = header["ElementDataFile"]
-    has_pixels = math.prod(size) > 0
-    if has_pixels and element not in _MET_TYPES:
-        raise UnsupportedRecording(f"found element type {element!r}, expected one of {', '.join(_MET_TYPES)}")
-    msb = header.get("BinaryDataByteOrderMSB", header.get("ElementByteOrderMSB", "False"))
-    return Layout(
-        _triple(size[:-1], 1),
-        size[-1],
-        int(header.get("ElementNumberOfChannels", "1")),
-        _MET_TYPES.get(element, "") if has_pixels else "",
-        msb.lower() == "true",
-        _floats(spacing[: len(size) - 1], 1.0),
-        _floats(origin[: len(size) - 1], 0.0),
-        "zlib" if header.get("CompressedData", "False").lower() == "true" else "",
-        None if data_file.upper() == "LOCAL" else data_file,
-    )
-
-
-def _read_nrrd(stream: IO[bytes]) -> tuple[dict[str, str], Frames]:
-    """NRRD: ``field: value`` and ``key:=value`` lines up to an empty one."""
-    fields = _Fields()
-    for line in _lines(stream):
-        if not line:
-            break
-        if line.startswith(("#", "NRRD")):
-            continue
-        key, separator, value = line.partition(":=")
-        if not separator:
-            key, separator, value = line.partition(": ")
-        if separator:
-            fields.add(key.strip(), value.strip())
-    return fields.header, fields.frames
-
-
-def _nrrd_layout(header: dict[str, str]) -> Layout:
-    size = [int(word) for word in header["sizes"].split()]
-    kinds = header.get("kinds", "").split()
-    components = 1
-    if len(size) > 3 and kinds and kinds[0] not in ("domain", "space"):
-        components = size.pop(0)
-    if len(size) not in (3, 4):
-        raise UnsupportedRecording(f"found {len(size)} axes, expected 3 or 4, the last one time")
-    has_pixels = math.prod(size) > 0
-    element = header.get("type", "")
-    if has_pixels and element not in _NRRD_TYPES:
-        raise UnsupportedRecording(f"found type {element!r}, expected a number")
-    encoding = header.get("encoding", "raw")
-    if encoding not in ("raw", "gzip", "gz"):
-        raise UnsupportedRecording(f"found encoding {encoding!r}, expected raw or gzip")
-    vectors = re.findall(r"\(([^)]*)\)", header.get("space directions", ""))
-    lengths = [math.hypot(*(float(word) for word in vector.split(","))) for vector in vectors]
-    if not lengths and (words := header.get("spacings", "").split()):
-        lengths = [float(word) for word in words][len(words) - len(size) :]
-    lengths = [length if math.isfinite(length) and length > 0 else 1.0 for length in lengths]
-    origin = [float(word) for word in header.get("space origin", "").strip("()").split(",") if word]
-    return Layout(
-        _triple(size[:-1], 1),
-        size[-1],
-        components,
-        _NRRD_TYPES.get(element, "") if has_pixels else "",
-        header.get("endian", "little") == "big",
-        _floats(lengths[: len(size) - 1], 1.0),
-        _floats(origin[: len(size) - 1], 0.0),
-        "" if encoding == "raw" else "gzip",
-        header.get("data file", header.get("datafile")),
-    )
-
-
-def _triple(values: list[int], rest: int) -> tuple[int, int, int]:
-    x, y, z = [*values, rest, rest, rest][:3]
-    return x, y, z
-
-
-def _floats(values: list[float], rest: float) -> tuple[float, float, float]:
-    x, y, z = [*values, rest, rest, rest][:3]
-    return x, y, z

@@ -2,11 +2,14 @@
 
 ``space`` is right-anterior-superior or left-posterior-superior, as the message has it; ``space directions`` and
 ``space origin`` (centre of the first voxel) are in millimetres.  A sensor_msgs/Image has no place: it lies centred,
-with pixels of one millimetre.  Pixels are not packed and keep their byte order.
+with pixels of one millimetre.  An IMAGE whose matrix is no place (axes without length, in one plane, or not finite) has
+spacings of one instead, and is noted; a slice without a third axis gets its normal.  Pixels are not packed and keep
+their byte order.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -20,6 +23,7 @@ from igtl_gateway.convert.volumes import volume_to_image
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.exchange.account import Account
 from igtl_gateway.exchange.folder import one_file_each
+from igtl_gateway.exchange.place import Place, Vector, has_own_normal
 from igtl_gateway.exchange.recording import Recording
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire import decode
@@ -31,13 +35,28 @@ _TO_IMAGE: dict[str, Callable[[bytes, ToIgtl], Outgoing]] = {
 }
 _READ = frozenset({"IMAGE", *_TO_IMAGE})
 _TYPES = {"i": "int", "u": "uint"}
+_SPACES = {"LPS": "left-posterior-superior", "RAS": "right-anterior-superior"}
 
 
 def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
     """Write the folder ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
-    return one_file_each(
-        recording, out, globs, _READ, "nrrd", _image, lambda content: (header(content), content.pixels)
+    unplaced: Counter[str] = Counter()
+    completed: Counter[str] = Counter()
+
+    def count(image: Image, entry: Entry, _account: Account) -> None:
+        unplaced[entry.channel] += Place.of_image(image) is None
+        completed[entry.channel] += Place.of_image(image) is not None and not has_own_normal(image)
+
+    account = one_file_each(
+        recording, out, globs, _READ, "nrrd", _image, lambda content: (header(content), content.pixels), count
     )
+    for stream, number in sorted((+unplaced).items()):
+        account.notes.append(
+            f"{stream}: {number} without a place: the matrix has axes without length, in one plane, or not finite"
+        )
+    for stream, number in sorted((+completed).items()):
+        account.notes.append(f"{stream}: {number} slices without a third axis: it is their normal, 1 mm")
+    return account
 
 
 def _image(entry: Entry) -> Image:
@@ -54,16 +73,13 @@ def _image(entry: Entry) -> Image:
 
 def header(image: Image) -> bytes:
     """What stands before the pixels of an image."""
-    matrix = np.array(image.wire_matrix, np.float64).reshape(4, 3)
-    steps = (np.array(image.dimensions) - 1) / 2
-    origin = matrix[3] - steps @ matrix[:3]
+    place, space = Place.of_image(image), "LPS" if image.coordinate == LPS else "RAS"
     dtype = np.dtype(SCALARS[image.scalar_type])
     kind = (
         _TYPES[dtype.kind] + f"{dtype.itemsize * 8}"
         if dtype.kind in _TYPES
         else {4: "float", 8: "double"}[dtype.itemsize]
     )
-    directions = " ".join(_vector(axis) for axis in matrix[:3])
     sizes = " ".join(str(size) for size in image.dimensions)
     many = image.num_components > 1
     lines = [
@@ -71,17 +87,24 @@ def header(image: Image) -> bytes:
         "# igtl-gateway: https://teem.sourceforge.net/nrrd/format.html",
         f"type: {kind}",
         f"dimension: {4 if many else 3}",
-        f"space: {'left-posterior-superior' if image.coordinate == LPS else 'right-anterior-superior'}",
+        *([f"space: {_SPACES[space]}"] if place else []),
         f"sizes: {f'{image.num_components} ' if many else ''}{sizes}",
-        f"space directions: {'none ' if many else ''}{directions}",
         f"kinds: {'vector ' if many else ''}domain domain domain",
         *([f"endian: {'big' if image.endian == BIG_ENDIAN else 'little'}"] if dtype.itemsize > 1 else []),
         "encoding: raw",
-        f"space origin: {_vector(origin)}",
-        'space units: "mm" "mm" "mm"',
+        *(_placed(place, space, many=many) if place else [f"spacings: {'nan ' if many else ''}1 1 1"]),
     ]
     return "\n".join(lines).encode() + b"\n\n"
 
 
-def _vector(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
-    return f"({','.join(f'{value:.9g}' for value in values)})"
+def _placed(place: Place, space: str, *, many: bool) -> list[str]:
+    axes, origin = place.in_space(space)
+    return [
+        f"space directions: {'none ' if many else ''}{' '.join(map(_vector, axes))}",
+        f"space origin: {_vector(origin)}",
+        'space units: "mm" "mm" "mm"',
+    ]
+
+
+def _vector(values: Vector) -> str:
+    return f"({','.join(f'{value:.17g}' for value in values)})"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.exchange.sequence import DEFAULT_EPOCH_NS, EPOCH_FIELD, TRANSFORM_STATUS, Sequence
 from igtl_gateway.exchange.source import Item
 from igtl_gateway.session.entry import Kind
@@ -148,7 +148,8 @@ def test_the_epoch_is_the_one_given_or_the_files_own(tmp_path: Path) -> None:
 def test_spacing_and_offset_place_the_image(tmp_path: Path) -> None:
     path = mha(tmp_path / "some.mha", header="ElementSpacing = 0.5 0.25 1\nOffset = 10 20 0")
     (_, image), *_ = read(path).images()
-    assert image.wire_matrix == (0.5, 0, 0, 0, 0.25, 0, 0, 0, 1.0, 10.75, 20.25, 0.0)  # the centre
+    # the file is LPS, the message RAS with the centre
+    assert image.wire_matrix == (-0.5, 0, 0, 0, -0.25, 0, 0, 0, 1.0, -10.75, -20.25, 0.0)
 
 
 def test_volumes_and_colours_over_time(tmp_path: Path) -> None:
@@ -162,7 +163,7 @@ def test_volumes_and_colours_over_time(tmp_path: Path) -> None:
     images = [image for _, image in read(tmp_path / "some.nrrd").images()]
     assert [(image.dimensions, image.num_components) for image in images] == [((2, 2, 2), 3)] * 2
     assert b"".join(bytes(image.pixels) for image in images) == pixels
-    assert images[0].wire_matrix[:9] == (0.5, 0, 0, 0, 0.5, 0, 0, 0, 2.0)
+    assert images[0].wire_matrix[:9] == (-0.5, 0, 0, 0, -0.5, 0, 0, 0, 2.0)
     lines = ["NDims = 4", "DimSize = 2 2 3 2", "ElementType = MET_SHORT", "BinaryDataByteOrderMSB = True"]
     lines += [f"Seq_Frame000{frame}_Timestamp = {frame}" for frame in range(2)]
     (tmp_path / "some.mha").write_bytes("\n".join([*lines, "ElementDataFile = LOCAL", ""]).encode() + pixels)
@@ -188,18 +189,108 @@ def test_missing_pixels_are_said(tmp_path: Path, packed: bool) -> None:
         assert not source.rows[1].good
 
 
-def test_what_is_no_sequence_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "some.mha"
-    path.write_bytes(b"ObjectType = Image\nDimSize = 1 1 1\nElementType = MET_UCHAR\nElementDataFile = LOCAL\n\0")
-    with pytest.raises(UnsupportedRecording, match="not a tracked sequence"):
-        Sequence(path)
-    mha(path)
+def test_what_is_damaged_is_refused(tmp_path: Path) -> None:
+    path = mha(tmp_path / "some.mha")
     path.write_bytes(path.read_bytes().replace(b"LOCAL", b"../../etc/passwd"))
-    with closing(Sequence(path)) as source, pytest.raises(UnsupportedRecording, match="beside it"):
-        list(source.items())
-    path.write_bytes(b"ObjectType = Image\nDimSize = 1 x 1\nElementDataFile = LOCAL\n")
-    with pytest.raises(DamagedRecording, match=r"some\.mha"):
+    with pytest.raises(DamagedRecording, match="in the same folder"):
         Sequence(path)
+    path.write_bytes(b"ObjectType = Image\nDimSize = 1 x 1\nElementDataFile = LOCAL\n")
+    with pytest.raises(DamagedRecording, match=r"some\.mha: DimSize: found 'x', expected a whole number"):
+        Sequence(path)
+
+
+#: Shapes of headers that PLUS writes → size, components and number of the images that they are.
+SHAPES = {
+    "a volume with the status of its one frame": (
+        "NDims = 3\nDimSize = 34 15 3\nKinds = domain domain domain\nSeq_Frame0000_ImageStatus = OK",
+        ((34, 15, 3), 1, 1),
+    ),
+    "a reconstructed volume of an old PLUS": (
+        "NDims = 3\nDimSize = 14 10 4\nKinds = domain domain list",
+        ((14, 10, 4), 1, 1),
+    ),
+    "one slice, without an axis of time": (
+        "NDims = 2\nDimSize = 26 40\nKinds = domain domain\nSeq_Frame0000_Timestamp = 5",
+        ((26, 40, 1), 1, 1),
+    ),
+    "one slice, with an axis of time in NDims only": (
+        "NDims = 3\nDimSize = 26 40\nKinds = domain domain\nTransformMatrix = 1 0 0 0 1 0 0 0 1\nOffset = 0 0 0\n"
+        "ElementSpacing = 1 1 1\nSeq_Frame0000_Timestamp = 5",
+        ((26, 40, 1), 1, 1),
+    ),
+    "colours as an axis of their own": (
+        "NDims = 3\nDimSize = 3 8 6 2\nKinds = vector domain domain list\nElementNumberOfChannels = 3\n"
+        "Seq_Frame0000_Timestamp = 5",
+        ((8, 6, 1), 3, 2),
+    ),
+    "slices with a third dimension of 1": (
+        "NDims = 4\nDimSize = 8 6 1 3\nKinds = domain domain domain list\nSeq_Frame0000_Timestamp = 5",
+        ((8, 6, 1), 1, 3),
+    ),
+    "no Kinds: the last axis is time": ("NDims = 3\nDimSize = 8 6 3\nSeq_Frame0000_Timestamp = 5", ((8, 6, 1), 1, 3)),
+    "a plain volume": ("NDims = 3\nDimSize = 8 6 3", ((8, 6, 3), 1, 1)),
+    "a plain volume over time": ("NDims = 4\nDimSize = 8 6 3 2\nElementSpacing = 1 1 1 0.5", ((8, 6, 3), 1, 2)),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_headers_of_plus_are_what_they_are(tmp_path: Path, shape: str) -> None:
+    header, (size, components, count) = SHAPES[shape]
+    total = size[0] * size[1] * size[2] * components * count
+    pixels = (bytes(range(251)) * (total // 251 + 1))[:total]
+    path = tmp_path / "some.mha"
+    lines = ["ObjectType = Image", *header.splitlines(), "ElementType = MET_UCHAR", "ElementDataFile = LOCAL", ""]
+    path.write_bytes("\n".join(lines).encode() + pixels)
+    images = [image for _, image in read(path).images()]
+    assert [(image.dimensions, image.num_components) for image in images] == [(size, components)] * count
+    assert b"".join(bytes(image.pixels) for image in images) == pixels
+
+
+def test_a_volume_over_time_has_its_times(tmp_path: Path) -> None:
+    path = tmp_path / "some.mha"
+    header = (
+        "NDims = 4\nDimSize = 1 1 2 3\nElementSpacing = 1 1 1 0.25\nElementType = MET_UCHAR\nElementDataFile = LOCAL\n"
+    )
+    path.write_bytes(header.encode() + bytes(6))
+    assert [at - DEFAULT_EPOCH_NS for at, _ in read(path).images()] == [0, 250_000_000, 500_000_000]
+
+
+def test_frames_keep_their_numbers_where_one_has_no_fields(tmp_path: Path) -> None:
+    path = mha(tmp_path / "some.mha")
+    path.write_bytes(path.read_bytes().replace(b"Seq_Frame0001", b"# Frame0001"))
+    told = read(path)
+    assert [at for at, _, _ in told.transforms()] == [stamp(0), stamp(2)]
+    assert [at for at, _ in told.images()] == [stamp(0), stamp(0), stamp(2)]
+    assert "1 frames without a time stamp" in " ".join(told.source.notes)
+
+
+def test_frames_that_were_cut_out_begin_anywhere(tmp_path: Path) -> None:
+    path = mha(tmp_path / "some.mha")
+    data = path.read_bytes()
+    for frame in reversed(range(FRAMES)):
+        data = data.replace(b"Seq_Frame%04d" % frame, b"Seq_Frame%04d" % (frame + 40))
+    path.write_bytes(data)
+    assert [at for at, _ in read(path).images()] == [stamp(frame) for frame in range(FRAMES)]
+
+
+@pytest.mark.parametrize("key", ["Status", "ImageStatus"])
+def test_images_that_are_not_ok_are_left_out(tmp_path: Path, key: str) -> None:
+    path = nrrd(tmp_path / "some.igs.nrrd")
+    data = path.read_bytes().replace(b"Seq_Frame0001_ImageStatus:=OK", b"Seq_Frame0001_%s:=INVALID" % key.encode())
+    path.write_bytes(data.replace(b"_ImageStatus", b"_" + key.encode()))
+    told = read(path)
+    assert [at for at, _ in told.images()] == [stamp(0), stamp(2)]
+    row = told.source.rows[-1]
+    assert (row.declared, row.taken, row.left_out, row.why) == (3, 2, 1, "image status INVALID")
+    assert not any("not kept" in note for note in told.source.notes)
+
+
+@pytest.mark.parametrize("text", ["1e999999999", "99999999999", "-1e12", "1e15"])
+def test_stamps_out_of_range_are_an_error(tmp_path: Path, text: str) -> None:
+    path = mha(tmp_path / "some.mha")
+    path.write_bytes(path.read_bytes().replace(b"11.123456789", text.encode()))
+    with closing(Sequence(path)) as source, pytest.raises(DamagedRecording, match="frame 1: found time stamp"):
+        list(source.items())
 
 
 @pytest.mark.parametrize(

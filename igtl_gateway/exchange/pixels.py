@@ -1,0 +1,138 @@
+"""The pixels of a file, frame by frame, as an IMAGE has them: components fastest, then columns, rows, slices.
+
+Frames that follow each other in the file are read one at a time.  Where the axis of frames is not the slowest the
+whole is read, within the limit of memory.  Values stay as they are; 64-bit whole numbers become float64, which IMAGE
+has, where every value of a frame stays the same.
+"""
+
+from __future__ import annotations
+
+import bz2
+import zlib
+from collections.abc import Iterator
+from typing import Any, BinaryIO, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.exchange.raster import BZIP2, COMPONENT, FRAME, RAW, WIDER, Raster, check_room
+from igtl_gateway.exchange.source import reading
+from igtl_gateway.untrusted import files, limits
+
+_READ = 1 << 20
+#: Up to here float64 holds every whole number.
+_EXACT = 1 << 53
+
+
+def frames(raster: Raster) -> Iterator[bytes]:
+    """The frames in order.  Raises DamagedRecording where pixels are missing, LimitExceeded."""
+    packed = files.size_of(raster.data)
+    check_room(raster, packed)
+    deadline = limits.Deadline(packed)
+    with files.open_file(raster.data) as stream:
+        pieces = _Pieces(raster, stream, packed)
+        pieces.drop(raster.skip)
+        if all(axis.role != FRAME or axis.size == 1 for axis in raster.axes[:-1]):
+            for index in range(raster.frames):
+                deadline.check(raster.where)
+                yield _ordered(raster, pieces.read(raster.frame_bytes, f"frame {index}"), index, framed=False)
+            return
+        total = raster.frame_bytes * raster.frames
+        limits.check("memory", total, f"{raster.where}: bytes of all frames, which are not one after the other")
+        data = pieces.read(total, "all frames")
+        for index in range(raster.frames):
+            deadline.check(raster.where)
+            yield _ordered(raster, data, index, framed=True)
+
+
+def _ordered(raster: Raster, data: bytes, index: int, *, framed: bool) -> bytes:
+    """One frame with its components fastest; ``framed``: ``data`` is all frames."""
+    axes = [axis for axis in raster.axes if framed or axis.role != FRAME]
+    order = [number for number, axis in enumerate(axes) if axis.role == COMPONENT]
+    if not framed and order in ([], [0]) and raster.dtype not in WIDER:
+        return data
+    dtype = np.dtype((">" if raster.big_endian else "<") + raster.dtype)
+    values = np.frombuffer(data, dtype).reshape([axis.size for axis in reversed(axes)])
+    if framed:
+        frame = next(number for number, axis in enumerate(axes) if axis.role == FRAME)
+        values = np.take(values, index, axis=len(axes) - 1 - frame)
+        order = [number - (number > frame) for number in order]
+    last = [values.ndim - 1 - number for number in order]
+    values = np.moveaxis(values, last, range(values.ndim - len(last), values.ndim))
+    if raster.dtype in WIDER:
+        values = _widened(values, raster, index)
+    return np.ascontiguousarray(values).tobytes()
+
+
+def _widened(values: npt.NDArray[Any], raster: Raster, index: int) -> npt.NDArray[Any]:
+    """64-bit whole numbers as float64 of the same byte order.  Raises DamagedRecording where they do not fit."""
+    low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
+    if not -_EXACT <= low <= high <= _EXACT:
+        raise DamagedRecording(
+            f"{raster.where}: frame {index}: found whole numbers of 64 bits, {low} … {high}, expected ones within "
+            "±2^53, which float64 holds: IMAGE has no such type"
+        )
+    return values.astype((">" if raster.big_endian else "<") + WIDER[raster.dtype])
+
+
+class _Unpacker(Protocol):
+    @property
+    def eof(self) -> bool: ...
+    @property
+    def unused_data(self) -> bytes: ...
+    def decompress(self, data: bytes, max_length: int, /) -> bytes: ...
+
+
+class _Pieces:
+    """Bytes of the pixels, one piece after the other."""
+
+    def __init__(self, raster: Raster, stream: BinaryIO, size: int) -> None:
+        self._raster, self._stream = raster, stream
+        offset = raster.offset
+        if offset < 0:
+            offset = max(size - raster.frame_bytes * raster.frames, 0)
+        stream.seek(offset)
+        self._unpacker: _Unpacker | None = None if raster.packing == RAW else self._new()
+        self._waiting = b""
+
+    def _new(self) -> _Unpacker:
+        return bz2.BZ2Decompressor() if self._raster.packing == BZIP2 else zlib.decompressobj(zlib.MAX_WBITS | 32)
+
+    def read(self, size: int, what: str) -> bytes:
+        data = bytearray()
+        with reading(self._raster.data):
+            while len(data) < size:
+                part = self._some(size - len(data))
+                if not part:
+                    raise DamagedRecording(
+                        f"{self._raster.where}: {what}: found {len(data)} bytes of pixels, expected {size}"
+                    )
+                data += part
+        return bytes(data)
+
+    def drop(self, size: int) -> None:
+        """Read over ``size`` bytes."""
+        while size > 0:
+            part = min(size, _READ)
+            self.read(part, "bytes before the pixels")
+            size -= part
+
+    def _some(self, missing: int) -> bytes:
+        """Between 1 and ``missing`` bytes; none at the end."""
+        if self._unpacker is None:
+            return self._stream.read(min(missing, _READ))
+        while True:
+            if self._unpacker.eof:  # gzip files may have several members
+                self._waiting = self._unpacker.unused_data + self._waiting or self._stream.read(_READ)
+                if not self._waiting.strip(b"\0"):
+                    return b""
+                self._unpacker = self._new()
+            if not self._waiting and getattr(self._unpacker, "needs_input", True):
+                self._waiting = self._stream.read(_READ)
+                if not self._waiting:
+                    return b""
+            part = self._unpacker.decompress(self._waiting, min(missing, _READ))
+            self._waiting = getattr(self._unpacker, "unconsumed_tail", b"")
+            if part:
+                return part

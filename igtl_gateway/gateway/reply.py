@@ -1,0 +1,40 @@
+"""What an input causes, before it has its number: the currency inside the gateway."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.values import value
+
+
+@value(frozen=True, slots=True)
+class Reply:
+    """An ``Entry`` without number and stamp; attributes as there."""
+
+    kind: Kind
+    channel: str = ""
+    type: str = ""
+    payload: Sequence[Buffer] = ()
+    links: tuple[int, ...] = ()
+    source_ns: int = 0
+
+    def entry(self, cause: Entry, step: int) -> Entry:
+        """The ``step``-th output of ``cause``."""
+        return Entry(
+            cause.seq + step,
+            cause.stamp_ns + step,
+            self.kind,
+            self.channel,
+            self.type,
+            self.payload,
+            self.links,
+            self.source_ns,
+        )
+
+
+def note(level: Level, code: str, text: str, stream: str = "", links: tuple[int, ...] = ()) -> Reply:
+    """A note of the gateway's."""
+    return Reply(Kind.NOTE, payload=(Note(level, code, text, stream).pack(),), links=links)

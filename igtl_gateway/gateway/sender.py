@@ -1,0 +1,107 @@
+"""One content to many peers: who may have it, who wants it now, in which form.
+
+Peers that get the same bytes share one entry, so that a message is encoded once however many peers there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from igtl_gateway.convert.igtl_msgs import MetadataItem
+from igtl_gateway.gateway.metadata import composed
+from igtl_gateway.gateway.peers import Peer
+from igtl_gateway.gateway.profiles import Adapted
+from igtl_gateway.gateway.reply import Reply
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.stamp import ns_to_ticks
+from igtl_gateway.values import value
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.body import Body
+
+Adapt = Callable[[Any], Adapted]
+
+
+@value(frozen=True, slots=True)
+class Outbound:
+    """A message for peers, before it is encoded.
+
+    Attributes:
+        igtl_type, device: as on the wire.
+        content: the body.
+        stamp_ns: for the header, UTC ns.
+        full_name: of the device, "" where it is whole already.
+        ros_stamp_ns, frame_id, child_frame_id: of the ROS message; for the metadata.
+        metadata: the user's.
+    """
+
+    igtl_type: str
+    device: str
+    content: Body
+    stamp_ns: int
+    full_name: str = ""
+    ros_stamp_ns: int = 0
+    frame_id: str = ""
+    child_frame_id: str = ""
+    metadata: tuple[MetadataItem, ...] = ()
+
+    @property
+    def channel(self) -> str:
+        """Name of the stream."""
+        return f"{self.igtl_type}/{self.device}"
+
+
+@dataclass(slots=True)
+class Sent:
+    """What became of a message.
+
+    Attributes:
+        replies: the messages that go out.
+        refused: (profile, type) of the peers that must not be sent such a type.
+        warnings: what was bent for some peers.
+    """
+
+    replies: list[Reply]
+    refused: list[tuple[Peer, str]]
+    warnings: list[tuple[str, str]]
+
+
+def send(out: Outbound, peers: Iterable[Peer], now_ns: int, *, asked: bool = False) -> Sent:
+    """One entry for each form in which peers get the message, header version 1 first.
+
+    Args:
+        out: the message.
+        peers: those that it is for.
+        now_ns: gateway time.
+        asked: whether the peers have asked for just this message, so that no pace holds it back.
+
+    Raises:
+        MalformedBody: what no layout holds.
+    """
+    sent = Sent([], [], [])
+    forms: dict[tuple[int, str], tuple[Body, list[int]]] = {}
+    adapted: dict[Adapt, Body] = {}
+    for peer in peers:
+        if not peer.profile.may_send(out.igtl_type):
+            sent.refused.append((peer, out.igtl_type))
+        elif asked or peer.wants(out.igtl_type, out.device, now_ns):
+            content, name = out.content, ""
+            if adapt := peer.profile.adapt.get(type(content)):
+                if adapt not in adapted:
+                    adapted[adapt], warning = adapt(content)
+                    sent.warnings += [("adapted", warning)] if warning else []
+                if adapted[adapt] is not content:
+                    content, name = adapted[adapt], adapt.__name__
+            forms.setdefault((peer.version, name), (content, []))[1].append(peer.link)
+            peer.said_ns = now_ns
+    for (version, _), (content, links) in sorted(forms.items(), key=lambda form: form[0]):
+        message = Message(out.igtl_type, out.device, content, ns_to_ticks(out.stamp_ns))
+        if version > 1:
+            names = (out.device, out.full_name or out.device)
+            items = composed(*names, out.ros_stamp_ns, out.frame_id, out.child_frame_id, out.metadata)
+            message = Message(out.igtl_type, out.device, content, message.ticks, version, 0, items)
+        sent.replies.append(
+            Reply(Kind.IGTL_OUT, out.channel, out.igtl_type, encode(message), tuple(links), out.stamp_ns)
+        )
+    return sent

@@ -1,0 +1,138 @@
+"""ROS frames on their way to OpenIGTLink: which messages an update of the tf tree causes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from igtl_gateway.config import Config, TfOutRow
+from igtl_gateway.convert.common_msgs import TFMessage
+from igtl_gateway.convert.context import ToIgtl
+from igtl_gateway.convert.frames import FrameTree, TfRequest
+from igtl_gateway.convert.igtl_msgs import Pose, TrackedTool
+from igtl_gateway.convert.igtl_msgs import TrackingData as RosTrackingData
+from igtl_gateway.convert.rosmsg import Header, TransformStamped
+from igtl_gateway.convert.table import row_to_igtl
+from igtl_gateway.convert.units import Lengths
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.gateway.sender import Outbound
+from igtl_gateway.qos import Qos
+from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.wire.tracking import TOOL_6D
+
+#: topic → whether what it says holds at all times.
+TF_TOPICS = {"/tf": False, "/tf_static": True}
+#: tf is a stream of changes: a sample that is missed leaves a chain at an old place.
+TF_QOS = {"/tf": Qos(depth=1000), "/tf_static": Qos(depth=100, latched=True)}
+
+
+#: (row, frame, stamp of its pose) → whether that is too old to be told.
+IsStale = Callable[[TfOutRow, str, int], bool]
+
+
+@dataclass(slots=True)
+class _Request:
+    """One row of the configuration and what was last sent for it; the oldest stamp in that, 0: it does not move."""
+
+    row: TfOutRow
+    request: TfRequest
+    device: str
+    versions: tuple[int, ...] = ()
+    last: Outbound | None = None
+    oldest_ns: int = 0
+    told: tuple[tuple[int, Pose], ...] = ()
+
+
+class TfOut:
+    """The tf tree, and the frames of it that go out.
+
+    Args:
+        config: its rows ``tf_out``.
+        devices: device name of at most 20 bytes for each row.
+    """
+
+    def __init__(self, config: Config, devices: tuple[str, ...]) -> None:
+        self.tree = FrameTree()
+        self._config = config
+        self._requests = [
+            _Request(row, row.request(), device) for row, device in zip(config.tf_out, devices, strict=True)
+        ]
+
+    def __bool__(self) -> bool:
+        return bool(self._requests)
+
+    def update(
+        self, message: TFMessage, static: bool, now_ns: int, is_stale: IsStale
+    ) -> tuple[list[tuple[Outbound, Lengths]], list[str]]:
+        """Take a message of /tf or /tf_static: what has changed of what goes out, with its units, and what of it
+        cannot be told.  Frames that are too old are left out."""
+        self.tree.update(message, static)
+        changed: list[tuple[Outbound, Lengths]] = []
+        refused: list[str] = []
+        for one in self._requests:
+            try:
+                out = self._changed(one, now_ns, is_stale)
+            except ConversionError as error:
+                refused.append(str(error))
+                continue
+            if out is not None:
+                changed.append((out, self._config.lengths(one.row)))
+        return changed, refused
+
+    def _changed(self, one: _Request, now_ns: int, is_stale: IsStale) -> Outbound | None:
+        request = one.request
+        versions = tuple(self.tree.version(frame, request.base) for frame in request.frames)
+        if versions == one.versions:
+            return None
+        one.versions = versions
+        found = [(frame, self.tree.latest(frame, request.base)) for frame in request.frames]
+        known = [(frame, place) for frame, place in found if place is not None]
+        if one.row.max_age_s:
+            known = [(frame, place) for frame, place in known if not (place[0] and is_stale(one.row, frame, place[0]))]
+        told = tuple(place for _, place in known)
+        if not known or told == one.told:
+            return None
+        one.told = told
+        one.oldest_ns = min((ns for ns, _ in told if ns), default=0)
+        one.last = self._outbound(one, {frame: pose for frame, (_, pose) in known}, max(ns for ns, _ in told), now_ns)
+        return one.last
+
+    def _outbound(self, one: _Request, poses: dict[str, Pose], stamp_ns: int, now_ns: int) -> Outbound:
+        request = one.request
+        header = Header(stamp_ns, request.base)
+        message: RosTrackingData | TransformStamped
+        if request.type in ("TDATA", "QTDATA"):
+            message = RosTrackingData(header, tuple(TrackedTool(frame, TOOL_6D, pose) for frame, pose in poses.items()))
+        else:
+            ((frame, pose),) = poses.items()
+            message = TransformStamped(header, frame, pose[:3], pose[3:])
+        conversion = row_to_igtl(message.TYPE, request.type)
+        assert conversion is not None
+        outgoing = conversion.convert(message, ToIgtl(self._config.lengths(one.row)))
+        return Outbound(
+            request.type,
+            one.device,
+            outgoing.content,
+            self._config.pick_stamp(one.row, stamp_ns, now_ns),
+            request.device,
+            stamp_ns,
+            request.base,
+            "" if len(request.frames) > 1 else request.frames[0],
+        )
+
+    def latest(self, now_ns: int | None = None) -> list[Outbound]:
+        """What was last sent, for who asks or comes later; of that, what is not too old at that time."""
+        return [
+            one.last
+            for one in self._requests
+            if one.last is not None
+            and (
+                now_ns is None
+                or not (one.row.max_age_s and one.oldest_ns)
+                or now_ns - one.oldest_ns <= round(one.row.max_age_s * NS_PER_S)
+            )
+        ]
+
+    def static(self) -> list[Outbound]:
+        """Of these, what does not move: it is said once."""
+        return [one.last for one in self._requests if one.last and not one.last.ros_stamp_ns]

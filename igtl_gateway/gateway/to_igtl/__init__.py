@@ -1,1 +1,0 @@
-"""ROS → OpenIGTLink, in the order of the traffic: receive, compose, latest, deliver."""

@@ -1,1 +1,0 @@
-"""OpenIGTLink → ROS, in the order of the traffic: receive, route, convert."""

@@ -1,0 +1,421 @@
+"""Plans give what the general way gives, to the last bit; the compiled functions give what the plain ones give."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from igtl_gateway.buffers import join
+from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.convert import express, rosmsg
+from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP, Gateway, Session
+from igtl_gateway.gateway.core import LISTENED
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.wire import HEADER_SIZE, Item, Message, encode
+from igtl_gateway.wire.image import SCALARS, Image
+from igtl_gateway.wire.message import crc64
+from igtl_gateway.wire.point import Points
+from igtl_gateway.wire.polydata import NO_CELLS, SCALAR, Attribute, Cells, PolyData
+from igtl_gateway.wire.query import Nothing, StartTracking
+from igtl_gateway.wire.text import Status
+from igtl_gateway.wire.text import String as StringBody
+from igtl_gateway.wire.transform import Position, Transform
+
+T0_NS = 1_700_000_000 * NS_PER_S
+
+Step = tuple[Any, ...]
+
+_ODD = [
+    (0.0,) * 4,
+    (1.0, 0.0, 0.0, 0.0),
+    (0.0, 1.0, 0.0, 0.0),
+    (0.0, 0.0, 1.0, 0.0),
+    (0.0, 0.0, 0.0, -2.0),
+    (math.nan,) * 4,
+]
+
+angles = st.floats(-4.0, 4.0)
+lengths = st.sampled_from([0.0, -0.0, 1e-40, 3.5, -1e3, 3e38, 1e39, math.nan, math.inf]) | st.floats(-1e3, 1e3)
+stamps = st.sampled_from(
+    [0, -5, 1, 999_999_999, T0_NS, T0_NS, T0_NS + 123_456_789, T0_NS + NS_PER_S, 2**32 * NS_PER_S - 1]
+)
+
+
+@st.composite
+def rotations(draw: st.DrawFn) -> tuple[float, float, float, float]:
+    """Quaternions x, y, z, w: of any rotation, half turns, no length, and worse."""
+    if draw(st.booleans()):
+        q = [draw(angles) for _ in range(4)]
+        return q[0], q[1], q[2], q[3]
+    return draw(
+        st.sampled_from([(0, 0, 0, 0), (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, -2), (math.nan,) * 4])
+    )
+
+
+@st.composite
+def matrices(draw: st.DrawFn) -> tuple[float, ...]:
+    """The twelve numbers of TRANSFORM: rotations as float32 rounds them, and what is none."""
+    x, y, z, w = draw(rotations())
+    n = math.sqrt(x * x + y * y + z * z + w * w) or 1.0
+    x, y, z, w = x / n, y / n, z / n, w / n
+    m = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)]
+    m += [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)]
+    m += [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)]
+    if draw(st.integers(0, 5)) == 0:
+        m[draw(st.integers(0, 8))] *= draw(st.sampled_from([-1.0, 1.001, 0.0, 1 + 1e-6]))
+    position = [draw(lengths.filter(lambda value: not abs(value) > 3.1e38 or math.isinf(value))) for _ in range(3)]
+    return (*m, *position)
+
+
+@st.composite
+def igtl_messages(draw: st.DrawFn) -> Step:
+    device, version = draw(st.sampled_from("AB")), draw(st.sampled_from([1, 1, 2]))
+    content: Any = Transform(draw(matrices()))
+    if draw(st.integers(0, 2)) == 0:
+        position = draw(st.tuples(*[st.floats(-1e3, 1e3, width=32)] * 3))
+        content = Position(position, draw(rotations()), draw(st.sampled_from(["all", "all", "quaternion3"])))
+    items = (Item("key", b"value"),) if version == 2 and draw(st.integers(0, 4)) == 0 else ()
+    name = "TRANSFORM" if isinstance(content, Transform) else "POSITION"
+    message = Message(name, device, content, ns_to_ticks(draw(stamps)), version, draw(st.integers(0, 3)), items)
+    data = bytearray(join(encode(message)))
+    if draw(st.integers(0, 9)) == 0:
+        data[draw(st.sampled_from([50, 60, len(data) - 1]))] ^= 1
+    return "igtl", bytes(data), draw(st.sampled_from([1, 2]))
+
+
+@st.composite
+def ros_messages(draw: st.DrawFn) -> Step:
+    header = rosmsg.Header(draw(stamps.filter(lambda ns: ns < 2**31 * NS_PER_S)), draw(st.sampled_from(["base", "m"])))
+    position = (draw(lengths), draw(lengths), draw(lengths))
+    if draw(st.booleans()):
+        child = draw(st.sampled_from(["tool", "needle1"]))
+        message: Any = rosmsg.TransformStamped(header, child, position, draw(rotations()))
+    else:
+        message = PoseStamped(header, (*position, *draw(rotations())))
+    topic = draw(st.sampled_from(["/igtl/out/T", "/igtl/out/P"])) + message.TYPE[-4:]
+    return "ros", topic, message.TYPE, message.pack() + draw(st.sampled_from([b"", b"", b"", b"\0"])), draw(stamps)
+
+
+xyz = st.lists(st.tuples(*[st.floats(-1e3, 1e3, width=32)] * 3), min_size=1, max_size=4)
+odd_xyz = st.tuples(*[st.sampled_from([0.0, 1e-42, 3e38, math.nan, math.inf])] * 3)
+
+
+def _mostly(draw: st.DrawFn, usual: Any, *odd: Any) -> Any:
+    """One that is odd now and then: plans are for what is usual."""
+    return draw(st.sampled_from(odd)) if draw(st.integers(0, 5)) == 0 else usual
+
+
+@st.composite
+def positions(draw: st.DrawFn) -> npt.NDArray[np.float64]:
+    """A few points, or so many that their CRC is taken another way; some are no numbers."""
+    rows = draw(xyz) * _mostly(draw, 1, 30)
+    if draw(st.integers(0, 5)) == 0:
+        rows[draw(st.integers(0, len(rows) - 1))] = draw(odd_xyz)
+    return np.array(rows[: _mostly(draw, len(rows), 0)]).reshape(-1, 3)
+
+
+def _points(draw: st.DrawFn) -> Points:
+    places = draw(positions())
+    points = Points.of(places.astype(">f4"), None if draw(st.booleans()) else np.full((len(places), 4), 200, np.uint8))
+    points.elements["diameter"] = _mostly(draw, draw(st.floats(0, 50, width=32)), math.inf)
+    if len(places):
+        points.elements[_mostly(draw, "rgba", "name", "group", "owner")][-1] = 7
+    return points
+
+
+def _cloud(draw: st.DrawFn) -> PolyData:
+    places = draw(positions()).astype(">f4")
+    count = len(places)
+    vertices = _mostly(
+        draw, Cells.of_all(count) if count else NO_CELLS, NO_CELLS, Cells.of([[i] for i in range(count)])
+    )
+    attributes = _mostly(draw, (), (Attribute.of(SCALAR, "RGB", np.ones((count, 3))),))
+    lines = Cells.of([[0, count - 1]]) if _mostly(draw, False, count > 1) else NO_CELLS
+    return PolyData(places, vertices, lines, attributes=attributes)
+
+
+def _image(draw: st.DrawFn) -> Image:
+    size = draw(st.sampled_from([(2, 3, 1), (2, 3, 1), (40, 30, 1), (2, 1, 2)]))
+    part = _mostly(draw, size, (1, 1, 1))
+    scalar, components = _mostly(draw, (3, 3), (5, 1), (7, 1), (3, 1))
+    pixels = bytes([draw(st.integers(0, 255))]) * (math.prod(part) * components * np.dtype(SCALARS[scalar]).itemsize)
+    matrix = _mostly(draw, Image.IDENTITY, (2.0, *Image.IDENTITY[1:]))
+    return Image(size, scalar, pixels, components, draw(st.sampled_from([1, 2, 2])), 1, matrix, (0, 0, 0), part)
+
+
+@st.composite
+def igtl_bulk(draw: st.DrawFn) -> Step:
+    """STRING, POINT, POLYDATA and IMAGE."""
+    name = draw(st.sampled_from(["STRING", "POINT", "POLYDATA", "IMAGE"]))
+    content: Any
+    match name:
+        case "STRING":
+            text = draw(st.sampled_from([b"", b"Hello", b"Hello, world", b"x" * 3000]))
+            text = _mostly(draw, text, "für".encode(), b"a\0b", b"\xff", b"end\0")
+            content = StringBody(text, _mostly(draw, 3, 4, 106, 1013, 2252, 17, 0))
+        case "POINT":
+            content = _points(draw)
+        case "IMAGE":
+            content = _image(draw)
+        case _:
+            content = _cloud(draw)
+    version = _mostly(draw, draw(st.sampled_from([1, 2])), 2)
+    items = (Item("key", b"value"),) if version == 2 and _mostly(draw, False, True) else ()
+    message = Message(name, "B", content, ns_to_ticks(draw(stamps)), version, draw(st.integers(0, 3)), items)
+    data = bytearray(join(encode(message)))
+    if draw(st.integers(0, 9)) == 0:
+        data[draw(st.sampled_from([49, 50, 58, min(70, len(data) - 1), len(data) - 1]))] ^= 1
+    return "igtl", bytes(data), draw(st.sampled_from([1, 2]))
+
+
+@st.composite
+def ros_bulk(draw: st.DrawFn) -> Step:
+    """String, PointCloud2 and Image."""
+    end = draw(st.sampled_from([b"", b"", b"\0", b"\0\0\0"]))
+    if draw(st.booleans()):
+        text = _mostly(draw, draw(st.sampled_from(["", "Hello", "Hello, world", "x" * 3000])), "für", "a\0b", "end\0")
+        cdr = rosmsg.String(text * _mostly(draw, 1, 30)).pack()
+        return "ros", "/igtl/out/S", rosmsg.String.TYPE, cdr + end, draw(stamps)
+    header = rosmsg.Header(draw(stamps.filter(lambda ns: ns < 2**31 * NS_PER_S)), draw(st.sampled_from(["base", "m"])))
+    if draw(st.booleans()):
+        name, size, big = draw(st.sampled_from([("rgb8", 3, 0), ("bgr8", 3, 0), ("mono16", 2, 1), ("bgra8", 4, 0)]))
+        padding = _mostly(draw, 0, 4)
+        data = draw(st.binary(min_size=6, max_size=6)) * ((2 * size + padding) // 2) + _mostly(draw, b"", b"more")
+        image = rosmsg.Image(header, 3, 2, name, big, 2 * size + padding, data)
+        return "ros", "/igtl/out/I", image.TYPE, image.pack() + end, draw(stamps)
+    places = draw(positions())
+    kind, datatype = _mostly(draw, ("<f4", 7), (">f4", 7), ("<f8", 8))
+    step = draw(st.sampled_from([12, 12, 16])) * (2 if datatype == 8 else 1)
+    names = _mostly(draw, "xyz", "zyx", "xyzi", "xyy")
+    size = np.dtype(kind).itemsize
+    fields = tuple(rosmsg.PointField(one, size * place, datatype, 1) for place, one in enumerate(names[: step // size]))
+    height = 2 if len(places) % 2 == 0 and draw(st.booleans()) else 1
+    row = step * (len(places) // height)
+    padding = _mostly(draw, 0, 4) if height > 1 else 0
+    data = np.zeros((height, row + padding), np.uint8)
+    block = np.zeros((len(places), step), np.uint8)
+    block[:, : 3 * size] = places.astype(kind).view(np.uint8).reshape(len(places), 3 * size)
+    data[:, :row] = block.reshape(height, row)
+    message = rosmsg.PointCloud2(
+        header, height, len(places) // height, fields, kind[0] == ">", step, row + padding, data.tobytes(), True
+    )
+    cdr = message.pack() + end
+    topic = draw(st.sampled_from(["/igtl/out/C", "/igtl/out/POINT"]))
+    return "ros", topic, message.TYPE, cdr[: len(cdr) - _mostly(draw, 0, 1, 5)], draw(stamps)
+
+
+@st.composite
+def others(draw: st.DrawFn) -> Step:
+    kind, link = draw(st.sampled_from([LINK_UP, LINK_DOWN, "STT", "STP", LISTENED])), draw(st.sampled_from([1, 2, 3]))
+    if kind == LISTENED:
+        return "listened", "/igtl/in/B/points"
+    if kind in ("STT", "STP"):
+        content = StartTracking(20, "") if kind == "STT" else Nothing()
+        return "igtl", join(encode(Message(f"{kind}_TDATA", "", content, 0, 2))), link
+    return "link", kind, link
+
+
+CONFIGS = (
+    Config(),
+    Config(to_igtl=(ToIgtlRow(topic="/igtl/out/POINT", type="POINT"), ToIgtlRow()), to_ros=(ToRosRow(ros_unit="um"),)),
+    Config(stamp="receive", check_crc=False, publish_tf=False),
+    Config(
+        to_ros=(ToRosRow(device="A", ros_unit="mm", frame_id="A"),),
+        to_igtl=(
+            ToIgtlRow(topic="/igtl/out/P*", type="POSITION", metadata=(("owner", "1111111111111111111"),)),
+            ToIgtlRow(),
+        ),
+    ),
+    Config(watch=True),
+    Config(
+        watch=True,
+        to_ros=(ToRosRow(device="A", max_age_s=3.0),),
+        to_igtl=(ToIgtlRow(topic="/igtl/out/P*", max_age_s=2.0, stamp="receive"), ToIgtlRow(max_age_s=1.0)),
+    ),
+    Config(to_ros=(ToRosRow(max_age_s=0.1),), to_igtl=(ToIgtlRow(max_age_s=0.05),)),
+)
+
+
+def played(steps: list[Step], config: Config, heard: set[str] | None, planned: bool) -> tuple[list[Any], Any]:
+    """The entries and the ledger of a session."""
+    gateway = Gateway(config)
+    if heard is not None:
+        gateway.heard = lambda topic, _type: topic in heard
+    if not planned:
+        gateway.plans.wants = lambda key: False  # type: ignore[method-assign]
+    session = Session(gateway)
+    told: list[Any] = []
+    for index, step in enumerate([("link", LINK_UP, 1), ("link", LINK_UP, 2), *steps]):
+        now_ns = T0_NS + index * 40_000_000
+        match step:
+            case ("igtl", data, link):
+                entries = session.input(now_ns, Kind.IGTL_IN, (data,), links=(link,))
+            case ("ros", topic, ros_type, cdr, source_ns):
+                entries = session.input(
+                    now_ns, Kind.ROS_IN, (cdr,), channel=topic, type_name=ros_type, source_ns=source_ns
+                )
+            case ("listened", topic):
+                note = Note(Level.INFO, LISTENED, "", stream=topic)
+                entries = session.input(now_ns, Kind.EDGE_NOTE, (note.pack(),))
+            case ("link", code, link):
+                note = Note(Level.INFO, code, "", data={"peer": "127.0.0.1:1", "role": "server"})
+                entries = session.input(now_ns, Kind.LINK, (note.pack(),), links=(link,))
+        told += [_plain(entry) for entry in entries]
+    return told, gateway.ledger.to_dict()
+
+
+def _plain(entry: Entry) -> tuple[Any, ...]:
+    return (
+        *(getattr(entry, name) for name in ("seq", "stamp_ns", "kind", "channel", "type", "links", "source_ns")),
+        entry.data(),
+    )
+
+
+@pytest.mark.parametrize("functions", ["plain", "in use"])
+@given(
+    st.lists(igtl_messages() | igtl_messages() | ros_messages() | ros_messages() | others(), max_size=25),
+    st.sampled_from(CONFIGS),
+    st.sampled_from([None, set(), {"/tf"}, {"/igtl/in/A/transform"}]),
+)
+def test_a_session_with_plans_is_the_session_without(
+    functions: str, steps: list[Step], config: Config, heard: set[str] | None
+) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        if functions == "plain":
+            patch.setattr(express, "pose_to_ros", express.PLAIN[0])
+            patch.setattr(express, "pose_to_igtl", express.PLAIN[1])
+        assert played(steps, config, heard, planned=True) == played(steps, config, heard, planned=False)
+
+
+@given(
+    st.lists(igtl_bulk() | igtl_bulk() | ros_bulk() | ros_bulk() | others(), max_size=25),
+    st.sampled_from(CONFIGS),
+    st.sampled_from([None, set(), {"/igtl/in/B/point"}, {"/igtl/in/B/points", "/igtl/in/B/image"}]),
+)
+def test_so_is_one_of_texts_points_and_pictures(steps: list[Step], config: Config, heard: set[str] | None) -> None:
+    assert played(steps, config, heard, planned=True) == played(steps, config, heard, planned=False)
+
+
+POSE = Transform((0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6, 1.0, 2.0, 3.0))
+TOOL = rosmsg.TransformStamped(rosmsg.Header(T0_NS, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.6, 0.8))
+
+
+def watched_session() -> tuple[Session, list[Kind]]:
+    """With one peer; and what took the general way since it came."""
+    gateway = Gateway(Config())
+    session = Session(gateway)
+    note = Note(Level.INFO, LINK_UP, "", data={"peer": "127.0.0.1:1", "role": "server"})
+    session.input(T0_NS, Kind.LINK, (note.pack(),), links=(1,))
+    general: list[Kind] = []
+    handle = gateway.handle
+
+    def watched(entry: Entry) -> list[Entry]:
+        general.append(entry.kind)
+        return handle(entry)
+
+    gateway.handle = watched  # type: ignore[method-assign]
+    return session, general
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_the_second_pose_of_a_stream_goes_by_a_plan(version: int) -> None:
+    session, general = watched_session()
+    data = join(encode(Message("TRANSFORM", "Probe", POSE, ns_to_ticks(T0_NS), version)))
+    cdr = TOOL.pack()
+    for _ in range(6):
+        session.input(T0_NS, Kind.IGTL_IN, (data,), links=(1,))
+    for _ in range(4):
+        session.input(T0_NS, Kind.ROS_IN, (cdr,), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
+    # the first message of a peer also shows what it is, so the plan is made of the second
+    assert general == [Kind.IGTL_IN, Kind.IGTL_IN, Kind.ROS_IN]
+    changed = replace(TOOL, child_frame_id="other")
+    session.input(T0_NS, Kind.ROS_IN, (changed.pack(),), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
+    session.input(T0_NS, Kind.ROS_IN, (changed.pack(),), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
+    assert general[3:] == [Kind.ROS_IN]
+
+
+compiled = pytest.mark.skipif(not express.COMPILED, reason="installed without the C part")
+ROWS = np.arange(900.0).reshape(300, 3)
+
+
+def fields(*names: str) -> tuple[rosmsg.PointField, ...]:
+    return tuple(rosmsg.PointField(name, 4 * place, 7, 1) for place, name in enumerate(names))
+
+
+@compiled
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize(
+    "made",
+    [
+        ("STRING", lambda n: StringBody(b"text" * n)),
+        ("POINT", lambda n: Points.of(ROWS[:n])),
+        ("POLYDATA", lambda n: PolyData(ROWS[:n].astype(">f4"), Cells.of_all(n))),
+        ("POLYDATA", lambda n: PolyData(ROWS[:n].astype(">f4"))),
+        ("IMAGE", lambda n: Image((2, 2, 1), 3, bytes([n % 256]) * 12, 3)),
+    ],
+)
+def test_so_does_the_second_text_cloud_or_picture_of_a_peer(made: tuple[str, Any], version: int) -> None:
+    session, general = watched_session()
+    name, content = made
+    for count in (5, 5, 1, 300, 2):
+        data = join(encode(Message(name, "Probe", content(count), ns_to_ticks(T0_NS), version)))
+        session.input(T0_NS, Kind.IGTL_IN, (memoryview(data),), links=(1,))
+    assert general == [Kind.IGTL_IN, Kind.IGTL_IN]
+
+
+@compiled
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda n: rosmsg.String("text" * n),
+        lambda n: rosmsg.PointCloud2(
+            rosmsg.Header(T0_NS, "m"), 1, n, fields("x", "y", "z"), False, 12, 12 * n, bytes(12 * n), True
+        ),
+        lambda n: rosmsg.PointCloud2(
+            rosmsg.Header(T0_NS, "map"), n, 2, fields("z", "y", "x"), False, 16, 32, bytes(32 * n), True
+        ),
+        lambda n: rosmsg.Image(rosmsg.Header(T0_NS, "map"), 2, 2, "bgr8", 0, 6, bytes([n % 256]) * 12),
+    ],
+)
+def test_and_of_a_topic(made: Any, version: int) -> None:
+    session, general = watched_session()
+    shown = join(encode(Message("STATUS", "Peer", Status(1), header_version=version)))
+    session.input(T0_NS, Kind.IGTL_IN, (shown,), links=(1,))
+    for count in (5, 1, 300, 2):
+        message = made(count)
+        session.input(T0_NS, Kind.ROS_IN, (message.pack(),), channel="/igtl/out/T", type_name=message.TYPE)
+    assert general == [Kind.IGTL_IN, Kind.ROS_IN]
+
+
+@compiled
+@pytest.mark.parametrize("bad", [(), (1,) * 9, (b"", b"", 0, 48, True, True, 0, (1.0, 1.0), ((b"", 0),))])
+def test_the_compiled_functions_refuse_what_they_cannot_use(bad: tuple[Any, ...]) -> None:
+    for function in (express.pose_to_ros, express.pose_to_igtl, express.bulk_to_ros, express.bulk_to_igtl):
+        assert function
+        with pytest.raises((TypeError, ValueError)):
+            function(*bad)
+
+
+@pytest.mark.parametrize("heard", [None, set(), {"/igtl/in/B/points"}])
+def test_what_nobody_hears_is_refused_all_the_same(heard: set[str] | None) -> None:
+    """Found by tools/fuzz_gateway.py: a plan with nothing to make did not look at the content."""
+    cloud = PolyData(np.arange(12, dtype=">f4").reshape(4, 3))
+    good = join(encode(Message("POLYDATA", "B", cloud, ns_to_ticks(T0_NS))))
+    bad = bytearray(good[:-4])
+    bad[42:50] = (len(bad) - HEADER_SIZE).to_bytes(8, "big")
+    bad[50:58] = crc64(bad[HEADER_SIZE:]).to_bytes(8, "big")
+    steps: list[Step] = [("igtl", data, 1) for data in (good, good, good, bytes(bad), good)]
+    entries, counts = played(steps, Config(), heard, planned=True)
+    assert (entries, counts) == played(steps, Config(), heard, planned=False)
+    assert counts["igtl_in"]["POLYDATA/B"]["dropped"] == {"truncated": 1}
