@@ -75,8 +75,9 @@ class Bind:
 
     Children have no header, time stamp, id or metadata of their own.
 
-    Accepted: names without padding or without the last NUL, a missing last pad byte, BIND in BIND up to four levels,
-    4,096 children on all of them together.
+    Accepted: a table of names of odd size (``names_size`` is believed, and the contents follow at once: the C++ library
+    does not always pad the table), names without the last NUL, a missing last pad byte, BIND in BIND up to four
+    levels, 4,096 children on all of them together.
 
     Sent: names and contents padded to even sizes with zero.
 

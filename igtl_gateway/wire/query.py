@@ -184,6 +184,10 @@ class Reply:
 #: Type and device name of what is wanted of a BIND.
 Wanted = tuple[str, str]
 
+#: What the C++ library sends for "all": room for the number of children and for the size of the names, never filled.
+#: A list with a child has 16 bytes at least, so it cannot be taken for one.
+_UNINITIALISED = 4
+
 _CHILDREN = (
     Field("count", "u16", 1, "number of contents wanted"),
     Field("type", "char", 12, "type name", per="content"),
@@ -196,9 +200,14 @@ _CHILDREN = (
 class GetBind:
     """GET_BIND: which contents are wanted; without content all of them.
 
+    Accepted: any 4 bytes, which ask for all: the C++ library reserves them for the two sizes and leaves them
+    uninitialised.  A table of names of odd size (the library does not pad it), with or without a pad byte behind it.
+
+    Sent: no content to ask for all; the table of names padded to an even size.
+
     Attributes:
         children: type and name of each; none = everything, which is a query without content.
-        kept: the content as received, where it is not what we should write (the library forgets the padding).
+        kept: the content as received, where it is not what we should write.
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
@@ -226,6 +235,8 @@ class StartBind:
     """STT_BIND: begin a stream; the interval, then as GET_BIND.
 
     The library's writer leaves the interval undefined: above an hour it is taken for 0.
+
+    Accepted: no content at all; behind the interval what GET_BIND accepts.
 
     Attributes:
         resolution_ns: least time between two messages, nanoseconds.
@@ -259,7 +270,7 @@ class StartBind:
 
 def _read_children(place: str, content: memoryview, offset: int) -> tuple[Wanted, ...]:
     """The list from ``offset`` on; nothing there is an empty list."""
-    if content.nbytes <= offset:
+    if content.nbytes in (offset, offset + _UNINITIALISED) or not content.nbytes:
         return ()
     count = read_count(content, offset, f"{place} content")
     names_at = offset + _COUNT.size + _TYPE.size * count
