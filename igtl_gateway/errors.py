@@ -4,6 +4,7 @@
 
     GatewayError                    base: catch this and nothing of ours escapes
     ├── ConfigError                 the configuration or the command line (fault of the caller)
+    ├── Unavailable                 this machine lacks it now: a package, a free port
     ├── WireError                   OpenIGTLink bytes that break the protocol (fault of the peer)
     │   ├── TruncatedMessage        the stream ended inside a message
     │   ├── ChecksumMismatch        CRC-64 of the body differs from the header's
@@ -32,6 +33,10 @@ class GatewayError(Exception):
 
 class ConfigError(GatewayError):
     """A setting is missing, unknown or out of range."""
+
+
+class Unavailable(GatewayError):
+    """What was asked for can be, but not on this machine as it is: a package is missing, a port is taken."""
 
 
 class WireError(GatewayError):

@@ -18,7 +18,7 @@ from igtl_gateway.doctor.observer import Intent, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink
 from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.gateway import Gateway, Session
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
@@ -161,9 +161,7 @@ class _Visit:
         """Be a server; False if the port is taken."""
         try:
             edge.listen(*listen, tls=self._options.tls_listen)
-        except ConfigError as error:
-            if "in use" not in str(error):
-                raise
+        except Unavailable as error:
             self._hub.note(Note(Level.ERROR, "listen_failed", str(error), _place(listen)))
             return False
         edge.start()
@@ -177,7 +175,7 @@ class _Visit:
         here = "0.0.0.0" if self._options.allow else "::1" if host == "::1" else "127.0.0.1"
         try:
             edge.listen(here, port, tls=self._options.tls_connect and self._options.tls.cert is not None)
-        except ConfigError:
+        except (ConfigError, Unavailable):
             return False  # taken, by our own bridge perhaps; then nothing can be told
         edge.start()
         return True

@@ -193,7 +193,7 @@ class MetricsServer:
         allow: networks (CIDR) that may ask beside this host.
         deadline_s: see ``DEADLINE_S``.
 
-    Raises ConfigError as ``TcpEdge.listen`` does.
+    Raises ConfigError and Unavailable as ``TcpEdge.listen`` does.
     """
 
     def __init__(

@@ -1,6 +1,12 @@
 """The command line: one file per verb, errors to exit codes in one place.
 
-Exit codes: 0 good, 1 a finding or a failure, 2 usage (command line, configuration, a file of the wrong kind).
+Exit codes, the same for every verb (``docs/command-line.md`` has the table):
+
+* 0: all is good.
+* 1: a finding (a difference, a wrong stitch, a damaged message), or a failure of what was asked for rightly: something
+  is missing on this machine (ROS 2, rerun, PyAV, a free port), the disk refuses, a recording is damaged, Ctrl-C.
+* 2: usage, which no retry will mend: the command line, the configuration, an input that is not there or of the wrong
+  kind.
 """
 
 from __future__ import annotations
@@ -13,7 +19,7 @@ from collections.abc import Sequence
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.terminal import Parser, abandon, finish, open_outputs, say
-from igtl_gateway.errors import ConfigError, GatewayError, OutputError, RosError, UnsupportedRecording
+from igtl_gateway.errors import ConfigError, GatewayError, OutputError, UnsupportedRecording
 from igtl_gateway.untrusted import limits
 
 FAILURE, USAGE = 1, 2
@@ -80,7 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = int(options.run(options))
         finish()
         return code
-    except (ConfigError, RosError, UnsupportedRecording) as error:
+    except (ConfigError, UnsupportedRecording) as error:
         return _say(options.verb, error, USAGE)
     except GatewayError as error:
         if isinstance(error, OutputError):

@@ -24,7 +24,8 @@ from igtl_gateway.bench.sweeps import SWEEPS, fits
 from igtl_gateway.bench.works import WORKS, Workshop
 from igtl_gateway.cli.terminal import print_json, say
 from igtl_gateway.clock import Clock, SystemClock
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, Unavailable
+from igtl_gateway.extras import missing
 
 EXAMPLES = """\
   igtl-gateway bench --case transform                     30 Hz, both ways, and the bare hops
@@ -110,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     groups, works = _asked(options)
     if importlib.util.find_spec("rclpy") is None:
-        raise ConfigError('rclpy is not installed here: pip install "igtl-gateway[ros]"')
+        raise Unavailable(missing("rclpy"))
     # a measurement must neither hear nor disturb other robots
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))

@@ -39,6 +39,7 @@ from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role, RosRow
 from igtl_gateway.edges.ros_env import keep_large_blocks, prepare_environment
 from igtl_gateway.edges.video import CODECS, VideoOptions
 from igtl_gateway.errors import ConfigError, ViewerError
+from igtl_gateway.extras import missing
 from igtl_gateway.faults import BothWays
 from igtl_gateway.gateway import FAULT
 from igtl_gateway.session.entry import Entry, Kind
@@ -235,7 +236,7 @@ def _metrics(options: argparse.Namespace, status: Status) -> MetricsServer:
 
 def _window(config: Config) -> Window:
     if find_spec("rerun") is None:
-        raise ViewerError("--view: found no rerun, expected the extra 'view': pip install 'igtl-gateway[view]'")
+        raise ViewerError(missing("rerun"))
     from igtl_gateway.view.live import Window
 
     return Window(config)

@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
-from io import BufferedReader, FileIO
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from io import BufferedReader, BufferedWriter, FileIO
 from pathlib import Path
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.cli.terminal import print_json, say
-from igtl_gateway.errors import ConfigError, MessageTooLarge, WireError
+from igtl_gateway.errors import ConfigError, MessageTooLarge, RecordingError, WireError
+from igtl_gateway.untrusted.files import is_same, obstacle
 from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
+from igtl_gateway.wire.message import HEADER_VERSIONS
 
 EXAMPLES = """\
   igtl-gateway decode capture.igtl                    one JSON object per message
   nc localhost 18944 | igtl-gateway decode -          what a server sends, live
   igtl-gateway decode in.igtl --reencode out.igtl     decode, encode again, write
 
-exit code 1 if a message is damaged or the stream ends inside one; what can be read is printed."""
+A damaged message has an `error`, with what was found and what was expected; after a wrong CRC the content may be
+anything.  Exit code 1 if a message is damaged or the stream ends inside one; what can be read is printed."""
+
+#: So many messages in a row with an unknown header version are another protocol, or a device without end.
+_FOREIGN = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,46 +43,87 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    with ExitStack() as stack:
+        source = stack.enter_context(_source(options.file))
+        target = stack.enter_context(_target(options.reencode, source)) if options.reencode else None
+        return _decode(options, source, target)
+
+
+def _source(name: str) -> BufferedReader[FileIO]:
+    """What is read: a file, a FIFO or a device just as well, as long as it gives bytes.  Raises ConfigError."""
+    if name == "-" and sys.stdin is None:
+        raise ConfigError("-: standard input is closed, expected a stream of messages")
     try:
-        source = BufferedReader(FileIO(sys.stdin.fileno() if options.file == "-" else options.file))
-        target = options.reencode.open("wb") if options.reencode else None
-    except OSError as error:
-        raise ConfigError(f"{error.filename}: {error.strerror}") from None
-    damaged = 0
+        return BufferedReader(FileIO(sys.stdin.fileno() if name == "-" else name, closefd=name != "-"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{name}: {_reason(error)}") from None
+
+
+def _target(path: Path, source: BufferedReader[FileIO]) -> BufferedWriter[FileIO]:
+    """The file that is written, emptied.  Raises ConfigError where it is the source, else RecordingError."""
+    if is_same(path, Path(f"/dev/fd/{source.fileno()}")):
+        raise ConfigError(f"--reencode: found {path}, which is what is read, expected another file")
+    try:
+        return BufferedWriter(FileIO(path, "w"))
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"cannot write to {path}: {obstacle(path, error)}") from None
+
+
+def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target: BufferedWriter[FileIO] | None) -> int:
+    damaged = foreign = 0
     framer = Framer(options.max_body)
     offset = 0
     try:
-        with source:
-            for index, data in enumerate(_messages(source, framer)):
-                told = {"index": index, "offset": offset, **describe(data)}
-                print_json(told)
-                damaged += "error" in told or not told["crc_ok"]
-                if target:
-                    target.writelines(_encoded(data))
-                offset += len(data)
+        for index, data in enumerate(_messages(options.file, source, framer)):
+            told = {"index": index, "offset": offset, **describe(data)}
+            print_json(told)
+            damaged += "error" in told
+            foreign = foreign + 1 if told["header_version"] not in HEADER_VERSIONS else 0
+            if foreign == _FOREIGN:
+                return _lost(
+                    offset, f"found {foreign} messages in a row of an unknown header version, expected OpenIGTLink"
+                )
+            if target:
+                _write(options.reencode, target, _encoded(data))
+            offset += len(data)
     except MessageTooLarge as error:
-        say(f"igtl-gateway decode: offset {offset}: {error}", error=True)
-        return 1
-    except BrokenPipeError:
-        raise  # of our output, not of the file
-    except OSError as error:
-        raise ConfigError(f"{options.file}: {error.strerror}") from None
-    finally:
-        if target:
-            target.close()
+        return _lost(offset, error)
     if framer.pending:
-        say(
-            f"igtl-gateway decode: offset {offset}: found {framer.pending} bytes of a message, expected a whole one: "
-            f"the stream ends inside it",
-            error=True,
-        )
-    return 1 if damaged or framer.pending else 0
+        found = f"found {framer.pending} bytes of a message, expected a whole one: the stream ends inside it"
+        return _lost(offset, found)
+    if target:
+        _write(options.reencode, target, [])
+    return 1 if damaged else 0
 
 
-def _messages(source: BufferedReader[FileIO], framer: Framer) -> Iterator[Buffer]:
-    while read := source.readinto1(framer.buffer()):
-        yield from framer.received(read)
-    yield from framer.received(0)  # raises what the last bytes announced
+def _lost(offset: int, found: object) -> int:
+    """Say why it goes no further."""
+    say(f"igtl-gateway decode: offset {offset}: {found}", error=True)
+    return 1
+
+
+def _messages(name: str, source: BufferedReader[FileIO], framer: Framer) -> Iterator[Buffer]:
+    while True:
+        try:
+            read = source.readinto1(framer.buffer())
+        except OSError as error:
+            raise ConfigError(f"{name}: {_reason(error)}") from None
+        yield from framer.received(read)  # of nothing: raises what the last bytes announced
+        if not read:
+            return
+
+
+def _write(path: Path, target: BufferedWriter[FileIO], parts: Iterable[Buffer]) -> None:
+    try:
+        target.writelines(parts)
+        target.flush()
+    except OSError as error:
+        target.raw.close()  # what is left in memory has no place either
+        raise RecordingError(f"writing to {path} failed: {_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
 def _encoded(data: Buffer) -> list[Buffer]:

@@ -23,7 +23,8 @@ from typing import IO, Any
 from igtl_gateway.cli.common import count, size
 from igtl_gateway.cli.terminal import say
 from igtl_gateway.clock import SystemClock
-from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.errors import ConfigError, GatewayError, Unavailable
+from igtl_gateway.extras import missing
 from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
@@ -43,11 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    for package, extra in (("rclpy", "ros"), ("pyigtl", "dev")):
+    for package in ("rclpy", "pyigtl"):
         if importlib.util.find_spec(package) is None:
-            raise ConfigError(
-                f'{package} is not installed here: pip install "igtl-gateway[{extra}]", or run `make demo`'
-            )
+            raise Unavailable(f"{missing(package)}; `make demo` installs what it needs")
     if not 1 <= options.seconds <= 600:
         raise ConfigError(f"--seconds: found {options.seconds}, expected 1 to 600")
     # the demo must neither hear nor disturb other robots

@@ -19,6 +19,7 @@ from igtl_gateway.exchange.source import Row, Source, numbered
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.session.layout import LayoutError
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.untrusted.files import is_same
 
 EXAMPLES = """\
   igtl-gateway import session.bag -o session.mcap         ROS 1 bag; messages become those of ROS 2
@@ -59,7 +60,7 @@ def epoch(text: str) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
-    if options.out.exists() and options.source.exists() and options.out.samefile(options.source):
+    if is_same(options.out, options.source):
         raise ConfigError(f"--out: found {options.out}, which is the source itself")
     with closing(open_source(options.source, options.epoch)) as source:
         writer = SessionWriter(

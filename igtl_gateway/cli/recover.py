@@ -16,6 +16,7 @@ from igtl_gateway.record.mcap_writer import reason
 from igtl_gateway.record.parts import SIDE_FILE, Part, write_side_file
 from igtl_gateway.replay.salvage import Loss, Report, Salvage
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.untrusted.files import is_same
 
 EXAMPLES = """\
   igtl-gateway recover out.mcap                 after a crash: out.recovered.mcap, closed and with its index
@@ -95,7 +96,7 @@ def _run_parts(options: argparse.Namespace) -> int:
 
 def _recover(source: Path, output: Path, options: argparse.Namespace) -> tuple[dict[str, Any], Report, Part]:
     """One file.  Gives what is told of it, and what the side file of a split recording has to tell of the new one."""
-    if output.exists() and source.exists() and output.samefile(source):
+    if is_same(output, source):
         raise ConfigError(f"{output}: is the damaged file itself; expected another name for the recovered one")
     with Salvage.open(source) as file:
         with CopyWriter(

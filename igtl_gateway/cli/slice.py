@@ -18,6 +18,7 @@ from igtl_gateway.replay.moment import moment
 from igtl_gateway.replay.slice import Slice, SliceReport, Window
 from igtl_gateway.session import layout
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.untrusted.files import is_same
 
 EXAMPLES = """\
   igtl-gateway slice out.mcap part.mcap --start 12 --end 15            seconds 12 to 15
@@ -51,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
     with SessionFile.open(options.file) as file:
         if file.foreign:
             raise UnsupportedRecording(f"{options.file}: found no session of igtl-gateway, expected one to cut")
-        if options.out.exists() and options.out.samefile(options.file):
+        if is_same(options.out, options.file):
             raise ConfigError(f"{options.out}: found the recording itself, expected another file to write to")
         window = Window(
             file.start_ns if options.start is None else moment(options.start, file.start_ns, "--start"),

@@ -19,7 +19,8 @@ from igtl_gateway.cli.common import DEFAULT_HOST, DEFAULT_PORT, count, recorded_
 from igtl_gateway.cli.terminal import clear, finish, is_terminal, live, print_json, say
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros_env import prepare_environment
-from igtl_gateway.errors import ConfigError, RecordingError
+from igtl_gateway.errors import ConfigError, RecordingError, Unavailable
+from igtl_gateway.extras import missing
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.replay.verify import Report as Verification
@@ -81,9 +82,7 @@ def _check(options: argparse.Namespace, side: Side | None, own_bridge: bool, act
     if not actors:
         raise ConfigError(f"--side {options.side}: {options.name} has no actors of that side")
     if any(actor.side is Side.ROS for actor in actors) and importlib.util.find_spec("rclpy") is None:
-        raise ConfigError(
-            'rclpy is not installed here: pip install "igtl-gateway[ros]", or play offline with --out FILE'
-        )
+        raise Unavailable(f"{missing('rclpy')}; --out FILE plays offline, without ROS")
 
 
 def _limits_s(options: argparse.Namespace, scenario: Scenario) -> tuple[float, float]:

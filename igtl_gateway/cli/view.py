@@ -17,6 +17,7 @@ from igtl_gateway.cli.terminal import cell, clear, is_terminal, live, print_json
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, GatewayError, ViewerError
+from igtl_gateway.extras import missing
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import through_gateway
 from igtl_gateway.review import Material, review_of
@@ -35,7 +36,7 @@ EXAMPLES = """\
   igtl-gateway view out.mcap --colour-by intensity      clouds coloured by one of their fields
 
 Every message of ROS is in it, and what OpenIGTLink peers said as the ROS messages that it became.  Needs the extra
-'view': pip install 'igtl-gateway[view]'"""
+`view`: pip install "igtl-gateway[view]" """
 
 _PROGRESS_EVERY = 1000
 _WAIT_S = 0.2
@@ -59,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     _check(options)
     if find_spec("rerun") is None:
-        raise ViewerError("found no rerun, expected the extra 'view': pip install 'igtl-gateway[view]'")
+        raise ViewerError(missing("rerun"))
     from igtl_gateway.view.viewer import check_screen
 
     if not (options.save or options.web or options.screenshot):

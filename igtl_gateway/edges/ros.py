@@ -37,6 +37,7 @@ from igtl_gateway.edges.ros_direct import direct
 from igtl_gateway.edges.ros_receiver import DirectReceiver, ExecutorReceiver, Receiver
 from igtl_gateway.edges.ros_streams import HOLD_BYTES, HOLD_MESSAGES, Counts, Echo, Reader, Writer, first_line
 from igtl_gateway.errors import RosError
+from igtl_gateway.extras import missing
 from igtl_gateway.qos import Endpoint, Qos
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
@@ -58,7 +59,6 @@ _LISTENED = 10_000  # matches not told of yet: at most those of a quarter of a s
 _CALLS_AT_ONCE = 8  # of services; a call may wait for a peer
 _CALLS_WAITING = 100  # of each service; one that is pushed out of DDS's queue is never answered
 
-_INSTALL = 'install it with: pip install "igtl-gateway[ros]" (Linux x86_64), or source a ROS 2 installation'
 _RMW_CHECK_S = 60
 
 OnMessage = Callable[[str, str, bytes, int], None]
@@ -744,7 +744,7 @@ def _import_rclpy() -> Any:
         ):
             importlib.import_module(f"rclpy.{name}")
     except ImportError as error:
-        raise RosError(f"ROS 2 is not available ({first_line(error)}); {_INSTALL}") from error
+        raise RosError(missing("rclpy", error)) from error
     return rclpy
 
 

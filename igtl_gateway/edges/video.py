@@ -31,7 +31,8 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert.bitstream import is_key_frame
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.rosmsg import Header, Image
-from igtl_gateway.errors import ConfigError, ConversionError
+from igtl_gateway.errors import ConfigError, ConversionError, Unavailable
+from igtl_gateway.extras import missing
 from igtl_gateway.session.note import Level, Note
 
 #: Codecs to encode with: name in CompressedImage.format → encoder and its options.
@@ -263,7 +264,7 @@ class VideoEncoder(_Worker[tuple[bytes, int]]):
         on_frame: called in the encoder's thread with topic, type, CDR and source stamp, as the hub's ``ros``.
         on_note: takes what there is to say, from any thread.
 
-    Raises ConfigError where PyAV is missing, or lacks the codec.
+    Raises Unavailable where PyAV is missing, or lacks the codec.
     """
 
     def __init__(self, options: VideoOptions, *, on_frame: OnFrame, on_note: OnNote) -> None:
@@ -273,7 +274,7 @@ class VideoEncoder(_Worker[tuple[bytes, int]]):
         try:
             av.codec.Codec(_ENCODERS[options.codec][0], "w")
         except ValueError as error:
-            raise ConfigError(f"video codec {options.codec}: this PyAV has no {error}") from error
+            raise Unavailable(f"video codec {options.codec}: this PyAV has no {error}") from error
         super().__init__("igtl-video-encoder", on_note)
 
     def submit(self, topic: str, cdr: bytes, source_ns: int) -> None:
@@ -408,7 +409,7 @@ class VideoDecoder(_Worker[_Frame]):
         on_image: called in the decoder's thread with the name of the stream and CDR.
         on_note: takes what there is to say, from any thread.
 
-    Raises ConfigError where PyAV is missing.
+    Raises Unavailable where PyAV is missing.
     """
 
     def __init__(self, *, on_image: OnImage, on_note: OnNote) -> None:
@@ -526,5 +527,5 @@ def _import_av() -> Any:
         import av
         import av.video.reformatter
     except ImportError as error:
-        raise ConfigError(f'video: PyAV is not installed ({error}): pip install "igtl-gateway[video]"') from error
+        raise Unavailable(missing("av", error)) from error
     return av

@@ -31,6 +31,7 @@ from igtl_gateway.record.rostypes import Definition, RosTypes
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.layout import LayoutError
+from igtl_gateway.untrusted.files import obstacle
 
 Compression = mcap_stream.Compression
 #: When what is written is on the disk itself, so that a power loss does not cost it.
@@ -339,11 +340,9 @@ def _sync_folder(folder: Path) -> None:
 
 def create_file(path: Path, overwrite: bool) -> BufferedWriter:
     """The open file.  Raises RecordingError with what is in the way."""
+    if there := obstacle(path):
+        raise RecordingError(f"cannot record to {path}: {there}")
     try:
-        if path.is_dir():
-            raise RecordingError(f"cannot record to {path}: it is a directory")
-        if path.exists() and not path.is_file():
-            raise RecordingError(f"cannot record to {path}: it is not a regular file")
         file = open(path, "wb" if overwrite else "xb", opener=_untouched)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -358,8 +357,6 @@ def create_file(path: Path, overwrite: bool) -> BufferedWriter:
         raise RecordingError(
             f"cannot record to {path}: the file exists already, and is not replaced without --overwrite"
         ) from None
-    except FileNotFoundError:
-        raise RecordingError(f"cannot record to {path}: there is no folder {path.parent}") from None
     except (OSError, ValueError) as error:
         raise refusal(path, error) from error
 
@@ -367,7 +364,7 @@ def create_file(path: Path, overwrite: bool) -> BufferedWriter:
 def refusal(path: Path, error: OSError | ValueError) -> RecordingError:
     """The error for a recording that cannot begin there."""
     kind = DiskRefused if isinstance(error, OSError) and error.errno not in _SLIPS else RecordingError
-    return kind(f"cannot record to {path}: {reason(error)}")
+    return kind(f"cannot record to {path}: {obstacle(path, error)}")
 
 
 def _untouched(path: str, flags: int) -> int:

@@ -219,9 +219,7 @@ def _make_folder(folder: Path, overwrite: bool) -> None:
             ) from None
         for path in ours:
             path.unlink()
-    except FileNotFoundError:
-        raise RecordingError(f"cannot record to {folder}: there is no folder {folder.parent}") from None
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise refusal(folder, error) from None
 
 

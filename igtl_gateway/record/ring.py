@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -9,8 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.errors import RecordingError
-from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.record.mcap_writer import SessionWriter, create_file
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry
@@ -32,7 +32,7 @@ class Ring:
         prologue: has to be fresh.
         seconds, max_bytes: what is older, or too much, is let go, an input with its outputs.
 
-    Raises RecordingError when there is no such folder.
+    Raises RecordingError when no file can be created there.
     """
 
     def __init__(self, path: Path, open_file: Open, prologue: Prologue, *, seconds: float, max_bytes: int) -> None:
@@ -47,8 +47,9 @@ class Ring:
         self._max_ns, self._max_bytes = int(seconds * NS_PER_S), max_bytes
         self._entries: deque[Entry] = deque()
         self._bytes = 0
-        if not path.parent.is_dir():
-            raise RecordingError(f"cannot record to {path}: there is no folder {path.parent}")
+        trial = self._path(0)
+        create_file(trial, overwrite=False).close()  # what is in the way is better known now than at the first snapshot
+        trial.unlink()
 
     def write(self, entry: Entry) -> None:
         """Keep an entry, and let go of what is too old."""
@@ -93,7 +94,7 @@ class Ring:
         time = datetime.fromtimestamp(utc_ns // NS_PER_S, UTC)
         name = f"{self.path.stem if self.path.suffix == '.mcap' else self.path.name}_{time:%Y%m%dT%H%M%SZ}"
         path, number = self.path.with_name(f"{name}.mcap"), 1
-        while path.exists():
+        while os.path.exists(path):  # which takes a name that is too long for one that is free
             number += 1
             path = self.path.with_name(f"{name}_{number}.mcap")
         return path

@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
+from igtl_gateway.extras import missing
 from igtl_gateway.ros_interfaces.definitions import folder_of, interface_files
 
 _BUILD = Path(__file__).with_name("build.py")
@@ -81,7 +82,7 @@ def _wheels(package: str) -> Path:
     if find_spec(_MARK_OF_THE_WHEELS) and generator and generator.origin:
         return Path(generator.origin).parents[1]
     if find_spec("rclpy") is None:
-        raise ImportError(f"{package} needs ROS 2: pip install 'igtl-gateway[ros]', or source one", name=package)
+        raise ImportError(f"{package} needs ROS 2: {missing('rclpy')}", name=package)
     if package == "igtl_msgs":
         advice = f"build {folder_of(package)} with colcon and source the workspace"
     else:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import stat
 from pathlib import Path
 from typing import BinaryIO
@@ -9,6 +11,7 @@ from typing import BinaryIO
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.untrusted import limits
 
+_NOTHING, _UNSEEN = "nothing", "unseen"
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a FIFO"),
@@ -61,3 +64,49 @@ def beside(path: Path, name: str) -> Path:
         raise DamagedRecording(f"{path}: found a reference to {name!r}, a link out of the folder")
     size_of(target)
     return target
+
+
+def obstacle(path: Path, error: OSError | ValueError | None = None) -> str:
+    """Why no file can be created or replaced at ``path``, in a few words; ``""`` if nothing is known against it.
+
+    Args:
+        error: what the attempt raised, for what cannot be seen beforehand.
+    """
+    kind, folder = _kind(path), path.parent
+    if kind not in ("a file", _NOTHING, _UNSEEN):
+        return f"it is {kind}, expected a file or a new name"
+    above = _kind(folder)
+    if above == _NOTHING:
+        return f"there is no folder {folder}"
+    if above not in ("a folder", _UNSEEN):
+        return f"{folder} is {above}, expected a folder"
+    if error is None:
+        return ""
+    said = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    number = error.errno if isinstance(error, OSError) else None
+    if number == errno.ENOENT:  # of a folder that is there: of the kernel's own, such as /proc
+        return f"no file can be created in {folder} ({said})"
+    if number == errno.ENAMETOOLONG:
+        return f"{said}: {len(os.fsencode(path.name))} bytes"
+    if number in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return f"{said}, in the folder {folder}"
+    return said
+
+
+def is_same(path: Path, other: Path) -> bool:
+    """Whether both names are of one file that is there."""
+    try:
+        return path.samefile(other)
+    except (OSError, ValueError):
+        return False
+
+
+def _kind(path: Path) -> str:
+    """What is there, links followed."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:
+        if os.path.islink(path):  # which never raises, other than Path.is_symlink
+            return "a link to nothing"
+        return _NOTHING if isinstance(error, OSError) and error.errno in (errno.ENOENT, errno.ENOTDIR) else _UNSEEN
+    return next((name for is_kind, name in _KINDS if is_kind(mode)), "a file")

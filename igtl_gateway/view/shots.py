@@ -21,6 +21,7 @@ from threading import Event, Thread
 from typing import Any, Self
 
 from igtl_gateway.errors import ViewerError
+from igtl_gateway.extras import missing
 
 TIME_LINE = "gateway_time"
 SIZE = (1600, 1000)
@@ -241,7 +242,7 @@ def binary() -> Path:
         path = Path(spec.origin).with_name("rerun")
         if path.is_file():
             return path
-    raise ViewerError("found no rerun viewer; expected the extra 'view': pip install 'igtl-gateway[view]'")
+    raise ViewerError(missing("rerun"))
 
 
 def _start(recording: Path, size: tuple[int, int]) -> subprocess.Popen[str]:

@@ -31,7 +31,7 @@ from typing import Any, ClassVar
 import fastcrc
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import ChecksumMismatch, MalformedBody, TruncatedMessage
+from igtl_gateway.errors import ChecksumMismatch, MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.stamp import fraction_to_ns
 from igtl_gateway.values import value
 from igtl_gateway.wire.body import Body
@@ -205,8 +205,8 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
     if body.nbytes != header.body_size:
         error = TruncatedMessage if body.nbytes < header.body_size else MalformedBody
         raise error(f"{visible(header.type)} body", f"{body.nbytes} bytes", f"{header.body_size} bytes")
-    if check_crc and (crc := crc64(body)) != header.crc:
-        raise ChecksumMismatch(f"{visible(header.type)} body, CRC-64", f"{crc:016x}", f"{header.crc:016x}")
+    if check_crc and (wrong := _checksum_mismatch(header, body)):
+        raise wrong
     if header.version == 1:
         return Message(header.type, header.device_name, read_content(header.type, body), header.ticks)
     extended = Extended.unpack(body)
@@ -377,7 +377,8 @@ def _pack_metadata(items: Sequence[Item]) -> tuple[bytes, bytes]:
 def describe(data: Buffer) -> dict[str, Any]:
     """A message as JSON values, with the keys of the reference corpus; never raises for what the body holds.
 
-    A body that cannot be decoded gives ``"error"`` in place of ``"content"``.
+    What is wrong with it is told under ``"error"``, as what was found and what was expected: a body that cannot be
+    decoded, which has no ``"content"``, or a wrong CRC, whose content may be anything.
     Raises TruncatedMessage where not even the header is whole.
     """
     view = memoryview(data)
@@ -391,8 +392,10 @@ def describe(data: Buffer) -> dict[str, Any]:
         "timestamp": {"sec": header.ticks >> 32, "frac": fraction, "nanosec": fraction_to_ns(fraction)},
         "body_size": header.body_size,
         "crc": f"{header.crc:016x}",
-        "crc_ok": body.nbytes == header.body_size and crc64(body) == header.crc,
     }
+    wrong = _checksum_mismatch(header, body)
+    shown["crc_ok"] = wrong is None and body.nbytes == header.body_size
+    errors: list[WireError] = [wrong] if wrong else []
     try:
         if header.version == 2:
             extended = Extended.unpack(body)
@@ -412,5 +415,17 @@ def describe(data: Buffer) -> dict[str, Any]:
             ]
         shown["content"] = message.content.describe()
     except (MalformedBody, TruncatedMessage) as error:
-        shown["error"] = {"code": error.code, "text": str(error)}
+        errors.append(error)
+    if errors:
+        text = "; ".join(map(str, errors))  # of a wrong CRC first: it explains the other
+        first = errors[0]
+        facts = {"place": first.place, "found": str(first.found), "expected": str(first.expected)}
+        shown["error"] = {"code": first.code, "text": text, **facts}
     return shown
+
+
+def _checksum_mismatch(header: Header, body: memoryview) -> ChecksumMismatch | None:
+    """The error for a whole body whose CRC is wrong."""
+    if body.nbytes != header.body_size or (crc := crc64(body)) == header.crc:
+        return None
+    return ChecksumMismatch(f"{visible(header.type)} body, CRC-64", f"{crc:016x}", f"{header.crc:016x}")

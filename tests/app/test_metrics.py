@@ -21,7 +21,7 @@ from igtl_gateway.buffers import join
 from igtl_gateway.cli.bridge import _Watch
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
@@ -150,5 +150,5 @@ def test_whoever_asks_slowly_is_cut_off_and_the_next_is_answered() -> None:
 def test_other_hosts_need_an_allowance_and_a_taken_port_is_named() -> None:
     with pytest.raises(ConfigError, match="open to other hosts, but nobody is allowed"):
         MetricsServer("0.0.0.0", 0, Nothing())
-    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(ConfigError, match="in use by another program"):
+    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(Unavailable, match="in use by another program"):
         MetricsServer("127.0.0.1", taken.getsockname()[1], Nothing())

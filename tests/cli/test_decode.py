@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +13,7 @@ import pytest
 from igtl_gateway.buffers import join
 from igtl_gateway.cli import main
 from igtl_gateway.wire import Item, Message, Raw, encode
+from igtl_gateway.wire.message import crc64
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
 
@@ -102,3 +106,79 @@ def test_a_missing_file_is_usage(tmp_path: Path, capsys: pytest.CaptureFixture[s
     code, _, err = decoded(capsys, str(tmp_path / "none.igtl"))
     assert code == 2
     assert "No such file" in err
+
+
+def test_a_wrong_crc_is_an_error_with_both_values(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = bytearray(STREAM)
+    bad[57] ^= 0xFF  # the last byte of the CRC in the first header
+    path = tmp_path / "bad.igtl"
+    path.write_bytes(bad)
+    _, told, _ = decoded(capsys, str(path))
+    right = crc64(STREAM[58:106])
+    assert told[0]["error"] == {
+        "code": "bad_crc",
+        "text": f"TRANSFORM body, CRC-64: found {right:016x}, expected {right ^ 0xFF:016x}",
+        "place": "TRANSFORM body, CRC-64",
+        "found": f"{right:016x}",
+        "expected": f"{right ^ 0xFF:016x}",
+    }
+    assert told[0]["crc"] == f"{right ^ 0xFF:016x}" and "content" in told[0]
+    assert all("error" not in one for one in told[1:])
+
+
+def test_a_wrong_crc_and_a_body_of_no_sense(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = join(encode(Message("TRANSFORM", "Tool", Raw(bytes(5)))))
+    path = tmp_path / "bad.igtl"
+    path.write_bytes(bad[:57] + bytes([bad[57] ^ 1]) + bad[58:])
+    (told,) = decoded(capsys, str(path))[1]
+    error = told["error"]
+    assert isinstance(error, dict) and error["code"] == "bad_crc" and "5 bytes" in error["text"]
+    assert "content" not in told
+
+
+@pytest.mark.parametrize(
+    ("shell", "code", "said"),
+    [
+        ('cat "$1" > fifo & "$0" -m igtl_gateway decode fifo', 0, ""),
+        ('cat "$1" | "$0" -m igtl_gateway decode -', 0, ""),
+        ('"$0" -m igtl_gateway decode - <&-', 2, "-: standard input is closed, expected a stream of messages"),
+    ],
+)
+def test_sources_that_are_no_files(shell: str, code: int, said: str, stream: Path, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    command = ["sh", "-c", shell, sys.executable, str(stream)]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    assert ended.returncode == code, ended.stderr
+    assert said in ended.stderr and ended.stderr.count("\n") == bool(said)
+    assert len(ended.stdout.splitlines()) == (0 if code else len(MESSAGES))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["/tmp"], 2, "/tmp: Is a directory"),
+        (["/dev/zero"], 1, "offset 57942: found 1000 messages in a row of an unknown header version"),
+        (["{stream}", "--reencode", "{stream}"], 2, "which is what is read, expected another file"),
+        (["{stream}", "--reencode", "none/out"], 1, "cannot write to none/out: there is no folder none"),
+        (["{stream}", "--reencode", "/tmp"], 1, "cannot write to /tmp: it is a folder"),
+        (["{stream}", "--reencode", "/dev/full"], 1, "writing to /dev/full failed: No space left"),
+    ],
+)
+def test_what_cannot_be_read_or_written(
+    arguments: list[str], code: int, said: str, stream: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["decode", *(word.format(stream=stream) for word in arguments)]) == code
+    err = capsys.readouterr().err
+    assert said in err and err.count("\n") == 1
+    assert stream.read_bytes() == STREAM
+
+
+def test_nothing_of_a_message_reaches_the_terminal_raw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "escapes.igtl"
+    evil = "\x1b[2J\r\n\u202eforged\x9b1m\x7f"
+    said = Message(evil[:10], evil[:18], String.of(evil), 0, 2, 7, (Item.of(evil, evil),))
+    path.write_bytes(join(encode(said)) + join(encode(Message("STRING", evil[:18], String.of(evil)))))
+    assert main(("decode", str(path))) == 0
+    out = capsys.readouterr().out
+    assert out.count("\n") == 2 and out.replace("\n", "").isprintable()
+    assert json.loads(out.splitlines()[1])["content"]["string"] == evil

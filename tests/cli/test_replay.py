@@ -20,6 +20,7 @@ import pytest
 
 from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.cli import main
+from igtl_gateway.extras import missing
 from igtl_gateway.faults import Faults
 from igtl_gateway.replay.latched import STATE_TYPES
 from igtl_gateway.replay.mcap_reader import SessionFile
@@ -465,5 +466,6 @@ WITHOUT_ROS = "import sys; sys.modules['rclpy'] = None; from igtl_gateway.cli im
 def test_that_ros_is_missing_is_said_before_a_peer_is_waited_for() -> None:
     command = [sys.executable, "-c", WITHOUT_ROS, "replay", str(TYPES), "--to", "both", "--listen", "127.0.0.1:0"]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
-    assert "ROS 2 is not available" in ended.stderr and ended.stderr.count("\n") == 1
+    assert ended.stderr == f"igtl-gateway replay: {missing('rclpy')}\n"
+    assert ended.returncode == 1
     assert "waiting for" not in ended.stdout

@@ -141,7 +141,7 @@ def healthy(file: Path) -> bool:
     """What pymcap-cli thinks of it."""
     doctor = [str(Path(sys.executable).with_name("pymcap-cli")), "doctor", str(file)]
     done = subprocess.run(doctor, check=False, capture_output=True, text=True)
-    return done.returncode == 0 and re.search(r"^OK|\b0 errors", done.stdout) is not None
+    return done.returncode == 0 and re.search(r"^OK|\b0\s+errors", done.stdout) is not None
 
 
 def test_the_doctor_finds_nothing(path: Path) -> None:

@@ -190,11 +190,11 @@ def _device(_tmp_path: Path) -> Path:
     ("make", "words"),
     [
         (_in_missing_folder, "there is no folder"),
-        (_directory, "it is a directory"),
+        (_directory, "it is a folder, expected a file or a new name"),
         (_existing, "exists already"),
-        (_under_a_file, "cannot record"),
-        (_too_long, "cannot record"),
-        (_device, "not a regular file"),
+        (_under_a_file, "is a file, expected a folder"),
+        (_too_long, "File name too long: 300 bytes"),
+        (_device, "it is a device"),
     ],
 )
 def test_a_file_that_cannot_be_created(tmp_path: Path, make: Callable[[Path], Path], words: str) -> None:

@@ -79,7 +79,7 @@ def test_another_version_of_ros_is_another_package(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("package", "missing", "told"),
     [
-        ("igtl_msgs", ["ros_wheels_bootstrapper", "rclpy"], "igtl_msgs needs ROS 2: pip install 'igtl-gateway[ros]'"),
+        ("igtl_msgs", ["ros_wheels_bootstrapper", "rclpy"], "igtl_msgs needs ROS 2: rclpy is not installed here"),
         ("igtl_msgs", ["ros_wheels_bootstrapper"], "ros2/igtl_msgs with colcon"),
         ("tf2_msgs", ["ros_wheels_bootstrapper"], "install ros-lyrical-tf2-msgs"),
     ],

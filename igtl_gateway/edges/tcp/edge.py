@@ -113,8 +113,8 @@ class TcpEdge:
         """Serve peers at this address; port 0 chooses a free one.  Returns the address and port bound.
 
         With ``tls`` they have to speak it, and to have a certificate where there is a CA for that.
-        Raises ConfigError if the address is invalid or taken, or open to other hosts without an allow-list, and
-        after ``stop``.
+        Raises ConfigError if the address is invalid, or open to other hosts without an allow-list, and after ``stop``;
+        Unavailable if it is taken, or not ours to take.
         """
         return self._listen(host, port, self._up, tls)
 

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, Unavailable
 
 PORT_MAX = 65535
 
@@ -108,7 +108,10 @@ def resolve(host: str, port: int, *, numeric: bool) -> list[tuple[int, Any]]:
 
 
 def listening_socket(host: str, port: int, allow: AllowList) -> socket.socket:
-    """A listening socket; see ``TcpEdge.listen``.  Raises ConfigError."""
+    """A listening socket; see ``TcpEdge.listen``.
+
+    Raises ConfigError for what cannot be listened to, Unavailable where the system refuses it now.
+    """
     place = f"listen {place_of((host, port))}"
     if not 0 <= port <= PORT_MAX:
         raise ConfigError(f"{place}: found port {port}, expected 0 (any) to {PORT_MAX}")
@@ -131,8 +134,10 @@ def listening_socket(host: str, port: int, allow: AllowList) -> socket.socket:
     except OSError as exc:
         listener.close()
         if exc.errno == errno.EADDRINUSE:
-            raise ConfigError(f"{place}: the port is in use by another program; stop it or choose another") from None
-        raise ConfigError(f"{place}: {exc.strerror or exc}") from None
+            raise Unavailable(f"{place}: the port is in use by another program; stop it or choose another") from None
+        if exc.errno == errno.EADDRNOTAVAIL:
+            raise ConfigError(f"{place}: found {address[0]}, expected an address of this machine") from None
+        raise Unavailable(f"{place}: {exc.strerror or exc}") from None
     return listener
 
 

@@ -10,14 +10,14 @@ from contextlib import suppress
 import pytest
 
 from igtl_gateway.edges.tcp.sockets import AllowList, unanswered_s, unconfirmed_bytes
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, Unavailable
 from tests.edges.tcp.world import HERE, World, until
 
 
 def test_port_in_use(world: World) -> None:
     _, _, port = world.server()
     other, _ = world.edge()
-    with pytest.raises(ConfigError, match=rf"^listen 127\.0\.0\.1:{port}: the port is in use by another program"):
+    with pytest.raises(Unavailable, match=rf"^listen 127\.0\.0\.1:{port}: the port is in use by another program"):
         other.listen(HERE, port)
 
 
