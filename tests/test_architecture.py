@@ -28,6 +28,7 @@ LEVELS = {
     "buffers": 0,
     "clock": 0,
     "errors": 0,
+    "extras": 0,
     "globs": 0,
     "qos": 0,
     "stamp": 0,
@@ -154,6 +155,7 @@ UNMIRRORED = (
     "integration",
     "peers",
     "exchange/test_import_mutations.py",  # tools/import_mutations.py
+    "cli/test_exit_codes.py",  # every verb's, docs/command-line.md
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
     "test_architecture.py",
     "test_defects.py",  # docs/defects.md

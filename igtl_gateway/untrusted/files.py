@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import stat
 from pathlib import Path
 from typing import BinaryIO
@@ -87,7 +86,7 @@ def obstacle(path: Path, error: OSError | ValueError | None = None) -> str:
     if number == errno.ENOENT:  # of a folder that is there: of the kernel's own, such as /proc
         return f"no file can be created in {folder} ({said})"
     if number == errno.ENAMETOOLONG:
-        return f"{said}: {len(os.fsencode(path.name))} bytes"
+        return f"{said}: {len(bytes(Path(path.name)))} bytes"
     if number in (errno.EACCES, errno.EPERM, errno.EROFS):
         return f"{said}, in the folder {folder}"
     return said
@@ -106,7 +105,8 @@ def _kind(path: Path) -> str:
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError) as error:
-        if os.path.islink(path):  # which never raises, other than Path.is_symlink
-            return "a link to nothing"
-        return _NOTHING if isinstance(error, OSError) and error.errno in (errno.ENOENT, errno.ENOTDIR) else _UNSEEN
+        number = error.errno if isinstance(error, OSError) else None
+        if number not in (errno.ENOENT, errno.ENOTDIR, errno.ELOOP):
+            return _UNSEEN
+        return "a link to nothing" if path.is_symlink() else _NOTHING
     return next((name for is_kind, name in _KINDS if is_kind(mode)), "a file")

@@ -165,9 +165,3 @@ def test_the_same_cause_has_the_same_code(group: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("module", ["rclpy", "rerun", "av", "nibabel"])
 def test_the_documentation_has_the_sentence_for_each_extra(module: str) -> None:
     assert missing(module).partition(": ")[2].partition(" (")[0] in DOCUMENT
-
-
-def test_a_broken_installation_is_told_from_none() -> None:
-    assert missing("av", ModuleNotFoundError("No module named 'av'", name="av")) == missing("av")
-    broken = missing("av", ImportError("libx264.so.164: cannot open shared object file\nmore"))
-    assert broken.startswith("av cannot be imported (libx264.so.164: cannot open shared object file): pip install")
