@@ -56,7 +56,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,10 +65,12 @@ from typing import Any, TypeVar
 from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, Lengths
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.faults import BothWays
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
+from igtl_gateway.untrusted.files import read_bytes
+from igtl_gateway.untrusted.text import parse_toml
 
 #: Which time an outgoing message tells.  An output leaves with its cause, so that ``now`` is the time of receipt.
 STAMP_POLICIES = ("source", "receive", "now")
@@ -301,11 +302,11 @@ class Config:
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a configuration file.  Raises ConfigError."""
     try:
-        return tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: is not valid TOML: {error}") from None
+        return parse_toml(read_bytes(path), str(path))
+    except UnsupportedRecording as error:
+        raise ConfigError(f"{path}: cannot be read: {str(error).removeprefix(f'{path}: ')}") from None
+    except DamagedRecording as error:
+        raise ConfigError(str(error)) from None
 
 
 #: The table of a configuration file that says who may connect, where, and at what cost: not what is said.

@@ -131,7 +131,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "pytest": ("testing.plugin",),
     "rerun": ("view",),
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
-    "rosbags": ("exchange", "record.rostypes", "replay", "cli"),
+    "rosbags": ("exchange", "record.rostypes", "replay", "untrusted"),
     "ruamel": ("exchange.rosbag2",),  # brought by rosbags, as zstandard is by mcap
     "zstandard": ("exchange.rosbag2", "record.mcap_stream", "untrusted.unpack"),
 }

@@ -16,7 +16,10 @@ from igtl_gateway.convert.express import COMPILED
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, IgtlRow
-from igtl_gateway.gateway import LINK_UP, Gateway, Session, plans, queries, sender
+from igtl_gateway.gateway import LINK_UP, Gateway, Session
+from igtl_gateway.gateway.dialogue import answers
+from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
+from igtl_gateway.gateway.to_igtl import sender
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.session.note import Level, Note
@@ -125,7 +128,7 @@ def crash(*_: object) -> None:
 
 
 def test_a_defect_is_noticed_and_can_be_repeated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(queries, "start", crash)
+    monkeypatch.setattr(answers, "start", crash)
     figures = fuzz_gateway.run(1, 2_000)
     assert "IndexError: crashed" in figures.broken and figures.culprit
     fuzz_gateway.write_culprit(tmp_path / "culprit", figures.culprit)
@@ -140,7 +143,7 @@ def test_what_never_ends_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
             pass
 
     monkeypatch.setattr(fuzz_gateway, "HANG_S", 0.3)
-    monkeypatch.setattr(queries, "start", endless)
+    monkeypatch.setattr(answers, "start", endless)
     assert "Hang" in broken()
 
 
@@ -154,15 +157,15 @@ def test_what_nobody_can_read_is_noticed(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "CRC" in broken()
 
 
-def test_plans_that_say_something_else_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = plans.ToRosPlan.__call__
+def test_a_fast_path_that_gives_something_else_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled = CompiledToRos.__call__
 
-    def other(self: plans.ToRosPlan, *given: Any) -> list[Entry] | None:
-        entries = plan(self, *given)
+    def other(self: CompiledToRos, *given: Any) -> list[Entry] | None:
+        entries = compiled(self, *given)
         return entries and [replace(entry, source_ns=7) for entry in entries]
 
-    monkeypatch.setattr(plans.ToRosPlan, "__call__", other)
-    assert "played again without plans, the session says something else" in broken(600)
+    monkeypatch.setattr(CompiledToRos, "__call__", other)
+    assert "played again without the fast path, the session says something else" in broken(600)
 
 
 def test_memory_that_grows_is_told_from_peaks() -> None:

@@ -27,7 +27,8 @@ from igtl_gateway.doctor import checks
 from igtl_gateway.doctor.observer import MAX_STREAMS
 from igtl_gateway.doctor.protocols import PROTOCOLS
 from igtl_gateway.doctor.rules import RULES, Rule
-from igtl_gateway.gateway import metadata, queries
+from igtl_gateway.gateway import metadata
+from igtl_gateway.gateway.dialogue import answers
 from igtl_gateway.gateway.profiles import CPP_FACTORY, PROFILES, Profile
 from igtl_gateway.qos import Qos
 from igtl_gateway.stamp import NS_PER_MS
@@ -349,7 +350,7 @@ def _queries() -> str:
             continue
         title = "RTS_ of every type" if len(names) > 2 else ", ".join(names)
         parts += [f"### {title}", prose(summary(kind)[0]), layout(layout_of(kind), attributes(kind)), *rest]
-    told = prose((inspect.getdoc(queries) or "").replace("What peers ask for: ", ""))
+    told = prose((inspect.getdoc(answers) or "").replace("Answers to queries: ", ""))
     return document(
         "## Queries",
         prose(

@@ -4,11 +4,11 @@ Strategy: what the edges would bring, bent, and everything that comes out of it 
 (`Session(Gateway(Config))`) with its links: each link has a framer that is fed with pieces of a stream of messages, as
 a socket would; ROS messages, ticks, links that come and go and notes of the edges come between.  Two stages take
 turns: an old one that lives as long as the run, in which nothing may grow, and a young one, which is renewed with the
-next of ``CONFIGS`` and whose beginning is then played again: with and without plans, it must say the same to the last
-bit.
+next of ``CONFIGS`` and whose beginning is then played again: with and without the fast path, it must give the same to
+the last bit.
 
 What is bent: the messages of both corpora, the ROS messages of ``fixtures/every-type.mcap``, poses, texts and clouds
-with their numbers and stamps (the express lane), and what the gateway itself has just sent (so that replies find who
+with their numbers and stamps (the fast path), and what the gateway itself has just sent (so that replies find who
 waits for them).  The sequence depends on the seed only.  What breaks a rule is written to a file, to be played with
 ``--repeat``.
 """
@@ -120,7 +120,7 @@ def _rows() -> tuple[ToIgtlRow, ...]:
 
 _EVERYTHING = tuple(sorted({f"+{row.kind}" for row in TO_ROS if row.role is Role.ON_REQUEST}))
 _AGED = (ToIgtlRow(topic="/igtl/out/P*", max_age_s=2.0, stamp="receive"), ToIgtlRow(max_age_s=1.0))
-#: Nobody asks for streams: what goes out goes by plans.
+#: Nobody asks for streams: what goes out takes the fast path.
 _NO_QUERIES = ("STT_*", "STP_*", "GET_*")
 _META = ToIgtlRow(topic="/igtl/out/T*", metadata=(("owner", "1111111111111111111"),), device="A name of more than 20")
 
@@ -174,7 +174,7 @@ def _points(count: int) -> Points:
 
 
 def express_seeds() -> list[bytes]:
-    """Messages that may go by plans, of devices that send nothing else."""
+    """Messages that may take the fast path, of devices that send nothing else."""
     contents: tuple[tuple[str, Body], ...] = (
         ("TRANSFORM", _POSE),
         ("POSITION", _PLACE),
@@ -223,7 +223,7 @@ def bent(rng: Random, data: bytes, pool: Sequence[bytes]) -> bytes:
 
 
 def bent_express(rng: Random, data: bytes, other: bytes, now_ns: int) -> bytes:
-    """A message that differs in its numbers and its stamp: most of them go by plans, which the others make end."""
+    """A message that differs in its numbers and its stamp: most of them take the fast path, which the others end."""
     damaged = bytearray(data)
     stamp_ns, fate = now_ns, rng.random()
     if fate < 0.05:
@@ -289,7 +289,7 @@ def bent_cdr(rng: Random, data: bytes, other: bytes) -> bytes:
 
 
 class Counted(Gateway):
-    """A gateway that counts what takes the general way; the rest goes by plans."""
+    """A gateway that counts what takes the full path; the rest takes the fast path."""
 
     handled = 0
 
@@ -316,7 +316,7 @@ class Figures:
     """What came of a run."""
 
     bent: int = 0
-    whole: int = 0  #: sent as they are: poses that make plans, the messages with which a stage begins
+    whole: int = 0  #: sent as they are: poses that start the fast path, the messages with which a stage begins
     inputs: Counter[str] = field(default_factory=Counter)
     outputs: Counter[str] = field(default_factory=Counter)
     notes: Counter[str] = field(default_factory=Counter)
@@ -534,7 +534,7 @@ class Stage:
             self._stream_bent()
         elif chance < 0.58:
             self._ros_bent()
-        elif chance < (0.78 if self.quiet else 0.90):  # to peers that asked for streams nothing goes by plans
+        elif chance < (0.78 if self.quiet else 0.90):  # nothing takes the fast path to peers that asked for streams
             self._express_in()
         elif chance < 0.94:
             self._express_out()
@@ -637,7 +637,7 @@ class Stage:
         self.figures.planned += self.count - self.gateway.handled
         if self.first is None:
             return
-        for what in ("as it was", "without plans", "in plain Python"):
+        for what in ("as it was", "without the fast path", "in plain Python"):
             again = played(self.number, self.first, what)
             if again != self.told.hexdigest():
                 self.recent = deque(self.first)
@@ -655,12 +655,12 @@ def add_fates(fates: Counter[str], gateway: Gateway) -> None:
                     fates[f"{direction} {fate}"] += number
 
 
-def opened(number: int) -> tuple[Session, Counted]:
+def opened(number: int, *, fast_path: bool = True) -> tuple[Session, Counted]:
     """The session of a stage."""
     config, heard = (OLD_CONFIG, None) if number < 0 else CONFIGS[number]
-    gateway = Counted(config)
+    gateway = Counted(config, fast_path=fast_path)
     if heard is not None:
-        gateway.heard = lambda topic, _type: topic in heard
+        gateway.has_subscriber = lambda topic, _type: topic in heard
     return Session(gateway), gateway
 
 
@@ -679,9 +679,7 @@ def fingerprint(digest: Any, entry: Entry) -> None:
 def played(number: int, inputs: Sequence[Input], what: str) -> str:
     """The fingerprint of a session with these inputs."""
     digest = hashlib.blake2b()
-    session, gateway = opened(number)
-    if what == "without plans":
-        gateway.plans.wants = lambda key: False  # type: ignore[method-assign]
+    session, _ = opened(number, fast_path=what != "without the fast path")
     names = ("pose_to_ros", "pose_to_igtl", "bulk_to_ros", "bulk_to_igtl")
     in_use = {name: getattr(express, name) for name in names}
     if what == "in plain Python":
@@ -855,7 +853,7 @@ def report(figures: Figures) -> str:
         (
             f"bent messages: {figures.bent:,}; as they are: {figures.whole:,}; {figures.seconds:,.0f} s, "
             f"{rate:,.0f}/s, processor {figures.cpu_s:,.0f} s",
-            f"inputs of the gateway: {table(figures.inputs)}; by plans: {figures.planned:,}",
+            f"inputs of the gateway: {table(figures.inputs)}; by the fast path: {figures.planned:,}",
             f"outputs: {table(figures.outputs)}",
             f"fates: {table(figures.fates)}",
             f"notes: {table(figures.notes)}",
@@ -914,7 +912,7 @@ def main() -> int:
     faulthandler.enable()  # the part in C may crash
     gc.collect()
     figures = run(options.seed, options.messages, lambda line: print(line, flush=True))
-    print(f"seed {options.seed}, plans {'compiled' if express.COMPILED else 'in plain Python'}\n{report(figures)}")
+    print(f"seed {options.seed}, fast path {'compiled' if express.COMPILED else 'in plain Python'}\n{report(figures)}")
     if figures.broken:
         if figures.culprit:
             write_culprit(options.out, figures.culprit)

@@ -29,9 +29,9 @@ from igtl_gateway.edges.ros import RosEdge
 from igtl_gateway.edges.tcp import Limits, TcpEdge, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError
-from igtl_gateway.gateway import CUT, LINKS_TOPIC, LISTENED, Gateway, Session, gateway_of
+from igtl_gateway.gateway import CUT, LINKS_TOPIC, LISTENED, Session, gateway_of
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, PERIOD_NS, Diagnostics, PeerFacts
-from igtl_gateway.gateway.tf_out import TF_QOS
+from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.options import RecordOptions
@@ -147,7 +147,7 @@ class Bridge:
             tls=options.tls,
         )
         self.ros: RosEdge | None = None
-        self._all_made = viewer is not None or options.record is not None  # also what nobody in ROS hears
+        self._all_built = viewer is not None or options.record is not None  # outputs without subscriber, too
         if options.ros:
             self.ros = RosEdge(
                 node_name=options.node_name,
@@ -156,9 +156,9 @@ class Bridge:
                 on_note=self._on_edge_note,
                 on_listener=self._on_listener,
             )
-            if isinstance(self.gateway, Gateway) and not self._all_made:
-                self.gateway.heard = self._heard
-            if options.diagnostics and isinstance(self.gateway, Gateway):
+            if not self._all_built:
+                self.gateway.has_subscriber = self._has_subscriber
+            if options.diagnostics:
                 self._diagnostics = Diagnostics(platform.node())
             if options.video:
                 self.video = Video(options.video, config, self.hub, self.ros)
@@ -270,13 +270,13 @@ class Bridge:
         if not (self.video and self.video.take(topic, ros_type, cdr, source_ns)):
             self.hub.ros(topic, ros_type, cdr, source_ns)
 
-    def _heard(self, topic: str, ros_type: str) -> bool:
-        """Whether a message to ROS is of use to anybody, we ourselves included."""
+    def _has_subscriber(self, topic: str, ros_type: str) -> bool:
+        """Whether a message to ROS has a subscriber, the bridge itself included."""
         return ros_type in _OWN_USE or self.ros is None or self.ros.heard(topic)
 
     def _on_listener(self, topic: str) -> None:
-        """Somebody listens: let what was not made for nobody be made."""
-        if isinstance(self.gateway, Gateway) and self.gateway.heard:
+        """A first subscriber: the latched message that waits for it is built."""
+        if self.gateway.has_subscriber:
             self.hub.note(Note(Level.INFO, LISTENED, f"somebody listens to {topic}", topic))
 
     def _tick(self) -> None:
@@ -289,7 +289,7 @@ class Bridge:
     def _diagnose(self, diagnostics: Diagnostics) -> None:
         """Publish on /diagnostics, beside the log; in the timer's thread, under no lock that messages wait for."""
         self._diagnostics_due_ns = self._clock.monotonic_ns() + PERIOD_NS
-        if not isinstance(self.gateway, Gateway) or not self.ros or not self.ros.heard(DIAGNOSTICS_TOPIC):
+        if not self.ros or not self.ros.heard(DIAGNOSTICS_TOPIC):
             return
         counters = self.tcp.counters()
         peers = [
@@ -326,7 +326,7 @@ class Bridge:
         if entry.kind is Kind.IGTL_OUT:
             self.tcp.send(entry.links, entry.payload, entry.channel, self.gateway.keep(entry))
         elif entry.kind is Kind.ROS_OUT and self.ros:
-            if not (self._all_made and self.ros.pass_over(entry.channel)):
+            if not (self._all_built and self.ros.pass_over(entry.channel)):
                 qos = self.gateway.qos(entry.channel) or _RECORDED
                 self.ros.publish(entry.channel, entry.type, entry.data(), qos)
             if self.commands:

@@ -92,13 +92,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(error, OutputError):
             abandon()
         return _say(options.verb, error, FAILURE)
-    except KeyboardInterrupt:
-        say(error=True)
-        return _say(options.verb, "interrupted", FAILURE)
     except BrokenPipeError:
         # whoever read our output has seen enough; nothing more can be printed
         abandon()
         return FAILURE
+    except OSError as error:  # of a path that no reader asked for in vain: a name that is too long, a folder of others
+        return _say(options.verb, f"{error.filename}: {error.strerror}" if error.filename else error, USAGE)
+    except MemoryError:
+        return _say(options.verb, "found no memory for this file, expected more of it (or a lower --limit)", FAILURE)
+    except KeyboardInterrupt:
+        say(error=True)
+        return _say(options.verb, "interrupted", FAILURE)
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:

@@ -26,11 +26,14 @@ _CLEAR = "\r\x1b[K"
 def say(*lines: str, error: bool = False, flush: bool = False, colour: str = "") -> None:
     """Print lines, each as one line whatever foreign text is in it: to stdout, or to stderr for an ``error``.
 
-    ``colour`` holds the parameters of the escape sequence SGR (``"1;31"``), for a terminal.
+    ``colour`` holds the parameters of the escape sequence SGR (``"1;31"``), for a terminal; the indent has none.
     """
     for line in lines or ("",):
         text = _shown(line)
-        _write(f"\x1b[{colour}m{text}\x1b[0m\n" if colour else f"{text}\n", error)
+        if colour:
+            bare = text.lstrip()
+            text = f"{text[: len(text) - len(bare)]}\x1b[{colour}m{bare}\x1b[0m"
+        _write(f"{text}\n", error)
     if flush:
         _flush(error)
 

@@ -1,7 +1,7 @@
 /* The compiled part of igtl_gateway/convert/express.py: what the functions do is told there.
  *
  * Those of poses have twins in Python with the same results, bit for bit; those of bulk (texts, points, clouds, pictures) are here
- * only.  Everything that is not plainly as in the sample gives None, and the general way finds out what it is.
+ * only.  Everything that is not plainly as in the sample gives None, and the full path finds out what it is.
  * Arithmetic is IEEE 754, of poses in double and in the order of poses.py, of many points in single as in scaling.py;
  * the build forbids the compiler to contract or reorder it (-ffp-contract=off, no -ffast-math).
  */
@@ -594,7 +594,7 @@ static PyObject *picture_message(const uint8_t *content, Py_ssize_t size, PyObje
     return cdr;
 }
 
-/* One form of a content: a new reference; NULL without an exception where the general way has to look at it. */
+/* One form of a content: a new reference; NULL without an exception where the full path has to look at it. */
 static PyObject *form_of(int form, const uint8_t *content, Py_ssize_t size, PyObject *template, Py_ssize_t stamp_at,
                          Py_ssize_t width_at, int64_t stamp_ns, double times, double by)
 {
@@ -761,7 +761,7 @@ static int put_content(int form, const struct source *from, uint8_t *out)
     return put_positions(from, out + POLYDATA_HEAD, 12);
 }
 
-/* Find a text (places: nothing); 0: the general way has to look at it. */
+/* Find a text (places: nothing); 0: the full path has to look at it. */
 static int text_in(const uint8_t *cdr, Py_ssize_t size, struct source *found)
 {
     if (size < 8)

@@ -4,13 +4,13 @@ A tracker says the same thing a thousand times a second: only twelve numbers and
 above make of the first message (names, frames, metadata, rows of the table) is kept as *sample* and *templates*;
 here the next message is held against the sample, and the templates get its numbers.  Whatever is not plainly so
 (another size or frame, a wrong CRC, numbers that are not finite, a matrix that is no rotation) gives None: the
-message then takes the general way, which knows what to say of it.
+message then takes the full path, which knows what to say of it.
 
 Of the functions of poses there are two each with the same results, bit for bit: the ones here, and the compiled ones of
 ``_express.c`` where the package was built with a C compiler.  ``COMPILED`` says which are in use.
 
 Those of *bulk*, for texts, points and clouds, whose sizes may change from message to message, and for pictures, are
-compiled only: without them such messages take the general way, which is slower by 0.2 to 0.5 ms where they are rare.
+compiled only: without them such messages take the full path, which is slower by 0.2 to 0.5 ms where they are rare.
 """
 
 from __future__ import annotations

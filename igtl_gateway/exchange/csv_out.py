@@ -20,14 +20,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
-
+from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.exchange.account import Account
 from igtl_gateway.exchange.columns import MAX_COLUMNS, Cells, TooLong, listed, of_description, of_message
 from igtl_gateway.exchange.folder import Folder, Names, new_folder, reason
 from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.untrusted.decoding import Decoder
 from igtl_gateway.wire import decode
 
 _HEAD = ("entry", "time_ns", "source_ns")
@@ -77,7 +76,8 @@ def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> Account
     account.files = len(tables)
     if formulas := sum(table.formulas for table in tables.values()):
         account.notes.append(
-            f"{formulas:,} text cells begin with = + - or @, and spreadsheets take those for formulas: import as text"
+            f"text cells that begin with = + - or @: {formulas:,}; "
+            "spreadsheets take those for formulas, import such columns as text"
         )
     return account
 
@@ -151,6 +151,7 @@ class _Reader:
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
         self._definitions = definitions
+        self._decode = Decoder(lambda ros_type: definitions.get(ros_type, ""))
         self._decoders: dict[str, Callable[[bytes], dict[str, Any]] | Exception] = {}
 
     def rows(self, entry: Entry) -> Iterator[Cells]:
@@ -174,9 +175,8 @@ class _Reader:
         text = self._definitions.get(ros_type, "")
         if not text:
             return TooLong("the session has no definition of its type")
-        store: Typestore = get_typestore(Stores.EMPTY)
         try:
-            store.register(get_types_from_msg(text, ros_type))
-        except Exception as error:  # of the library: whatever it makes of a damaged definition
+            store = self._decode.store(ros_type)
+        except DamagedRecording as error:
             return error
-        return lambda data: of_message(store, store.deserialize_cdr(data, ros_type))
+        return lambda data: of_message(store, self._decode.decode(ros_type, data))

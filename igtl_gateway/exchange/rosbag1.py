@@ -4,7 +4,9 @@ Where ROS 2 has the type, a message is moved over field by field: ``std_msgs/Hea
 (``CameraInfo`` D → d) follow, and ``tf/tfMessage`` becomes ``tf2_msgs/TFMessage``.  Other types keep their own
 definition, as ``package/msg/Name``.  Fields without a counterpart are named.
 
-Memory: the index of the bag (some 100 bytes a message) and one chunk.
+A definition that cannot be used costs its own topics: they are left out, and the row says why.
+
+Memory: that of ``rosbag1_file``, and one message.
 """
 
 from __future__ import annotations
@@ -15,16 +17,19 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.convert.converter import is_same_wireformat, migrate_bytes
-from rosbags.interfaces import Connection
-from rosbags.rosbag1 import Reader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores
 from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
 from igtl_gateway.errors import DamagedRecording
-from igtl_gateway.exchange.source import Item, Row, Told, reading
+from igtl_gateway.exchange.rosbag1_file import BagFile, Connection
+from igtl_gateway.exchange.source import Item, Row, Told
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
+from igtl_gateway.untrusted import definitions, limits
+from igtl_gateway.untrusted.decoding import new_store, register
+from igtl_gateway.untrusted.definition_checks import Types, weight
+from igtl_gateway.untrusted.elements import Elements
 
 #: Types that have another name in ROS 2.
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
@@ -34,18 +39,16 @@ _Convert = Callable[[bytes], memoryview]
 
 
 class Rosbag1(Told):
-    """An open ROS 1 bag.  Raises DamagedRecording."""
+    """An open ROS 1 bag.  Raises UnsupportedRecording, DamagedRecording."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"ROS 1 bag {path.name}", {"imported_format": "rosbag1"})
-        self._path = path
-        self._reader = Reader(path)
-        with reading(path):
-            self._reader.open()
-        self._target = get_typestore(Stores.ROS2_JAZZY)
+        self._target = new_store(Stores.ROS2_JAZZY)
         self._known = frozenset(self._target.fielddefs)
+        self._fields = 0
         self._latched: set[tuple[str, str]] = set()
         self._converters: dict[int, tuple[str, str, Row, _Convert | None]] = {}
+        self._bag = BagFile(path)
         try:
             self._open()
         except BaseException:
@@ -54,66 +57,72 @@ class Rosbag1(Told):
 
     def _open(self) -> None:
         declared: dict[int, int] = {}
-        for chunk in self._reader.chunk_infos:
-            for number, count in chunk.connection_counts.items():
+        for chunk in self._bag.chunks:
+            for number, count in chunk.counts.items():
                 declared[number] = declared.get(number, 0) + count
         rows: dict[tuple[str, str], Row] = {}
         made: dict[tuple[str, str], tuple[_Convert | None, str]] = {}
-        for connection in self._reader.connections:
-            topic = "/" + connection.topic.lstrip("/")
-            ros_type = RENAMED.get(connection.msgtype, connection.msgtype)
+        for connection in self._bag.connections:
+            topic = "/" + "/".join(word for word in connection.topic.split("/") if word)
+            name = ros2_name(connection.ros1_type)
+            ros_type = RENAMED.get(name, name)
             row = rows.setdefault((topic, ros_type), Row(topic, 0, ros_type))
-            row.declared += declared.get(connection.id, 0)
-            key = (connection.msgtype, connection.msgdef.data)
+            row.declared += declared.get(connection.number, 0)
+            key = (name, connection.definition)
             if key not in made:
-                made[key] = self._converter(connection, ros_type)
+                made[key] = self._converter(connection, name, ros_type)
             convert, why = made[key]
             if convert is None:
-                row.left_out += declared.get(connection.id, 0)
+                row.left_out += declared.get(connection.number, 0)
                 row.why = why
-            if getattr(connection.ext, "latching", None) or topic == "/tf_static":  # whose publishers always latch
+            if connection.latching or topic == "/tf_static":  # whose publishers always latch
                 self._latched.add((topic, ros_type))
-            self._converters[connection.id] = (topic, ros_type, row, convert)
+            self._converters[connection.number] = (topic, ros_type, row, convert)
         self.rows = [rows[key] for key in sorted(rows)]
 
-    def _converter(self, connection: Connection, ros_type: str) -> tuple[_Convert | None, str]:
+    def _converter(self, connection: Connection, name: str, ros_type: str) -> tuple[_Convert | None, str]:
         """What makes CDR of this connection's messages; or None, and why nothing can."""
-        source, name = get_typestore(Stores.EMPTY), connection.msgtype
         try:
-            source.register(get_types_from_msg(connection.msgdef.data, name))
+            types = definitions.parse(connection.definition, name)
+            source = new_store()
+            source.fielddefs.update(types)
             if ros_type not in self._target.fielddefs:
-                text = source.generate_msgdef(name, ros_version=2)[0]
-                types = get_types_from_msg(text, ros_type)
+                own = definitions.parse(definitions.text_of(source.fielddefs, name), ros_type)
                 # what ROS 2 knows stays as ROS 2 has it, such as the Header
-                self._target.register({key: fields for key, fields in types.items() if key not in self._known})
+                self._register(self._target, {key: fields for key, fields in own.items() if key not in self._known})
             if is_same_wireformat(source, self._target, name, ros_type):
                 return partial(self._target.ros1_to_cdr, typename=ros_type), ""
+            source = new_store()
+            self._register(source, types)
             lost = sorted(lost_fields(source, self._target, name, ros_type))
             if lost:
                 self.notes.append(f"{ros_type}: ROS 2 has no counterpart of {', '.join(lost)}")
-            return partial(_migrated, source, self._target, name, ros_type, {}), ""
-        except (TypesysError, KeyError, AssertionError) as error:
+            elements = Elements(types, name, ros1=True)
+            return partial(_migrated, source, self._target, name, ros_type, {}, elements), ""
+        except (DamagedRecording, TypesysError, KeyError, AssertionError) as error:
             return None, f"its definition cannot be used: {error}"
 
+    def _register(self, store: Typestore, types: Types) -> None:
+        self._fields += sum(map(weight, types.values()))
+        limits.check("fields", self._fields, "definitions of the bag", 2 * limits.current().fields)
+        register(store, types)
+
     def items(self) -> Iterator[Item]:
-        messages = self._reader.messages()
-        while True:
-            try:
-                connection, time_ns, data = next(messages)
-            except StopIteration:
-                return
-            except Exception as error:  # of the library: whatever it makes of damaged bytes
-                raise DamagedRecording(f"{self._path}: {type(error).__name__}: {error}") from error
-            topic, ros_type, row, convert = self._converters[connection.id]
+        for message in self._bag.messages():
+            if message.connection not in self._converters:
+                raise DamagedRecording(
+                    f"{self.title}: found a message of connection {message.connection}, which the index does not have"
+                )
+            topic, ros_type, row, convert = self._converters[message.connection]
             if convert is None:
                 continue
             try:
-                payload = convert(data)
+                payload = convert(message.data)
             except Exception as error:  # of generated code: whatever it makes of damaged bytes
-                row.why = f"not convertible, the first at {time_ns} ns: {type(error).__name__}: {error}"
+                row.why = f"not convertible, the first at {message.time_ns} ns: {type(error).__name__}: {error}"
                 continue
             row.taken += 1
-            yield Item(time_ns, Kind.ROS_IN, payload, topic, ros_type)
+            yield Item(message.time_ns, Kind.ROS_IN, payload, topic, ros_type)
 
     def qos_of(self, topic: str, ros_type: str) -> Qos | None:
         return Qos(latched=True) if (topic, ros_type) in self._latched else None
@@ -121,11 +130,20 @@ class Rosbag1(Told):
     def definition_of(self, ros_type: str) -> tuple[str, str] | None:
         if ros_type in self._known or ros_type not in self._target.fielddefs:
             return None
-        return self._target.generate_msgdef(ros_type, ros_version=2)[0], self._target.hash_rihs01(ros_type)
+        types = self._target.fielddefs
+        try:
+            return definitions.text_of(types, ros_type), definitions.type_hash(types, ros_type)
+        except (TypesysError, KeyError):
+            return None  # a type that it needs is missing
 
     def close(self) -> None:
-        if self._reader.bio:
-            self._reader.close()
+        self._bag.close()
+
+
+def ros2_name(ros1_type: str) -> str:
+    """``package/Name`` as ``package/msg/Name``."""
+    package, slash, name = ros1_type.partition("/")
+    return f"{package}/msg/{name}" if slash and "/" not in name else ros1_type
 
 
 def lost_fields(
@@ -157,6 +175,13 @@ def _name_in(kind: Any) -> str:
 
 
 def _migrated(
-    source: Typestore, target: Typestore, old: str, new: str, cache: dict[str, object], data: bytes
+    source: Typestore,
+    target: Typestore,
+    old: str,
+    new: str,
+    cache: dict[str, object],
+    elements: Elements,
+    data: bytes,
 ) -> memoryview:
+    elements.check(data)
     return migrate_bytes(source, target, old, new, cache, data, src_is2=False, dst_is2=True)

@@ -6,29 +6,27 @@ definition goes before what is known of the type otherwise.
 
 from __future__ import annotations
 
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.base import TypesysError
 
-_IDL_PART = "=" * 80 + "\n"
+from igtl_gateway.untrusted import definitions
+from igtl_gateway.untrusted.decoding import new_store
 
 
 def definition(ros_type: str, text: str, encoding: str) -> tuple[str, str] | None:
     """``ros2msg`` text and RIHS01 hash of a definition in ``ros2msg`` or ``ros2idl``; None where there is none.
 
-    The hash is ``""`` where it cannot be computed, such as for a text without all it depends on.
+    The hash is ``""`` where it cannot be computed, such as for a text without all it depends on, or in a dialect that
+    rosbags does not read.
+
+    Raises:
+        DamagedRecording: a definition that no type can have, or that is above the limits.
     """
-    if not text.strip() or encoding not in ("ros2msg", "ros2idl"):
+    if not text.strip() or encoding not in (definitions.MSG, definitions.IDL):
         return None
     try:
-        store = get_typestore(Stores.EMPTY)
-        if encoding == "ros2msg":
-            store.register(get_types_from_msg(text, ros_type))
-        else:
-            for part in text.split(_IDL_PART):
-                head, _, body = part.partition("\n")
-                if part.strip():
-                    store.register(get_types_from_idl(body if head.startswith("IDL: ") else part))
-        made = store.generate_msgdef(ros_type, ros_version=2)[0]
-        return text if encoding == "ros2msg" else made, store.hash_rihs01(ros_type)
-    except (TypesysError, KeyError, ValueError):
-        return (text, "") if encoding == "ros2msg" else None
+        types = definitions.parse(text, ros_type, encoding)
+        known = {**new_store().fielddefs, **types}  # Time and Duration are known without a definition
+        made = text if encoding == definitions.MSG else definitions.text_of(known, ros_type)
+        return made, definitions.type_hash(known, ros_type)
+    except (definitions.UnreadableDefinition, TypesysError, KeyError, AssertionError):
+        return (text, "") if encoding == definitions.MSG else None

@@ -139,7 +139,7 @@ def ply(content: PolyData) -> Written:
         elif not attribute.type & CELL and colour_field(attribute) and "red" not in columns:
             colours = colour_bytes(values)
             names = ("red", "green", "blue", "alpha")[: colours.shape[1]]
-            columns |= {name: ("uchar", colours[:, axis]) for axis, name in enumerate(names)}
+            columns |= {name: ("uint8", colours[:, axis]) for axis, name in enumerate(names)}
         else:
             why = "PLY has one set of colours and normals of points"
         parts.append(("attributes", 1, why))

@@ -5,9 +5,10 @@ inputs alone, so that the same inputs with the same configuration give the same 
 in a verification.  ``Session`` adds the numbering and is the door that all three come through.
 """
 
-from igtl_gateway.gateway.core import LINK_DOWN, LINK_UP, LINKS_TOPIC, LISTENED, TICK, Gateway
-from igtl_gateway.gateway.relay import CUT, FAULT, PARTNER, RelayGateway, gateway_of
-from igtl_gateway.gateway.session import Session, head_of
+from igtl_gateway.gateway.core import LISTENED, TICK, Gateway
+from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP, LINKS_TOPIC
+from igtl_gateway.gateway.relay import CUT, FAULT, PARTNER, RelayGateway
+from igtl_gateway.gateway.session import Core, Session, gateway_of, head_of
 
 __all__ = [
     "CUT",
@@ -18,6 +19,7 @@ __all__ = [
     "LISTENED",
     "PARTNER",
     "TICK",
+    "Core",
     "Gateway",
     "RelayGateway",
     "Session",

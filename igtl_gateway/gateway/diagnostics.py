@@ -13,7 +13,7 @@ from typing import Any
 
 from igtl_gateway.convert.common_msgs import DiagnosticArray
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
-from igtl_gateway.gateway.guard import FUTURE, Watched
+from igtl_gateway.gateway.watched import FUTURE, Watched
 from igtl_gateway.session.timing import best
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -113,9 +113,15 @@ class Peer:
 
 
 class Peers:
-    """All links that are up, by number."""
+    """All links that are up, by number.
+
+    Attributes:
+        changed: called when a peer comes, goes, shows what it is or asks for streams: what was compiled for the peers
+            before (`igtl_gateway.gateway.fastpath`) is void then.
+    """
 
     def __init__(self, config: Config) -> None:
+        self.changed: Callable[[], None] = lambda: None
         self._config = config
         self._peers: dict[int, Peer] = {}
 

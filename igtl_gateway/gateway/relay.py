@@ -19,10 +19,13 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.errors import WireError
 from igtl_gateway.faults import BothWays, Fate, FaultLine
-from igtl_gateway.gateway.core import LINK_DOWN, LINK_UP, Gateway
 from igtl_gateway.gateway.denials import Denials
-from igtl_gateway.gateway.reply import Reply, note
+from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP
+from igtl_gateway.gateway.fastpath import Fast, never
+from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.output import Output, note
 from igtl_gateway.gateway.stamps import moved
+from igtl_gateway.gateway.to_ros.subscribers import Ask
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.session.entry import Entry, Kind
@@ -44,6 +47,9 @@ class RelayGateway:
 
     def __init__(self, config: Config) -> None:
         self.config = config
+        self.fast: Fast = never
+        self.has_subscriber: Ask | None = None
+        self.guard = Guard(watch=False)
         self.ledger = Ledger()
         self._partners: dict[int, int] = {}
         self._servers: set[int] = set()  # links to the server
@@ -55,16 +61,16 @@ class RelayGateway:
 
     def handle(self, entry: Entry) -> list[Entry]:
         """The entries that ``entry`` causes, numbered and stamped directly behind it."""
-        replies: list[Reply] = []
+        outputs: list[Output] = []
         for link, line in self._lines.items():
-            replies += self._leave(link, line.due(entry.stamp_ns))
+            outputs += self._leave(link, line.due(entry.stamp_ns))
         if entry.kind is Kind.LINK:
-            replies += self._on_link(entry)
+            outputs += self._on_link(entry)
         elif entry.kind is Kind.IGTL_IN:
-            replies += self._relay(entry)
+            outputs += self._relay(entry)
         elif ClockStep.of(entry):
             self.ledger.count("edges", "", CLOCK_STEP)
-        return [reply.entry(entry, step) for step, reply in enumerate(replies, start=1)]
+        return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
 
     @property
     def due_ns(self) -> int | None:
@@ -87,7 +93,7 @@ class RelayGateway:
         """No message may be dropped."""
         return True
 
-    def _on_link(self, entry: Entry) -> list[Reply]:
+    def _on_link(self, entry: Entry) -> list[Output]:
         told = Note.unpack(entry.data())
         link = entry.links[0]
         if told.code == LINK_UP and isinstance(partner := told.data.get(PARTNER), int):
@@ -105,7 +111,7 @@ class RelayGateway:
                 return self._leave(partner, line.rest())
         return []
 
-    def _relay(self, entry: Entry) -> list[Reply]:
+    def _relay(self, entry: Entry) -> list[Output]:
         link = entry.links[0]
         self.ledger.count(_IN, entry.channel, "received")
         partner = self._partners.get(link)
@@ -126,11 +132,11 @@ class RelayGateway:
             return self._leave(partner, line.take(entry.stamp_ns, entry, entry.data()))
         return self._sent(entry, entry.payload, partner)
 
-    def _sent(self, entry: Entry, payload: Sequence[Buffer], partner: int) -> list[Reply]:
+    def _sent(self, entry: Entry, payload: Sequence[Buffer], partner: int) -> list[Output]:
         """A message goes to the partner of its link."""
         self.ledger.count(_IN, entry.channel, "relayed")
         self.ledger.count(_OUT, entry.channel, "sent")
-        sent = Reply(Kind.IGTL_OUT, entry.channel, entry.type, payload, (partner,), entry.source_ns)
+        sent = Output(Kind.IGTL_OUT, entry.channel, entry.type, payload, (partner,), entry.source_ns)
         try:
             decode(entry.payload[0], check_crc=self.config.check_crc)
         except WireError as error:
@@ -138,9 +144,9 @@ class RelayGateway:
             return [sent, *self._once(entry, error.code, f"relayed as it is: {error}")]
         return [sent]
 
-    def _leave(self, link: int, fates: list[Fate[Entry]]) -> list[Reply]:
+    def _leave(self, link: int, fates: list[Fate[Entry]]) -> list[Output]:
         """Messages leave a line with faults, or are lost."""
-        replies: list[Reply] = []
+        outputs: list[Output] = []
         for fate in fates:
             entry = fate.message
             if link in self._cut:
@@ -148,18 +154,18 @@ class RelayGateway:
                 continue
             for fault, words in fate.news.items():
                 text = f"{fault}: {entry.channel}, message {entry.seq}: {words}"
-                replies.append(note(Level.INFO, FAULT, text, entry.channel, (link,)))
+                outputs.append(note(Level.INFO, FAULT, text, entry.channel, (link,)))
             if fate.lost:
                 self.ledger.drop(_IN, entry.channel, "fault_loss")
             else:
                 payload = entry.payload if fate.data is None else (fate.data,)
-                replies += self._sent(entry, payload, link)
+                outputs += self._sent(entry, payload, link)
             if fate.disconnect:
                 self._cut.add(link)
                 text = "connection closed on purpose: --fault"
-                replies.append(note(Level.INFO, CUT, text, entry.channel, (link,)))
+                outputs.append(note(Level.INFO, CUT, text, entry.channel, (link,)))
                 self._lose(self._lines[link], CUT)
-        return replies
+        return outputs
 
     def _lose(self, line: FaultLine[Entry], reason: str) -> None:
         """What still waits in a line does not arrive."""
@@ -180,15 +186,10 @@ class RelayGateway:
             return f"a BIND that cannot be looked into is denied ({setting}): {error}"
         return f"BIND with {denied} inside is denied ({setting})" if denied else None
 
-    def _once(self, entry: Entry, code: str, text: str) -> list[Reply]:
+    def _once(self, entry: Entry, code: str, text: str) -> list[Output]:
         """A warning, unless this link's stream had it before."""
         said = (code, entry.channel, entry.links[0])
         if said in self._said:
             return []
         self._said.add(said)
         return [note(Level.WARN, code, text, entry.channel, entry.links)]
-
-
-def gateway_of(config: Config) -> Gateway | RelayGateway:
-    """The core that a configuration asks for."""
-    return RelayGateway(config) if config.relay else Gateway(config)

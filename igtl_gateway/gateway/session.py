@@ -1,16 +1,26 @@
-"""The gateway with its numbering: raw inputs in, numbered entries out.  Still pure: the time is an argument."""
+"""The sequencer: raw inputs in, numbered entries out.  Still pure: the time is an argument.
+
+Live traffic, replay, verification, slices and the viewer come to the gateway through a :class:`Session`, and through
+nothing else.
+"""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Protocol
 
 from igtl_gateway.buffers import Buffer
+from igtl_gateway.config import Config
 from igtl_gateway.gateway.core import Gateway
-from igtl_gateway.gateway.plans import NAMES, Plans
+from igtl_gateway.gateway.fastpath import NAMES, Fast
+from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.relay import RelayGateway
+from igtl_gateway.gateway.to_ros.subscribers import Ask
+from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.stamp import ticks_to_ns
 from igtl_gateway.wire import HEADER_SIZE, Header
 from igtl_gateway.wire.fields import visible
@@ -18,12 +28,44 @@ from igtl_gateway.wire.fields import visible
 _TICKS, _TICKS_AT = struct.Struct(">Q"), 34
 
 
-class Session:
-    """The door through which live traffic, replay and verification come to the gateway."""
+class Core(Protocol):
+    """What a session needs of a gateway, and its edges ask; see ``Gateway`` and ``RelayGateway``."""
 
-    def __init__(self, gateway: Gateway | RelayGateway) -> None:
+    config: Config
+    fast: Fast
+    has_subscriber: Ask | None
+
+    @property
+    def ledger(self) -> Ledger: ...
+
+    @property
+    def guard(self) -> Guard: ...
+
+    @property
+    def due_ns(self) -> int | None: ...
+
+    def handle(self, entry: Entry) -> list[Entry]: ...
+
+    def subscription(self, topic: str, ros_type: str) -> Qos | None: ...
+
+    def lacks_conversion(self, topic: str, ros_type: str) -> bool: ...
+
+    def qos(self, topic: str) -> Qos | None: ...
+
+    def keep(self, entry: Entry) -> bool: ...
+
+
+def gateway_of(config: Config, *, fast_path: bool = True) -> Core:
+    """The gateway that a configuration asks for; for ``fast_path`` see ``Gateway``."""
+    return RelayGateway(config) if config.relay else Gateway(config, fast_path=fast_path)
+
+
+class Session:
+    """A gateway with its numbering."""
+
+    def __init__(self, gateway: Core) -> None:
         self.gateway = gateway
-        self._plans = gateway.plans if isinstance(gateway, Gateway) else Plans()
+        self._fast = gateway.fast
         self._seq = 0
         self._stamp_ns = 0
 
@@ -43,51 +85,24 @@ class Session:
         OpenIGTLink input names its own channel, type and stamp: they are read from its header.
         """
         stamp_ns = max(now_ns, self._stamp_ns + 1)  # log order is time order, even where the host's clock steps back
-        entries = self._planned(stamp_ns, kind, payload, channel, type_name, links, source_ns)
-        if entries:
-            self._seq, self._stamp_ns = entries[-1].seq, entries[-1].stamp_ns
-            return entries
-        if kind is Kind.IGTL_IN:
-            channel, type_name, source_ns = head_of(payload[0])
-        entry = Entry(
-            self._seq + 1,
-            stamp_ns,
-            kind,
-            channel,
-            type_name,
-            payload,
-            links,
-            source_ns,
-        )
-        entries = [entry, *self.gateway.handle(entry)]
+        entries = self._fast(self._seq + 1, stamp_ns, kind, payload, channel, type_name, links, source_ns)
+        if not entries:
+            if kind is Kind.IGTL_IN:
+                channel, type_name, source_ns = head_of(payload[0])
+            entry = Entry(self._seq + 1, stamp_ns, kind, channel, type_name, payload, links, source_ns)
+            entries = [entry, *self.gateway.handle(entry)]
         self._seq, self._stamp_ns = entries[-1].seq, entries[-1].stamp_ns
         return entries
 
-    def _planned(
-        self,
-        stamp_ns: int,
-        kind: Kind,
-        payload: Sequence[Buffer],
-        channel: str,
-        type_name: str,
-        links: tuple[int, ...],
-        source_ns: int,
-    ) -> list[Entry] | None:
-        """What the plan of the stream says, if it has one that fits; nothing where the general way has to say more."""
-        plans, entries = self._plans, None
-        if kind is Kind.ROS_IN:
-            topic_key = (channel, type_name)
-            if to_igtl := plans.to_igtl.get(topic_key):
-                entries = to_igtl(self._seq + 1, stamp_ns, payload, channel, type_name, source_ns)
-                if entries is None:
-                    del plans.to_igtl[topic_key]
-        elif kind is Kind.IGTL_IN:
-            device_key = (links[0], bytes(payload[0][NAMES]))
-            if to_ros := plans.to_ros.get(device_key):
-                entries = to_ros(self._seq + 1, stamp_ns, payload, links, self.gateway.heard)  # type: ignore[union-attr]
-                if entries is None:
-                    del plans.to_ros[device_key]
-        return entries
+    def recorded(self, entry: Entry) -> list[Entry]:
+        """What a recorded input causes, numbered and stamped behind it; always by the full path.
+
+        So a verification checks what the fast path gave on the day of the recording.
+        """
+        outputs = self.gateway.handle(entry)
+        last = outputs[-1] if outputs else entry
+        self._seq, self._stamp_ns = last.seq, last.stamp_ns
+        return outputs
 
 
 def head_of(message: Buffer) -> tuple[str, str, int]:

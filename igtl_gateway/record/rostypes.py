@@ -14,12 +14,15 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.base import TypesysError
 
+from igtl_gateway.errors import RecordingError
 from igtl_gateway.ros_interfaces.definitions import SHARES
 from igtl_gateway.session.layout import OWN_TYPES
+from igtl_gateway.untrusted import definitions, files
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
 
@@ -45,39 +48,37 @@ class RosTypes:
     """
 
     def __init__(self, shares: Sequence[Path] | None = None) -> None:
-        self._store = get_typestore(Stores.ROS2_JAZZY)
+        self._types = dict(get_typestore(Stores.ROS2_JAZZY).fielddefs)
         self._shares = (*installed_shares(), *SHARES) if shares is None else tuple(shares)
         for name, text in OWN_TYPES.items():
-            self._store.register(get_types_from_msg(text, name))
+            self._types |= definitions.parse(text, name)
 
     def find(self, ros_type: str) -> Definition | None:
         """The definition of ``package/msg/Name``; None where it, or a type that it needs, is not to be found."""
         try:
             if not self._load(ros_type):
                 return None
-            return Definition(
-                self._store.generate_msgdef(ros_type, ros_version=2)[0], self._store.hash_rihs01(ros_type)
-            )
-        except (TypesysError, OSError, UnicodeDecodeError, KeyError):
+            return Definition(definitions.text_of(self._types, ros_type), definitions.type_hash(self._types, ros_type))
+        except (TypesysError, RecordingError, UnicodeDecodeError, KeyError):
             # a file that is unreadable, or in a dialect that rosbags does not read
             return None
 
     def _load(self, ros_type: str) -> bool:
-        """Make the type and all that it needs known to the store."""
-        found, wanted = {}, [ros_type]
+        """Find the type and all that it needs."""
+        found: dict[str, Any] = {}
+        wanted = [ros_type]
         while wanted:
             name = wanted.pop()
-            if name in self._store.fielddefs or name in found:
+            if name in self._types or name in found:
                 continue
             path = self._path(name)
             if path is None:
                 return False
-            types = get_types_from_msg(path.read_text("utf-8"), name)
+            types = definitions.parse(files.read_bytes(path).decode("utf-8"), name)
             found.update(types)
             for _, fields in types.values():
-                wanted += _types_of(fields)
-        if found:
-            self._store.register(found)
+                wanted += definitions.named(fields)
+        self._types |= found
         return True
 
     def _path(self, ros_type: str) -> Path | None:
@@ -94,12 +95,3 @@ def installed_shares() -> tuple[Path, ...]:
     """The ``share`` folders of the ROS installation, the overlay first."""
     prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     return tuple(Path(prefix) / "share" for prefix in prefixes if prefix)
-
-
-def _types_of(description: object) -> list[str]:
-    """Names of message types in rosbags' description of fields, however deep."""
-    if isinstance(description, str):
-        return [description] if _TYPE_NAME.fullmatch(description) else []
-    if isinstance(description, tuple | list):
-        return [name for part in description for name in _types_of(part)]
-    return []

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.convert.units import UNITS, Lengths
-from igtl_gateway.errors import ChecksumMismatch, GatewayError
+from igtl_gateway.errors import ChecksumMismatch, DamagedRecording, GatewayError
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.stamp import ticks_to_ns
@@ -33,7 +33,7 @@ from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.transform import Position, Transform
 
 if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
+    from igtl_gateway.untrusted.decoding import Decoder as RosDecoder
 
 Array = npt.NDArray[Any]
 _Leaf = tuple[str, Any]
@@ -230,7 +230,6 @@ class Decoder:
     def __init__(self, definitions: Mapping[str, str] | None = None, lengths: Lengths = Lengths()) -> None:
         self._definitions = definitions or {}
         self._ros_mm, self._igtl_mm = UNITS[lengths.ros] / UNITS["mm"], UNITS[lengths.igtl] / UNITS["mm"]
-        self._known: dict[str, bool] = {}
 
     def leaves(self, entry: Entry) -> Iterator[_Leaf]:
         """The leaves of an entry's message.  Raises Undecodable, perhaps after some."""
@@ -303,33 +302,20 @@ class Decoder:
     # -- ROS ----------------------------------------------------------------------------------------------------
 
     def _ros(self, entry: Entry) -> Iterator[_Leaf]:
-        if not self._knows(entry.type):
-            raise Undecodable(f"{entry.type}: found no definition")
         try:
-            message = self._store.deserialize_cdr(entry.data(), entry.type)
+            message = self._decoder.decode(entry.type, entry.data())
+        except DamagedRecording as error:
+            raise Undecodable(str(error)) from None
         except Exception as error:  # of the library: whatever it makes of foreign bytes
             raise Undecodable(f"{entry.type}: {type(error).__name__}: {error}") from None
         yield from self._walk(message, "")
 
     @cached_property
-    def _store(self) -> Typestore:
+    def _decoder(self) -> RosDecoder:
         # loaded where something differs, or is shown
-        from rosbags.typesys import Stores, get_typestore
+        from igtl_gateway.untrusted.decoding import Decoder as RosDecoder
 
-        return get_typestore(Stores.EMPTY)
-
-    def _knows(self, ros_type: str) -> bool:
-        if ros_type not in self._known:
-            from rosbags.typesys import get_types_from_msg
-
-            text = self._definitions.get(ros_type, "")
-            try:
-                found = get_types_from_msg(text, ros_type) if text else {}
-                self._store.register({name: one for name, one in found.items() if name not in self._store.types})
-            except Exception:  # of the library: a definition in a dialect that it does not read
-                found = {}
-            self._known[ros_type] = bool(found)
-        return self._known[ros_type]
+        return RosDecoder(lambda ros_type: self._definitions.get(ros_type, ""))
 
     def _walk(self, value: Any, path: str) -> Iterator[_Leaf]:
         ros_type = getattr(value, "__msgtype__", "")

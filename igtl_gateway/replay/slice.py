@@ -23,7 +23,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, TICK, gateway_of
+from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, TICK, Session, gateway_of
 from igtl_gateway.replay.source import fits
 from igtl_gateway.replay.verify import compare
 from igtl_gateway.session.clocksteps import CLOCK_STEP
@@ -150,7 +150,7 @@ class Slice:
         """The entries at the depth of ``report``, counted there; with ``rewrite`` groups that differ are computed."""
         window, depth = self._window, report.depth
         kept = _prologue(self._read(), window, depth)
-        gateway = gateway_of(self._config)
+        session = Session(gateway_of(self._config, fast_path=False))
         seq, stamp_ns = 1, 0
         for group in groups(self._read()):
             cause = group.input
@@ -161,7 +161,7 @@ class Slice:
                 continue
             # computed outputs may be more than that day's: later entries make room, as in a live session
             moved = replace(cause, seq=seq, stamp_ns=max(cause.stamp_ns, stamp_ns + 1))
-            said = gateway.handle(moved)
+            said = session.recorded(moved)
             outputs = said
             extent = 1 + len(said)
             if inside:
@@ -180,7 +180,7 @@ class Slice:
             yield from outputs
             seq += extent
             stamp_ns = (outputs[-1] if outputs else moved).stamp_ns
-        report.ledger = gateway.ledger.to_dict()
+        report.ledger = session.gateway.ledger.to_dict()
 
 
 def _moved(entry: Entry, cause: Entry, moved: Entry) -> Entry:

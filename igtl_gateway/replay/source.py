@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
 from igtl_gateway.config import Config
-from igtl_gateway.gateway import LINK_UP, gateway_of
+from igtl_gateway.gateway import LINK_UP, Session, gateway_of
 from igtl_gateway.globs import matches
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
@@ -28,14 +28,14 @@ def through_gateway(
         made: counts the outputs.
     """
     made = Counter() if made is None else made
-    gateway = gateway_of(config)
+    session = Session(gateway_of(config, fast_path=False))
     if not has_links:
         note = Note(Level.INFO, LINK_UP, "replay").pack()
-        gateway.handle(Entry(0, 0, Kind.LINK, payload=(note,), links=(_ANY_LINK,)))
+        session.recorded(Entry(0, 0, Kind.LINK, payload=(note,), links=(_ANY_LINK,)))
     for entry in entries:
         if entry.kind.is_input:
             yield entry
-            for output in gateway.handle(entry):
+            for output in session.recorded(entry):
                 made[output.kind] += 1
                 yield output
 

@@ -16,11 +16,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.base import TypesysError
+from rosbags.typesys import Stores, get_typestore
 
+from igtl_gateway.errors import RecordingError
 from igtl_gateway.replay.simclock import CLOCK_TYPE
 from igtl_gateway.ros_interfaces.definitions import SHARES
+from igtl_gateway.untrusted import definitions
 
 _TIME = "builtin_interfaces/msg/Time"
 _STAMPS = frozenset({"stamp", "timestamp"})
@@ -94,9 +95,9 @@ class StampPlaces:
         own: Mapping[str, Any] = {}
         try:
             if text := self._definitions.get(ros_type, ""):
-                own = get_types_from_msg(text, ros_type)
+                own = definitions.parse(text, ros_type)
             steps = self._of_struct(ros_type, own)
-        except (TypesysError, OSError, UnicodeDecodeError, KeyError, RecursionError):
+        except (RecordingError, OSError, UnicodeDecodeError, KeyError, RecursionError):
             return None
         while steps and not _has_stamp(steps[-1]):
             steps.pop()
@@ -138,7 +139,7 @@ class StampPlaces:
         for share in SHARES:
             path = share / package / f"{rest}.msg"
             if path.is_file():
-                self._known |= get_types_from_msg(path.read_text("utf-8"), name)
+                self._known |= definitions.parse(path.read_text("utf-8"), name)
         return self._known[name]
 
 

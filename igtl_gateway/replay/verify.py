@@ -22,7 +22,7 @@ from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import GatewayError
-from igtl_gateway.gateway import gateway_of
+from igtl_gateway.gateway import Session, gateway_of
 from igtl_gateway.gateway.guard import CODES
 from igtl_gateway.replay.compare import Decoder, compare_values, first_byte, flat, same
 from igtl_gateway.session import layout
@@ -178,7 +178,8 @@ def verify(
 
 class _Verifier:
     def __init__(self, config: Config, losses: Losses, decoder: Decoder) -> None:
-        self._gateway = gateway_of(config)
+        # without the fast path: what that gave on the day of the recording is checked against the full path
+        self._session = Session(gateway_of(config, fast_path=False))
         self._losses, self._decoder = losses, decoder
         self._left, self._left_of = losses.entries, dict(losses.streams)  # what may still be lost
         self._report = Report()
@@ -191,7 +192,7 @@ class _Verifier:
 
     def before(self, entry: Entry) -> None:
         """Take an input from before the beginning."""
-        self._gateway.handle(entry)
+        self._session.recorded(entry)
 
     def take(self, entry: Entry) -> None:
         """Take the next entry of the recording."""
@@ -201,7 +202,7 @@ class _Verifier:
             self._miss()
             self._report.inputs += 1
             self._cause, self._gap = entry.seq, False
-            self._expected.extend(self._gateway.handle(entry))
+            self._expected.extend(self._session.recorded(entry))
             return
         self._report.outputs += 1
         if self._expected and self._expected[0].seq == entry.seq:

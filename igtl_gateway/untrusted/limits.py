@@ -29,6 +29,8 @@ class Limits:
         free: bytes that a piece may always have, whatever its ratio: a black picture packs to nothing.
         depth: levels of nesting of JSON, YAML, message definitions and the like.
         count: things of one sort: fields of a header, connections of a capture, channels, names.
+        definition: characters of the definition of one message type, with all that it needs.
+        fields: fields, constants and types of one such definition; an array of five messages counts as five.
         seconds: time that reading may take, plus ``seconds_per_mb`` for each megabyte of the file.
         seconds_per_mb: see ``seconds``.
     """
@@ -38,6 +40,8 @@ class Limits:
     free: int = 64 * _MIB
     depth: int = 64
     count: int = 200_000
+    definition: int = 256 * 1024
+    fields: int = 3_000
     seconds: int = 20
     seconds_per_mb: int = 10
 
@@ -53,6 +57,8 @@ MEANINGS = {
     "free": "bytes that a piece may have unpacked whatever its ratio",
     "depth": "levels of nesting (JSON, YAML, message definitions)",
     "count": "things of one sort (header fields, connections, channels, names)",
+    "definition": "characters of the definition of one message type",
+    "fields": "fields, constants and types of one definition",
     "seconds": "time that reading a file may take, plus `seconds_per_mb`",
     "seconds_per_mb": "further seconds for each megabyte of the file",
 }

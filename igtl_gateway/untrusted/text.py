@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import tomllib
 import unicodedata
 from typing import Any
 
@@ -46,6 +48,26 @@ def parse_json(text: str, place: str) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
         raise DamagedRecording(f"{place}: found no JSON: {error}") from None
+
+
+def parse_toml(data: bytes, place: str) -> dict[str, Any]:
+    """TOML within the limits of memory, count and depth.  Raises DamagedRecording."""
+    limits.check("free", len(data), place)
+    limits.check("count", sum(map(data.count, (b"\n", b",", b"=", b"."))), place)
+    try:
+        text = data.decode()
+        check_nesting(text, place)
+        for line in text.split("\n"):
+            if line.count(".") > limits.current().depth:
+                # the parser needs the square of their number for the dots of a key; those of texts and numbers are free
+                limits.check("depth", _FREE_DOTS.sub("", line).count("."), place)
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise DamagedRecording(f"{place}: is not valid TOML: {error}") from None
+
+
+#: Texts in quotes, comments and numbers of TOML.
+_FREE_DOTS = re.compile(r""""[^"]*"|'[^']*'|#.*|\d\.\d""")
 
 
 def check_nesting(text: str, place: str) -> None:

@@ -13,9 +13,7 @@ from dataclasses import replace
 import rerun as rr
 
 from igtl_gateway.config import Config
-from igtl_gateway.gateway import gateway_of
-from igtl_gateway.gateway.core import Gateway
-from igtl_gateway.gateway.relay import RelayGateway
+from igtl_gateway.gateway import Session, gateway_of
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.view.canvas import Options
 from igtl_gateway.view.session import SessionView
@@ -49,7 +47,7 @@ class LiveView:
         recording: rr.RecordingStream,
         base_frame: str,
         options: Options | None = None,
-        through: Gateway | RelayGateway | None = None,
+        through: Session | None = None,
         name: str = "",
         *,
         max_entries: int = MAX_ENTRIES,
@@ -124,7 +122,7 @@ class LiveView:
                 self._bytes -= entry.size
             self._view.take(entry)
             if self._through and entry.kind.is_input:
-                for output in self._through.handle(entry):
+                for output in self._through.recorded(entry):
                     if output.kind is Kind.ROS_OUT:
                         self._view.take(output)
         self._view.flush()
@@ -150,7 +148,7 @@ class Window:
         except Exception:
             self._viewer.close()
             raise
-        through = gateway_of(replace(config, relay=False)) if config.relay else None
+        through = Session(gateway_of(replace(config, relay=False), fast_path=False)) if config.relay else None
         self._view = LiveView(self._recording, config.base_frame, through=through)
 
     def __call__(self, entry: Entry) -> None:

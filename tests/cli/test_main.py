@@ -194,3 +194,9 @@ def test_routes_that_cannot_be_are_refused_in_one_line(
 ) -> None:
     code, _, err = outcome(capsys, "bridge", *arguments)
     assert code == 2 and reason in err and len(err.splitlines()) == 1
+
+
+def test_a_name_that_no_file_can_have_is_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = outcome(capsys, "info", "x" * 300)
+    assert (code, out) == (2, "")
+    assert err.endswith("File name too long\n") and err.count("\n") == 1

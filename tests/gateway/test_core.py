@@ -15,6 +15,7 @@ from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway import LISTENED
 from igtl_gateway.gateway.metadata import FULL_NAME
+from igtl_gateway.gateway.to_ros.route import Router
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
@@ -480,19 +481,19 @@ def test_a_defect_of_ours_costs_one_message(monkeypatch: pytest.MonkeyPatch) -> 
     def broken(*_: object) -> None:
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr(script.gateway, "_deliver", broken)
+    monkeypatch.setattr(Router, "route", broken)
     assert script.igtl(TRANSFORM) == ["note internal_error"]
     monkeypatch.undo()
     assert script.igtl(TRANSFORM) == ["ros /igtl/in/ProbeToTracker/transform"]
 
 
-# -- what nobody hears --------------------------------------------------------------------------------------------
+# -- without subscribers --------------------------------------------------------------------------------------------
 
 
-def test_where_nobody_is_to_be_shown_it_only_what_is_heard_is_made() -> None:
+def test_outputs_without_a_subscriber_are_not_built() -> None:
     script = Script(news=True)
     heard = {"/igtl/in/ProbeToTracker/transform"}
-    script.gateway.heard = lambda topic, _type: topic in heard
+    script.gateway.has_subscriber = lambda topic, _type: topic in heard
     script.igtl(TRANSFORM)
     assert [entry.channel for entry in script.last if entry.kind is Kind.ROS_OUT] == list(heard)
     heard.clear()
@@ -504,7 +505,7 @@ def test_where_nobody_is_to_be_shown_it_only_what_is_heard_is_made() -> None:
 
 def test_who_listens_late_to_a_latched_topic_gets_its_last_message() -> None:
     script = Script()
-    script.gateway.heard = lambda _topic, _type: False
+    script.gateway.has_subscriber = lambda _topic, _type: False
     for x in (1.0, 2.0):
         assert (
             script.igtl(Message("POINT", "Landmarks", Points.of(np.array([[x, 0.0, 0.0]])), ns_to_ticks(T0_NS))) == []

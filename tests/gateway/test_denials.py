@@ -76,7 +76,7 @@ def test_a_viewer_moves_nothing_and_sees_all() -> None:
     assert script.ros("/igtl/out/Robot", TOOL) == ["igtl TRANSFORM/Robot v1 to 1,2"]
     fates = script.gateway.ledger.to_dict()["igtl_in"]["TRANSFORM/Tool"]
     assert fates == {"received": 3, "decoded": 3, "dropped": {"denied": 3}}
-    assert not script.gateway.plans.to_ros, "no express lane for what is denied"
+    assert not script.gateway.fast_path.to_ros, "no fast path for what is denied"
     assert verify(script.log, script.gateway.config).good
     assert not verify(script.log, Config()).good, "denials are part of what a recording verifies with"
 
@@ -129,7 +129,7 @@ def test_nothing_denied_goes_out() -> None:
         assert script.ros("/igtl/out/raw", raw_message(join(encode(message)), T0_NS, 0)) == ["note denied"]
     assert script.gateway.ledger.to_dict()["ros_in"]["/igtl/out/Tool"]["dropped"] == {"denied": 2, "no_peer": 1}
     assert script.tick(60.0) == [], "a denied ping is not due again and again"
-    assert not script.gateway.plans.to_igtl
+    assert not script.gateway.fast_path.to_igtl
 
 
 def test_who_asks_for_what_is_denied_is_told() -> None:

@@ -1,4 +1,4 @@
-"""The guard: old poses are withheld, odd streams are told of, once per episode; the express lane sees the same."""
+"""The guard: old poses are withheld, odd streams are told of, once per episode; the fast path sees the same."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.gateway import LINK_UP, Gateway, Session, guard
-from igtl_gateway.gateway.guard import CODES, STILL_LOOKS, is_unit_jump
+from igtl_gateway.gateway.watched import CODES, STILL_LOOKS, is_unit_jump
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
@@ -80,7 +80,7 @@ def test_senders_are_judged_by_the_hosts_clock_also_where_gateway_time_is_ahead_
     rows = {"to_ros": (ToRosRow(max_age_s=0.5),), "to_igtl": (ToIgtlRow(max_age_s=0.5),)}
     script = Script(Config(**rows, watch=True))  # type: ignore[arg-type]
     script.up(1)
-    for _ in range(5):  # the express lane has begun
+    for _ in range(5):  # the fast path has begun
         script.igtl(pose(script.now_ns))
     hour_ns = 3600 * NS_PER_S
     assert script.feed(Kind.EDGE_NOTE, (ClockStep.after(-hour_ns, 0).note().pack(),)) == []
@@ -303,7 +303,7 @@ def test_numbers_that_are_none_have_a_reason_of_their_own() -> None:
     assert ledger["ros_in"]["/igtl/out/Tool"]["dropped"] == {"not_finite": 1}
 
 
-# -- the express lane ---------------------------------------------------------------------------------------------
+# -- the fast path ---------------------------------------------------------------------------------------------
 
 ROWS = Config(watch=True, to_ros=(ToRosRow(device="Old*", max_age_s=0.3),), to_igtl=(ToIgtlRow(max_age_s=0.3),))
 
@@ -344,7 +344,7 @@ def verified(seed: int) -> set[str]:
     for now_ns, kind, data, topic in inputs(seed):
         links, ros_type = ((1,), "") if kind is Kind.IGTL_IN else ((), rosmsg.TransformStamped.TYPE)
         log += session.input(now_ns, kind, (data,), channel=topic, type_name=ros_type, links=links)
-    assert len(general) < 1_400  # of 2,000: the others, though watched, went by plans
+    assert len(general) < 1_400  # of 2,000: the others, though watched, took the fast path
     again = Gateway(ROWS)
     told = [output for entry in log if entry.kind.is_input for output in (entry, *again.handle(entry))]
     assert [(e.seq, e.kind, e.channel, e.data()) for e in told] == [(e.seq, e.kind, e.channel, e.data()) for e in log]

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.errors import DamagedRecording, LimitExceeded
-from igtl_gateway.untrusted.text import json_line, parse_json, printable
+from igtl_gateway.untrusted.text import json_line, parse_json, parse_toml, printable
 
 
 @pytest.mark.parametrize(
@@ -54,3 +54,27 @@ def test_json_that_nests_too_deep() -> None:
 def test_what_is_no_json(text: str) -> None:
     with pytest.raises(DamagedRecording, match="ledger"):
         parse_json(text, "ledger")
+
+
+def test_toml_within_the_limits() -> None:
+    assert parse_toml(b"[gateway]\na.b = '1.2.3'  # ...\n", "x.toml") == {"gateway": {"a": {"b": "1.2.3"}}}
+    frames = ", ".join(f'"a.{number}"' for number in range(500))
+    assert len(parse_toml(f"a = [{frames}, 1.5, 2.5]".encode(), "x.toml")["a"]) == 502
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (b"a = " + b"[" * 100_000, "x.toml: found 65, expected at most 64 .--limit depth=64"),
+        (b".".join([b"a"] * 1000) + b" = 1", "--limit depth=64"),
+        (b"[" + b".".join([b"'a'"] * 1000) + b"]", "--limit depth=64"),
+        (b"a = 1\n" * 250_000, "--limit count=200000"),
+        (b"a = '" + b"x" * (65 << 20) + b"'", "--limit free="),
+        (b"a = ", "x.toml: is not valid TOML"),
+        (b"a = '\xff'", "x.toml: is not valid TOML"),
+        (b"a = 0x" + b"f" * 20_000 + b"\nb = " + b"9" * 5000, "x.toml: is not valid TOML"),
+    ],
+)
+def test_toml_beyond_them(data: bytes, told: str) -> None:
+    with pytest.raises(DamagedRecording, match=told):
+        parse_toml(data, "x.toml")

@@ -13,7 +13,7 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 from igtl_gateway.cli import main
 from igtl_gateway.config import Config
 from igtl_gateway.convert.rosmsg import String
-from igtl_gateway.gateway import LINK_UP, gateway_of
+from igtl_gateway.gateway import LINK_UP, Session, gateway_of
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.view import stream, viewer
@@ -124,7 +124,7 @@ def test_a_relay_is_seen_by_what_its_messages_would_become(tmp_path: Path) -> No
     from igtl_gateway.wire.text import String as IgtlString
 
     path = tmp_path / "live.rrd"
-    view = live(path, through=gateway_of(Config()))
+    view = live(path, through=Session(gateway_of(Config())))
     up = Note(Level.INFO, LINK_UP, "a peer").pack()
     data = b"".join(bytes(part) for part in encode(Message("STRING", "Greeting", IgtlString.of("hello"))))
     view(Entry(1, START_NS, Kind.LINK, payload=(up,), links=(1,)))

@@ -10,10 +10,12 @@ from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, FrameTransform, MultiArrayLayout, TFMessage
 from igtl_gateway.convert.igtl_msgs import MetadataItem, PointList, Query, TrackedTool, TrackingData
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.gateway import core, queries, streams
+from igtl_gateway.gateway import outcome, streams
+from igtl_gateway.gateway.dialogue.answers import MAX_TRACKED
 from igtl_gateway.gateway.peers import MAX_WISHES
 from igtl_gateway.gateway.profiles import PROFILES
-from igtl_gateway.gateway.queries import MAX_TRACKED
+from igtl_gateway.gateway.to_igtl import trackdata
+from igtl_gateway.gateway.to_igtl import tracking as tracking_room
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.image import Image
@@ -221,13 +223,13 @@ def test_tracking_data_by_many_names_costs_little(monkeypatch: pytest.MonkeyPatc
     assert "note stream_refused" in script.igtl(query("STT_QTDATA", "One more", StartTracking(1)))
     assert "note stream_started" in script.igtl(query("STT_TDATA", "T0", StartTracking(0))), "one that it has"
     made = []
-    tracking = queries.tracking
+    tracking = trackdata.tracking
 
     def counted(*args: object) -> object:
         made.append(args)
         return tracking(*args)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(queries, "tracking", counted)
+    monkeypatch.setattr(tracking_room, "tracking", counted)
     lines = script.ros("/igtl/out/Tool", tool())
     assert [f"igtl TDATA/T{index} v1 to 1" in lines for index in range(MAX_TRACKED)] == [True] * MAX_TRACKED
     assert len(made) == 1
@@ -340,7 +342,7 @@ def test_what_cannot_be_sent_is_no_answer_and_costs_the_others_nothing() -> None
 
 
 def test_a_peer_that_invents_names_fills_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(core, "MAX_SAID", 3)
+    monkeypatch.setattr(outcome, "MAX_NOTED", 3)
     script = Script()
     script.up(1)
     lines = [line for name in "abcde" for line in script.igtl(query("GET_TRANS", name))]

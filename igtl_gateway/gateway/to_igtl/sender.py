@@ -11,9 +11,9 @@ from typing import Any
 
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.gateway.metadata import composed
+from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.profiles import Adapted
-from igtl_gateway.gateway.reply import Reply
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.values import value
@@ -57,12 +57,12 @@ class Sent:
     """What became of a message.
 
     Attributes:
-        replies: the messages that go out.
+        outputs: the messages that go out.
         refused: (profile, type) of the peers that must not be sent such a type.
         warnings: what was bent for some peers.
     """
 
-    replies: list[Reply]
+    outputs: list[Output]
     refused: list[tuple[Peer, str]]
     warnings: list[tuple[str, str]]
 
@@ -101,7 +101,7 @@ def send(out: Outbound, peers: Iterable[Peer], now_ns: int, *, asked: bool = Fal
             names = (out.device, out.full_name or out.device)
             items = composed(*names, out.ros_stamp_ns, out.frame_id, out.child_frame_id, out.metadata)
             message = Message(out.igtl_type, out.device, content, message.ticks, version, 0, items)
-        sent.replies.append(
-            Reply(Kind.IGTL_OUT, out.channel, out.igtl_type, encode(message), tuple(links), out.stamp_ns)
+        sent.outputs.append(
+            Output(Kind.IGTL_OUT, out.channel, out.igtl_type, encode(message), tuple(links), out.stamp_ns)
         )
     return sent

@@ -1,17 +1,18 @@
-"""What an input causes, before it has its number: the currency inside the gateway."""
+"""What an input causes, before it has its number."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from igtl_gateway.buffers import Buffer
+from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.values import value
 
 
 @value(frozen=True, slots=True)
-class Reply:
+class Output:
     """An ``Entry`` without number and stamp; attributes as there."""
 
     kind: Kind
@@ -35,6 +36,11 @@ class Reply:
         )
 
 
-def note(level: Level, code: str, text: str, stream: str = "", links: tuple[int, ...] = ()) -> Reply:
-    """A note of the gateway's."""
-    return Reply(Kind.NOTE, payload=(Note(level, code, text, stream).pack(),), links=links)
+def published(topic: str, message: RosMessage, stamp_ns: int) -> Output:
+    """A ROS message on a topic; ``stamp_ns`` is that of its header, UTC ns."""
+    return Output(Kind.ROS_OUT, topic, message.TYPE, (message.pack(),), (), stamp_ns)
+
+
+def note(level: Level, code: str, text: str, stream: str = "", links: tuple[int, ...] = ()) -> Output:
+    """A note of the gateway."""
+    return Output(Kind.NOTE, payload=(Note(level, code, text, stream).pack(),), links=links)

@@ -1,59 +1,39 @@
-"""What peers ask for: GET_ is answered from the latest state, STT_ and STP_ change what a peer is sent.
+"""Answers to queries: GET_ is answered from the latest messages, STT_ and STP_ start and stop streams to the peer.
 
 A query that cannot be answered gets a message of the asked type without content: ``query.md`` wants that, and
 3D Slicer survives it, while an RTS_ of a type that it knows crashes it.  Other programs on the C++ library wait for
-the bytes of a version 1 message that has none: they are told by a STATUS.
+the bytes of a version 1 message that has none: they get a STATUS.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from igtl_gateway.convert.frames import compose
-from igtl_gateway.convert.igtl_msgs import Pose
-from igtl_gateway.convert.poses import matrix_of
-from igtl_gateway.convert.units import Lengths
 from igtl_gateway.gateway.peers import Peer, interval_ns
-from igtl_gateway.gateway.sender import Outbound
+from igtl_gateway.gateway.to_igtl.sender import Outbound
+from igtl_gateway.gateway.to_igtl.trackdata import NAME_BYTES, TRACKING, Latest, name_field, tracking
 from igtl_gateway.stamp import NS_PER_MS, ns_to_ticks
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
-from igtl_gateway.wire.fields import cut_text, encode_text, visible
+from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.metalists import IMAGE_META_DTYPE, ImageMetaList
 from igtl_gateway.wire.query import QUERIES, Reply, StartBind, StartPolyData, StartTracking, StartVideo, query_name
 from igtl_gateway.wire.registry import ALIASES, BODIES
 from igtl_gateway.wire.text import Status
-from igtl_gateway.wire.tracking import (
-    QTRACKING_DTYPE,
-    TOOL_6D,
-    TRACKING_DTYPE,
-    QuaternionTrackingData,
-    TrackingData,
-)
-from igtl_gateway.wire.transform import Position, Transform
 
 OK, ERROR = 0, 1
 _STATUS_OK, _STATUS_NOT_FOUND, _STATUS_ACCESS_DENIED = 1, 4, 5
-_NAME_BYTES = 19  # of 20: the reference reader drops a name that fills its field
 _LONG_NAME_BYTES = 63
 _TYPE_BYTES = 12  # in a header
-
-#: Device name of tracking data that is put together for a peer that names none.
-TRACKING_DEVICE = "Tracking"
-
-#: Tracking data and the single poses that it can be put together from.
-TRACKING = {"TDATA": "TRANSFORM", "QTDATA": "POSITION"}
 
 #: Names by which one peer may ask for tracking data: each costs a message for every pose that goes out.
 MAX_TRACKED = 16
 
-#: Latest messages of a type and device ("" = any), as they would be sent.
-Latest = Callable[[str, str], list[Outbound]]
 #: Whether a coordinate frame is known.
 Known = Callable[[str], bool]
 
@@ -131,59 +111,6 @@ def _interval_ns(content: Body) -> int:
 _LONGEST_NS = 3_600_000 * NS_PER_MS
 
 
-def tracking(igtl_type: str, device: str, now_ns: int, latest: Latest) -> Outbound | None:
-    """TDATA or QTDATA of all single poses that go out; None without any."""
-    poses = latest(TRACKING[igtl_type], "")
-    if not poses:
-        return None
-    dtype = TRACKING_DTYPE if igtl_type == "TDATA" else QTRACKING_DTYPE
-    elements = np.zeros(len(poses), dtype)
-    for element, pose in zip(elements, poses, strict=True):
-        _fill(element, pose)
-    content = (TrackingData if igtl_type == "TDATA" else QuaternionTrackingData)(elements)
-    stamp_ns = max(pose.stamp_ns for pose in poses)
-    frames = {pose.frame_id for pose in poses}
-    return Outbound(
-        igtl_type,
-        device or TRACKING_DEVICE,
-        content,
-        stamp_ns,
-        ros_stamp_ns=max(pose.ros_stamp_ns for pose in poses),
-        frame_id=frames.pop() if len(frames) == 1 else "",
-    )
-
-
-def _fill(element: Any, pose: Outbound) -> None:
-    element["name"] = _text(pose.full_name or pose.device, _NAME_BYTES)
-    element["type"] = TOOL_6D
-    match pose.content:
-        case Transform(wire_matrix):
-            element["matrix"] = wire_matrix
-        case Position(position, quaternion):
-            element["position"] = position
-            element["quaternion"] = quaternion
-
-
-def in_frame(content: Body, pose: Pose, lengths: Lengths) -> Body:
-    """Tracking data in another frame, in which its own has the pose ``pose`` (metres)."""
-    if isinstance(content, TrackingData):
-        elements = content.elements.copy()
-        columns = elements["matrix"].astype(np.float64).reshape(-1, 4, 3)
-        turned = np.empty_like(columns)
-        for row, (a, b, c) in enumerate(matrix_of(pose[3:])):  # plain sums: the same bits on every machine
-            turned[:, :, row] = a * columns[:, :, 0] + b * columns[:, :, 1] + c * columns[:, :, 2]
-            turned[:, 3, row] += lengths.to_igtl(pose[row])
-        elements["matrix"] = turned.reshape(-1, 12)
-        return TrackingData(elements)
-    assert isinstance(content, QuaternionTrackingData)
-    elements = content.elements.copy()
-    x, y, z = (lengths.to_igtl(value) for value in pose[:3])
-    for element in elements:
-        moved = compose((x, y, z, *pose[3:]), (*element["position"].tolist(), *element["quaternion"].tolist()))
-        element["position"], element["quaternion"] = moved[:3], moved[3:]
-    return QuaternionTrackingData(elements)
-
-
 def _images(device: str, now_ns: int, latest: Latest) -> list[Outbound]:
     """IMGMETA of the images that go out."""
     rows = [_image_row(one) for one in latest("IMAGE", device)]
@@ -195,24 +122,10 @@ def _images(device: str, now_ns: int, latest: Latest) -> list[Outbound]:
 
 def _image_row(out: Outbound) -> Any:
     row = np.zeros(1, IMAGE_META_DTYPE)
-    row["name"] = _text(out.full_name or out.device, _LONG_NAME_BYTES)
-    row["device_name"] = _text(out.device, _NAME_BYTES + 1)
+    row["name"] = name_field(out.full_name or out.device, _LONG_NAME_BYTES)
+    row["device_name"] = name_field(out.device, NAME_BYTES + 1)
     row["ticks"] = ns_to_ticks(out.stamp_ns)
     if isinstance(out.content, Image):
         row["size"] = out.content.dimensions
         row["scalar_type"] = out.content.scalar_type
     return row
-
-
-def _text(text: str, width: int) -> bytes:
-    return encode_text(cut_text(text, width), width, "name")
-
-
-def trackers(peers: Iterable[Peer]) -> dict[tuple[str, str], list[Peer]]:
-    """Who has asked for streams of tracking data, by (type, device asked for)."""
-    wanted: dict[tuple[str, str], list[Peer]] = {}
-    for peer in peers:
-        for (igtl_type, device), wish in peer.wishes.items():
-            if igtl_type in TRACKING and wish.wanted:
-                wanted.setdefault((igtl_type, device), []).append(peer)
-    return wanted

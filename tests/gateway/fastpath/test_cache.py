@@ -1,4 +1,4 @@
-"""Plans give what the general way gives, to the last bit; the compiled functions give what the plain ones give."""
+"""The fast path gives what the full path gives, to the last bit; the functions in C what those in Python give."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from igtl_gateway.buffers import join
 from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import express, rosmsg
 from igtl_gateway.convert.common_msgs import PoseStamped
-from igtl_gateway.gateway import LINK_DOWN, LINK_UP, Gateway, Session
-from igtl_gateway.gateway.core import LISTENED
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LISTENED, Gateway, Session
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
@@ -111,7 +110,7 @@ odd_xyz = st.tuples(*[st.sampled_from([0.0, 1e-42, 3e38, math.nan, math.inf])] *
 
 
 def _mostly(draw: st.DrawFn, usual: Any, *odd: Any) -> Any:
-    """One that is odd now and then: plans are for what is usual."""
+    """One that is odd now and then: the fast path is for what is usual."""
     return draw(st.sampled_from(odd)) if draw(st.integers(0, 5)) == 0 else usual
 
 
@@ -246,13 +245,11 @@ CONFIGS = (
 )
 
 
-def played(steps: list[Step], config: Config, heard: set[str] | None, planned: bool) -> tuple[list[Any], Any]:
+def played(steps: list[Step], config: Config, heard: set[str] | None, fast_path: bool) -> tuple[list[Any], Any]:
     """The entries and the ledger of a session."""
-    gateway = Gateway(config)
+    gateway = Gateway(config, fast_path=fast_path)
     if heard is not None:
-        gateway.heard = lambda topic, _type: topic in heard
-    if not planned:
-        gateway.plans.wants = lambda key: False  # type: ignore[method-assign]
+        gateway.has_subscriber = lambda topic, _type: topic in heard
     session = Session(gateway)
     told: list[Any] = []
     for index, step in enumerate([("link", LINK_UP, 1), ("link", LINK_UP, 2), *steps]):
@@ -287,14 +284,14 @@ def _plain(entry: Entry) -> tuple[Any, ...]:
     st.sampled_from(CONFIGS),
     st.sampled_from([None, set(), {"/tf"}, {"/igtl/in/A/transform"}]),
 )
-def test_a_session_with_plans_is_the_session_without(
+def test_a_session_with_the_fast_path_is_the_session_without(
     functions: str, steps: list[Step], config: Config, heard: set[str] | None
 ) -> None:
     with pytest.MonkeyPatch.context() as patch:
         if functions == "plain":
             patch.setattr(express, "pose_to_ros", express.PLAIN[0])
             patch.setattr(express, "pose_to_igtl", express.PLAIN[1])
-        assert played(steps, config, heard, planned=True) == played(steps, config, heard, planned=False)
+        assert played(steps, config, heard, fast_path=True) == played(steps, config, heard, fast_path=False)
 
 
 @given(
@@ -303,7 +300,7 @@ def test_a_session_with_plans_is_the_session_without(
     st.sampled_from([None, set(), {"/igtl/in/B/point"}, {"/igtl/in/B/points", "/igtl/in/B/image"}]),
 )
 def test_so_is_one_of_texts_points_and_pictures(steps: list[Step], config: Config, heard: set[str] | None) -> None:
-    assert played(steps, config, heard, planned=True) == played(steps, config, heard, planned=False)
+    assert played(steps, config, heard, fast_path=True) == played(steps, config, heard, fast_path=False)
 
 
 POSE = Transform((0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6, 1.0, 2.0, 3.0))
@@ -311,7 +308,7 @@ TOOL = rosmsg.TransformStamped(rosmsg.Header(T0_NS, "base"), "tool", (0.1, 0.2, 
 
 
 def watched_session() -> tuple[Session, list[Kind]]:
-    """With one peer; and what took the general way since it came."""
+    """With one peer; and what took the full path since it came."""
     gateway = Gateway(Config())
     session = Session(gateway)
     note = Note(Level.INFO, LINK_UP, "", data={"peer": "127.0.0.1:1", "role": "server"})
@@ -328,7 +325,7 @@ def watched_session() -> tuple[Session, list[Kind]]:
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_the_second_pose_of_a_stream_goes_by_a_plan(version: int) -> None:
+def test_the_second_pose_of_a_stream_takes_the_fast_path(version: int) -> None:
     session, general = watched_session()
     data = join(encode(Message("TRANSFORM", "Probe", POSE, ns_to_ticks(T0_NS), version)))
     cdr = TOOL.pack()
@@ -336,7 +333,7 @@ def test_the_second_pose_of_a_stream_goes_by_a_plan(version: int) -> None:
         session.input(T0_NS, Kind.IGTL_IN, (data,), links=(1,))
     for _ in range(4):
         session.input(T0_NS, Kind.ROS_IN, (cdr,), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
-    # the first message of a peer also shows what it is, so the plan is made of the second
+    # the first message of a peer also shows what it is, so the second one is compiled
     assert general == [Kind.IGTL_IN, Kind.IGTL_IN, Kind.ROS_IN]
     changed = replace(TOOL, child_frame_id="other")
     session.input(T0_NS, Kind.ROS_IN, (changed.pack(),), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
@@ -409,13 +406,13 @@ def test_the_compiled_functions_refuse_what_they_cannot_use(bad: tuple[Any, ...]
 
 @pytest.mark.parametrize("heard", [None, set(), {"/igtl/in/B/points"}])
 def test_what_nobody_hears_is_refused_all_the_same(heard: set[str] | None) -> None:
-    """Found by tools/fuzz_gateway.py: a plan with nothing to make did not look at the content."""
+    """Found by tools/fuzz_gateway.py: without subscribers, the fast path did not look at the content."""
     cloud = PolyData(np.arange(12, dtype=">f4").reshape(4, 3))
     good = join(encode(Message("POLYDATA", "B", cloud, ns_to_ticks(T0_NS))))
     bad = bytearray(good[:-4])
     bad[42:50] = (len(bad) - HEADER_SIZE).to_bytes(8, "big")
     bad[50:58] = crc64(bad[HEADER_SIZE:]).to_bytes(8, "big")
     steps: list[Step] = [("igtl", data, 1) for data in (good, good, good, bytes(bad), good)]
-    entries, counts = played(steps, Config(), heard, planned=True)
-    assert (entries, counts) == played(steps, Config(), heard, planned=False)
+    entries, counts = played(steps, Config(), heard, fast_path=True)
+    assert (entries, counts) == played(steps, Config(), heard, fast_path=False)
     assert counts["igtl_in"]["POLYDATA/B"]["dropped"] == {"truncated": 1}

@@ -8,7 +8,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply, MetadataItem
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.gateway.commands import MAX_PENDING, CommandBook, Pending
+from igtl_gateway.gateway.dialogue.commands import MAX_PENDING, CommandBook, Pending
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.text import Status

@@ -15,7 +15,7 @@ from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.table import row_to_igtl
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.gateway.sender import Outbound
+from igtl_gateway.gateway.to_igtl.sender import Outbound
 from igtl_gateway.qos import Qos
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.tracking import TOOL_6D

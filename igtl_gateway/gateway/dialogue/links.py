@@ -1,0 +1,134 @@
+"""Links that come and go: the list of peers for ROS, the latest state for late joiners, pings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from igtl_gateway.config import Config
+from igtl_gateway.convert.igtl_msgs import LinkStatusList
+from igtl_gateway.convert.rosmsg import Header as RosHeader
+from igtl_gateway.errors import ConversionError, WireError
+from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.dialogue.commanding import Commands
+from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.outcome import Finding, Item, Outcome, Tally
+from igtl_gateway.gateway.output import Output, published
+from igtl_gateway.gateway.peers import Peer, Peers
+from igtl_gateway.gateway.to_igtl.composer import Composer
+from igtl_gateway.gateway.to_igtl.delivery import Delivery
+from igtl_gateway.gateway.to_igtl.frames import Frames
+from igtl_gateway.gateway.to_igtl.latest import Latest
+from igtl_gateway.gateway.to_igtl.sender import Outbound
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.session.ledger import PEERS
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.wire.query import Nothing
+
+LINK_UP, LINK_DOWN = "link_up", "link_down"
+
+#: Who is connected, for ROS.
+LINKS_TOPIC = "/igtl/links"
+LINKS_QOS = Qos(depth=10, latched=True)
+
+
+class Links:
+    """See the module.
+
+    Args:
+        denied: types that no peer is sent (``deny_out``).
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        peers: Peers,
+        guard: Guard,
+        denied: Denials,
+        *,
+        latest: Latest,
+        composer: Composer,
+        delivery: Delivery,
+        frames: Frames,
+        commands: Commands,
+    ) -> None:
+        self._config = config
+        self._peers = peers
+        self._guard = guard
+        self._denied = denied
+        self._latest = latest
+        self._composer = composer
+        self._delivery = delivery
+        self._frames = frames
+        self._commands = commands
+
+    def take(self, entry: Entry) -> Outcome:
+        """A link came up or went down."""
+        event = Note.unpack(entry.data())
+        self._peers.changed()
+        outcome = Outcome()
+        for link in entry.links:
+            if event.code == LINK_UP:
+                outcome.items += self._welcome(entry, self._peers.up(link, event.data, entry.stamp_ns))
+            else:
+                outcome.tallies += self._closing(link, event.data)
+                self._peers.down(link)
+                self._guard.gone(link)
+                outcome.items += self._commands.gone(entry, link)
+        outcome.items.append(self.status(entry.stamp_ns))
+        return outcome
+
+    def status(self, now_ns: int) -> Output:
+        """The list of peers, for ROS."""
+        header = RosHeader(now_ns, self._config.base_frame)
+        statuses = tuple(peer.status() for peer in self._peers.all())
+        return published(LINKS_TOPIC, LinkStatusList(header, statuses), now_ns)
+
+    @property
+    def due_ns(self) -> int | None:
+        """When the next ping is due (gateway time, UTC ns); None where no peer wants any."""
+        return min((peer.said_ns + peer.profile.ping_ns for peer in self._pinged()), default=None)
+
+    def ping(self, entry: Entry) -> list[Item]:
+        """Pings for the peers that would otherwise close the link; ``entry`` is a tick."""
+        items: list[Item] = []
+        now_ns = entry.stamp_ns
+        for peer in list(self._pinged()):
+            if peer.said_ns + peer.profile.ping_ns <= now_ns:
+                items += self._delivery.to(entry, [peer], [Outbound("GET_STATUS", "", Nothing(), now_ns)])
+        return items
+
+    def _pinged(self) -> Iterable[Peer]:
+        """The peers that want to receive something from time to time."""
+        if self._denied.type("GET_STATUS"):
+            return ()
+        return (peer for peer in self._peers.all() if peer.profile.ping_ns)
+
+    def _welcome(self, entry: Entry, peer: Peer) -> list[Item]:
+        """A late joiner gets the latest message of each latched stream, as a subscriber of a transient-local topic."""
+        items: list[Item] = []
+        for latest, stream in self._latest.latched():
+            if self._commands.special(stream.conversion.igtl_type):
+                continue
+            try:
+                out = self._composer.convert(latest, stream, stream.conversion)
+                items += self._delivery.to(entry, [peer], [out])
+            except (ConversionError, WireError) as error:
+                items.append(Finding(Level.ERROR, "conversion", f"not sent: {error}", latest.channel))
+        return items + self._frames.welcome(entry, peer)
+
+    def _closing(self, link: int, counts: dict[str, Any]) -> list[Tally]:
+        """What became of all that was sent to a peer that has gone, as its link counted it."""
+        peer = self._peers.get(link)
+        if peer is None or not isinstance(delivered := counts.get("sent_messages"), int):
+            return []
+        row = f"{link} {peer.address}"
+        dropped = sum(counts.get("dropped", {}).values())
+        gone = peer.sent - delivered - dropped  # sent while the link was closing: it took them no more
+        losses = (("queue", dropped), ("link_closed", gone))
+        return [
+            Tally(PEERS, row, "sent", peer.sent),
+            Tally(PEERS, row, "delivered", delivered),
+            *(Tally(PEERS, row, reason, number, dropped=True) for reason, number in losses if number > 0),
+        ]

@@ -1,0 +1,102 @@
+"""Queries of peers: GET_ is answered from the latest messages, STT_ and STP_ start and stop streams."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from igtl_gateway.convert.names import short_device_name
+from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.dialogue import answers
+from igtl_gateway.gateway.outcome import Finding, Item
+from igtl_gateway.gateway.output import Output
+from igtl_gateway.gateway.peers import Peer, Peers
+from igtl_gateway.gateway.to_igtl.delivery import Delivery
+from igtl_gateway.gateway.to_igtl.latest import Latest
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.query import split_query
+
+#: Entry, peer, message, type asked for, short device name.
+_Answer = Callable[["Queries", Entry, Peer, Message, str, str], list[Item]]
+
+
+class Queries:
+    """See the module.
+
+    Args:
+        denied: types that no peer is sent (``deny_out``).
+        knows_frame: whether poses can be given in a coordinate frame.
+    """
+
+    def __init__(
+        self, peers: Peers, denied: Denials, latest: Latest, delivery: Delivery, knows_frame: Callable[[str], bool]
+    ) -> None:
+        self._peers = peers
+        self._denied = denied
+        self._latest = latest
+        self._delivery = delivery
+        self._knows_frame = knows_frame
+
+    def respond(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
+        """What a peer gets in answer to a message; nothing for messages that are no query."""
+        query = split_query(message.type)
+        if query is None:
+            return []
+        self._peers.changed()
+        prefix, igtl_type = query
+        if prefix in ("GET", "STT") and self._denied.type(igtl_type):
+            text = f"{message.type} refused: {igtl_type} is sent to nobody (deny_out)"
+            finding = _once(entry, Level.WARN, "denied", text, visible(message.type), peer)
+            return [finding, *self.deny(entry, peer, message, prefix, igtl_type)]
+        answer = _ANSWERS.get(prefix)
+        # a name of odd bytes is longer as text: what answers it has to fit the wire
+        device = short_device_name(visible(message.device_name))
+        return answer(self, entry, peer, message, igtl_type, device) if answer else []
+
+    def deny(self, entry: Entry, peer: Peer, message: Message, prefix: str, igtl_type: str) -> list[Item]:
+        """A query that is denied: refused by its RTS_ where it has one, else by a STATUS."""
+        if prefix == "RTS":
+            return []
+        device = short_device_name(visible(message.device_name))
+        outs = answers.denial(prefix, igtl_type, device, entry.stamp_ns)
+        return self._delivery.each(entry, outs, lambda out: self._delivery.to(entry, [peer], [out]))
+
+    def _get(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
+        outs = answers.answer(igtl_type, device, entry.stamp_ns, lambda *key: self._latest.of(entry, *key))
+        items = self._delivery.each(entry, outs, lambda out: self._delivery.to(entry, [peer], [out]))
+        sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
+        if outs and (sent or not peer.profile.may_send(igtl_type)):
+            return items
+        text = f"{message.type} of {device or 'any device'} cannot be answered: there is none yet"
+        refusal = answers.refusal(igtl_type, device, entry.stamp_ns, peer)
+        return [
+            *items,
+            *self._delivery.to(entry, [peer], [refusal]),
+            _once(entry, Level.INFO, "query_unanswered", text, entry.channel, peer),
+        ]
+
+    def _start(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
+        status = answers.start(message, igtl_type, peer, self._knows_frame)
+        items = self._acknowledge(entry, peer, igtl_type, device, status)
+        if status == answers.OK:
+            text = f"{message.type} of {device or 'any device'}: a stream begins"
+            return [*items, Finding(Level.INFO, "stream_started", text, entry.channel, (peer.link,))]
+        text = f"{message.type} of {device or 'any device'} refused: unknown frame, type or too many streams"
+        return [*items, Finding(Level.WARN, "stream_refused", text, entry.channel, (peer.link,))]
+
+    def _stop(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
+        peer.stop(igtl_type, visible(message.device_name))
+        return self._acknowledge(entry, peer, igtl_type, device, answers.OK)
+
+    def _acknowledge(self, entry: Entry, peer: Peer, igtl_type: str, device: str, status: int) -> list[Item]:
+        outs = answers.acknowledgement(igtl_type, device, entry.stamp_ns, status)
+        return self._delivery.to(entry, [peer], outs)
+
+
+_ANSWERS: dict[str, _Answer] = {"GET": Queries._get, "STT": Queries._start, "STP": Queries._stop}
+
+
+def _once(entry: Entry, level: Level, code: str, text: str, subject: str, peer: Peer) -> Finding:
+    return Finding(level, code, text, entry.channel, entry.links, subject=subject, by=peer.link)

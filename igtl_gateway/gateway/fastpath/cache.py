@@ -1,0 +1,148 @@
+"""The compiled streams of a session: which there are, when they are compiled, and when they are void."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.config import Config
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.gateway.fastpath import compile_to_igtl, compile_to_ros
+from igtl_gateway.gateway.fastpath.common import Common
+from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
+from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
+from igtl_gateway.gateway.outcome import Outcome
+from igtl_gateway.gateway.peers import Peers
+from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
+from igtl_gateway.gateway.to_ros.route import RosOrigin
+from igtl_gateway.gateway.to_ros.subscribers import Subscribers
+from igtl_gateway.gateway.to_ros.volumes import Volumes
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.ledger import Ledger
+
+#: Streams of each direction that are compiled; those beyond take the full path.
+MAX_STREAMS = 4_096
+
+#: Where the names of a stream end in the header of its messages: header version, type and device name.
+NAMES = slice(0, 34)
+
+#: How often a stream is compiled until the peers change: one whose messages never fit keeps to the full path.
+MAX_COMPILED = 8
+
+#: Link and names; topic and ROS type.
+ToRosKey = tuple[int, bytes]
+ToIgtlKey = tuple[str, str]
+
+#: Entry number, gateway time (UTC ns), kind, payload, channel, type, links and source stamp of an input → its entry and
+#: those that it causes; nothing where the input has to take the full path.
+Fast = Callable[[int, int, Kind, Sequence[Buffer], str, str, tuple[int, ...], int], list[Entry] | None]
+
+
+class FastPath:
+    """See the package.
+
+    Args:
+        latest: topic → its latest message.
+        enabled: whether streams are compiled at all.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        ledger: Ledger,
+        peers: Peers,
+        qos: Callable[[str], Qos | None],
+        subscribers: Subscribers,
+        volumes: Volumes,
+        latest: dict[str, Entry],
+        *,
+        enabled: bool,
+    ) -> None:
+        self.to_ros: dict[ToRosKey, CompiledToRos] = {}
+        self.to_igtl: dict[ToIgtlKey, CompiledToIgtl] = {}
+        self._compiled: dict[ToRosKey | ToIgtlKey, int] = {}  # how often
+        self._common = Common(config, ledger, qos, subscribers.waiting)
+        self._peers = peers
+        self._subscribers = subscribers
+        self._volumes = volumes
+        self._latest = latest
+        self._frames_go_out = bool(config.tf_out)
+        self._enabled = enabled
+        peers.changed = self._forget
+
+    def take(
+        self,
+        seq: int,
+        stamp_ns: int,
+        kind: Kind,
+        payload: Sequence[Buffer],
+        channel: str,
+        type_name: str,
+        links: tuple[int, ...],
+        source_ns: int,
+    ) -> list[Entry] | None:
+        """What the compiled stream gives, if there is one that fits; see ``Fast``."""
+        entries: list[Entry] | None = None
+        if kind is Kind.ROS_IN:
+            topic_key = (channel, type_name)
+            if to_igtl := self.to_igtl.get(topic_key):
+                entries = to_igtl(seq, stamp_ns, payload, channel, type_name, source_ns)
+                if entries is None:
+                    del self.to_igtl[topic_key]
+        elif kind is Kind.IGTL_IN:
+            device_key = (links[0], bytes(payload[0][NAMES]))
+            if to_ros := self.to_ros.get(device_key):
+                entries = to_ros(seq, stamp_ns, payload, links, self._subscribers.ask)
+                if entries is None:
+                    del self.to_ros[device_key]
+        return entries
+
+    def learn(self, entry: Entry, outcome: Outcome) -> None:
+        """Compile the stream of a message that took the full path, where that is possible and of use."""
+        if not self._enabled or not outcome.is_good:
+            return
+        try:
+            if entry.kind is Kind.IGTL_IN:
+                self._learn_to_ros(entry, outcome.origin)
+            else:
+                self._learn_to_igtl(entry, outcome.origin)
+        except ConversionError:  # nobody subscribes to some of its outputs, so the full path has not converted those
+            return
+
+    def _learn_to_ros(self, entry: Entry, origin: RosOrigin) -> None:
+        key = (entry.links[0], bytes(entry.payload[0][NAMES]))
+        if entry.type in compile_to_ros.TYPES and not self._frames_go_out and self._wants(key):
+            assembler = self._volumes.get(origin.to.device_name)
+            self._keep(self.to_ros, key, compile_to_ros.compile_to_ros(entry, origin, self._common, assembler))
+
+    def _learn_to_igtl(self, entry: Entry, origin: IgtlOrigin) -> None:
+        key = (entry.channel, entry.type)
+        if entry.type in compile_to_igtl.TYPES and self._wants(key):
+            peers = tuple(self._peers.all())
+            compiled = compile_to_igtl.compile_to_igtl(entry, origin, self._common, self._latest, peers)
+            self._keep(self.to_igtl, key, compiled)
+
+    def _wants(self, key: ToRosKey | ToIgtlKey) -> bool:
+        """Whether a stream is not compiled, and may be."""
+        if key in self.to_ros or key in self.to_igtl:
+            return False
+        times = self._compiled.get(key)
+        return times < MAX_COMPILED if times is not None else len(self._compiled) < MAX_STREAMS
+
+    def _keep(self, streams: dict[Any, Any], key: ToRosKey | ToIgtlKey, compiled: object | None) -> None:
+        """Use a compiled stream from now on; None: this stream cannot be compiled."""
+        self._compiled[key] = self._compiled.get(key, 0) + 1 if compiled else MAX_COMPILED
+        if compiled:
+            streams[key] = compiled
+
+    def _forget(self) -> None:
+        """The peers have changed."""
+        self.to_ros.clear()
+        self.to_igtl.clear()
+        self._compiled.clear()
+
+
+def never(*_input: object) -> None:
+    """The fast path of a gateway that has none."""

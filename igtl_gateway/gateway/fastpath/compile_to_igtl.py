@@ -1,0 +1,172 @@
+"""How a stream of a ROS topic is compiled: from a message that took the full path without a finding.
+
+As in ``compile_to_ros``, towards the peers that are there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from igtl_gateway.buffers import Buffer, join
+from igtl_gateway.convert import clouds, express, images, poses, rosmsg, texts
+from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, MATRIX, PICTURE, POINTS, QUATERNION, TEXT, Fill
+from igtl_gateway.convert.rosmsg import PointCloud2, String, TransformStamped
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.gateway.fastpath.common import NAMES_AT, Common, behind_name
+from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
+from igtl_gateway.gateway.output import Output
+from igtl_gateway.gateway.peers import Peer
+from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
+from igtl_gateway.gateway.to_igtl.sender import send
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.wire import HEADER_SIZE
+from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
+from igtl_gateway.wire.message import EXTENDED_SIZE
+
+#: How a row reads one → the bytes of its numbers in OpenIGTLink.
+_TO_IGTL: dict[Callable[..., Any], int] = {
+    poses.transform_to_igtl: MATRIX,
+    poses.pose_to_transform: MATRIX,
+    poses.position_to_igtl: QUATERNION,
+    poses.pose_to_position: QUATERNION,
+}
+#: How a row converts bulk → the form of the result.
+_BULK_TO_IGTL: dict[Callable[..., Any], int] = {
+    texts.string_to_igtl: TEXT,
+    clouds.cloud_to_points: POINTS,
+    clouds.cloud_to_polydata: CLOUD,
+    images.image_to_igtl: PICTURE,
+}
+#: ROS types whose streams can be compiled.
+TYPES = frozenset({TransformStamped.TYPE, PoseStamped.TYPE, String.TYPE, PointCloud2.TYPE, rosmsg.Image.TYPE})
+_LITTLE_ENDIAN = b"\x00\x01"
+_POSE_SIZE = 56
+_XYZ, _FLOAT32 = ("x", "y", "z"), 7
+_LEAST_PICTURE = 4  # bytes; the least point has as many
+#: Stamps of 19 digits, no two the same at the same place: they show where in a message the stamp is.
+_TWO_STAMPS = (1_111_111_111_111_111_111, 2_222_222_222_222_222_222)
+
+
+def compile_to_igtl(
+    entry: Entry, origin: IgtlOrigin, common: Common, latest: dict[str, Entry], peers: Sequence[Peer]
+) -> CompiledToIgtl | None:
+    """From a message that was sent without a finding; None where its stream cannot be compiled.
+
+    ``latest`` keeps the last message of each topic.
+    """
+    stream, out, watched = origin
+    cdr, size = entry.payload[0], _TO_IGTL.get(stream.conversion.convert, 0)
+    form = _BULK_TO_IGTL.get(stream.conversion.convert)
+    fill: Fill | None = express.pose_to_igtl if size else express.bulk_to_igtl
+    if not (size or form is not None) or fill is None or bytes(cdr[:2]) != _LITTLE_ENDIAN:
+        return None
+    if any(peer.wishes or type(out.content) in peer.profile.adapt for peer in peers):
+        return None
+    content = size or sum(memoryview(part).nbytes for part in out.content.pack())
+    extra = 0
+    if size:
+        names: tuple[int, ...] | None = _names_of(cdr, two=entry.type == TransformStamped.TYPE)
+    elif form == PICTURE:
+        extra, content = IMAGE_HEAD, content - IMAGE_HEAD
+        form, names = _picture_places(cdr, content)
+    else:
+        names = () if form == TEXT else _cloud_places(cdr)
+    if names is None:
+        return None
+    first, second = (
+        send(replace(out, ros_stamp_ns=stamp_ns if out.ros_stamp_ns else 0), peers, entry.stamp_ns)
+        for stamp_ns in _TWO_STAMPS
+    )
+    if first.refused or first.warnings or not first.outputs:
+        return None
+    outputs: list[tuple[Output, tuple[Any, ...]]] = []
+    for one, other in zip(first.outputs, second.outputs, strict=True):
+        version_1 = one.payload[0][1] == 1
+        template = join(one.payload)
+        at = HEADER_SIZE + (0 if version_1 else EXTENDED_SIZE) + extra
+        head, tail = template[:at], template[at + content :]
+        digits_at = 0 if version_1 else _difference(tail, join(other.payload)[at + content :])
+        if size:
+            outputs.append((one, (template, at, at + content + digits_at if digits_at > 0 else digits_at)))
+        else:
+            outputs.append((replace(one, payload=()), (head, tail, digits_at)))
+    own = common.config.stamp_of(stream.row) == "source"
+    if stream.row.max_age_s and not own:
+        return None
+    sample = bytes(cdr) if size else bytes(cdr[: names[1] if names else 4])
+    place_at = len(sample) - _POSE_SIZE if size else None
+    what = size or form or 0
+    ratio = stream.lengths.ratio_to_igtl
+    return CompiledToIgtl(
+        fill,
+        sample,
+        names,
+        what,
+        outputs,
+        peers,
+        ratio,
+        own,
+        common.ledger,
+        entry.channel,
+        latest,
+        watched,
+        place_at,
+    )
+
+
+def _difference(one: bytes, other: bytes) -> int:
+    """Where what is behind two contents begins to differ; −1 where it does not."""
+    pairs = zip(one, other, strict=True)
+    return next((index for index, (left, right) in enumerate(pairs) if left != right), -1)
+
+
+def _cloud_places(cdr: Buffer) -> tuple[int, ...] | None:
+    """What ``bulk_to_igtl`` is to know of a cloud; None where it has more than x, y and z, or those in another form."""
+    try:
+        cloud = PointCloud2.unpack(cdr)
+    except ConversionError:
+        return None
+    fields = {field.name: field for field in cloud.fields}
+    plain = all(field.datatype == _FLOAT32 and field.count in (0, 1) for field in cloud.fields)
+    if cloud.is_bigendian or not plain or len(cloud.fields) != len(_XYZ) or fields.keys() != set(_XYZ):
+        return None
+    same = [NAMES_AT, behind_name(cdr, NAMES_AT)]  # what is between the parts is padding
+    height_at = same[-1] + -same[-1] % 4
+    at = height_at + 8  # the number of fields
+    same += (at, at + 4)
+    at += 4
+    for _ in cloud.fields:
+        end = behind_name(cdr, at)
+        offset_at = end + -end % 4
+        same += (at, end, offset_at, offset_at + 5, offset_at + 8, offset_at + 12)
+        at = offset_at + 12
+    same += (at, at + 1, at + 4, at + 8)  # byte order and the size of a point
+    data_at = at + 16
+    return height_at, data_at, cloud.point_step, *(fields[name].offset for name in _XYZ), *same
+
+
+def _picture_places(cdr: Buffer, size: int) -> tuple[int, tuple[int, ...] | None]:
+    """What is made of an Image of so many bytes, and what ``bulk_to_igtl`` is to know; None where rows are padded."""
+    picture = rosmsg.Image.unpack(cdr)
+    blue_first = picture.encoding.startswith("bgr")
+    if picture.step * picture.height != size or size < _LEAST_PICTURE or (blue_first and picture.encoding != "bgr8"):
+        return PICTURE, None
+    frame_end = behind_name(cdr, NAMES_AT)
+    height_at = frame_end + -frame_end % 4
+    end = behind_name(cdr, height_at + 8) + 1  # the encoding, and the byte order
+    data_at = end + -end % 4 + 8
+    same = (NAMES_AT, frame_end, height_at, end, data_at - 8, data_at)
+    return BLUE_FIRST if blue_first else PICTURE, (height_at, data_at, size, 0, 0, 0, *same)
+
+
+def _names_of(cdr: Buffer, *, two: bool) -> tuple[int, int, int] | None:
+    """Offsets behind the first name, before and behind the second one; None where no pose follows at once."""
+    first_end = second = end = behind_name(cdr, 12)
+    if two:
+        second = first_end + -first_end % 4
+        end = behind_name(cdr, second)
+    pose = end + (4 - end) % 8
+    return (first_end, second, end) if len(cdr) == pose + _POSE_SIZE else None

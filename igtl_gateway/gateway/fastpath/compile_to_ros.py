@@ -1,0 +1,143 @@
+"""How a stream of an OpenIGTLink device is compiled: from a message that took the full path without a finding.
+
+All that does not change from message to message becomes a sample, which the next one is compared with, and templates,
+which the functions of `igtl_gateway.convert.express` fill.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts, tracking, volumes
+from igtl_gateway.convert.assembly import VolumeAssembler, form_of
+from igtl_gateway.convert.context import ToRos
+from igtl_gateway.convert.express import CLOUD, MATRIX, PICTURE, POINT, POINTS, QUATERNION, TEXT, Fill
+from igtl_gateway.convert.plans import is_labeled
+from igtl_gateway.convert.polydata import exceeds_standard
+from igtl_gateway.convert.table import RosRow
+from igtl_gateway.gateway.fastpath.common import NAMES_AT, STAMP_AT, Common, behind_name
+from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Volume
+from igtl_gateway.gateway.to_ros.route import RosOrigin
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.wire import HEADER_SIZE
+from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.message import EXTENDED_SIZE
+
+#: How a row writes a pose → the offset of the stamp in its CDR, which ends with the pose.
+_TO_ROS: dict[Callable[..., Any], int] = {
+    poses.transform_to_ros: 4,
+    poses.position_to_ros: 4,
+    tracking.transform_to_tf: 8,
+    tracking.position_to_tf: 8,
+}
+#: Types whose messages are poses → the bytes of their numbers.
+_POSES = {"TRANSFORM": MATRIX, "POSITION": QUATERNION, "QTRANS": QUATERNION}
+#: How a row converts bulk → the form of the result.
+_BULK_TO_ROS: dict[Callable[..., Any], int] = {
+    texts.string_to_ros: TEXT,
+    clouds.point_to_ros: POINT,
+    clouds.points_to_ros: POINTS,
+    clouds.polydata_to_cloud: CLOUD,
+    images.image_to_ros: PICTURE,
+}
+#: Of rows that apply to nothing that a form of bulk is made of, or (of pictures) to nothing if not to the sample.
+_NEVER: frozenset[Callable[..., bool]] = frozenset(
+    {is_labeled, surfaces.has_faces, surfaces.has_lines, exceeds_standard, volumes.exceeds_picture, volumes.has_slices}
+)
+#: Types whose streams can be compiled.
+TYPES = frozenset({*_POSES, "STRING", "POINT", "POLYDATA", "IMAGE"})
+_METADATA_SIZE = struct.Struct(">H")  # of the metadata's header
+#: Where the translation is among the numbers in OpenIGTLink.
+_PLACE_AT = {MATRIX: 36, QUATERNION: 0}
+
+
+def compile_to_ros(
+    entry: Entry, origin: RosOrigin, common: Common, assembler: VolumeAssembler | None
+) -> CompiledToRos | None:
+    """From a message that was converted without a finding; None where its stream cannot be compiled.
+
+    ``assembler`` keeps the last image of its device.  Raises ConversionError: of a message without subscribers, which
+    the full path has not converted.
+    """
+    message, stream, to, watched = origin
+    to = replace(to, warnings=[], made={})
+    data, size = entry.payload[0], _POSES.get(entry.type, 0)
+    at = HEADER_SIZE + (EXTENDED_SIZE if message.header_version > 1 else 0)
+    if message.metadata or message.layout is not None:
+        return None
+    tail = _METADATA_SIZE.unpack_from(data, HEADER_SIZE + 2)[0] if message.header_version > 1 else 0
+    if size and (not isinstance(data, bytes) or at + size + tail != len(data)):
+        return None
+    volume: Volume | None = None
+    if isinstance(content := message.content, Image):
+        if assembler is None or content.sub_size != content.dimensions:
+            return None
+        at, volume = at + IMAGE_HEAD, (assembler, form_of(content), content.array.dtype)
+    forms: list[tuple[str, str, tuple[Any, ...]]] = []
+    for row, topic in stream.outputs:
+        if not isinstance(message.content, row.content):
+            return None
+        if not size and row.applies in _NEVER and not row.applies(message.content):
+            continue
+        form = _pose_form(row, message.content, to) if size else _bulk_form(row, message.content, to)
+        if form is None:
+            return None
+        forms.append((topic, row.message.TYPE, form))
+    if to.warnings:
+        return None
+    own = common.config.stamp_of(stream.row) == "source"
+    if stream.row.max_age_s and not own:  # judged by a stamp that is not shown
+        return None
+    fill: Fill | None = express.pose_to_ros if size else express.bulk_to_ros
+    if fill is None:
+        return None
+    place_at = at + _PLACE_AT[size] if size else None
+    sample = bytes(data) if size else bytes(data[:at]) + bytes(data[len(data) - tail :])
+    latched = frozenset(topic for topic, _, _ in forms if (known := common.qos(topic)) and known.latched)
+    return CompiledToRos(
+        fill,
+        sample,
+        (at, size or tail),
+        entry,
+        forms,
+        to.lengths.ratio_to_ros,
+        common.config.check_crc,
+        own,
+        common.ledger,
+        watched,
+        place_at,
+        (common.waiting, latched),
+        volume,
+    )
+
+
+def _pose_form(row: RosRow, content: Any, to: ToRos) -> tuple[bytes, int] | None:
+    """CDR and where its stamp is."""
+    stamp_at = _TO_ROS.get(row.convert)
+    if stamp_at is None or not row.applies(content):
+        return None
+    made: Any = row.convert(content, to)
+    return made.pack(), stamp_at
+
+
+def _bulk_form(row: RosRow, content: Any, to: ToRos) -> tuple[int, bytes, int, int] | None:
+    """What is made, its template, and where the stamp and the width of that are."""
+    form = _BULK_TO_ROS.get(row.convert)
+    if form == TEXT:
+        return TEXT, b"", 0, 0
+    if form == POINT:
+        header = rosmsg.Header(to.stamp_ns, to.frame_id)
+        return POINT, rosmsg.PointStamped(header, (0.0, 0.0, 0.0)).pack(), STAMP_AT, 0
+    if form is None:
+        return None
+    made: Any = row.convert(content, to)
+    cdr = made.pack()
+    end = len(cdr) - memoryview(made.data).nbytes
+    if form == PICTURE:
+        return form, cdr[:end], STAMP_AT, 0
+    frame_end = behind_name(cdr, NAMES_AT)
+    return form, cdr[: end - 1], STAMP_AT, frame_end + -frame_end % 4 + 4

@@ -1,0 +1,109 @@
+"""The next message of a ROS topic, compiled: its numbers fill the templates of the messages to the peers."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.convert.express import Fill
+from igtl_gateway.gateway.outcome import CONVERTED
+from igtl_gateway.gateway.output import Output
+from igtl_gateway.gateway.peers import Peer
+from igtl_gateway.gateway.watched import Watched
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.ledger import Ledger
+
+#: A translation at the beginning of a pose in CDR.
+_PLACE = struct.Struct("<3d")
+
+
+class CompiledToIgtl:
+    """A message of one topic, to the peers that are there: fill the templates of its messages.
+
+    Args:
+        fill: ``pose_to_igtl`` or ``bulk_to_igtl``, with the ``sample``, ``names`` and ``size`` that it takes.
+        outputs: an output and its form for each header version and profile.
+        latest: the last message of each topic.
+        place_at: where the translation is in the message, of a pose.
+    """
+
+    def __init__(
+        self,
+        fill: Fill,
+        sample: bytes,
+        names: tuple[int, ...],
+        size: int,
+        outputs: Sequence[tuple[Output, tuple[Any, ...]]],
+        peers: Sequence[Peer],
+        ratio: tuple[float, float],
+        own: bool,
+        ledger: Ledger,
+        channel: str,
+        latest: dict[str, Entry],
+        watched: Watched | None,
+        place_at: int | None,
+    ) -> None:
+        self._fill = fill
+        self._sample = sample
+        self._names = names
+        self._size = size
+        self._outputs = tuple(
+            (output, len(output.links), ledger.counter("igtl_out", output.channel)) for output, _ in outputs
+        )
+        self._forms = tuple(form for _, form in outputs)
+        self._peers = tuple(peers)
+        self._ratio = ratio
+        self._own = own
+        self._count = ledger.counter("ros_in", channel)
+        self._latest = latest
+        self._watched = watched
+        self._place, self._place_at = _PLACE if place_at else None, place_at or 0
+
+    def __call__(
+        self, seq: int, stamp_ns: int, payload: Sequence[Buffer], channel: str, ros_type: str, source_ns: int
+    ) -> list[Entry] | None:
+        """The entries of the next message: [] leaves this one to the full path, None all that follow."""
+        made = self._fill(
+            payload[0],
+            self._sample,
+            self._names,
+            self._size,
+            self._own,
+            source_ns,
+            stamp_ns,
+            self._ratio,
+            self._forms,
+        )
+        if made is None:
+            return None
+        shown_ns = made[0]
+        watched = self._watched
+        if watched is not None and not watched.passes(stamp_ns, shown_ns, payload[0], self._place, self._place_at):
+            return []
+        count = self._count
+        count["received"] = count.get("received", 0) + 1
+        count[CONVERTED] = count.get(CONVERTED, 0) + 1
+        for peer in self._peers:
+            peer.said_ns = stamp_ns
+            peer.sent += 1
+        entry = self._latest[channel] = Entry(seq, stamp_ns, Kind.ROS_IN, channel, ros_type, payload, (), source_ns)
+        entries = [entry]
+        step = 0
+        for output, links, sent in self._outputs:
+            step += 1
+            sent["sent"] = sent.get("sent", 0) + links
+            entries.append(
+                Entry(
+                    seq + step,
+                    stamp_ns + step,
+                    Kind.IGTL_OUT,
+                    output.channel,
+                    output.type,
+                    (made[step],),
+                    output.links,
+                    shown_ns,
+                )
+            )
+        return entries

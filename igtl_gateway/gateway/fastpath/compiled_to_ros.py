@@ -1,0 +1,113 @@
+"""The next message of an OpenIGTLink device, compiled: its numbers fill the CDR templates of its topics."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.convert.assembly import Form, VolumeAssembler
+from igtl_gateway.convert.express import Fill
+from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED
+from igtl_gateway.gateway.to_ros.subscribers import Ask
+from igtl_gateway.gateway.watched import Watched
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.ledger import Ledger
+
+#: What keeps the last image of a device, and what the images of a stream are.
+Volume = tuple[VolumeAssembler, Form, np.dtype[Any]]
+
+#: A translation in OpenIGTLink.
+_PLACE = struct.Struct(">3f")
+
+
+class CompiledToRos:
+    """A message of one device, from one link: fill the CDR templates of its topics.
+
+    Args:
+        fill: ``pose_to_ros`` or ``bulk_to_ros``, with the ``sample`` and ``places`` (``at``, ``size``) that it takes.
+        entry: of the message that this is compiled from.
+        forms: topic, ROS type and form of each output.
+        place_at: where the translation is in the message, of a pose.
+        waiting: last messages of latched topics without subscriber; the topics of ``forms`` that are latched.
+        volume: of pictures, which later ones may be parts of.
+    """
+
+    def __init__(
+        self,
+        fill: Fill,
+        sample: bytes,
+        places: tuple[int, int],
+        entry: Entry,
+        forms: Sequence[tuple[str, str, tuple[Any, ...]]],
+        ratio: tuple[float, float],
+        check_crc: bool,
+        own: bool,
+        ledger: Ledger,
+        watched: Watched | None,
+        place_at: int | None,
+        waiting: tuple[dict[str, Any], frozenset[str]],
+        volume: Volume | None = None,
+    ) -> None:
+        self._fill = fill
+        self._sample = sample
+        self._places = places
+        self._watched = watched
+        self._place, self._place_at = _PLACE if place_at else None, place_at or 0
+        self._channel, self._type = entry.channel, entry.type
+        self._forms = tuple(form for _, _, form in forms)
+        self._outputs = tuple(
+            (topic, ros_type, form, ledger.counter("ros_out", topic)) for topic, ros_type, form in forms
+        )
+        self._ratio = ratio
+        self._check_crc = check_crc
+        self._own = own
+        self._count = ledger.counter("igtl_in", entry.channel)
+        self._waiting, self._latched = waiting
+        self._volume = volume
+
+    def __call__(
+        self, seq: int, stamp_ns: int, payload: Sequence[Buffer], links: tuple[int, ...], ask: Ask | None
+    ) -> list[Entry] | None:
+        """The entries of the next message: [] leaves this one to the full path, None all that follow."""
+        outputs, forms = self._outputs, self._forms
+        if ask is not None:
+            outputs = tuple(one for one in outputs if ask(one[0], one[1]))
+            forms = tuple(form for _, _, form, _ in outputs)
+            if self._latched and not self._latched <= {topic for topic, _, _, _ in outputs}:
+                return []  # the last message is kept for the first subscriber
+            if not forms and self._place is None:
+                return []  # bulk is checked as it is built: the full path knows whether it is sound
+        at, size = self._places
+        volume = self._volume
+        if volume and not volume[0].takes(volume[1]):
+            return []
+        made = self._fill(payload[0], self._sample, at, size, self._check_crc, self._own, stamp_ns, self._ratio, forms)
+        if made is None:
+            return None
+        source_ns, shown_ns = made[0], made[1]
+        watched = self._watched
+        if watched is not None and not watched.passes(stamp_ns, shown_ns, payload[0], self._place, self._place_at):
+            return []
+        entries = [Entry(seq, stamp_ns, Kind.IGTL_IN, self._channel, self._type, payload, links, source_ns)]
+        step = 0
+        for (topic, ros_type, _, published), cdr in zip(outputs, made[2:], strict=True):
+            if cdr is None:
+                continue
+            step += 1
+            published["published"] = published.get("published", 0) + 1
+            entries.append(Entry(seq + step, stamp_ns + step, Kind.ROS_OUT, topic, ros_type, (cdr,), (), shown_ns))
+        for topic in self._latched:
+            self._waiting.pop(topic, None)
+        if volume:
+            assembler, form, dtype = volume
+            assembler.keep(form, dtype, memoryview(payload[0])[at : len(payload[0]) - size])
+        count = self._count
+        count["received"] = count.get("received", 0) + 1
+        count["decoded"] = count.get("decoded", 0) + 1
+        fate = CONVERTED if step or ask is None else UNSUBSCRIBED
+        count[fate] = count.get(fate, 0) + 1
+        return entries

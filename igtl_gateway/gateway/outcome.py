@@ -1,0 +1,166 @@
+"""What a stage of the gateway makes of a message, and the one place where that is settled.
+
+A stage changes no count and writes no note.  It returns an :class:`Outcome`: outputs and findings in the order of the
+log, and the fate of the message.  :class:`Accounts` settles each outcome once: it counts the outputs, turns findings
+into notes, and adds the fate to the loss ledger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from igtl_gateway.gateway.output import Output, note
+from igtl_gateway.gateway.peers import Peers
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.ledger import Ledger
+from igtl_gateway.session.note import Level
+from igtl_gateway.values import value
+
+#: Findings that are noted only once, of each link: a peer that invents names must fill neither the memory nor the log,
+#: and what others do is noted all the same.
+MAX_NOTED = 2_000
+
+#: Fates of messages that were not dropped.
+CONVERTED, UNSUBSCRIBED, RECORDED_ONLY = "converted", "unheard", "recorded_only"
+_GOOD = frozenset({CONVERTED, UNSUBSCRIBED, RECORDED_ONLY})
+
+_MESSAGES = frozenset({Kind.IGTL_IN, Kind.ROS_IN})
+_IGTL_OUT = Kind.IGTL_OUT.value
+_ROS_OUT = Kind.ROS_OUT.value
+
+
+@value(frozen=True, slots=True)
+class Finding:
+    """Something about a message that a note reports.
+
+    Attributes:
+        level, code, text, stream, links: of the note.
+        subject: with None every such finding is noted, else only the first of this code and subject from ``by``.
+        by: link that the subject is counted under, 0 for all.
+        loss: stream and reason of an output that is not sent; counted each time.
+    """
+
+    level: Level
+    code: str
+    text: str
+    stream: str = ""
+    links: tuple[int, ...] = ()
+    subject: str | None = None
+    by: int = 0
+    loss: tuple[str, str] | None = None
+
+
+Item = Output | Finding
+
+
+@value(frozen=True, slots=True)
+class Tally:
+    """A count for the ledger that belongs to no message; ``dropped``: ``fate`` is the reason of a loss."""
+
+    section: str
+    row: str
+    fate: str
+    number: int = 1
+    dropped: bool = False
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What became of one input.
+
+    Attributes:
+        items: outputs and findings, in the order of the log.
+        fate: what the ledger says of the message; a reason, if it was dropped; "" for inputs that are no messages.
+        decoded: whether an OpenIGTLink message could be read.
+        tallies: further counts.
+        origin: what the fast path can compile from this message; None where it cannot.
+    """
+
+    items: list[Item] = field(default_factory=list)
+    fate: str = ""
+    decoded: bool = False
+    tallies: list[Tally] = field(default_factory=list)
+    origin: Any = None
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the message was not dropped."""
+        return self.fate in _GOOD
+
+
+class Accounts:
+    """The loss ledger and the notes of a session."""
+
+    def __init__(self, peers: Peers) -> None:
+        self.ledger = Ledger()
+        self._peers = peers
+        self._noted: dict[int, set[tuple[str, str]]] = {}  # link → code and subject
+
+    def settle(self, entry: Entry, outcome: Outcome) -> list[Output]:
+        """Count everything, and give the outputs with the notes among them."""
+        ledger, channel = self.ledger, entry.channel
+        if entry.kind in _MESSAGES:
+            direction = entry.kind.value
+            ledger.count(direction, channel, "received")
+            if outcome.decoded:
+                ledger.count(direction, channel, "decoded")
+            if outcome.is_good:
+                ledger.count(direction, channel, outcome.fate)
+            else:
+                ledger.drop(direction, channel, outcome.fate)
+        for tally in outcome.tallies:
+            (ledger.drop if tally.dropped else ledger.count)(tally.section, tally.row, tally.fate, tally.number)
+        outputs = self._settled(outcome.items)
+        if entry.kind is Kind.LINK:
+            for link in entry.links:
+                if self._peers.get(link) is None:  # it has gone; another one that gets its number starts anew
+                    self._noted.pop(link, None)
+        return outputs
+
+    def fail(self, entry: Entry, error: Exception) -> list[Output]:
+        """The message was lost to a defect of the gateway."""
+        if entry.kind in _MESSAGES:
+            self.ledger.count(entry.kind.value, entry.channel, "received")
+        self.ledger.drop(entry.kind.value, entry.channel, "internal_error")
+        text = f"message lost to a defect of the gateway: {type(error).__name__}: {error}"
+        return [note(Level.ERROR, "internal_error", text, entry.channel, entry.links)]
+
+    def _settled(self, items: Iterable[Item]) -> list[Output]:
+        outputs: list[Output] = []
+        for item in items:
+            if isinstance(item, Output):
+                if item.kind is Kind.IGTL_OUT:
+                    self._count_sent(item)
+                elif item.kind is Kind.ROS_OUT:
+                    self.ledger.count(_ROS_OUT, item.channel, "published")
+                outputs.append(item)
+                continue
+            if item.loss:
+                self.ledger.drop(_IGTL_OUT, *item.loss)
+            if item.subject is None or self._is_new(item.by, item.code, item.subject):
+                outputs.append(note(item.level, item.code, item.text, item.stream, item.links))
+        return outputs
+
+    def _count_sent(self, output: Output) -> None:
+        self.ledger.count(_IGTL_OUT, output.channel, "sent", len(output.links))
+        for link in output.links:
+            self._peers[link].sent += 1
+
+    def _is_new(self, link: int, code: str, subject: str) -> bool:
+        noted = self._noted.setdefault(link, set())
+        if (code, subject) in noted or len(noted) >= MAX_NOTED:
+            return False
+        noted.add((code, subject))
+        return True
+
+
+def warned(warnings: Iterable[tuple[str, str]], entry: Entry) -> list[Item]:
+    """What a conversion had to change, noted once for each stream and cause."""
+    return [Finding(Level.WARN, code, text, entry.channel, entry.links, entry.channel) for code, text in warnings]
+
+
+def refused(error: Exception, text: str, entry: Entry, code: str = "conversion") -> Finding:
+    """A message, or a part of it, that cannot be converted: ``text`` and the error say why."""
+    return Finding(Level.ERROR, code, f"{text}: {error}", entry.channel, entry.links)

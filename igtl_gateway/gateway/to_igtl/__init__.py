@@ -1,0 +1,1 @@
+"""ROS → OpenIGTLink, in the order of the traffic: receive, compose, latest, deliver."""

@@ -1,0 +1,65 @@
+"""A converted ROS message gets its device name, stamp and metadata: it becomes an :class:`Outbound`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from igtl_gateway.config import Config
+from igtl_gateway.convert.context import Outgoing, ToIgtl
+from igtl_gateway.convert.frames import MAX_FRAMES
+from igtl_gateway.convert.igtl_msgs import Size
+from igtl_gateway.convert.table import IgtlRow
+from igtl_gateway.gateway.streams import Streams, ToIgtlStream
+from igtl_gateway.gateway.to_igtl.sender import Outbound
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.wire.query import split_query
+from igtl_gateway.wire.video import Video
+
+
+class Composer:
+    """Composes outbound messages; remembers the frame ids, and the picture size of each video stream."""
+
+    def __init__(self, config: Config, streams: Streams) -> None:
+        self._config = config
+        self._streams = streams
+        self._frames: set[str] = set()
+        self._video_sizes: dict[str, Size] = {}  # topic → size of its last key frame
+
+    def compose(self, entry: Entry, stream: ToIgtlStream, conversion: IgtlRow, outgoing: Outgoing) -> Outbound:
+        """The outbound message of what ``conversion`` made of a ROS message."""
+        device, full_name, content = stream.device, stream.full_name, outgoing.content
+        if len(self._frames) < MAX_FRAMES:
+            self._frames.add(outgoing.frame_id)
+        if isinstance(content, Video):
+            content = self._sized(entry.channel, content)
+        # a query without a device asks for any
+        if outgoing.device_name or (outgoing.igtl_type and split_query(outgoing.igtl_type)):
+            full_name = outgoing.device_name
+            device = self._streams.device(full_name)
+        return Outbound(
+            outgoing.igtl_type or conversion.igtl_type,
+            device,
+            content,
+            self._config.pick_stamp(stream.row, outgoing.stamp_ns or entry.source_ns, entry.stamp_ns),
+            full_name,
+            outgoing.stamp_ns,
+            outgoing.frame_id,
+            outgoing.child_frame_id,
+            (*stream.row_metadata, *outgoing.metadata),
+        )
+
+    def convert(self, entry: Entry, stream: ToIgtlStream, conversion: IgtlRow) -> Outbound:
+        """The outbound message of a ROS message that was kept.  Raises ConversionError."""
+        outgoing = conversion.convert(conversion.message.unpack(entry.payload[0]), ToIgtl(stream.lengths))
+        return self.compose(entry, stream, conversion, outgoing)
+
+    def knows(self, frame: str) -> bool:
+        """Whether a message of that frame has gone out."""
+        return frame in self._frames
+
+    def _sized(self, topic: str, frame: Video) -> Video:
+        """A frame with the size of its stream, which only key frames state."""
+        if frame.size[0]:
+            self._video_sizes[topic] = frame.size
+            return frame
+        return replace(frame, size=self._video_sizes.get(topic, frame.size), subvol_size=None)

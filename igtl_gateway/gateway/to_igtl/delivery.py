@@ -1,0 +1,115 @@
+"""Outbound messages to peers: who may have them, in which frame, and what is found on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+from igtl_gateway.convert.frames import FrameTree
+from igtl_gateway.convert.units import Lengths
+from igtl_gateway.errors import ConversionError, WireError
+from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.outcome import Finding, Item, warned
+from igtl_gateway.gateway.peers import Peer
+from igtl_gateway.gateway.to_igtl.sender import Outbound, Sent, send
+from igtl_gateway.gateway.to_igtl.trackdata import TRACKING, in_frame
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.session.note import Level
+
+
+class Delivery:
+    """The way out, which every OpenIGTLink message of the gateway takes.
+
+    Args:
+        denied: types that no peer is sent (``deny_out``).
+        frames: the tf tree, for tracking data in the frame that a peer asked for.
+    """
+
+    def __init__(self, denied: Denials, frames: FrameTree) -> None:
+        self._denied = denied
+        self._frames = frames
+
+    def to(self, entry: Entry, peers: Iterable[Peer], outs: Iterable[Outbound], *, asked: bool = True) -> list[Item]:
+        """Messages to peers.
+
+        Args:
+            entry: the input that causes them.
+            peers: those that they are for.
+            outs: the messages.
+            asked: whether the peers asked for just these messages, so that no pace holds them back.
+
+        Raises:
+            WireError: what no layout holds.
+        """
+        items: list[Item] = []
+        for out in outs:
+            if self._denied.type(out.igtl_type):  # whatever its way was: nothing denied leaves
+                text = f"{out.channel} is not sent: {out.igtl_type} is denied (deny_out)"
+                loss = (out.channel, "denied")
+                items.append(
+                    Finding(Level.WARN, "denied", text, entry.channel, entry.links, subject=out.igtl_type, loss=loss)
+                )
+                continue
+            sent = send(out, peers, entry.stamp_ns, asked=asked)
+            items += sent.outputs
+            if sent.warnings or sent.refused:
+                items += _held_back(entry, sent)
+        return items
+
+    def each(self, entry: Entry, outs: Iterable[Outbound], send: Callable[[Outbound], list[Item]]) -> list[Item]:
+        """Messages sent one by one: one that cannot be sent costs only itself."""
+        items: list[Item] = []
+        for out in outs:
+            try:
+                items += send(out)
+            except (ConversionError, WireError) as error:
+                text = f"{out.channel} is not sent: {error}"
+                loss = (out.channel, "conversion")
+                items.append(Finding(Level.ERROR, "conversion", text, entry.channel, entry.links, loss=loss))
+        return items
+
+    def streamed(self, entry: Entry, peers: Iterable[Peer], out: Outbound, lengths: Lengths) -> list[Item]:
+        """A message of a stream, at the pace of each peer; tracking data in the frame that each asked for."""
+        if out.igtl_type not in TRACKING:
+            return self.to(entry, peers, (out,), asked=False)
+        by_frame: dict[str, list[Peer]] = {}
+        for peer in peers:
+            wish = peer.wish(out.igtl_type, out.device)
+            frame = wish.frame if wish else ""
+            by_frame.setdefault("" if frame == out.frame_id else frame, []).append(peer)
+        items: list[Item] = []
+        for frame, members in by_frame.items():
+            moved = out
+            if frame:
+                place = self._frames.latest(out.frame_id, frame)
+                if place is None:
+                    text = (
+                        f"{out.channel} is in frame {out.frame_id!r}, which nothing connects with {frame!r}: not sent"
+                    )
+                    items.append(Finding(Level.WARN, "unknown_frame", text, entry.channel, entry.links, subject=frame))
+                    continue
+                content = in_frame(out.content, place[1], lengths)
+                moved = replace(out, content=content, frame_id=frame)
+            items += self.to(entry, members, (moved,), asked=False)
+        return items
+
+
+def _held_back(entry: Entry, sent: Sent) -> list[Item]:
+    """What peers get in another form than it is, or not at all."""
+    items = warned(sent.warnings, entry)
+    for peer, igtl_type in sent.refused:
+        profile = peer.profile.name
+        text = f"{igtl_type} is not sent to {peer.address or 'the peer'}: no type for the profile {profile}"
+        items.append(
+            Finding(
+                Level.INFO,
+                "not_for_peer",
+                text,
+                entry.channel,
+                entry.links,
+                subject=igtl_type,
+                by=peer.link,
+                loss=(igtl_type, f"not_for_{profile}"),
+            )
+        )
+    return items

@@ -1,0 +1,76 @@
+"""The latest message of each bridged topic: for queries, for late joiners and for tracking data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from igtl_gateway.convert.table import row_to_igtl
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.streams import Streams, ToIgtlStream
+from igtl_gateway.gateway.to_igtl.composer import Composer
+from igtl_gateway.gateway.to_igtl.sender import Outbound
+from igtl_gateway.gateway.to_igtl.tf_out import TfOut
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.stamp import NS_PER_S
+
+
+class Latest:
+    """See the module.
+
+    Attributes:
+        entries: topic → its latest message; as many as there are bridged topics.
+    """
+
+    def __init__(self, streams: Streams, guard: Guard, tf: TfOut, composer: Composer) -> None:
+        self.entries: dict[str, Entry] = {}
+        self._streams = streams
+        self._guard = guard
+        self._tf = tf
+        self._composer = composer
+
+    def of(self, cause: Entry, igtl_type: str, device: str) -> list[Outbound]:
+        """The latest messages of a type and device ("" for any), as they would be sent at the time of ``cause``.
+
+        Those of the streams that go out as this type; if there are none, of the streams that could.
+        """
+        native: list[Outbound] = []
+        other: list[Outbound] = []
+        for entry in self.entries.values():
+            stream = self._streams.to_igtl(entry.channel, entry.type)
+            if stream is None or device not in ("", stream.device, stream.full_name):
+                continue
+            outs = self._as_type(entry, stream, igtl_type)
+            if stream.row.max_age_s and not stream.latched:  # a late question must not make old data look new
+                least_ns = cause.stamp_ns - self._guard.ahead_ns - round(stream.row.max_age_s * NS_PER_S)
+                outs = [out for out in outs if out.stamp_ns >= least_ns]
+            (native if stream.conversion.igtl_type == igtl_type else other).extend(outs)
+        native += [
+            out
+            for out in self._tf.latest(cause.stamp_ns - self._guard.ahead_ns)
+            if out.igtl_type == igtl_type and device in ("", out.device, out.full_name)
+        ]
+        return native or other
+
+    def goes_out(self, igtl_type: str) -> bool:
+        """Whether a stream of its own goes out as this type."""
+        streams = (self._streams.to_igtl(one.channel, one.type) for one in self.entries.values())
+        own = any(stream.conversion.igtl_type == igtl_type for stream in streams if stream)
+        return own or any(out.igtl_type == igtl_type for out in self._tf.latest())
+
+    def latched(self) -> Iterator[tuple[Entry, ToIgtlStream]]:
+        """The latest messages of latched streams."""
+        for entry in self.entries.values():
+            stream = self._streams.to_igtl(entry.channel, entry.type)
+            if stream and stream.latched:
+                yield entry, stream
+
+    def _as_type(self, entry: Entry, stream: ToIgtlStream, igtl_type: str) -> list[Outbound]:
+        """A kept ROS message as ``igtl_type`` ("" for that of its stream); none where it cannot be converted."""
+        conversion = row_to_igtl(entry.type, igtl_type) if igtl_type else stream.conversion
+        if conversion is None:
+            return []
+        try:
+            return [self._composer.convert(entry, stream, conversion)]
+        except ConversionError:  # noted when it came
+            return []

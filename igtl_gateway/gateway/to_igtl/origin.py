@@ -1,0 +1,17 @@
+"""What the fast path can compile the next message of a ROS topic from."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from igtl_gateway.gateway.guard import Watched
+from igtl_gateway.gateway.streams import ToIgtlStream
+from igtl_gateway.gateway.to_igtl.sender import Outbound
+
+
+class IgtlOrigin(NamedTuple):
+    """The stream of a message that has gone out, the message, and what the guard knows of the stream."""
+
+    stream: ToIgtlStream
+    out: Outbound
+    watched: Watched | None

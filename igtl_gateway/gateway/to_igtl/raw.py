@@ -1,0 +1,72 @@
+"""Whole OpenIGTLink messages from ROS (igtl_msgs/RawMessage), sent unchanged."""
+
+from __future__ import annotations
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.config import Config
+from igtl_gateway.convert.igtl_msgs import RawMessage
+from igtl_gateway.convert.raw import message_of
+from igtl_gateway.errors import ConversionError, WireError
+from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.guard import STALE, Guard, looked_at
+from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, refused
+from igtl_gateway.gateway.output import Output
+from igtl_gateway.gateway.peers import Peers
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level
+from igtl_gateway.stamp import ticks_to_ns
+from igtl_gateway.wire import Header, decode
+from igtl_gateway.wire.fields import visible
+
+
+class RawMessages:
+    """See the module."""
+
+    def __init__(self, config: Config, peers: Peers, guard: Guard, denied: Denials) -> None:
+        self._config = config
+        self._peers = peers
+        self._guard = guard
+        self._denied = denied
+
+    def takes(self, entry: Entry) -> bool:
+        """Whether a ROS message is such a one, on a topic that is bridged."""
+        return entry.type == RawMessage.TYPE and self._config.row_to_igtl(entry.channel) is not None
+
+    def take(self, entry: Entry) -> Outcome:
+        """The message inside, to the peers that it names, or to all that can read it."""
+        topic = entry.channel
+        try:
+            raw = RawMessage.unpack(entry.payload[0])
+            data = message_of(raw)
+        except ConversionError as error:
+            return Outcome([refused(error, "not sent", entry)], "conversion")
+        header = Header.unpack(data)
+        igtl_type = visible(header.type)
+        if self._denied and self._is_denied(igtl_type, data):
+            text = f"{topic} is not sent: {igtl_type} is denied (deny_out)"
+            subject = f"{topic} {igtl_type}"
+            return Outcome([Finding(Level.WARN, "denied", text, topic, entry.links, subject)], "denied")
+        found: list[Item] = []
+        row = self._config.row_to_igtl(topic)
+        if row and row.max_age_s and (watched := self._guard.of(0, topic, row.max_age_s)):
+            own_ns = ticks_to_ns(header.ticks)
+            withheld, found = looked_at(entry, watched, own_ns, own_ns or entry.stamp_ns, None)
+            if withheld:
+                return Outcome(found, STALE)
+        wanted = {int(link) for link in raw.links}
+        peers = [peer for peer in self._peers.all() if not wanted or peer.link in wanted]
+        links = [peer.link for peer in peers if header.version <= peer.version and peer.profile.may_send(igtl_type)]
+        if not links:
+            return Outcome(found, "not_for_peer" if peers else "no_peer")
+        channel = f"{igtl_type}/{visible(header.device_name)}"
+        sent = Output(Kind.IGTL_OUT, channel, igtl_type, (data,), tuple(links), ticks_to_ns(header.ticks))
+        return Outcome([sent, *found], CONVERTED)
+
+    def _is_denied(self, igtl_type: str, data: Buffer) -> bool:
+        """Whether a whole message may not go out; a BIND that cannot be decoded may not."""
+        if igtl_type != "BIND":
+            return self._denied.type(igtl_type)
+        try:
+            return bool(self._denied.message(decode(data, check_crc=False)))
+        except WireError:
+            return True

@@ -1,0 +1,103 @@
+"""Tracking data: put together of single poses, and moved to the frame that a peer asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from igtl_gateway.convert.frames import compose
+from igtl_gateway.convert.igtl_msgs import Pose
+from igtl_gateway.convert.poses import matrix_of
+from igtl_gateway.convert.units import Lengths
+from igtl_gateway.gateway.peers import Peer
+from igtl_gateway.gateway.to_igtl.sender import Outbound
+from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.fields import cut_text, encode_text
+from igtl_gateway.wire.tracking import (
+    QTRACKING_DTYPE,
+    TOOL_6D,
+    TRACKING_DTYPE,
+    QuaternionTrackingData,
+    TrackingData,
+)
+from igtl_gateway.wire.transform import Position, Transform
+
+NAME_BYTES = 19  # of 20: the reference reader drops a name that fills its field
+
+#: Device name of tracking data that is put together for a peer that names none.
+TRACKING_DEVICE = "Tracking"
+
+#: Tracking data and the single poses that it can be put together from.
+TRACKING = {"TDATA": "TRANSFORM", "QTDATA": "POSITION"}
+
+#: Latest messages of a type and device ("" = any), as they would be sent.
+Latest = Callable[[str, str], list[Outbound]]
+
+
+def tracking(igtl_type: str, device: str, now_ns: int, latest: Latest) -> Outbound | None:
+    """TDATA or QTDATA of all single poses that go out; None without any."""
+    poses = latest(TRACKING[igtl_type], "")
+    if not poses:
+        return None
+    dtype = TRACKING_DTYPE if igtl_type == "TDATA" else QTRACKING_DTYPE
+    elements = np.zeros(len(poses), dtype)
+    for element, pose in zip(elements, poses, strict=True):
+        _fill(element, pose)
+    content = (TrackingData if igtl_type == "TDATA" else QuaternionTrackingData)(elements)
+    stamp_ns = max(pose.stamp_ns for pose in poses)
+    frames = {pose.frame_id for pose in poses}
+    return Outbound(
+        igtl_type,
+        device or TRACKING_DEVICE,
+        content,
+        stamp_ns,
+        ros_stamp_ns=max(pose.ros_stamp_ns for pose in poses),
+        frame_id=frames.pop() if len(frames) == 1 else "",
+    )
+
+
+def _fill(element: Any, pose: Outbound) -> None:
+    element["name"] = name_field(pose.full_name or pose.device, NAME_BYTES)
+    element["type"] = TOOL_6D
+    match pose.content:
+        case Transform(wire_matrix):
+            element["matrix"] = wire_matrix
+        case Position(position, quaternion):
+            element["position"] = position
+            element["quaternion"] = quaternion
+
+
+def in_frame(content: Body, pose: Pose, lengths: Lengths) -> Body:
+    """Tracking data in another frame, in which its own has the pose ``pose`` (metres)."""
+    if isinstance(content, TrackingData):
+        elements = content.elements.copy()
+        columns = elements["matrix"].astype(np.float64).reshape(-1, 4, 3)
+        turned = np.empty_like(columns)
+        for row, (a, b, c) in enumerate(matrix_of(pose[3:])):  # plain sums: the same bits on every machine
+            turned[:, :, row] = a * columns[:, :, 0] + b * columns[:, :, 1] + c * columns[:, :, 2]
+            turned[:, 3, row] += lengths.to_igtl(pose[row])
+        elements["matrix"] = turned.reshape(-1, 12)
+        return TrackingData(elements)
+    assert isinstance(content, QuaternionTrackingData)
+    elements = content.elements.copy()
+    x, y, z = (lengths.to_igtl(value) for value in pose[:3])
+    for element in elements:
+        moved = compose((x, y, z, *pose[3:]), (*element["position"].tolist(), *element["quaternion"].tolist()))
+        element["position"], element["quaternion"] = moved[:3], moved[3:]
+    return QuaternionTrackingData(elements)
+
+
+def trackers(peers: Iterable[Peer]) -> dict[tuple[str, str], list[Peer]]:
+    """Who has asked for streams of tracking data, by (type, device asked for)."""
+    wanted: dict[tuple[str, str], list[Peer]] = {}
+    for peer in peers:
+        for (igtl_type, device), wish in peer.wishes.items():
+            if igtl_type in TRACKING and wish.wanted:
+                wanted.setdefault((igtl_type, device), []).append(peer)
+    return wanted
+
+
+def name_field(text: str, width: int) -> bytes:
+    return encode_text(cut_text(text, width), width, "name")

@@ -1,0 +1,1 @@
+"""OpenIGTLink → ROS, in the order of the traffic: receive, route, convert."""

@@ -1,0 +1,134 @@
+"""A decoded message becomes ROS messages: by the rows of the conversion table that apply, or as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from igtl_gateway.buffers import join
+from igtl_gateway.convert.common_msgs import TFMessage
+from igtl_gateway.convert.context import ToRos
+from igtl_gateway.convert.igtl_msgs import Metadata
+from igtl_gateway.convert.raw import raw_message
+from igtl_gateway.convert.rosmsg import Header as RosHeader
+from igtl_gateway.convert.rosmsg import RosMessage
+from igtl_gateway.convert.table import Role, RosRow
+from igtl_gateway.errors import ConversionError
+from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED, Finding, Item, Outcome, refused, warned
+from igtl_gateway.gateway.output import published
+from igtl_gateway.gateway.streams import Streams, ToRosStream
+from igtl_gateway.gateway.to_igtl.frames import Frames
+from igtl_gateway.gateway.to_ros.subscribers import Subscribers
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.session.note import Level
+from igtl_gateway.wire import Message, Raw, encode
+
+RAW_QOS = Qos(depth=100)
+_METADATA_QOS = Qos(depth=100)
+
+
+class Converter:
+    """See the module."""
+
+    def __init__(self, streams: Streams, subscribers: Subscribers, frames: Frames) -> None:
+        self._streams = streams
+        self._subscribers = subscribers
+        self._frames = frames
+
+    def convert(self, entry: Entry, message: Message, content: object, stream: ToRosStream, to: ToRos) -> Outcome:
+        """The ROS messages of a content; of a type without conversions, the message as it is.
+
+        Raises ConversionError where no row can convert it.
+        """
+        outputs = [pair for pair in stream.outputs if isinstance(content, pair[0].content)]
+        if not outputs:
+            return self._unconverted(entry, message, stream, to)
+        if not any(row.applies(content) for row, _ in outputs):
+            return Outcome(fate="not_chosen")
+        items = self.publish(entry, content, to, stream, outputs)
+        return Outcome(items, CONVERTED if items or self._subscribers.ask is None else UNSUBSCRIBED)
+
+    def publish(
+        self, entry: Entry, content: object, to: ToRos, stream: ToRosStream, outputs: Sequence[tuple[RosRow, str]]
+    ) -> list[Item]:
+        """By every row that applies.  What one refuses costs the others nothing; raises ConversionError if all do."""
+        items: list[Item] = []
+        frames: list[Item] = []
+        problems: list[tuple[RosRow, ConversionError]] = []
+        full = False
+        for row, topic in outputs:
+            if not row.applies(content):
+                continue
+            try:
+                messages = self._built(topic, entry, row, content, to)
+            except ConversionError as error:
+                problems.append((row, error))
+                continue
+            full = full or row.role is Role.FULL
+            for message in messages:
+                items.append(published(topic, message, to.stamp_ns))
+                if self._frames and isinstance(message, TFMessage):
+                    frames += self._frames.update(entry, message, static=False)
+        if problems and not items:
+            raise problems[0][1]
+        items += [refused(error, f"not published as {row.message.TYPE}", entry) for row, error in problems]
+        if to.metadata and not full and self._subscribers.has(stream.metadata_topic, Metadata.TYPE):
+            items.append(self._metadata(stream, to))
+        return items + warned(to.warnings, entry) + frames
+
+    def build_waiting(self, topic: str) -> list[Item]:
+        """The last message of a latched topic, for its first subscriber."""
+        waiting = self._subscribers.waiting.pop(topic, None)
+        if waiting is None:
+            return []
+        entry, row, content, to = waiting
+        try:
+            return [published(topic, message, to.stamp_ns) for message in _converted(row, content, to)]
+        except ConversionError as error:
+            return [refused(error, f"not published as {row.message.TYPE}", entry)]
+
+    def _built(self, topic: str, entry: Entry, row: RosRow, content: object, to: ToRos) -> Sequence[RosMessage]:
+        """The messages of a row; none where nobody subscribes.  Raises ConversionError."""
+        if self._subscribers.has(topic, row.message.TYPE):
+            messages = _converted(row, content, to)
+            self._subscribers.waiting.pop(topic, None)
+            return messages
+        qos = self._streams.qos(topic)
+        if qos and qos.latched:
+            self._subscribers.waiting[topic] = entry, row, content, to
+        return ()
+
+    def _metadata(self, stream: ToRosStream, to: ToRos) -> Item:
+        """What the sender said besides, for messages that cannot carry it."""
+        header = RosHeader(to.stamp_ns, to.frame_id)
+        message = Metadata(header, to.igtl_type, to.device_name, to.message_id, to.metadata)
+        self._streams.advertise(stream.metadata_topic, _METADATA_QOS)
+        return published(stream.metadata_topic, message, to.stamp_ns)
+
+    def _unconverted(self, entry: Entry, message: Message, stream: ToRosStream, to: ToRos) -> Outcome:
+        """A message without a conversion: as it is; an empty one of a type that has conversions: not at all."""
+        if stream.outputs and isinstance(message.content, Raw):
+            text = f"{to.igtl_type} has an empty body: nothing to publish"
+            return Outcome([_first(entry, "empty", text, message, to)], "empty")
+        if any(not kind.startswith("+") for kind in stream.row.kinds):
+            return Outcome(fate="not_chosen")
+        self._streams.advertise(stream.raw_topic, RAW_QOS)
+        # a child of a BIND has no message of its own, and the whole BIND for each of thousands would fill the memory
+        data = entry.payload[0] if entry.payload else join(encode(message))
+        raw = raw_message(data, entry.stamp_ns, to.link)
+        text = f"{to.igtl_type} has no conversion to ROS and is published as it is"
+        found = _first(entry, "no_conversion", text, message, to)
+        return Outcome([published(stream.raw_topic, raw, to.stamp_ns), found], CONVERTED)
+
+
+def _first(entry: Entry, code: str, text: str, message: Message, to: ToRos) -> Finding:
+    """Noted for the first message of a type from each link."""
+    return Finding(Level.INFO, code, text, entry.channel, entry.links, subject=message.type, by=to.link)
+
+
+def _converted(row: RosRow, content: object, to: ToRos) -> Sequence[RosMessage]:
+    """What a row converts a content to; other rows may use it.  Raises ConversionError."""
+    converted = row.convert(content, to)
+    messages = converted if isinstance(converted, list) else [converted]
+    to.made.update((message.TYPE, message) for message in messages)
+    return messages

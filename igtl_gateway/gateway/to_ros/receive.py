@@ -1,0 +1,100 @@
+"""A message of a peer: checked and decoded, held against the deny list, routed to ROS, and answered."""
+
+from __future__ import annotations
+
+from igtl_gateway.config import Config
+from igtl_gateway.errors import WireError
+from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.dialogue.commanding import Commands
+from igtl_gateway.gateway.dialogue.links import Links
+from igtl_gateway.gateway.dialogue.querying import Queries
+from igtl_gateway.gateway.metadata import restore
+from igtl_gateway.gateway.outcome import Finding, Item, Outcome, refused
+from igtl_gateway.gateway.peers import Peer, Peers
+from igtl_gateway.gateway.to_ros.route import Router
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.session.note import Level
+from igtl_gateway.wire import Message, decode
+from igtl_gateway.wire.command import Command
+from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.query import split_query
+
+
+class IgtlReceiver:
+    """See the module.
+
+    Args:
+        denied: types that may not come in (``deny_in``).
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        peers: Peers,
+        denied: Denials,
+        router: Router,
+        *,
+        links: Links,
+        queries: Queries,
+        commands: Commands,
+    ) -> None:
+        self._config = config
+        self._peers = peers
+        self._denied = denied
+        self._router = router
+        self._links = links
+        self._queries = queries
+        self._commands = commands
+
+    def take(self, entry: Entry) -> Outcome:
+        """A message of any type."""
+        try:
+            message = decode(entry.payload[0], check_crc=self._config.check_crc)
+        except WireError as error:
+            return Outcome([refused(error, "message refused", entry, error.code)], error.code)
+        peer = self._peers.get(entry.links[0])
+        news = self._learned(entry, peer, message) if peer else []
+        if denied := self._denied.message(message):
+            return Outcome([*news, *self._deny(entry, peer, message, denied)], "denied", decoded=True)
+        if peer and (answer := self._commands.refuse(entry, peer, message)):
+            return Outcome([*news, *answer], "command_refused", decoded=True)
+        outcome = self._router.route(entry, message, restore(message))
+        outcome.decoded = True
+        if peer is None:
+            outcome.origin = None
+            return outcome
+        if news:
+            outcome.items[:0] = news
+            outcome.origin = None
+        if isinstance(message.content, Command):
+            self._commands.replied(peer, message)
+        else:
+            outcome.items += self._queries.respond(entry, peer, message)
+        return outcome
+
+    def _learned(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
+        """What a message shows of its sender."""
+        before = peer.profile
+        if not peer.hear(message):
+            return []
+        self._peers.changed()
+        items: list[Item] = [self._links.status(entry.stamp_ns)]
+        if peer.profile is not before:
+            text = f"{peer.address or 'the peer'} is taken for {peer.profile.name}, by what it sent"
+            items.append(Finding(Level.INFO, "peer_profile", text, entry.channel, (peer.link,)))
+        return items
+
+    def _deny(self, entry: Entry, peer: Peer | None, message: Message, denied: str) -> list[Item]:
+        """A message that may not come in; a peer that asks or commands gets an answer."""
+        igtl_type = visible(message.type)
+        inside = f" with {denied} inside" if denied != igtl_type else ""
+        text = f"{igtl_type}{inside} from {peer.address or 'the peer' if peer else 'a peer'} is denied (deny_in)"
+        link = entry.links[0]
+        finding = Finding(Level.WARN, "denied", text, entry.channel, entry.links, subject=igtl_type, by=link)
+        if peer is None:
+            return [finding]
+        if isinstance(message.content, Command) and igtl_type == "COMMAND":
+            return [finding, *self._commands.deny(entry, peer, message)]
+        if query := split_query(message.type):
+            return [finding, *self._queries.deny(entry, peer, message, *query)]
+        return [finding]

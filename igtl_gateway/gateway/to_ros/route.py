@@ -1,0 +1,112 @@
+"""A decoded message finds its stream: topics, frames, stamp and units; the children of a BIND find their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from igtl_gateway.config import Config
+from igtl_gateway.convert.context import ToRos
+from igtl_gateway.convert.names import short_device_name
+from igtl_gateway.errors import ConversionError, WireError
+from igtl_gateway.gateway.guard import STALE, Guard, Watched, looked_at, place_of
+from igtl_gateway.gateway.metadata import Restored
+from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, refused
+from igtl_gateway.gateway.streams import Streams, ToRosStream
+from igtl_gateway.gateway.to_ros.convert import Converter
+from igtl_gateway.gateway.to_ros.volumes import Volumes
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.session.note import Level
+from igtl_gateway.stamp import ticks_to_ns
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.bind import Bind
+from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.image import Image
+
+
+class RosOrigin(NamedTuple):
+    """What the fast path can compile the next message of a device from: a message, its stream and circumstances."""
+
+    message: Message
+    stream: ToRosStream
+    to: ToRos
+    watched: Watched | None
+
+
+class Router:
+    """See the module."""
+
+    def __init__(self, config: Config, streams: Streams, guard: Guard, volumes: Volumes, converter: Converter) -> None:
+        self._config = config
+        self._streams = streams
+        self._guard = guard
+        self._volumes = volumes
+        self._converter = converter
+
+    def route(self, entry: Entry, message: Message, restored: Restored) -> Outcome:
+        """A decoded message to ROS; ``restored`` is what its metadata says."""
+        igtl_type, link = visible(message.type), entry.links[0]
+        stream = self._streams.to_ros(igtl_type, restored.device_name)
+        if stream is None:
+            text = f"more than {self._config.max_streams} streams: {entry.channel} is recorded, not published"
+            finding = Finding(Level.WARN, "too_many_streams", text, entry.channel, entry.links, subject="", by=link)
+            return Outcome([finding], "too_many_streams")
+        source_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
+        to = ToRos(
+            restored.device_name,
+            self._config.pick_stamp(stream.row, source_ns, entry.stamp_ns),
+            stream.row.frame_id or restored.frame_id or stream.frame_id,
+            stream.row.child_frame_id or restored.child_frame_id or stream.child_frame_id,
+            stream.lengths,
+            igtl_type,
+            restored.items,
+            message.message_id,
+            link,
+        )
+        found: list[Item] = []
+        name = (
+            entry.channel if entry.payload else f"{igtl_type}/{restored.device_name}"
+        )  # of a child of a BIND: its own
+        if watched := self._guard.of(link, name, stream.row.max_age_s):
+            withheld, found = looked_at(entry, watched, source_ns, to.stamp_ns, place_of(message.content))
+            if withheld:
+                return Outcome(found, STALE)
+        try:
+            outcome = self._converted(entry, message, restored, stream, to)
+        except (ConversionError, WireError) as error:
+            fate = error.code if isinstance(error, ConversionError) else ConversionError.code
+            outcome = Outcome([refused(error, "not published", entry)], fate)
+        outcome.items += found
+        outcome.origin = RosOrigin(message, stream, to, watched)
+        return outcome
+
+    def _converted(self, entry: Entry, message: Message, restored: Restored, stream: ToRosStream, to: ToRos) -> Outcome:
+        """The conversion of a message that is fresh enough.  Raises ConversionError and WireError."""
+        content = message.content
+        if isinstance(content, Bind):
+            return Outcome(self._unbound(entry, message, content, restored, stream, to), CONVERTED)
+        if isinstance(content, Image):
+            whole = self._volumes.assembled(restored.device_name, content)
+            if whole is None:
+                return Outcome(fate="part_of_volume")
+            content = whole
+        return self._converter.convert(entry, message, content, stream, to)
+
+    def _unbound(
+        self, entry: Entry, message: Message, bind: Bind, restored: Restored, stream: ToRosStream, to: ToRos
+    ) -> list[Item]:
+        """A BIND as a whole, then each of its children as if it had come alone."""
+        items = self._converter.publish(entry, bind, to, stream, stream.outputs) if stream.outputs else []
+        alone = replace(entry, payload=())
+        for child in bind.children:
+            try:
+                content = child.body()
+            except WireError as error:
+                items.append(
+                    refused(error, f"child {visible(child.name)!r} of {entry.channel} refused", entry, error.code)
+                )
+                continue
+            name = visible(child.name) or restored.device_name
+            inner = Message(child.type, short_device_name(name), content, message.ticks)
+            items += self.route(alone, inner, replace(restored, device_name=name, items=())).items
+        return items

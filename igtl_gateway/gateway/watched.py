@@ -1,0 +1,240 @@
+"""One guarded stream: its maximum age, and what looks odd about its stamps and its translation.
+
+Each oddity is noted once per *episode*: when it begins, and when it is over, with how often it was seen.
+
+The fast path (`igtl_gateway.gateway.fastpath`) must give what the full path gives, and a verification knows the full
+path only.  So what is looked at depends on the stamps of the entries alone: that a stamp runs backwards is seen in
+every message, all else in one message of each ``LOOK_NS``; and the fast path asks ``passes``, which leaves the message
+to the full path if there is anything to note.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.session.note import Level
+from igtl_gateway.session.timing import FUTURE_NS, Timing
+from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+
+#: How often a stream is looked at: a tenth of a second costs a stream of 1 kHz nothing, and slow ones miss nothing.
+LOOK_NS = 100 * NS_PER_MS
+#: What was not seen for so long is over.
+EPISODE_NS = 10 * NS_PER_S
+#: Looks at one and the same stamp: two seconds or more, so that stamps in whole seconds do not count as standing still.
+STILL_LOOKS = 20
+#: Metres for millimetres are a factor of 1000, in the same direction; a tool may move a little between two looks.
+_LEAST_FACTOR, _MOST_FACTOR = 500.0, 2_000.0
+_SAME_DIRECTION = 0.99
+
+STALE, FRESH, AGE_UNKNOWN = "stale", "fresh", "age_unknown"
+JUMP, BACKWARDS, STILL, FUTURE = "unit_jump", "stamp_backwards", "stamp_still", "stamp_future"
+#: Code of the note that an episode of one of the last four is over.
+CALM = "calm"
+#: All codes of the guard's notes.
+CODES = frozenset({STALE, FRESH, AGE_UNKNOWN, JUMP, BACKWARDS, STILL, FUTURE, CALM})
+
+_WORDS = {
+    JUMP: "jumps of the unit",
+    BACKWARDS: "stamps that run backwards",
+    STILL: "stamps that stand still",
+    FUTURE: "stamps in the future",
+}
+
+Place = tuple[float, float, float]
+#: Level, code and sentence of a note.
+Remark = tuple[Level, str, str]
+
+
+class Watched:
+    """One stream.
+
+    Attributes:
+        stream: its name, for the sentences.
+        last_ns: stamp told of its last message (gateway time where it had none).
+        look_ns: gateway time from which ``passes`` has to ask ``calm``.
+        arrived_ns: gateway time of the last look.
+        ahead_ns: by how much gateway time is ahead of the host's clock, by which senders are judged.
+        timing: of its stamps, as far as they were looked at.
+        stale: how many messages were withheld since it became stale; 0: it is fresh.
+        episodes: what is seen of it at present → since when, when last, how often.
+    """
+
+    __slots__ = (
+        "_due_ns",
+        "_max_age_ns",
+        "_place",
+        "_seen_ns",
+        "_stale_since_ns",
+        "_still",
+        "_unknown_said",
+        "_watch",
+        "ahead_ns",
+        "arrived_ns",
+        "episodes",
+        "last_ns",
+        "look_ns",
+        "stale",
+        "stream",
+        "timing",
+    )
+
+    def __init__(self, stream: str, max_age_ns: int, *, watch: bool) -> None:
+        self.stream = stream
+        self.last_ns = self.look_ns = self.arrived_ns = self.ahead_ns = 0
+        self.timing = Timing()
+        self.stale = 0
+        self.episodes: dict[str, list[int]] = {}
+        self._max_age_ns = max_age_ns
+        self._watch = watch
+        self._due_ns = 0
+        self._seen_ns = 0  # stamp told at the last look
+        self._still = 0  # looks since it changed
+        self._place: Place | None = None
+        self._stale_since_ns = 0
+        self._unknown_said = False
+
+    @property
+    def age_ns(self) -> int | None:
+        """How old the last message was that was looked at; None without a stamp, or before the first."""
+        known = self._seen_ns not in (0, self.arrived_ns)
+        return self.arrived_ns - self.ahead_ns - self._seen_ns if known else None
+
+    # -- maximum age --------------------------------------------------------------------------------------------
+
+    def judge(self, now_ns: int, own_ns: int) -> tuple[bool, list[Remark]]:
+        """Whether a message of that stamp (0: none) is to be withheld at that gateway time, and what is said of it."""
+        if not self._max_age_ns:
+            return False, []
+        if own_ns <= 0:
+            if self._unknown_said:
+                return False, []
+            self._unknown_said = True
+            text = f"{self.stream} has no stamps of its own: its age cannot be judged (max_age_s)"
+            return False, [(Level.WARN, AGE_UNKNOWN, text)]
+        age_ns = now_ns - self.ahead_ns - own_ns
+        if age_ns > self._max_age_ns:
+            self.stale += 1
+            if self.stale > 1:
+                return True, []
+            self._stale_since_ns = now_ns
+            text = f"{self.stream} is stale: {_seconds(age_ns)} old, at most {_seconds(self._max_age_ns)} is forwarded"
+            return True, [(Level.ERROR, STALE, text)]
+        if not self.stale:
+            return False, []
+        number, self.stale = self.stale, 0
+        lasted = _seconds(now_ns - self._stale_since_ns)
+        return False, [(Level.INFO, FRESH, f"{self.stream} is fresh again: withheld {number:,} messages in {lasted}")]
+
+    # -- watchers -----------------------------------------------------------------------------------------------
+
+    def see(self, now_ns: int, told_ns: int, place: Place | None = None) -> list[Remark]:
+        """Look at a message; what is new about its stream.
+
+        Args:
+            now_ns: gateway time.
+            told_ns: its stamp, ``now_ns`` where it has none or where the senders' stamps are not told.
+            place: its translation, of a pose.
+        """
+        if not self._watch:
+            return []
+        odd = self._odd(now_ns, told_ns, place)
+        findings: list[Remark] = []
+        for code in odd:
+            if code in self.episodes:
+                self.episodes[code][1] = now_ns
+                self.episodes[code][2] += 1
+            else:
+                self.episodes[code] = [now_ns, now_ns, 1]
+                findings.append((Level.WARN, code, f"{self.stream}: {self._sentence(code, now_ns, told_ns, place)}"))
+        self.last_ns = told_ns
+        if now_ns >= self._due_ns:
+            for code in self._over(now_ns):
+                since_ns, last_ns, number = self.episodes.pop(code)
+                seen = f"{_WORDS[code]}, {number:,} times in {_seconds(last_ns - since_ns)}, are over"
+                findings.append((Level.INFO, CALM, f"{self.stream}: {seen}"))
+            self.timing.add(told_ns if told_ns != now_ns else 0, now_ns - self.ahead_ns)
+            self._still = self._still + 1 if told_ns == self._seen_ns else 0
+            self._seen_ns = told_ns
+            self._place = place
+            self.arrived_ns = now_ns
+            self._due_ns = now_ns + LOOK_NS
+            self.look_ns = 0 if self._max_age_ns else self._due_ns
+        return findings
+
+    def passes(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
+        """``calm``, of a message on the fast path: most pass after two comparisons."""
+        if (told_ns < self.last_ns or now_ns >= self.look_ns) and not self.calm(now_ns, told_ns, data, numbers, at):
+            return False
+        self.last_ns = told_ns
+        return True
+
+    def calm(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
+        """Whether nothing is to be said of a message and it may go out: then it was looked at, else nothing is changed.
+
+        Args:
+            now_ns, told_ns: as for ``see``.
+            data, numbers, at: a message whose translation is written so at that offset; None: it is no pose.
+        """
+        if self._max_age_ns:
+            unknown = told_ns == now_ns and not self._unknown_said
+            if self.stale or unknown or now_ns - self.ahead_ns - told_ns > self._max_age_ns:
+                return False
+        if not self._watch:
+            return True
+        place: Place | None = None
+        if now_ns >= self._due_ns:
+            if numbers:
+                x, y, z = numbers.unpack_from(data, at)
+                place = x, y, z
+            if self._over(now_ns):
+                return False
+        if any(code not in self.episodes for code in self._odd(now_ns, told_ns, place)):
+            return False
+        self.see(now_ns, told_ns, place)
+        return True
+
+    def _odd(self, now_ns: int, told_ns: int, place: Place | None) -> list[str]:
+        """What is seen of a message."""
+        odd = [BACKWARDS] if told_ns < self.last_ns else []
+        if now_ns < self._due_ns:
+            return odd
+        if told_ns != now_ns and told_ns - now_ns + self.ahead_ns > FUTURE_NS:
+            odd.append(FUTURE)
+        if told_ns == self._seen_ns and self._still + 1 >= STILL_LOOKS:
+            odd.append(STILL)
+        if self._place and place and is_unit_jump(self._place, place):
+            odd.append(JUMP)
+        return odd
+
+    def _over(self, now_ns: int) -> list[str]:
+        return [code for code, (_, last_ns, _) in self.episodes.items() if now_ns - last_ns > EPISODE_NS]
+
+    def _sentence(self, code: str, now_ns: int, told_ns: int, place: Place | None) -> str:
+        if code == BACKWARDS:
+            return f"its stamps run backwards, by {_seconds(self.last_ns - told_ns)}"
+        if code == FUTURE:
+            return f"its stamps are in the future, by {_seconds(told_ns - now_ns + self.ahead_ns)}: are the clocks set?"
+        if code == STILL:
+            return f"its stamps stand still while messages come ({STILL_LOOKS} looks): is the source frozen?"
+        before, after = (math.hypot(*one) if one else 0.0 for one in (self._place, place))
+        return (
+            f"its translation jumped from {before:.6g} to {after:.6g} in the same direction, a factor of "
+            f"{max(before, after) / min(before, after):.4g}: metres for millimetres?"
+        )
+
+
+def is_unit_jump(before: Sequence[float], after: Sequence[float]) -> bool:
+    """Whether one translation is about a thousand times the other, in the same direction."""
+    one, other = math.hypot(*before), math.hypot(*after)
+    least, most = min(one, other), max(one, other)
+    if not (least > 0.0 and _LEAST_FACTOR * least <= most <= _MOST_FACTOR * least):  # NaN, too, is none
+        return False
+    cosine = sum((x / one) * (y / other) for x, y in zip(before, after, strict=True))
+    return cosine >= _SAME_DIRECTION
+
+
+def _seconds(ns: int) -> str:
+    return f"{ns / NS_PER_S:,.3f} s"

@@ -1,0 +1,77 @@
+"""A bag of a session by the readers of others: types without a definition, names of any letters, other encodings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
+
+from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.targets import export_to
+from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.session.entry import Entry, Kind
+
+STRING = "std_msgs/msg/String"
+ROS2 = get_typestore(Stores.ROS2_JAZZY)
+SAID = bytes(ROS2.serialize_cdr(ROS2.types[STRING](data="a"), STRING))
+
+
+def exported(tmp_path: Path, recording: Path) -> tuple[Path, Account]:
+    with SessionFile.open(recording) as file:
+        return tmp_path / "bag", export_to("rosbag2", file, tmp_path / "bag", ())
+
+
+def session(tmp_path: Path, *channels: tuple[str, str]) -> Path:
+    writer = SessionWriter(tmp_path / "some.mcap", {})
+    for number, (topic, ros_type) in enumerate(channels, 1):
+        writer.write(Entry(number, number, Kind.ROS_IN, topic, ros_type, (SAID,)))
+    writer.close({})
+    return tmp_path / "some.mcap"
+
+
+def test_names_of_any_letters_are_the_same_in_both_files(tmp_path: Path) -> None:
+    topics = ["/said", "/grüße", "/\U0001f600", '/a"b: [c]\n  - d', "/\x1b[2J\x85\u2028"]
+    bag, _ = exported(tmp_path, session(tmp_path, *((topic, STRING) for topic in topics)))
+    side = YAML(typ="safe").load(bag / "metadata.yaml")["rosbag2_bagfile_information"]
+    assert [one["topic_metadata"]["name"] for one in side["topics_with_message_count"]] == topics
+    with (bag / "bag_0.mcap").open("rb") as stream:
+        assert [channel.topic for _, channel, _ in make_reader(stream).iter_messages()] == topics
+
+
+def test_a_type_without_definition_does_not_hide_the_others(tmp_path: Path) -> None:
+    bag, account = exported(tmp_path, session(tmp_path, ("/said", STRING), ("/other", "nobody_msgs/msg/Knows")))
+    with Reader(bag) as reader:
+        assert sorted((one.topic, one.msgcount) for one in reader.connections) == [("/other", 1), ("/said", 1)]
+        assert [bytes(data) for _, _, data in reader.messages()] == [SAID, SAID]
+    assert account.notes == ["nobody_msgs/msg/Knows: the session has no definition of it"]
+
+
+def test_other_encodings_are_left_out_and_counted(tmp_path: Path) -> None:
+    with (tmp_path / "foreign.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        ros = writer.register_schema(STRING, "ros2msg", b"string data")
+        plain = writer.register_schema("Said", "jsonschema", b"{}")
+        channels = [writer.register_channel("/said", "cdr", ros), writer.register_channel("/json", "json", plain)]
+        for number, (channel, data) in enumerate(zip(channels * 2, (SAID, b"{}") * 2, strict=True), 1):
+            writer.add_message(channel, number, data, number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    bag, account = exported(tmp_path, tmp_path / "foreign.mcap")
+    rows = {row.stream: (row.declared, row.taken, row.left_out) for row in account.rows}
+    assert rows == {"/said": (2, 2, 0), "/json": (2, 0, 2)}
+    assert "found encoding 'json'" in next(row.why for row in account.rows if row.stream == "/json")
+    with Reader(bag) as reader:
+        assert [one.topic for one in reader.connections] == ["/said"]
+
+
+def test_a_bag_is_named_like_its_folder(tmp_path: Path) -> None:
+    path = session(tmp_path, ("/said", STRING))
+    (tmp_path / "sub").mkdir()
+    with SessionFile.open(path) as file:
+        export_to("rosbag2", file, tmp_path / "sub" / ".." / "sub", ())
+    assert sorted(made.name for made in (tmp_path / "sub").iterdir()) == ["metadata.yaml", "sub_0.mcap"]

@@ -1,0 +1,180 @@
+"""A hostile file, the sorts of files with the verbs that read them, and the parts that bombs are made of."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+from pathlib import Path
+
+import lz4.frame  # type: ignore[import-untyped]
+
+ROOT = Path(__file__).resolve().parents[3]
+GOOD = ROOT / "fixtures" / "ultrasound.mcap"
+MIB = 1 << 20
+GIB = 1 << 30
+
+#: What a forged line begins with, and what a terminal would obey.
+FORGED = "FORGED verified: all outputs equal"
+ESCAPE = "\x1b]0;owned\x07\x1b[2J"
+NAUGHTY = f"a{ESCAPE}\n{FORGED}\r\u202e"
+
+
+class Danger(StrEnum):
+    """What a file is out for."""
+
+    BOMB = "bomb"
+    LIE = "lie"
+    SHAPE = "wrong shape"
+    TERMINAL = "terminal"
+
+
+@dataclass(frozen=True, slots=True)
+class Hostile:
+    """One hostile file.
+
+    Attributes:
+        name: of the case, and of its folder.
+        sort: key of ``VERBS``.
+        danger: what it is out for.
+        what: the same for people.
+        build: makes it in a new folder and gives the path that the verbs get.
+        says: what the first verb of its sort answers, in part; empty for a file that is read like any other.
+    """
+
+    name: str
+    sort: str
+    danger: Danger
+    what: str
+    build: Callable[[Path], Path]
+    says: str = ""
+
+
+def file(name: str, data: Callable[[], bytes]) -> Callable[[Path], Path]:
+    """A builder of one file with these bytes."""
+
+    def build(folder: Path) -> Path:
+        path = folder / name
+        path.write_bytes(data())
+        return path
+
+    return build
+
+
+_SESSION_VERBS = (
+    "info F",
+    "info F --json",
+    "verify F",
+    "verify F --json",
+    "recover F -o OUT.mcap",
+    "lint F",
+    "lint F --json",
+    "slice F --out OUT.mcap --start 0 --end 2",
+    "diff F F",
+    "diff F GOOD --json",
+    "replay F --to igtl --listen 127.0.0.1:0 --wait-peers 0 --as-fast-as-possible",
+    "replay F --to igtl --through-gateway --listen 127.0.0.1:0 --wait-peers 0 --as-fast-as-possible",
+    "import F --out OUT.mcap",
+    *(f"export F --to {target} --out OUT" for target in ("csv", "rosbag2", "igs.mha", "nrrd", "ply", "vtk")),
+    "view F --save OUT.rrd",
+    "review F",
+    "review F --json",
+)
+
+#: Sort of file → the verbs that read it.  F is the file, GOOD a sound recording, OUT what is written.
+VERBS: dict[str, tuple[str, ...]] = {
+    "session": _SESSION_VERBS,
+    "foreign MCAP": _SESSION_VERBS,
+    "ROS 1 bag": ("import F --out OUT.mcap", "import F --out OUT.mcap --json", "info F"),
+    "ROS 2 bag": ("import F --out OUT.mcap", "import F --out OUT.mcap --json", "info F"),
+    "sequence": ("import F --out OUT.mcap", "import F --out OUT.mcap --json", "info F"),
+    "capture": ("import F --out OUT.mcap", "import F --out OUT.mcap --json", "decode F"),
+    "stream": ("decode F", "decode F --reencode OUT.igtl", "import F --out OUT.mcap", "info F"),
+    "configuration": (
+        "verify GOOD --config F",
+        "slice GOOD --config F --out OUT.mcap --start 0 --end 1",
+        "lint GOOD --config F",
+        "bridge --no-ros --listen 127.0.0.1:0 --duration 0.1 --config F",
+    ),
+    # not decode: it reads a stream, which a FIFO or a device may be
+    "place": (
+        "info F",
+        "import F --out OUT.mcap",
+        "verify GOOD --config F",
+        "recover F -o OUT.mcap",
+        "export F --to csv --out OUT",
+    ),
+}
+
+
+# --- bombs: built packed, so that making them costs nothing ----------------------------------------------------------
+
+
+def zstd_zeros(size: int, declared: int | None = None) -> bytes:
+    """A zstd frame of ``size`` zeros as run-length blocks, 4 bytes for each 128 KiB; it may declare another size.
+
+    https://www.rfc-editor.org/rfc/rfc8878
+    """
+    block = 128 * 1024
+    blocks = max(1, size // block)
+    body = bytearray()
+    for number in range(blocks):
+        last = number == blocks - 1
+        body += ((block << 3) | (1 << 1) | last).to_bytes(3, "little") + b"\0"
+    if declared == 0:  # none declared: a window of 128 KiB
+        head = struct.pack("<IBB", 0xFD2FB528, 0b00000000, (17 - 10) << 3)
+    else:
+        head = struct.pack("<IBBQ", 0xFD2FB528, 0b11000000, (17 - 10) << 3, size if declared is None else declared)
+    return head + bytes(body)
+
+
+@cache
+def lz4_zeros(size: int, declared: int = 0) -> bytes:
+    """An LZ4 frame of ``size`` zeros, which declares ``declared`` bytes if that is not 0."""
+    block = 4 * MIB
+    one = lz4.frame.compress(
+        bytes(block),
+        block_size=lz4.frame.BLOCKSIZE_MAX4MB,
+        block_linked=False,
+        content_checksum=False,
+        store_size=False,
+    )
+    packed = one[7:-4]
+    if not declared:
+        return bytes(one[:7] + packed * max(1, size // block) + bytes(4))
+    real = lz4.frame.compress(bytes(block), block_size=lz4.frame.BLOCKSIZE_MAX4MB, block_linked=False, store_size=True)
+    # the checksum of the descriptor covers the size: it is a byte of xxHash, which is tried
+    for check in range(256):
+        head = real[:6] + struct.pack("<Q", declared) + bytes([check])
+        try:
+            lz4.frame.get_frame_info(head + packed + bytes(4))
+        except RuntimeError:
+            continue
+        return bytes(head + packed * max(1, size // block) + bytes(4))
+    raise AssertionError
+
+
+@cache
+def gzip_zeros(size: int) -> bytes:
+    """Members of gzip, each 16 MiB of zeros."""
+    return gzip.compress(bytes(16 * MIB), 9, mtime=0) * max(1, size // (16 * MIB))
+
+
+@cache
+def zlib_zeros(size: int) -> bytes:
+    """A zlib stream of zeros in parts that repeat; its checksum is wrong, but nobody should come so far."""
+    packer = zlib.compressobj(9)
+    first = packer.compress(bytes(16 * MIB)) + packer.flush(zlib.Z_FULL_FLUSH)
+    second = packer.compress(bytes(16 * MIB)) + packer.flush(zlib.Z_FULL_FLUSH)
+    return first + second * max(1, size // (16 * MIB) - 1) + packer.flush()
+
+
+@cache
+def bz2_zeros(size: int) -> bytes:
+    """Streams of bz2, each 32 MiB of zeros."""
+    return bz2.compress(bytes(32 * MIB)) * max(1, size // (32 * MIB))

@@ -1,0 +1,215 @@
+"""All hostile files, how they are given to the verbs, and what is judged."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from tests.integration.hostile_files import bags, foreign, images, sessions, streams
+from tests.integration.hostile_files.case import FORGED, GOOD, ROOT, VERBS, Hostile
+
+CASES: tuple[Hostile, ...] = (*sessions.CASES, *foreign.CASES, *bags.CASES, *images.CASES, *streams.CASES)
+
+WORKER = Path(__file__).with_name("worker.py")
+#: Seconds after which a verb hangs, seconds of the processor that it may take, and megabytes.
+PATIENCE_S, CPU_S, PEAK_MB = 20.0, 5.0, 300.0
+
+_CONTROL = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+_TRACE = re.compile(r"Traceback \(most recent|Exception ignored|thread '.*' panicked|Fatal Python error|\w+Warning: ")
+_FORGED = re.compile(f"^{re.escape(FORGED[:6])}", re.MULTILINE)
+
+#: What may be wrong with a verb's end.
+FAULTS = ("traceback", "memory", "hang", "slow", "control characters", "forged lines", "exit code")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a verb made of a file."""
+
+    name: str
+    verb: str
+    code: object
+    seconds: float
+    cpu: float
+    peak_mb: float
+    output: str
+    errors: str
+    faults: tuple[str, ...] = ()
+    why: str = ""
+
+    @property
+    def answer(self) -> str:
+        """The first line of the errors, or of the output, without the names of files."""
+        lines = (self.errors or self.output).splitlines() or [""]
+        return re.sub(r"/\S*/", "", lines[0].removeprefix(f"igtl-gateway {self.verb.split()[0]}: "))
+
+
+def judged(name: str, verb: str, told: dict[str, object]) -> Outcome:
+    """What a worker told of a verb, and what is wrong with it."""
+    output, errors, trace = str(told["output"]), str(told["errors"]), str(told["trace"])
+    text = output + errors
+    faults = []
+    if "MemoryError" in trace + text or float(str(told["peak_mb"])) > PEAK_MB:
+        faults.append("memory")
+    if trace or _TRACE.search(text):
+        faults.append("traceback")
+    if float(str(told["cpu"])) > CPU_S:
+        faults.append("slow")
+    if _CONTROL.search(text):
+        faults.append("control characters")
+    if _FORGED.search(text):
+        faults.append("forged lines")
+    if told["code"] not in (0, 1, 2):
+        faults.append("exit code")
+    why = trace.strip().rpartition("\n")[2] if trace else next((m.group() for m in [_TRACE.search(text)] if m), "")
+    return Outcome(
+        name,
+        verb,
+        told["code"],
+        float(str(told["seconds"])),
+        float(str(told["cpu"])),
+        float(str(told["peak_mb"])),
+        output,
+        errors,
+        tuple(faults),
+        why or (errors.splitlines() or [""])[-1][:200],
+    )
+
+
+@dataclass
+class Worker:
+    """A process that runs verbs until it dies or hangs; then there is another one."""
+
+    folder: Path
+    tree: Path = ROOT
+    _process: subprocess.Popen[str] | None = field(default=None, init=False)
+    _lines: Iterator[str] = field(default=iter(()), init=False)
+    _starts: int = field(default=0, init=False)
+
+    def run(self, name: str, verb: str, arguments: Sequence[str]) -> Outcome:
+        """Run one verb."""
+        if self._process is None:
+            self._start()
+        process = self._process
+        assert process and process.stdin
+        process.stdin.write(json.dumps(list(arguments)) + "\n")
+        process.stdin.flush()
+        started = time.monotonic()
+        pause = 0.0005
+        while time.monotonic() - started < PATIENCE_S:
+            if told := self._told():
+                return judged(name, verb, told)
+            if process.poll() is not None:
+                if told := self._told():
+                    return judged(name, verb, told)
+                code, self._process = process.returncode, None
+                errors = Path(f"{self._results}.err").read_text("utf-8", "replace")[-2000:]
+                return Outcome(
+                    name,
+                    verb,
+                    code,
+                    time.monotonic() - started,
+                    0,
+                    0,
+                    "",
+                    errors,
+                    ("memory" if code == -9 or "memory" in errors.lower() else "traceback",),
+                    f"the process died: {code}",
+                )
+            time.sleep(pause)
+            pause = min(2 * pause, 0.05)
+        self.close()
+        return Outcome(name, verb, None, PATIENCE_S, PATIENCE_S, 0, "", "", ("hang",), "hang")
+
+    def _start(self) -> None:
+        self._starts += 1
+        self._results = self.folder / f"results-{self._starts}"
+        self._results.touch()
+        environment = os.environ | {"PYTHONPATH": str(self.tree), "PYTHONDONTWRITEBYTECODE": "1", "COLUMNS": "200"}
+        # its working directory is the folder: what is written beside a wrong path is found
+        self._process = subprocess.Popen(
+            [sys.executable, "-B", str(WORKER), str(self._results)],
+            stdin=subprocess.PIPE,
+            text=True,
+            env=environment,
+            cwd=self.folder,
+        )
+        self._reader = self._results.open(encoding="utf-8")
+
+    def _told(self) -> dict[str, object] | None:
+        place = self._reader.tell()
+        line = self._reader.readline()
+        if not line.endswith("\n"):
+            self._reader.seek(place)
+            return None
+        told: dict[str, object] = json.loads(line)
+        return told
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+
+def words(verb: str, path: Path, out: Path) -> list[str]:
+    """The arguments of a verb of ``VERBS`` for a file."""
+    told = {"F": str(path), "GOOD": str(GOOD)}
+    return [told.get(word, word.replace("OUT", str(out)) if word.startswith("OUT") else word) for word in verb.split()]
+
+
+def outcomes(cases: Iterable[Hostile], tree: Path = ROOT, *, patient: bool = True) -> Iterator[Outcome]:
+    """Every verb on every file, in one warm process.
+
+    Args:
+        cases: the files.
+        tree: the checkout whose command line runs.
+        patient: whether the other verbs are tried on a file that made one hang or took all the memory.
+    """
+    with TemporaryDirectory(prefix="hostile-") as name:
+        folder = Path(name)
+        worker = Worker(folder, tree)
+        try:
+            for case in cases:
+                place = folder / case.name
+                place.mkdir()
+                path = case.build(place)
+                for number, verb in enumerate(VERBS[case.sort]):
+                    outcome = worker.run(case.name, verb, words(verb, path, place / f"out-{number}"))
+                    yield outcome
+                    if not patient and {"hang", "memory"} & set(outcome.faults):
+                        break
+                shutil.rmtree(place, ignore_errors=True)
+        finally:
+            worker.close()
+
+
+def summary(found: Iterable[Outcome]) -> dict[str, int]:
+    """Runs and files that had each fault."""
+    runs: Counter[str] = Counter()
+    files: dict[str, set[str]] = {}
+    total = 0
+    names = set()
+    for outcome in found:
+        total += 1
+        names.add(outcome.name)
+        for fault in outcome.faults:
+            runs[fault] += 1
+            files.setdefault(fault, set()).add(outcome.name)
+            files.setdefault("any", set()).add(outcome.name)
+    told = {"files": len(names), "runs": total, "files with a fault": len(files.get("any", ()))}
+    for fault in FAULTS:
+        told[f"{fault}, files"] = len(files.get(fault, ()))
+        told[f"{fault}, runs"] = runs[fault]
+    return told
