@@ -15,12 +15,11 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.exchange.account import Account
 from igtl_gateway.exchange.columns import MAX_COLUMNS, Cells, TooLong, listed, of_description, of_message
 from igtl_gateway.exchange.folder import Folder, Names, new_folder, reason
@@ -151,8 +150,7 @@ class _Reader:
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
         self._definitions = definitions
-        self._decode = Decoder(lambda ros_type: definitions.get(ros_type, ""))
-        self._decoders: dict[str, Callable[[bytes], dict[str, Any]] | Exception] = {}
+        self._decoder = Decoder(lambda ros_type: definitions.get(ros_type, ""))
 
     def rows(self, entry: Entry) -> Iterator[Cells]:
         """Raises TooLong, and whatever the decoders raise."""
@@ -161,22 +159,10 @@ class _Reader:
         if entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT):
             if entry.type in _NO_TABLES:
                 raise TooLong("pixels, points or cells are no table: see the other formats")
-            yield from listed(of_description(decode(entry.data()).content.describe()), entry.size)
-            return
-        decoder = self._decoders.get(entry.type)
-        if decoder is None:
-            decoder = self._decoders[entry.type] = self._decoder(entry.type)
-        if isinstance(decoder, Exception):
-            raise decoder
-        yield from listed(decoder(entry.data()), entry.size)
-
-    def _decoder(self, ros_type: str) -> Callable[[bytes], dict[str, Any]] | Exception:
-        """What reads messages of a type, or why there is nothing: that is found out once for each type."""
-        text = self._definitions.get(ros_type, "")
-        if not text:
-            return TooLong("the session has no definition of its type")
-        try:
-            store = self._decode.store(ros_type)
-        except DamagedRecording as error:
-            return error
-        return lambda data: of_message(store, self._decode.decode(ros_type, data))
+            fields = of_description(decode(entry.data()).content.describe())
+        elif not self._definitions.get(entry.type):
+            raise TooLong("the session has no definition of its type")
+        else:
+            message = self._decoder.decode(entry.type, entry.data())
+            fields = of_message(self._decoder.store(entry.type), message)
+        yield from listed(fields, entry.size)

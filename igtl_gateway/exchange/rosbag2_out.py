@@ -14,6 +14,7 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from igtl_gateway import __version__
+from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.exchange.account import Account
 from igtl_gateway.exchange.folder import new_folder
 from igtl_gateway.exchange.recording import ROS_KINDS, Recording, chosen
@@ -37,9 +38,12 @@ def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> Acc
             register = _Register(writer, recording, account)
             for sequence, entry in enumerate(chosen(recording, ROS_KINDS, globs, account), 1):
                 row, key = account.row(entry), (entry.channel, entry.type)
-                topic = topics.get(key)
-                if topic is None:
-                    topic = topics[key] = register.topic(*key)
+                try:
+                    topic = topics.get(key) or register.topic(*key)
+                except DamagedRecording as error:
+                    row.fail(str(error))
+                    continue
+                topics[key] = topic
                 writer.add_message(
                     topic.channel,
                     log_time=entry.stamp_ns,
@@ -79,23 +83,31 @@ class _Register:
     def __init__(self, writer: Writer, recording: Recording, account: Account) -> None:
         self._writer, self._definitions, self._account = writer, recording.definitions, account
         self._offered = {(channel.topic, channel.type): channel.qos for channel in recording.channels}
-        self._schemas: dict[str, tuple[int, str]] = {}
+        self._schemas: dict[str, tuple[int, str] | DamagedRecording] = {}
 
     def topic(self, name: str, ros_type: str) -> _Topic:
+        """A new channel.  Raises DamagedRecording for a type whose definition is none, or above the limits."""
         if ros_type not in self._schemas:
-            text, type_hash = definition(ros_type, self._definitions.get(ros_type, ""), layout.SCHEMA_ENCODING) or (
-                "",
-                "",
-            )
-            encoding = layout.SCHEMA_ENCODING if text else ""
-            self._schemas[ros_type] = self._writer.register_schema(ros_type, encoding, text.encode()), type_hash
-            if not text:
-                self._account.notes.append(f"{ros_type}: the session has no definition of it")
-        schema, type_hash = self._schemas[ros_type]
+            self._schemas[ros_type] = self._schema(ros_type)
+        schema = self._schemas[ros_type]
+        if isinstance(schema, DamagedRecording):
+            raise schema
+        number, type_hash = schema
         qos = layout.qos_yaml(self._offered.get((name, ros_type)) or Qos())
         facts = {layout.QOS_KEY: qos, layout.TYPE_HASH_KEY: type_hash}
-        channel = self._writer.register_channel(name, layout.MESSAGE_ENCODING, schema, facts)
+        channel = self._writer.register_channel(name, layout.MESSAGE_ENCODING, number, facts)
         return _Topic(channel, name, ros_type, qos, type_hash)
+
+    def _schema(self, ros_type: str) -> tuple[int, str] | DamagedRecording:
+        try:
+            found = definition(ros_type, self._definitions.get(ros_type, ""), layout.SCHEMA_ENCODING)
+        except DamagedRecording as error:
+            return error
+        text, type_hash = found or ("", "")
+        if not text:
+            self._account.notes.append(f"{ros_type}: the session has no definition of it")
+        encoding = layout.SCHEMA_ENCODING if text else ""
+        return self._writer.register_schema(ros_type, encoding, text.encode()), type_hash
 
 
 def _metadata(name: str, first: int, last: int, topics: list[_Topic]) -> str:

@@ -105,7 +105,7 @@ class Outcome:
     seconds: float
 
 
-def export(data: bytes, to: str) -> Outcome:
+def export(data: bytes, to: str, *more: str) -> Outcome:
     """Export a file by the command line, in this process; what is not caught there is raised."""
     with TemporaryDirectory() as folder:
         path, printed = Path(folder) / "some.mcap", StringIO()
@@ -113,7 +113,7 @@ def export(data: bytes, to: str) -> Outcome:
         start = time.monotonic()
         globs = ["--streams", "Slice", "--streams", "TRANSFORM/*"] if to == "igs.mha" else []
         with redirect_stdout(printed), redirect_stderr(printed):
-            code = main(["export", str(path), "--to", to, "-o", str(Path(folder) / "out"), *globs])
+            code = main(["export", str(path), "--to", to, "-o", str(Path(folder) / "out"), *globs, *more])
         return Outcome(code, printed.getvalue(), time.monotonic() - start)
 
 

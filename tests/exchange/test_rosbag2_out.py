@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
+import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
@@ -75,3 +77,44 @@ def test_a_bag_is_named_like_its_folder(tmp_path: Path) -> None:
     with SessionFile.open(path) as file:
         export_to("rosbag2", file, tmp_path / "sub" / ".." / "sub", ())
     assert sorted(made.name for made in (tmp_path / "sub").iterdir()) == ["metadata.yaml", "sub_0.mcap"]
+
+
+def chained(length: int) -> str:
+    """A type that holds ten of the next one, and so on."""
+    separator = "=" * 80
+    parts = [f"{separator}\nMSG: a/T{number}\na/T{number + 1}[10] x\n" for number in range(1, length)]
+    return "a/T1[10] x\n" + "".join(parts) + f"{separator}\nMSG: a/T{length}\nuint8 x\n"
+
+
+HOSTILE = {
+    "recursive": "a/T x\n" + "=" * 80 + "\nMSG: a/T\na/T x\n",
+    "chained": chained(9),
+    "long chain": chained(2000),
+    "giant": "".join(f"float64 field_{number}\n" for number in range(100_000)),
+    "giant array": "uint8[4000000000] data\n",
+    "not a definition": "\0\x1b[2J = = [[[",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("to", ["rosbag2", "csv"])
+def test_hostile_definitions_cost_their_own_messages(tmp_path: Path, name: str, to: str) -> None:
+    with (tmp_path / "foreign.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        good = writer.register_channel("/said", "cdr", writer.register_schema(STRING, "ros2msg", b"string data"))
+        bad = writer.register_channel(
+            "/bad", "cdr", writer.register_schema("a/msg/T", "ros2msg", HOSTILE[name].encode())
+        )
+        for number, channel in enumerate((bad, good, bad, good), 1):
+            writer.add_message(channel, number, SAID, number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    start = time.process_time()
+    with SessionFile.open(tmp_path / "foreign.mcap") as file:
+        account = export_to(to, file, tmp_path / "out", ())
+    assert time.process_time() - start < 5
+    rows = {row.stream: row for row in account.rows}
+    assert (rows["/said"].declared, rows["/said"].taken) == (2, 2)
+    assert rows["/bad"].declared == 2 == rows["/bad"].taken + rows["/bad"].left_out
+    if to == "csv":
+        assert (rows["/bad"].failed, bool(rows["/bad"].why)) == (2, True)

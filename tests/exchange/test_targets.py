@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from ruamel.yaml import YAML
 
+from igtl_gateway.cli import FAILURE, USAGE
 from igtl_gateway.convert.clouds import colour_field
 from igtl_gateway.errors import ConversionError, UnsupportedRecording, WireError
 from igtl_gateway.exchange.account import Account
@@ -24,6 +27,7 @@ from igtl_gateway.exchange.targets import TARGETS, export_to
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire.polydata import CELL, Attribute, PolyData
+from tests.exchange import mutants
 from tests.exchange.judges import Shape, by_meshio, by_vtk, entries_of_tables, messages_in
 from tests.test_fixtures import FIXTURES, NAMES
 
@@ -184,3 +188,14 @@ def is_of(attribute: Attribute, kind: int, count: int) -> bool:
 
 def are_same(found: dict[str, Any], expected: dict[str, Any]) -> bool:
     return found.keys() == expected.keys() and all(np.array_equal(found[name], expected[name]) for name in found)
+
+
+@pytest.mark.parametrize("to", TARGETS)
+def test_flipped_bits_cost_their_own_messages(to: str) -> None:
+    for name, data in islice(mutants.mutants(7), 10):
+        outcome = mutants.export(data, to, "--json")
+        assert outcome.code in (0, FAILURE, USAGE), name
+        if outcome.printed.startswith("{"):
+            account = json.loads(outcome.printed)
+            for row in [*account["rows"], *account["parts"]]:
+                assert to == "igs.mha" or row["found"] == row["exported"] + row["left_out"], (name, row)
