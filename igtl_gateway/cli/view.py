@@ -7,12 +7,14 @@ import math
 import os
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.cli.common import count, recorded_config, size, stop_event
+from igtl_gateway.cli.outputs import check_target, refused, written
 from igtl_gateway.cli.terminal import cell, clear, is_terminal, live, print_json, say, width
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
@@ -67,27 +69,33 @@ def run(options: argparse.Namespace) -> int:
         check_screen(os.environ)  # before the work, not after it
     clock = SystemClock()
     started_ns = clock.monotonic_ns()
-    with stop_event() as stop, tempfile.TemporaryDirectory(prefix="igtl-view-") as folder:
-        out = options.save or Path(folder) / f"{options.file.stem}.rrd"
-        partial = out.with_name(out.name + ".part")
-        try:
-            drawn, told = _draw(options, partial, stop.is_set)
-            os.replace(partial, out)
-        except OSError as error:
-            raise GatewayError(f"cannot write to {out}: {error.strerror or error}") from None
-        finally:
-            partial.unlink(missing_ok=True)
-        told["seconds"] = round((clock.monotonic_ns() - started_ns) / NS_PER_S, 3)
-        told["bytes"] = out.stat().st_size
-        if options.json:
-            print_json(told)
-        else:
-            _print(options, drawn, told)
-        if options.screenshot:
-            return _picture(options, out, drawn)
+    with stop_event() as stop, _folder() as folder:
+        out = options.save or folder / "session.rrd"
+        with written(options.screenshot) if options.screenshot else nullcontext() as picture:
+            with written(out) as partial:
+                drawn, told = _draw(options, partial, stop.is_set)
+            told["seconds"] = round((clock.monotonic_ns() - started_ns) / NS_PER_S, 3)
+            told["bytes"] = out.stat().st_size
+            if options.json:
+                print_json(told)
+            else:
+                _print(options, drawn, told)
+            if picture:
+                return _picture(options, out, picture, drawn)
         if not options.save:
             _show(options, out, stop.wait)
     return 0
+
+
+@contextmanager
+def _folder() -> Iterator[Path]:
+    """A folder for what is not kept."""
+    try:
+        folder = tempfile.TemporaryDirectory(prefix="igtl-view-", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise GatewayError(f"found no folder for temporary files, expected TMPDIR to be one: {error}") from None
+    with folder as name:
+        yield Path(name)
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -100,10 +108,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.port is not None and not 0 <= options.port < 1 << 16:
         raise ConfigError(f"--port: found {options.port}, expected 0 to 65535")
     for path in filter(None, (options.save, options.screenshot)):
-        if path.exists() and not options.overwrite:
-            raise ConfigError(f"{path}: exists already, expected a new file or --overwrite")
-        if not path.parent.is_dir():
-            raise GatewayError(f"cannot write to {path}: there is no folder {path.parent}")
+        check_target(path, overwrite=options.overwrite)
 
 
 def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[SessionView, dict[str, Any]]:
@@ -135,7 +140,10 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
             _review(material, view)
         view.finish()
     name = stream.arrange(recording, options.blueprint, view.seen)
-    stream.close(recording)
+    try:
+        stream.close(recording, out)
+    except OSError as error:
+        raise refused(options.save or out, error) from None
     told = view.told
     return view, {
         "file": str(options.file),
@@ -150,6 +158,7 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
         ],
         "without_picture": dict(sorted(told.without_picture.items())),
         "refused": dict(sorted(told.refused.items())),
+        "without_time": dict(sorted(told.timeless.items())),
         "without_field": bool(options.colour_by) and options.colour_by not in view.seen.fields,
     }
 
@@ -203,6 +212,8 @@ def _print(options: argparse.Namespace, view: SessionView, told: dict[str, Any])
         say(f"  {cell(shown.topic, columns)} {shown.count:>8,}  {note:<10} {shown.ros_type}")
     for topic, number in told["refused"].items():
         say(f"? {topic}: {count(number, 'message')} could not be shown, the log says why")
+    for line, number in told["without_time"].items():
+        say(f"? {count(number, 'entry', 'entries')} not on the time line {line}: stamps before 1970 or after 2116")
     if told["without_field"]:
         fields = ", ".join(sorted(view.seen.fields)) or "none"
         say(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")
@@ -214,8 +225,8 @@ def _print(options: argparse.Namespace, view: SessionView, told: dict[str, Any])
         say(f"{options.save}: {size(told['bytes'])}; `rerun {options.save}` shows it")
 
 
-def _picture(options: argparse.Namespace, recording: Path, view: SessionView) -> int:
-    """The picture; exit code 1 where a view complains."""
+def _picture(options: argparse.Namespace, recording: Path, out: Path, view: SessionView) -> int:
+    """The picture in the file ``out``; exit code 1 where a view complains."""
     from igtl_gateway.view.shots import take
 
     if not view.seen.first_ns:
@@ -225,9 +236,9 @@ def _picture(options: argparse.Namespace, recording: Path, view: SessionView) ->
         at = view.seen.first_ns + round(min(options.at, view.seen.seconds) * NS_PER_S)
     (shot,) = take(recording, [at])
     try:
-        options.screenshot.write_bytes(shot.png)
+        out.write_bytes(shot.png)
     except OSError as error:
-        raise GatewayError(f"cannot write to {options.screenshot}: {error.strerror or error}") from None
+        raise refused(options.screenshot, error) from None
     for complaint in shot.complaints:
         say(f"? {complaint}", error=True)
     if not options.json:

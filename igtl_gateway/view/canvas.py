@@ -125,7 +125,7 @@ class Canvas:
         self.pen.stand(path, frame)
         self.pen.pose(path, Pose(frame, f"/{path}" if labelled else "", pose[:3], pose[3:], self.options.axis_m))
         self.rows += not child
-        if self.options.trails:
+        if self.options.trails and self.pen.stamp_ns:
             self._trail(child, frame, pose[:3])
 
     def box(self, places: npt.NDArray[Any]) -> None:

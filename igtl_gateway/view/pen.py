@@ -21,6 +21,9 @@ from igtl_gateway.view.seen import PLACES
 #: The time lines: gateway time, the sender's own stamp (where it set one), and the entry number.
 GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"
 
+#: The last time of a time line, UTC nanoseconds: 2116.
+LAST_NS = 1 << 62
+
 #: Rows of one entity that are gathered before they are sent.
 _ROWS = 2048
 
@@ -55,7 +58,7 @@ _NO_TEXT = re.compile("[\ud800-\udfff]")
 
 @dataclass(slots=True)
 class _Column:
-    """Rows of one entity that wait: entry number, gateway time, sender's time, values."""
+    """Rows of one entity that wait: entry number, gateway time, sender's time (0 = none), values."""
 
     rows: list[tuple[int, int, int, Any]] = field(default_factory=list)
 
@@ -104,8 +107,10 @@ class Pen:
             self.static(place, _transform(pose))
 
     def at(self, entry: Entry) -> None:
-        """What is drawn from now on belongs to this entry."""
-        self.number, self.stamp_ns, self.source_ns = entry.seq, entry.stamp_ns, entry.source_ns
+        """What is drawn from now on belongs to this entry; a time of it that is ``timeless`` is not told."""
+        self.number = entry.seq
+        self.stamp_ns = 0 if timeless(entry.stamp_ns) else entry.stamp_ns
+        self.source_ns = 0 if timeless(entry.source_ns) else entry.source_ns
 
     def log(self, path: str, *archetypes: rr.AsComponents) -> None:
         """One row at once; all components of it on the same row."""
@@ -154,12 +159,12 @@ class Pen:
         if told == self._told:
             return
         self._told = told
-        self.recording.set_time(GATEWAY_TIME, timestamp=np.datetime64(self.stamp_ns, "ns"))
         self.recording.set_time(ENTRY, sequence=self.number)
-        if self.source_ns:
-            self.recording.set_time(SENDER_TIME, timestamp=np.datetime64(self.source_ns, "ns"))
-        else:
-            self.recording.disable_timeline(SENDER_TIME)
+        for line, time_ns in ((GATEWAY_TIME, self.stamp_ns), (SENDER_TIME, self.source_ns)):
+            if time_ns:
+                self.recording.set_time(line, timestamp=np.datetime64(time_ns, "ns"))
+            else:
+                self.recording.disable_timeline(line)
 
     def _wait(self, key: tuple[str, str], values: Any) -> None:
         column = self._waiting.get(key)
@@ -172,12 +177,12 @@ class Pen:
     def _send(self, key: tuple[str, str], column: _Column) -> None:
         path, kind = key
         make = _poses if kind.endswith("pose") else _numbers
-        stamped = [row for row in column.rows if row[2]]
-        unstamped = [row for row in column.rows if not row[2]]
+        groups: dict[tuple[bool, bool], list[tuple[int, int, int, Any]]] = {}
+        for row in column.rows:
+            groups.setdefault((row[1] > 0, row[2] > 0), []).append(row)
         column.rows.clear()
-        for rows in (stamped, unstamped):
-            if rows:
-                self.recording.send_columns(path, _times(rows), make([row[3] for row in rows]))
+        for rows in groups.values():  # all rows of a chunk have the same time lines
+            self.recording.send_columns(path, _times(rows), make([row[3] for row in rows]))
 
 
 def _transform(pose: Pose) -> rr.Transform3D:
@@ -195,15 +200,18 @@ def valid(text: str) -> str:
     return text if text.isascii() else _NO_TEXT.sub("\ufffd", text)
 
 
-def _times(rows: list[tuple[int, int, int, Any]]) -> list[rr.TimeColumn]:
-    def stamps(column: int) -> Any:
-        return np.array([row[column] for row in rows], np.int64).view("datetime64[ns]")
+def timeless(time_ns: int) -> bool:
+    """Whether a stamp in UTC nanoseconds is unset, or of a year that no time line shows (before 1970, after 2116)."""
+    return not 0 < time_ns <= LAST_NS
 
-    times = [
-        rr.TimeColumn(GATEWAY_TIME, timestamp=stamps(1)),
-        rr.TimeColumn(ENTRY, sequence=np.array([row[0] for row in rows], np.int64)),
-    ]
-    return [*times, rr.TimeColumn(SENDER_TIME, timestamp=stamps(2))] if rows[0][2] else times
+
+def _times(rows: list[tuple[int, int, int, Any]]) -> list[rr.TimeColumn]:
+    times = [rr.TimeColumn(ENTRY, sequence=np.array([row[0] for row in rows], np.int64))]
+    for line, column in ((GATEWAY_TIME, 1), (SENDER_TIME, 2)):
+        if rows[0][column]:
+            stamps = np.array([row[column] for row in rows], np.int64)
+            times.append(rr.TimeColumn(line, timestamp=stamps.view("datetime64[ns]")))
+    return times
 
 
 def _poses(values: list[Pose]) -> Any:

@@ -22,7 +22,7 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.view.canvas import Canvas, Options
 from igtl_gateway.view.colours import ERROR, INFO, WARN
 from igtl_gateway.view.judged import draw_review
-from igtl_gateway.view.pen import Pen
+from igtl_gateway.view.pen import GATEWAY_TIME, LAST_NS, SENDER_TIME, Pen, timeless
 from igtl_gateway.view.seen import (
     DROPS,
     FRAMES,
@@ -87,11 +87,13 @@ class Told:
         messages: drawn messages, by topic.
         without_picture: messages that have none, by ROS type.
         refused: messages that could not be drawn, by topic.
+        timeless: entries that are missing on a time line, by the time line: their stamp is none (0, beyond 2116).
     """
 
     messages: Counter[str] = field(default_factory=Counter)
     without_picture: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
+    timeless: Counter[str] = field(default_factory=Counter)
 
 
 class SessionView:
@@ -111,7 +113,7 @@ class SessionView:
         self._topics: dict[tuple[str, str], _Topic] = {}
         self._siblings: list[_Sibling] = []
         self._rhythms: dict[tuple[Kind, str], _Rhythm] = {}
-        self._second = 0
+        self._begin_ns = self._second = 0
         self._last_number = 0
         self._pen.static(DROPS, rr.SeriesPoints(markers=["cross"], names=["drops and gaps"]))
 
@@ -119,8 +121,10 @@ class SessionView:
     def take(self, entry: Entry) -> None:
         """Draw one entry; they come in the order of the session."""
         self._pen.at(entry)
-        self.seen.first_ns = self.seen.first_ns or entry.stamp_ns
-        self.seen.last_ns = entry.stamp_ns
+        if self._pen.stamp_ns:
+            self.seen.first_ns = self.seen.first_ns or entry.stamp_ns
+            self.seen.last_ns = max(self.seen.last_ns, entry.stamp_ns)
+        self._timeless(entry)
         missing = entry.seq - self._last_number - 1
         if self._last_number and missing > 0:
             self._drop(missing, f"{missing:,} entries are missing")
@@ -141,8 +145,7 @@ class SessionView:
 
     @ieee_754
     def finish(self) -> None:
-        """Tell what is left: the last second's rates, what waits in columns."""
-        self._rates(self._second + 1)
+        """Send what waits in columns.  The last second that was begun has no rate: it would look like a fall."""
         self._pen.flush()
 
     def review(self, review: Review) -> None:
@@ -170,8 +173,8 @@ class SessionView:
         if canvas.rows == rows:  # nothing at the topic's own path: a row that counts
             self._pen.fields(shown.path, **summary)
             canvas.rows += 1
-        shown.first_ns = shown.first_ns or entry.stamp_ns
-        shown.last_ns = entry.stamp_ns
+        shown.first_ns = shown.first_ns or self._pen.stamp_ns
+        shown.last_ns = self._pen.stamp_ns or shown.last_ns
         shown.count += 1
         self.told.messages[entry.channel] += 1
         if entry.kind is Kind.ROS_OUT and picture and picture.fullness:
@@ -209,6 +212,15 @@ class SessionView:
 
     # Facts
 
+    def _timeless(self, entry: Entry) -> None:
+        """Count stamps that no time line takes, and say so at the first."""
+        for line, time_ns, unset in ((GATEWAY_TIME, entry.stamp_ns, False), (SENDER_TIME, entry.source_ns, True)):
+            if timeless(time_ns) and (time_ns or not unset):
+                if not self.told.timeless[line]:
+                    text = f"entry {entry.seq}: found the stamp {time_ns}, expected 1 to {LAST_NS}: not on {line}"
+                    self._pen.text(LOG, text, "WARN", WARN)
+                self.told.timeless[line] += 1
+
     def _note(self, entry: Entry) -> None:
         note = Note.unpack(entry.data())
         links = f" [link {', '.join(map(str, entry.links))}]" if entry.links else ""
@@ -228,38 +240,45 @@ class SessionView:
     # Rates and latencies
 
     def _beat(self, entry: Entry) -> None:
+        now_ns, source_ns = self._pen.stamp_ns, self._pen.source_ns
+        if not now_ns:
+            return
         key = (entry.kind, entry.channel)
         rhythm = self._rhythms.get(key)
         if rhythm is None:
             if len(self._rhythms) >= _MAX_PLOTS:
                 return
-            rhythm = self._rhythms[key] = _Rhythm(path_of(entry.channel), entry.stamp_ns, entry.stamp_ns)
-        second = entry.stamp_ns // NS_PER_S
-        if second != self._second:
+            rhythm = self._rhythms[key] = _Rhythm(path_of(entry.channel), now_ns, now_ns)
+        self._begin_ns = self._begin_ns or now_ns
+        second = (now_ns - self._begin_ns) // NS_PER_S
+        if second > self._second:
             self._rates(second)
         if entry.kind.is_input:
-            if entry.source_ns:
-                self._pen.numbers(f"{LATENCIES}/{rhythm.path}", [(entry.stamp_ns - entry.source_ns) / _NS_PER_MS])
-            pause = entry.stamp_ns - rhythm.last_ns
+            if source_ns:
+                self._pen.numbers(f"{LATENCIES}/{rhythm.path}", [(now_ns - source_ns) / _NS_PER_MS])
+            pause = now_ns - rhythm.last_ns
             if rhythm.messages >= _RHYTHM and pause > NS_PER_S:
                 mean = (rhythm.last_ns - rhythm.first_ns) / (rhythm.messages - 1)
                 if pause > _GAP_FACTOR * mean:
                     self._drop(1, f"{entry.channel}: silent for {pause / NS_PER_S:.1f} s")
-        rhythm.last_ns = entry.stamp_ns
+        rhythm.last_ns = now_ns
         rhythm.messages += 1
         rhythm.this_second += 1
 
     def _rates(self, second: int) -> None:
-        """Messages of the second that is over, and zeros where a longer pause begins and ends."""
-        if self._second:
-            now = (self._pen.number, self._pen.stamp_ns, self._pen.source_ns)
-            pause = [self._second + 1, second - 1] if second - self._second > 1 else []
-            for at, counted in ((self._second, True), *((each, False) for each in dict.fromkeys(pause))):
-                self._pen.number, self._pen.stamp_ns, self._pen.source_ns = now[0] - 1, (at + 1) * NS_PER_S - 1, 0
-                for (kind, _), rhythm in self._rhythms.items():
-                    value = float(rhythm.this_second) if counted else 0.0
-                    self._pen.numbers(f"{RATES}/{kind.value}/{rhythm.path}", [value])
-            for rhythm in self._rhythms.values():
-                rhythm.this_second = 0
-            self._pen.number, self._pen.stamp_ns, self._pen.source_ns = now
+        """Messages of the second that is over, at its end, and zeros where a longer pause begins and ends.
+
+        Seconds are counted from the first message, so that the first is a whole one.
+        """
+        now = (self._pen.number, self._pen.stamp_ns, self._pen.source_ns)
+        pause = [self._second + 1, second - 1] if second - self._second > 1 else []
+        for at, counted in ((self._second, True), *((each, False) for each in dict.fromkeys(pause))):
+            end_ns = self._begin_ns + (at + 1) * NS_PER_S - 1
+            self._pen.number, self._pen.stamp_ns, self._pen.source_ns = now[0] - 1, end_ns, 0
+            for (kind, _), rhythm in self._rhythms.items():
+                value = float(rhythm.this_second) if counted else 0.0
+                self._pen.numbers(f"{RATES}/{kind.value}/{rhythm.path}", [value])
+        for rhythm in self._rhythms.values():
+            rhythm.this_second = 0
+        self._pen.number, self._pen.stamp_ns, self._pen.source_ns = now
         self._second = second

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import rerun as rr
@@ -11,6 +12,7 @@ from igtl_gateway.view.blueprints import blueprint, choose
 from igtl_gateway.view.seen import Seen
 
 APPLICATION = "igtl-gateway"
+_LITTLE = 1 << 20  #: bytes: a disk with less is full, as rerun writes more than this at once
 
 
 def to_file(out: Path, identity: str) -> rr.RecordingStream:
@@ -41,7 +43,15 @@ def arrange(recording: rr.RecordingStream, name: str, seen: Seen) -> str:
     return name
 
 
-def close(recording: rr.RecordingStream) -> None:
-    """Send what is left, and end the stream."""
-    recording.flush()
-    recording.disconnect()
+def close(recording: rr.RecordingStream, out: Path | None = None) -> None:
+    """Send what is left, and end the stream (into the file ``out``).
+
+    Raises OSError where the file did not take everything: rerun writes it in a thread of its own that ends silently.
+    """
+    try:
+        recording.flush()
+    except RuntimeError as error:
+        full = out is not None and shutil.disk_usage(out.parent).free < _LITTLE
+        raise OSError("the disk is full" if full else str(error)) from None
+    finally:
+        recording.disconnect()

@@ -125,10 +125,36 @@ def test_notes_links_and_drops_have_their_places(draw: Draw) -> None:
 
 
 def test_rates_are_messages_of_each_second_and_zero_in_a_pause(draw: Draw) -> None:
-    times = [START_NS + k * SECOND // 10 for k in range(20)] + [START_NS + 7 * SECOND]
+    times = [START_NS + k * SECOND // 10 for k in range(20)] + [START_NS + 7 * SECOND, START_NS + 8 * SECOND]
     drawn = draw(entries=[text(number, at) for number, at in enumerate(times, 1)])
     rates = [row["Scalars:scalars"][0] for row in drawn.rows("plots/rate/ros_in/text")]
     assert rates == [10.0, 10.0, 0.0, 0.0, 1.0]
+
+
+def test_a_steady_stream_has_a_steady_rate_from_the_first_to_the_last_second(draw: Draw) -> None:
+    times = [START_NS + SECOND // 3 + k * SECOND // 10 for k in range(57)]  # neither end at a whole second
+    drawn = draw(entries=[text(number, at) for number, at in enumerate(times, 1)])
+    rows = drawn.rows("plots/rate/ros_in/text")
+    assert [row["Scalars:scalars"][0] for row in rows] == [10.0] * 5
+    assert rows[-1]["gateway_time"] < times[-1]
+
+
+@pytest.mark.parametrize("odd_ns", [0, -1, -(1 << 63), (1 << 62) + 1, (1 << 63) - 1, (1 << 64) - 1])
+def test_a_stamp_that_no_time_line_takes_costs_its_place_there(odd_ns: int, draw: Draw) -> None:
+    pose = TransformStamped(Header(0, "base"), "tool", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)).pack()
+    times = [START_NS, odd_ns, START_NS + 1, odd_ns, START_NS + 2 * SECOND]
+    poses = [
+        Entry(10 + number, at, Kind.ROS_IN, "/tool", TransformStamped.TYPE, (pose,), source_ns=source)
+        for number, (at, source) in enumerate(zip(times, reversed(times), strict=True))
+    ]
+    drawn = draw(entries=[*(text(number, at) for number, at in enumerate(times, 1)), *poses])
+    for path, numbers in (("text", [1, 2, 3, 4, 5]), ("tool", [10, 11, 12, 13, 14])):
+        assert [row["entry"] for row in drawn.rows(path)] == numbers
+        assert [row.get("gateway_time", odd_ns) for row in drawn.rows(path)] == times
+    assert [row.get("sender_time", odd_ns) for row in drawn.rows("tool")] == times[::-1]
+    assert drawn.view.told.timeless == {"gateway_time": 4} | ({"sender_time": 2} if odd_ns else {})
+    assert sum(f"found the stamp {odd_ns}" in line for line in drawn.log()) == len(drawn.view.told.timeless)
+    assert drawn.view.seen.seconds == 2.0
 
 
 def test_latency_is_gateway_time_minus_the_senders_stamp(draw: Draw) -> None:

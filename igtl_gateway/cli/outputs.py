@@ -1,0 +1,54 @@
+"""A file that a verb writes: refused before the work where it cannot be written, whole or not there at the end."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from igtl_gateway.errors import ConfigError, GatewayError
+
+
+def check_target(path: Path, *, overwrite: bool) -> None:
+    """Raises ConfigError for a file that exists and is to stay, GatewayError where none can be written."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        if not path.parent.is_dir():
+            raise GatewayError(f"cannot write to {path}: there is no folder {path.parent}") from None
+        return
+    except (OSError, ValueError) as error:
+        raise refused(path, error) from None
+    if not overwrite:
+        raise ConfigError(f"{path}: exists already, expected a new file or --overwrite")
+    if not stat.S_ISREG(found.st_mode):
+        raise GatewayError(f"cannot write to {path}: it is no ordinary file, expected one or a new name")
+
+
+@contextmanager
+def written(path: Path) -> Iterator[Path]:
+    """An empty file in the same folder, which takes the place of ``path`` where the ``with`` block ends well.
+
+    Raises GatewayError where the folder takes none.
+    """
+    partial = path.with_name(f".igtl-gateway-{os.getpid()}-{path.name[:64]}.part")
+    try:
+        partial.open("xb").close()
+    except OSError as error:
+        raise refused(path, error) from None
+    try:
+        yield partial
+        try:
+            os.replace(partial, path)
+        except OSError as error:
+            raise refused(path, error) from None
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def refused(path: Path, error: Exception) -> GatewayError:
+    """What to raise where ``path`` cannot be written."""
+    return GatewayError(f"cannot write to {path}: {getattr(error, 'strerror', None) or error}")
