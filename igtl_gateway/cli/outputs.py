@@ -33,7 +33,7 @@ def written(path: Path) -> Iterator[Path]:
 
     Raises GatewayError where the folder takes none.
     """
-    partial = path.with_name(f".igtl-gateway-{os.getpid()}-{path.name[:64]}.part")
+    partial = path.with_name(f".igtl-gateway-{os.getpid()}.part{path.suffix if path.suffix.isascii() else ''}")
     try:
         partial.open("xb").close()
     except OSError as error:

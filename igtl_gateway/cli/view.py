@@ -18,7 +18,7 @@ from igtl_gateway.cli.outputs import check_target, refused, written
 from igtl_gateway.cli.terminal import cell, clear, is_terminal, live, print_json, say, width
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
-from igtl_gateway.errors import ConfigError, GatewayError, ViewerError
+from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError, ViewerError
 from igtl_gateway.extras import missing
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import through_gateway
@@ -80,11 +80,13 @@ def run(options: argparse.Namespace) -> int:
                 print_json(told)
             else:
                 _print(options, drawn, told)
+            if told["damage"]:
+                say(f"igtl-gateway view: what comes first is drawn: {told['damage']}", error=True)
             if picture:
-                return _picture(options, out, picture, drawn)
+                return max(_picture(options, out, picture, drawn), bool(told["damage"]))
         if not options.save:
             _show(options, out, stop.wait)
-    return 0
+    return int(bool(told["damage"]))
 
 
 @contextmanager
@@ -116,26 +118,19 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
     from igtl_gateway.view import stream
     from igtl_gateway.view.blueprints import NAMES
     from igtl_gateway.view.canvas import Options
+    from igtl_gateway.view.pen import valid
     from igtl_gateway.view.session import SessionView
 
     if options.blueprint and options.blueprint not in NAMES:
         raise ConfigError(f"--blueprint: found {options.blueprint!r}, expected {', '.join(NAMES)}")
     with SessionFile.open(options.file) as file:
         config = recorded_config(file.session)
-        recording = stream.to_file(out, f"{options.file.stem}-{file.start_ns}")
+        recording = stream.to_file(out, valid(f"{options.file.stem}-{file.start_ns}"))
         view = SessionView(
             recording, config.base_frame, Options(colour_by=options.colour_by, plain=bool(options.screenshot))
         )
         material = None if options.no_review else Material()
-        progress = _Progress(file.entry_count)
-        for entry in _entries(file, config):
-            if stopped():
-                raise KeyboardInterrupt
-            view.take(entry)
-            if material:
-                material.take(entry)
-            progress.step()
-        progress.end()
+        damage = _take(file, config, view, material, stopped)
         if material:
             _review(material, view)
         view.finish()
@@ -158,9 +153,29 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
         ],
         "without_picture": dict(sorted(told.without_picture.items())),
         "refused": dict(sorted(told.refused.items())),
+        "damage": damage,
         "without_time": dict(sorted(told.timeless.items())),
         "without_field": bool(options.colour_by) and options.colour_by not in view.seen.fields,
     }
+
+
+def _take(file: SessionFile, config: Config, view: SessionView, material: Material | None, stopped: Any) -> str:
+    """Draw all entries up to the first that cannot be read; why it cannot, or ""."""
+    progress = _Progress(file.entry_count)
+    try:
+        for entry in _entries(file, config):
+            if stopped():
+                raise KeyboardInterrupt
+            view.take(entry)
+            if material:
+                material.take(entry)
+            progress.step()
+    except DamagedRecording as error:
+        view.end(str(error))
+        return str(error)
+    finally:
+        progress.end()
+    return ""
 
 
 def _entries(file: SessionFile, config: Config) -> Iterator[Entry]:

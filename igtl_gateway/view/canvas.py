@@ -22,6 +22,10 @@ TRAIL_NS, _STEP_NS, _DRAW_NS = 5_000 * NS_PER_MS, 20 * NS_PER_MS, 100 * NS_PER_M
 
 #: Points that a box is made of, and from how many on outliers are left out.
 _SAMPLE, _MANY = 2000, 500
+#: Nothing that is further away, metres, decides where the eye of a view is: it is a wrong number.
+_FAR_M = 1e6
+#: Lines of the log that are said once may be so many for a topic.
+_ONCES = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +110,11 @@ class Canvas:
         """A line of the session's log."""
         self.pen.text(LOG, f"{self.shown.topic}: {text}", level, colour)
 
-    def once(self, text: str) -> None:
-        """A line of the session's log, the first time only."""
-        if text not in self.memory.setdefault("said", set()):
-            self.memory["said"].add(text)
+    def once(self, text: str, about: str = "") -> None:
+        """A line of the session's log, only the first one of all ``about`` the same thing (default: the text)."""
+        said = self.memory.setdefault("said", set())
+        if (about or text) not in said and len(said) < _ONCES:
+            said.add(about or text)
             self.text(text)
 
     def tool(self, pose: Xyz, frame: str, child: str = "", *, labelled: bool = True) -> None:
@@ -131,7 +136,7 @@ class Canvas:
     def box(self, places: npt.NDArray[Any]) -> None:
         """Where the topic's things are: the eye of a 3-D view is set by the box around most of them."""
         some = places[:: max(len(places) // _SAMPLE, 1)].astype(np.float64)
-        some = some[np.isfinite(some).all(axis=1)]
+        some = some[(np.abs(some) < _FAR_M).all(axis=1)]
         if not len(some):
             return
         low, high = np.percentile(some, (2, 98), axis=0) if len(some) >= _MANY else (some.min(axis=0), some.max(axis=0))
@@ -144,6 +149,8 @@ class Canvas:
         """As ``box``, for a single place: tools come by the thousand."""
         low, high = self.shown.low, self.shown.high
         x, y, z = place
+        if max(abs(x), abs(y), abs(z)) >= _FAR_M:
+            return
         if low is None or high is None:
             self.shown.low = self.shown.high = (x, y, z)
         elif not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):

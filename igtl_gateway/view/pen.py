@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from igtl_gateway.errors import ConversionError
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.view.colours import INFO
 from igtl_gateway.view.seen import PLACES
@@ -23,6 +24,8 @@ GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"
 
 #: The last time of a time line, UTC nanoseconds: 2116.
 LAST_NS = 1 << 62
+
+MAX_ENTITIES = 20_000
 
 #: Rows of one entity that are gathered before they are sent.
 _ROWS = 2048
@@ -80,7 +83,13 @@ class Pen:
         self._placed: set[str] = set()
 
     def claim(self, path: str) -> str:
-        """``path`` for an entity, or where another one has it already ``<path>_2`` and so on."""
+        """``path`` for an entity, or where another one has it already ``<path>_2`` and so on.
+
+        Raises ConversionError where there are too many entities for a viewer: whoever invents names must not cost
+        more memory than that.
+        """
+        if len(self._paths) >= MAX_ENTITIES:
+            raise ConversionError(f"found more than {MAX_ENTITIES:,} things to draw, expected fewer names")
         free, number = path, 2
         while free in self._paths:
             free, number = f"{path}_{number}", number + 1

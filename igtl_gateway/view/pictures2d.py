@@ -70,18 +70,18 @@ def picture(message: Image, canvas: Canvas) -> rr.Image:
             data = data.reshape(-1, 2)[:, ::-1]
         return rr.Image(bytes=data.tobytes(), width=width, height=height, pixel_format=pixel_format)
     if bayer := _BAYER.fullmatch(encoding):
-        return rr.Image(demosaiced(_rows(message, f"u{int(bayer[2]) // 8}", 1)[..., 0], bayer[1]), "RGB")
+        return image(demosaiced(_rows(message, f"u{int(bayer[2]) // 8}", 1)[..., 0], bayer[1]), rr.ColorModel.RGB)
     if named := _NAMED.fullmatch(encoding):
         pixels = _rows(message, f"u{int(named[2]) // 8}", _CHANNELS[named[1]])
         if named[1] == "mono":
             return grey(pixels[..., 0])
-        return rr.Image(_eight_bits(pixels), _COLOURS[named[1]])
+        return image(_eight_bits(pixels), _COLOURS[named[1]])
     if opencv := _OPENCV.fullmatch(message.encoding):
         channels = int(opencv[2] or 1)
         pixels = _rows(message, _DTYPES[opencv[1]], channels)
         if channels in _COLOUR_PLANES:
             # OpenCV's names do not say the order; the gateway's own are RGB, as OpenIGTLink's
-            return rr.Image(_eight_bits(pixels), _MODELS[channels])
+            return image(_eight_bits(pixels), _MODELS[channels])
         if channels > 1:
             canvas.once(f"{message.encoding} is shown by its first component")
         return grey(pixels[..., 0])
@@ -90,9 +90,19 @@ def picture(message: Image, canvas: Canvas) -> rr.Image:
 
 def grey(pixels: Array) -> rr.Image:
     """One component; the viewer finds the range of what has more than 8 bits."""
-    if pixels.dtype.kind == "i":
-        return rr.Image(window(pixels), "L")
-    return rr.Image(np.ascontiguousarray(pixels), "L")
+    return image(window(pixels) if pixels.dtype.kind == "i" else pixels, rr.ColorModel.L)
+
+
+def image(pixels: Array, model: rr.ColorModel) -> rr.Image:
+    """(height, width) or (height, width, channels) pixels; rerun's own guess of the shape fails for single rows."""
+    height, width = pixels.shape[:2]
+    return rr.Image(
+        bytes=np.ascontiguousarray(pixels).tobytes(),
+        width=width,
+        height=height,
+        color_model=model,
+        datatype=pixels.dtype,
+    )
 
 
 def window(pixels: Array) -> Array:
@@ -186,7 +196,7 @@ def draw_color_table(message: ColorTable, canvas: Canvas) -> None:
     if not row.size:
         raise ConversionError(f"{message.TYPE}: found an empty table, expected 256 or 65536 rows")
     canvas.shown.width, canvas.shown.height = row.shape[1], _STRIP
-    canvas.log(rr.Image(np.ascontiguousarray(row.repeat(_STRIP, axis=0))))
+    canvas.log(image(row.repeat(_STRIP, axis=0), rr.ColorModel.RGB))
 
 
 def _draw_video(canvas: Canvas, words: list[str], data: Buffer) -> None:

@@ -48,7 +48,7 @@ def draw_tf(message: TFMessage, canvas: Canvas) -> None:
 
 def _tool(pose: Sequence[float], frame: str, canvas: Canvas, child: str = "", child_frame: str = "") -> None:
     if not _is_pose(pose):
-        canvas.once(f"{child or 'the tool'} has no place: found {tuple(pose)}, expected a pose")
+        canvas.once(f"{child or 'the tool'} has no place: found {tuple(pose)}, expected a pose", f"place {child}")
         return
     canvas.tool(pose, frame, child, labelled=not child_frame)
     canvas.reach(pose[:3])

@@ -148,6 +148,10 @@ class SessionView:
         """Send what waits in columns.  The last second that was begun has no rate: it would look like a fall."""
         self._pen.flush()
 
+    def end(self, why: str) -> None:
+        """Say that the session ends here because the rest of it cannot be read."""
+        self._pen.text(LOG, f"the session ends here: {why}", "ERROR", ERROR)
+
     def review(self, review: Review) -> None:
         """Draw the review of a suture plan."""
         self.seen.reviewed = True
@@ -156,7 +160,11 @@ class SessionView:
     # Messages
 
     def _message(self, entry: Entry) -> None:
-        topic = self._topics.get((entry.channel, entry.type)) or self._meet(entry)
+        try:
+            topic = self._topics.get((entry.channel, entry.type)) or self._meet(entry)
+        except ConversionError:  # one of too many topics
+            self.told.refused[entry.channel] += 1
+            return
         canvas, picture = topic.canvas, topic.picture
         shown = canvas.shown
         rows = canvas.rows
@@ -230,7 +238,8 @@ class SessionView:
         if entry.kind is Kind.LINK:
             self._pen.text(LINKS, text, note.level.name, _COLOURS[note.level])
         if any(word in note.code for word in _DROP_WORDS):
-            self._drop(int(note.data.get("count") or note.data.get("dropped") or 1), text, in_log=False)
+            dropped = note.data.get("count") or note.data.get("dropped") or 1
+            self._drop(dropped if isinstance(dropped, int) else 1, text, in_log=False)
 
     def _drop(self, number: int, text: str, *, in_log: bool = True) -> None:
         self._pen.log(DROPS, rr.TextLog(self._pen.letters(text), level="WARN", color=WARN), rr.Scalars([float(number)]))

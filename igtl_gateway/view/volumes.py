@@ -12,7 +12,7 @@ from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.colours import span
-from igtl_gateway.view.pictures2d import grey
+from igtl_gateway.view.pictures2d import grey, image
 from igtl_gateway.view.seen import What
 from igtl_gateway.wire.image import SCALARS
 
@@ -76,7 +76,7 @@ def _dimensions(voxels: Array) -> list[str]:
 
 def _picture(pixels: Array) -> rr.Image:
     if pixels.shape[2] in _COLOUR:
-        return rr.Image(eight_bits(pixels, None))
+        return image(eight_bits(pixels, None), rr.ColorModel.RGB)
     return grey(pixels[..., 0])
 
 

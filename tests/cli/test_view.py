@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -9,7 +10,10 @@ import pytest
 
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
+import mcap.writer
+
 from igtl_gateway.cli import main
+from igtl_gateway.convert import rosmsg
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.wire import Message, encode
@@ -17,6 +21,7 @@ from igtl_gateway.wire.text import String
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 START_NS = 1_767_225_600_000_000_000
+ROS_STRING = rosmsg.String.TYPE
 
 
 @pytest.fixture(autouse=True)
@@ -111,6 +116,49 @@ def test_a_recording_of_nothing_has_no_picture(tmp_path: Path, capsys: pytest.Ca
     assert main(["view", str(path), "--screenshot", str(out)]) == 1
     assert "empty.mcap: found no messages" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_file_of_others_is_drawn_whatever_its_names_and_times_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    topics = ["/a\x1b[2J", "", "/", "//b", "/a/../b", "/\n- c", "/\u202etxt.\U0001f600", "/session/log", "/a b", "/a_b"]
+    stamps = [0, START_NS, 1 << 62, (1 << 62) + 1, (1 << 63) - 1, 1 << 63, (1 << 64) - 1, START_NS + 1, START_NS - 1, 1]
+    path, out = tmp_path / "odd\udcff\x1b.mcap", tmp_path / "out\udcff.rrd"
+    with path.open("wb") as stream:
+        writer = mcap.writer.Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(ROS_STRING, "ros2msg", b"string data\n# \xff\xfe")
+        for topic, stamp in zip(topics, stamps, strict=True):
+            channel = writer.register_channel(topic, "cdr", schema)
+            writer.add_message(channel, stamp, rosmsg.String(f"on {topic!r}").pack(), stamps[-1 - stamps.index(stamp)])
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert main(["view", str(path), "--save", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["messages"] == len(topics)
+    assert told["without_time"] == {"gateway_time": 5, "sender_time": 4}
+    rows = counts(out.rename(tmp_path / "out.rrd"))
+    assert sum(rows[entity] for entity in rows if entity.count("/") and not entity.startswith("/session/")) >= 10
+    assert main(["view", str(path), "--save", str(out), "--overwrite"]) == 0
+    said = capsys.readouterr().out
+    assert "? 5 entries not on the time line gateway_time: stamps before 1970 or after 2116" in said
+    assert "\x1b" not in said
+
+
+def test_what_comes_before_damage_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / "damaged.mcap", tmp_path / "out.rrd"
+    writer = SessionWriter(path, {})
+    for number in range(1, 40):
+        data = rosmsg.String(f"{number} {hashlib.sha512(bytes([number])).hexdigest()}").pack()
+        writer.write(Entry(number, START_NS + number, Kind.ROS_IN, "/text", ROS_STRING, (data,)))
+        writer.flush()
+    writer.close({})
+    whole = bytearray(path.read_bytes())
+    whole[whole.index(hashlib.sha512(bytes([30])).hexdigest()[:16].encode())] ^= 1
+    path.write_bytes(whole)
+    assert main(["view", str(path), "--save", str(out)]) == 1
+    said = capsys.readouterr()
+    assert "igtl-gateway view: what comes first is drawn: " in said.err
+    assert 20 <= counts(out)["/text"] < 39
 
 
 def test_a_field_that_no_cloud_has_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

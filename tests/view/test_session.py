@@ -18,7 +18,7 @@ from igtl_gateway.convert.rosmsg import Header, Mesh, String, TransformStamped
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.view.blueprints import blueprint
+from igtl_gateway.view.blueprints import NAMES, blueprint
 
 from .conftest import START_NS, STEP_NS, Draw, messages
 
@@ -69,26 +69,65 @@ def test_a_message_that_cannot_be_read_costs_itself(draw: Draw) -> None:
     assert sum("/text: cannot be shown" in line for line in drawn.log()) == 1
 
 
-def test_no_bytes_whatever_end_the_drawing(draw: Draw) -> None:
+#: Numbers that sizes, counts and places lie with.
+WORDS = (0, 1, 0xFF, 60_000, 0x10000, 10**9, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
+DOUBLES = (np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, 1e18, 3.5e38)
+
+
+def mutant(data: bytes, chance: np.random.Generator) -> bytes:
+    """A message with one to four lies in it, most of them near its beginning, some of it cut off."""
+    out = bytearray(data)
+    for _ in range(chance.integers(1, 5)):
+        place = int(chance.integers(4, len(out) if chance.random() < 0.3 else min(len(out), 300)))
+        lie = int(chance.integers(4))
+        if lie == 0:
+            out[place] ^= 1 << int(chance.integers(8))
+        elif lie == 1:
+            out[place] = chance.choice((0, 1, 127, 128, 255))
+        else:
+            size = 4 * (lie - 1)
+            number = int(chance.choice(WORDS)).to_bytes(4, "little") if lie == 2 else chance.choice(DOUBLES).tobytes()
+            place = 4 + (place - 4) // size * size
+            out[place : place + size] = number[: len(out) - place]
+    return bytes(out if chance.random() < 0.9 else out[: int(chance.integers(4, len(out)))])
+
+
+@pytest.mark.parametrize("strict", ["1", "0"])
+@pytest.mark.filterwarnings("error")
+def test_no_bytes_whatever_end_the_drawing(strict: str, draw: Draw, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Claims of 60,000 x 60,000 pixels, of 10^9 points, of numbers that are none: a row each, and no memory."""
+    resource = pytest.importorskip("resource")
+    monkeypatch.setenv("RERUN_STRICT", strict)
     with SessionFile.open(FIXTURES / "every-type.mcap") as file:
         said = [entry for entry in file.entries() if entry.kind in (Kind.ROS_IN, Kind.ROS_OUT)]
-    generator = np.random.default_rng(7)
+    chance = np.random.default_rng(int(strict))
     entries: list[Entry] = []
     expected = Counter[str]()
-    firsts = {(entry.type, entry.channel): entry for entry in said}
-    for entry in firsts.values():
-        for _ in range(4):
-            data = bytearray(entry.data())
-            for place in generator.integers(4, len(data), 3):
-                data[place] = generator.choice((0, 1, 127, 128, 255))
+    for entry in {(entry.type, entry.channel): entry for entry in said}.values():
+        for _ in range(12):
             number = len(entries) + 1
-            cut = len(data) if generator.random() < 0.9 else int(generator.integers(4, len(data)))
-            entries.append(replace(entry, seq=number, stamp_ns=START_NS + number, payload=(bytes(data[:cut]),)))
+            data = mutant(entry.data(), chance)
+            entries.append(replace(entry, seq=number, stamp_ns=START_NS + number, payload=(data,)))
             expected[entry.channel] += 1
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     drawn = draw(entries=entries)
-    assert sum(drawn.view.told.refused.values()) > 50  # it was worth trying
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # kB
+    assert sum(drawn.view.told.refused.values()) > 500  # it was worth trying
     shown = drawn.view.seen.shown.values()
     assert {each.topic: drawn.count(each.path) for each in shown} == expected
+    for name in NAMES:
+        blueprint(name, drawn.view.seen)
+
+
+def test_names_without_end_cost_themselves(draw: Draw, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("igtl_gateway.view.pen.MAX_ENTITIES", 30)
+    turn = (0.0, 0.0, 0.0, 1.0)
+    frames = [TransformStamped(Header(0, "base"), f"tool {number}", (0.0, 0.0, 0.0), turn) for number in range(40)]
+    drawn = draw(*frames, *((f"/text/{number}", String("x")) for number in range(10)))
+    assert drawn.count("topic") == 40
+    assert 10 < drawn.view.told.refused["/topic"] < 15
+    assert sum(drawn.view.told.refused.values()) > 20
+    assert sum(path.startswith("frames/") for path in drawn.batches) < 30
 
 
 def test_a_name_that_is_no_text_costs_no_other_row(draw: Draw) -> None:
