@@ -338,3 +338,47 @@ def test_a_real_sequence_comes_back(shared_dir: Path, tmp_path: Path) -> None:
         assert main(["import", str(path), "-o", str(tmp_path / f"{number}.mcap")]) == 0
         exported(tmp_path / f"{number}.mcap", "igs.mha", tmp_path / f"{number + 1}.igs.mha")
     assert (tmp_path / "1.igs.mha").read_bytes() == (tmp_path / "2.igs.mha").read_bytes()
+
+
+@pytest.mark.parametrize("to", ["csv", "ply", "vtk", "nrrd", "rosbag2"])
+def test_foreign_names_stay_in_the_folder_and_on_their_line(
+    tmp_path: Path, to: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    devices = [
+        "../../x",
+        "/etc/passwd",
+        "..",
+        "",
+        "CON",
+        "a/b\\c",
+        "\x1b[2J",
+        "a\nb: forged",
+        "=1+1",
+        "A/x",
+        "A_x",
+        "a.x",
+    ]
+    given = []
+    for number, device in enumerate(devices):
+        for kind, content in (("POLYDATA", SURFACE), ("IMAGE", VOLUME), ("STRING", String.of("a"))):
+            data = join(encode(Message(kind, device, content)))
+            given.append((len(given), Kind.IGTL_IN, f"{kind}/{device}", kind, data))
+        said = ros("std_msgs/msg/String", data="a")
+        given.append((len(given), Kind.ROS_IN, f"/{number}/{device}", "std_msgs/msg/String", said))
+    path = written(tmp_path / "some.mcap", *given)
+    before = {file: file.stat().st_mtime_ns for file in (tmp_path, path)}
+    (tmp_path / "inside").mkdir()
+    out = tmp_path / "inside" / "out"
+    assert main(["export", str(path), "--to", to, "-o", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "\x1b" not in told
+    assert not any(line.startswith("b: forged") for line in told.splitlines())
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["inside", "some.mcap"]
+    assert [file.name for file in (tmp_path / "inside").iterdir()] == ["out"]
+    assert path.stat().st_mtime_ns == before[path]
+    made = list(out.iterdir())
+    assert all(file.is_file() and not file.is_symlink() for file in made)
+    expected = {"csv": 2, "ply": 1, "vtk": 1, "nrrd": 1}.get(to, 0) * len(devices) or 2
+    assert len(made) == expected
+    assert main(["export", str(path), "--to", to, "-o", str(out)]) == USAGE
+    assert {file: file.stat().st_mtime_ns for file in made} == {file: file.stat().st_mtime_ns for file in out.iterdir()}
