@@ -358,7 +358,7 @@ def test_foreign_names_stay_in_the_folder_and_on_their_line(
         "A_x",
         "a.x",
     ]
-    given = []
+    given: list[tuple[int, Kind, str, str, bytes]] = []
     for number, device in enumerate(devices):
         for kind, content in (("POLYDATA", SURFACE), ("IMAGE", VOLUME), ("STRING", String.of("a"))):
             data = join(encode(Message(kind, device, content)))
