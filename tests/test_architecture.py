@@ -132,7 +132,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "rerun": ("view",),
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
     "rosbags": ("exchange", "record.rostypes", "replay", "untrusted"),
-    "ruamel": ("exchange.rosbag2",),  # brought by rosbags, as zstandard is by mcap
+    "ruamel": ("untrusted.yaml_text",),  # brought by rosbags, as zstandard is by mcap
     "zstandard": ("exchange.rosbag2", "record.mcap_stream", "untrusted.unpack"),
 }
 

@@ -11,7 +11,8 @@ from igtl_gateway.exchange.capture import Capture, looks_like_igtl
 from igtl_gateway.exchange.nifti import looks_like_nifti, read_nifti
 from igtl_gateway.exchange.pcap import MAGICS, PCAPNG, Pcap
 from igtl_gateway.exchange.rosbag1 import Rosbag1
-from igtl_gateway.exchange.rosbag2 import METADATA, Rosbag2
+from igtl_gateway.exchange.rosbag2 import Rosbag2
+from igtl_gateway.exchange.rosbag2_metadata import METADATA
 from igtl_gateway.exchange.sequence import Sequence
 from igtl_gateway.exchange.source import Source, reading
 from igtl_gateway.untrusted import files
@@ -73,8 +74,6 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
         if (path / METADATA).exists() or any(path.glob("*.db3*")) or any(path.glob("*.mcap*")):
             return Rosbag2(path)
         raise UnsupportedRecording(f"{path}: found a directory without {METADATA}, expected a rosbag2 recording")
-    if not path.is_file():
-        raise UnsupportedRecording(f"{path}: not a regular file")
     with reading(path), files.open_file(path) as stream:
         start = stream.read(_START)
     if path.name.endswith(".zstd"):

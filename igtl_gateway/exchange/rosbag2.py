@@ -1,40 +1,39 @@
 """rosbag2 recordings: directories and single files, sqlite3 and MCAP storage, split or not, zstd by file or message.
 
-The storage files themselves are read, not what ``metadata.yaml`` says of them; its counts are what the import is
-held against.  Channels that are no topics, such as service events, are left out by name.  Parts of a split recording
-are merged in order of time.  Memory: one message of each part, and one chunk of MCAP files.
+The storage files themselves are read, not what ``metadata.yaml`` says of them; its counts and serialization formats
+are what the import is held against.  Channels that are no topics, such as service events, are left out by name, and
+messages with a time that no session can hold are counted.  Parts of a split recording are merged in order of time.
+
+Memory: one message of each part, and one chunk of MCAP files.
 """
 
 from __future__ import annotations
 
 import heapq
 import re
-import sqlite3
+import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path, PurePath
-from typing import IO, Any, Protocol
+from pathlib import Path
+from typing import IO, Protocol
 
-import zstandard
 from mcap.reader import SeekingReader
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.exchange.rosbag2_metadata import METADATA, Key, Metadata, read_metadata, storage_files
+from igtl_gateway.exchange.rosbag2_sqlite import Message, SqliteStorage
 from igtl_gateway.exchange.rostypes import definition
 from igtl_gateway.exchange.source import Item, Row, Told, reading
 from igtl_gateway.qos import Qos
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Kind
+from igtl_gateway.untrusted import files, limits
+from igtl_gateway.untrusted.unpack import zstd_file, zstd_of_any_size
 
-METADATA = "metadata.yaml"
+#: Times in ns that a session can hold; the rest is damage, or units of something else.
+_MAX_NS = 1 << 62
 _ROS_TYPE = re.compile(r"\w+/msg/\w+", re.ASCII)
-
-#: Topic and type.
-Key = tuple[str, str]
-#: A message of a part: time, key, bytes, the sender's stamp or 0.
-_Message = tuple[int, Key, bytes, int]
 
 
 class _Part(Protocol):
@@ -43,9 +42,10 @@ class _Part(Protocol):
     counts: Counter[Key]
     skipped: dict[Key, str]
     qos: dict[Key, str]
+    formats: dict[Key, str]  # serialization formats
     definitions: dict[str, tuple[str, str]]  # type → text, encoding
 
-    def messages(self) -> Iterator[_Message]: ...
+    def messages(self) -> Iterator[Message]: ...
 
     def close(self) -> None: ...
 
@@ -58,62 +58,84 @@ class Rosbag2(Told):
         self._path = path
         self._parts: list[_Part] = []
         self._unpacked: tempfile.TemporaryDirectory[str] | None = None
-        self._by_message = False
+        self._bad_types: set[str] = set()
         try:
-            metadata = _metadata(path / METADATA) if path.is_dir() else {}
-            self._by_message = str(metadata.get("compression_mode", "")).lower() == "message"
-            for file in storage_files(path, metadata) if path.is_dir() else [path]:
+            self._metadata = read_metadata(path) if path.is_dir() else Metadata()
+            for file in storage_files(path, self._metadata) if path.is_dir() else [path]:
                 self._parts.append(self._open_part(file))
-            self._account(metadata)
+            self._account()
         except BaseException:
             self.close()
             raise
 
     def _open_part(self, path: Path) -> _Part:
-        if path.suffix == ".zstd":
-            if self._unpacked is None:
-                self._unpacked = tempfile.TemporaryDirectory(prefix="igtl-gateway-import-")
-            plain = Path(self._unpacked.name, path.stem)
-            try:
-                with path.open("rb") as packed, plain.open("wb") as out:
-                    zstandard.ZstdDecompressor().copy_stream(packed, out)
-            except (OSError, zstandard.ZstdError) as error:
-                raise DamagedRecording(f"{path}: cannot be unpacked: {error}") from None
-            path = plain
-        with path.open("rb") as stream:
+        plain = self._unpack(path) if path.suffix == ".zstd" else path
+        with files.open_file(plain) as stream:
             start = stream.read(16)
-        return _Sqlite(path) if start.startswith(b"SQLite format 3\0") else _Mcap(path)
+        is_sqlite = start.startswith(b"SQLite format 3\0")
+        storage, told = "sqlite3" if is_sqlite else "mcap", self._metadata.storage
+        if told not in ("", storage):
+            self.notes.append(f"{METADATA} says that the storage is {told}, {path.name} is {storage}")
+        return SqliteStorage(plain, _unreadable) if is_sqlite else _Mcap(plain)
 
-    def _account(self, metadata: dict[str, Any]) -> None:
+    def _unpack(self, path: Path) -> Path:
+        """A packed storage file, unpacked for as long as this is open."""
+        if self._unpacked is None:
+            self._unpacked = tempfile.TemporaryDirectory(prefix="igtl-gateway-import-")
+        plain, size = Path(self._unpacked.name, f"{len(self._parts)}-{path.stem[-100:]}"), files.size_of(path)
+        bounds = limits.current()
+        # it goes to the disk, so that the limit of memory says nothing of it
+        allowed = min(max(bounds.free, bounds.ratio * size), shutil.disk_usage(self._unpacked.name).free // 2)
+        try:
+            with files.open_file(path) as packed, plain.open("wb") as out:
+                zstd_file(packed, out, size, allowed, str(path))
+        except OSError as error:
+            raise DamagedRecording(f"{path}: cannot be unpacked: {error.strerror or error}") from None
+        return plain
+
+    def _account(self) -> None:
+        metadata = self._metadata
         stored: Counter[Key] = Counter()
         skipped: dict[Key, str] = {}
+        formats: dict[Key, str] = {}
         for part in self._parts:
             stored.update(part.counts)
             skipped.update(part.skipped)
-        declared = {
-            (str(row["topic_metadata"]["name"]), str(row["topic_metadata"]["type"])): int(row["message_count"])
-            for row in metadata.get("topics_with_message_count") or ()
-        }
+            formats.update(part.formats)
         self._rows = {}
-        for key in sorted({*stored, *declared, *skipped}):
-            row = Row(key[0], declared.get(key, stored[key]), key[1], why=skipped.get(key, ""))
+        for key in sorted({*stored, *metadata.counts, *skipped}):
+            row = Row(key[0], metadata.counts.get(key, stored[key]), key[1], why=skipped.get(key, ""))
             row.left_out = stored[key] if key in skipped else 0
             self._rows[key] = row
-            if metadata and key not in declared:
+            if metadata.found and key not in metadata.counts:
                 self.notes.append(f"{METADATA} does not name {key[0]} ({stored[key]} stored)")
             elif row.declared != stored[key]:
                 self.notes.append(f"{METADATA} declares {row.declared} of {key[0]}, {stored[key]} are stored")
+            said, found = metadata.formats.get(key, ""), formats.get(key, "")
+            if said and found and said != found:
+                self.notes.append(
+                    f"{METADATA} says that {key[0]} is serialized as {said!r}, its storage {found!r}: "
+                    + ("left out" if key in skipped else f"read as {found!r}")
+                )
         self.rows = list(self._rows.values())
 
     def items(self) -> Iterator[Item]:
-        unpack = zstandard.ZstdDecompressor().decompressobj
+        packed = unpacked = 0
+        bounds = limits.current()
         for time_ns, key, data, source_ns in heapq.merge(*(part.messages() for part in self._parts), key=_time):
-            try:
-                payload = unpack().decompress(data) if self._by_message else data
-            except zstandard.ZstdError as error:
-                raise DamagedRecording(f"{self._path}: {key[0]} at {time_ns} ns: {error}") from None
-            self._rows[key].taken += 1
-            yield Item(time_ns, Kind.ROS_IN, payload, key[0], key[1], source_ns=source_ns)
+            row, payload = self._rows[key], data
+            if not 0 <= time_ns < _MAX_NS:
+                row.left_out += 1
+                row.why = "left out: no bytes, or a time that is not between 1970 and 2116"
+                continue
+            if self._metadata.by_message:
+                place = f"{self._path}: {key[0]} at {time_ns} ns"
+                payload = zstd_of_any_size(data, place)
+                packed, unpacked = packed + len(data), unpacked + len(payload)
+                limits.check("ratio", unpacked, f"{place}: all messages so far", bounds.free + bounds.ratio * packed)
+            row.taken += 1
+            known_ns = source_ns if 0 <= source_ns < _MAX_NS else 0
+            yield Item(time_ns, Kind.ROS_IN, payload, key[0], key[1], source_ns=known_ns)
 
     def qos_of(self, topic: str, ros_type: str) -> Qos | None:
         texts = (part.qos.get((topic, ros_type), "") for part in self._parts)
@@ -122,8 +144,13 @@ class Rosbag2(Told):
     def definition_of(self, ros_type: str) -> tuple[str, str] | None:
         for part in self._parts:
             text, encoding = part.definitions.get(ros_type, ("", ""))
-            if found := definition(ros_type, text, encoding):
-                return found
+            try:
+                if found := definition(ros_type, text, encoding):
+                    return found
+            except DamagedRecording as error:
+                if ros_type not in self._bad_types:
+                    self._bad_types.add(ros_type)
+                    self.notes.append(f"{error}: left out")
         return None
 
     def close(self) -> None:
@@ -133,40 +160,8 @@ class Rosbag2(Told):
             self._unpacked.cleanup()
 
 
-def _time(message: _Message) -> int:
+def _time(message: Message) -> int:
     return message[0]
-
-
-def storage_files(path: Path, metadata: dict[str, Any]) -> list[Path]:
-    """The storage files of a recording's directory: those that its metadata names, else all that are there."""
-    names = [PurePath(str(name)).name for name in metadata.get("relative_file_paths") or ()]
-    files = [path / name for name in names]
-    if missing := [file.name for file in files if not file.is_file()]:
-        raise DamagedRecording(f"{path}: found no {', '.join(missing)}, which {METADATA} names")
-    if not files:
-        suffixes = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-        files = sorted((file for file in path.iterdir() if file.name.endswith(suffixes)), key=_natural)
-    if not files:
-        raise UnsupportedRecording(f"{path}: found no .mcap or .db3 file in it, expected a rosbag2 recording")
-    return files
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """``bag_10`` after ``bag_9``."""
-    return [(int(word), "") if word.isdigit() else (0, word) for word in re.split(r"(\d+)", path.name)]
-
-
-def _metadata(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        return {}
-    try:
-        told = YAML(typ="safe").load(path.read_text("utf-8"))["rosbag2_bagfile_information"]
-        version = int(told["version"])
-    except (OSError, UnicodeDecodeError, YAMLError, KeyError, TypeError, ValueError) as error:
-        raise DamagedRecording(f"{path}: {type(error).__name__}: {str(error).splitlines()[0]}") from None
-    if version > 9:
-        raise UnsupportedRecording(f"{path}: found version {version}, expected at most 9")
-    return dict(told)
 
 
 def _unreadable(ros_type: str, encoding: str) -> str:
@@ -187,6 +182,7 @@ class _Mcap:
         self.counts: Counter[Key] = Counter()
         self.skipped: dict[Key, str] = {}
         self.qos: dict[Key, str] = {}
+        self.formats: dict[Key, str] = {}
         self.definitions: dict[str, tuple[str, str]] = {}
         self._keys: dict[int, Key] = {}
         try:
@@ -208,6 +204,7 @@ class _Mcap:
             ros_type = schema.name if schema else ""
             key = (channel.topic, ros_type)
             self.counts[key] += summary.statistics.channel_message_counts.get(channel.id, 0)
+            self.formats.setdefault(key, channel.message_encoding)
             why = _unreadable(ros_type, channel.message_encoding)
             if why:
                 self.skipped[key] = why
@@ -217,7 +214,7 @@ class _Mcap:
             if schema:
                 self.definitions.setdefault(ros_type, (schema.data.decode("utf-8", "replace"), schema.encoding))
 
-    def messages(self) -> Iterator[_Message]:
+    def messages(self) -> Iterator[Message]:
         found = self._reader.iter_messages()
         while True:
             try:
@@ -234,53 +231,3 @@ class _Mcap:
 
     def close(self) -> None:
         self._stream.close()
-
-
-class _Sqlite:
-    """An sqlite3 file, opened so that nothing of it or beside it changes."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.counts: Counter[Key] = Counter()
-        self.skipped: dict[Key, str] = {}
-        self.qos: dict[Key, str] = {}
-        self.definitions: dict[str, tuple[str, str]] = {}
-        self._keys: dict[int, Key] = {}
-        self._base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
-        try:
-            with reading(path):
-                self._open()
-        except BaseException:
-            self.close()
-            raise
-
-    def _open(self) -> None:
-        columns = {row[1] for row in self._base.execute("PRAGMA table_info(topics)")}
-        qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
-        counts = dict(self._base.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
-        topics = self._base.execute(f"SELECT id, name, type, serialization_format, {qos} FROM topics").fetchall()
-        for number, topic, ros_type, encoding, profiles in topics:
-            key = (topic, ros_type)
-            self.counts[key] += counts.get(number, 0)
-            if why := _unreadable(ros_type, encoding):
-                self.skipped[key] = why
-                continue
-            self._keys[number] = key
-            self.qos.setdefault(key, profiles or "")
-        if list(self._base.execute("PRAGMA table_info(message_definitions)")):
-            found = self._base.execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-            )
-            self.definitions = {name: (text, encoding) for name, encoding, text in found}
-
-    def messages(self) -> Iterator[_Message]:
-        try:
-            found = self._base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id")
-            for number, time_ns, data in found:
-                if key := self._keys.get(number):
-                    yield time_ns, key, data, 0
-        except sqlite3.Error as error:
-            raise DamagedRecording(f"{self._path}: {error}") from None
-
-    def close(self) -> None:
-        self._base.close()

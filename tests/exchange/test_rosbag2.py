@@ -10,7 +10,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
-from igtl_gateway.exchange.rosbag2 import METADATA, Rosbag2
+from igtl_gateway.exchange.rosbag2 import Rosbag2
+from igtl_gateway.exchange.rosbag2_metadata import METADATA
 from igtl_gateway.exchange.source import Item, Row
 
 ROS2 = get_typestore(Stores.ROS2_JAZZY)

@@ -1,0 +1,145 @@
+"""``metadata.yaml`` of rosbag2: which files a recording has, and what it declares of its topics.
+
+What it says is held against the storage files; where its own shape is wrong, the place is named.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.untrusted import files, limits
+from igtl_gateway.untrusted.yaml_text import parse_yaml
+
+METADATA = "metadata.yaml"
+_NEWEST = 9
+_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_ROOT = "rosbag2_bagfile_information"
+
+#: Topic and type.
+Key = tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Metadata:
+    """What the file declares.
+
+    Attributes:
+        found: whether there is one.
+        names: storage files.
+        storage: ``sqlite3`` or ``mcap``; ``""`` where it does not say.
+        by_message: whether each message is packed.
+        counts: messages by topic.
+        formats: serialization format by topic.
+    """
+
+    found: bool = False
+    names: tuple[str, ...] = ()
+    storage: str = ""
+    by_message: bool = False
+    counts: dict[Key, int] = field(default_factory=dict)
+    formats: dict[Key, str] = field(default_factory=dict)
+
+
+def read_metadata(folder: Path) -> Metadata:
+    """That of a recording's folder.  Raises UnsupportedRecording, DamagedRecording."""
+    path = folder / METADATA
+    if not path.exists() and not path.is_symlink():
+        return Metadata()
+    try:
+        text = files.read_bytes(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DamagedRecording(f"{path}: found a byte that is no UTF-8 at {error.start}, expected a text") from None
+    reader = _Reader(path)
+    content = reader.mapping(reader.mapping(parse_yaml(text, str(path)), "document").get(_ROOT), _ROOT)
+    version = reader.number(content.get("version"), "version")
+    if version > _NEWEST:
+        raise UnsupportedRecording(f"{path}: found version {version}, expected at most {_NEWEST}")
+    counts: dict[Key, int] = {}
+    formats: dict[Key, str] = {}
+    for index, row in enumerate(reader.rows(content, "topics_with_message_count")):
+        at = f"topics_with_message_count[{index}]"
+        topic = reader.mapping(reader.mapping(row, at).get("topic_metadata"), f"{at}.topic_metadata")
+        key = reader.text(topic.get("name"), f"{at}.name"), reader.text(topic.get("type"), f"{at}.type")
+        counts[key] = counts.get(key, 0) + reader.number(row.get("message_count"), f"{at}.message_count")
+        formats[key] = reader.text(topic.get("serialization_format", ""), f"{at}.serialization_format")
+    names = [reader.text(name, "relative_file_paths") for name in reader.rows(content, "relative_file_paths")]
+    return Metadata(
+        True,
+        tuple(names),
+        reader.text(content.get("storage_identifier", ""), "storage_identifier"),
+        reader.text(content.get("compression_mode", ""), "compression_mode").lower() == "message",
+        counts,
+        formats,
+    )
+
+
+def storage_files(folder: Path, metadata: Metadata) -> list[Path]:
+    """The storage files of a recording: those that its metadata names, else all that lie in the folder.
+
+    Old metadata puts the folder's name in front; what is opened lies in the folder, whatever a name says.
+    Raises DamagedRecording, UnsupportedRecording.
+    """
+    limits.check("count", len(metadata.names), f"{folder / METADATA}: files")
+    names = [PurePosixPath(name).name for name in metadata.names]
+    if len(set(names)) < len(names):
+        raise DamagedRecording(f"{folder / METADATA}: found a file twice, expected each once")
+    if missing := [name for name in names if not name or not _is_there(folder / name)]:
+        more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
+        raise DamagedRecording(f"{folder}: found no {', '.join(missing[:5])}{more}, which {METADATA} names")
+    if names:
+        return [files.beside(folder / METADATA, name) for name in names]
+    found = sorted((file for file in folder.iterdir() if file.name.endswith(_SUFFIXES)), key=_natural)
+    if not found:
+        raise UnsupportedRecording(f"{folder}: found no .mcap or .db3 file in it, expected a rosbag2 recording")
+    return found
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists() or path.is_symlink()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """``bag_10`` after ``bag_9``."""
+    words = re.split(r"([0-9]{1,18})", path.name)
+    return [(int(word), "") if word.isascii() and word.isdigit() else (0, word) for word in words]
+
+
+class _Reader:
+    """Values of the shape that they should have."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def mapping(self, value: Any, at: str) -> dict[str, Any]:
+        if not isinstance(value, dict):
+            raise self._wrong(value, at, "a mapping")
+        return value
+
+    def rows(self, content: dict[str, Any], at: str) -> list[Any]:
+        value = content.get(at)
+        if value in (None, "", "~", "null"):
+            return []
+        if not isinstance(value, list):
+            raise self._wrong(value, at, "a list")
+        return value
+
+    def text(self, value: Any, at: str) -> str:
+        if not isinstance(value, str):
+            raise self._wrong(value, at, "a text")
+        return value
+
+    def number(self, value: Any, at: str) -> int:
+        if not isinstance(value, str) or not re.fullmatch(r"[0-9]{1,19}", value):
+            raise self._wrong(value, at, "a number")
+        return int(value)
+
+    def _wrong(self, value: Any, at: str, expected: str) -> DamagedRecording:
+        kind = {dict: "a mapping", list: "a list", type(None): "nothing"}.get(type(value)) or repr(value)[:40]
+        return DamagedRecording(f"{self._path}: {at}: found {kind}, expected {expected}")

@@ -1,0 +1,188 @@
+"""A storage file of rosbag2 in SQLite, opened so that nothing of it or beside it changes, and that it runs no code.
+
+``topics``, ``messages`` and ``message_definitions`` must be plain tables: a view in their place is a program, which
+may have no end.  An authorizer refuses everything but reading columns of these tables, and the work of each query is
+bounded by the size of the file: pages that are used many times over would make rows without end.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.errors import DamagedRecording, LimitExceeded, RecordingError
+from igtl_gateway.exchange.rosbag2_metadata import Key
+from igtl_gateway.untrusted import files, limits
+
+#: A message of a storage file: time, key, bytes, the sender's stamp or 0.
+Message = tuple[int, Key, bytes, int]
+
+_TABLES = ("topics", "messages", "message_definitions")
+_FUNCTIONS = frozenset({"count", "sum", "length", "typeof"})
+_PRAGMAS = frozenset({"table_xinfo"})
+_READABLE = frozenset({*_TABLES, "sqlite_master", ""})
+#: Steps of SQLite's machine between two looks at the bound, at least allowed, and for each byte of the file.
+_EVERY, _STEPS, _STEPS_PER_BYTE = 20_000, 2_000_000, 20
+#: The time of a row that has none.
+NO_TIME = -1
+
+
+class SqliteStorage:
+    """One storage file: what it declares by topic, and what of it cannot be read.
+
+    Args:
+        path: the file.
+        unreadable: why messages of a type and serialization format cannot be read; ``""`` where they can.
+    """
+
+    def __init__(self, path: Path, unreadable: Callable[[str, str], str]) -> None:
+        self._path = path
+        self._unreadable = unreadable
+        self._size = files.size_of(path)
+        self._deadline = limits.Deadline(self._size)
+        self._steps = 0
+        self.counts: Counter[Key] = Counter()
+        self.skipped: dict[Key, str] = {}
+        self.qos: dict[Key, str] = {}
+        self.formats: dict[Key, str] = {}
+        self.definitions: dict[str, tuple[str, str]] = {}
+        self._keys: dict[int, Key] = {}
+        self._stored = 0
+        self._base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
+        try:
+            self._open()
+        except RecordingError:
+            self.close()
+            raise
+        except (sqlite3.Error, OverflowError, ValueError) as error:
+            self.close()
+            raise self._damaged(error) from None
+
+    def messages(self) -> Iterator[Message]:
+        """All of them in order of time; ``NO_TIME`` for those without a time or bytes.  Raises DamagedRecording."""
+        self._steps = 0
+        taken = 0
+        try:
+            found = self._base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id")
+            for number, time_ns, data in found:
+                key = self._keys.get(number) if isinstance(number, int) else None
+                if not key:
+                    continue
+                is_whole = isinstance(time_ns, int) and isinstance(data, bytes)
+                taken += len(data) + 1 if is_whole else 1
+                if taken > self._stored:
+                    raise DamagedRecording(f"{self._path}: found messages twice, expected each once")
+                yield (time_ns, key, data, 0) if is_whole else (NO_TIME, key, b"", 0)
+        except (sqlite3.Error, OverflowError) as error:
+            raise self._damaged(error) from None
+
+    def close(self) -> None:
+        """Close the file."""
+        self._base.close()
+
+    def _open(self) -> None:
+        base = self._base
+        base.text_factory = _text
+        for setting in ("trusted_schema=OFF", "query_only=ON", "cell_size_check=ON", "mmap_size=0"):
+            base.execute(f"PRAGMA {setting}")
+        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(limits.current().memory, max(self._size, 1 << 16)))
+        base.set_progress_handler(self._is_over, _EVERY)
+        base.set_authorizer(_authorized)
+        self._check_tables()
+        columns = self._columns("topics")
+        qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
+        self._count()
+        for number, topic, ros_type, encoding, profiles in self._rows(
+            f"SELECT id, name, type, serialization_format, {qos} FROM topics"
+        ):
+            self._add_topic(number, str(topic), str(ros_type), str(encoding), str(profiles or ""))
+        if self._columns("message_definitions"):
+            found = self._rows("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
+            self.definitions = {str(name): (str(text or ""), str(encoding)) for name, encoding, text in found}
+
+    def _check_tables(self) -> None:
+        kinds = {
+            str(name).lower(): (str(kind), str(sql or ""))
+            for kind, name, sql in self._rows("SELECT type, name, sql FROM sqlite_master")
+            if kind in ("table", "view")
+        }
+        for name in _TABLES:
+            kind, sql = kinds.get(name, ("nothing", ""))
+            if kind == "nothing" and name == "message_definitions":
+                continue  # before Jazzy
+            if kind != "table" or not sql.upper().startswith("CREATE TABLE"):
+                found = {"table": "a virtual table", "view": "a view"}.get(kind, kind)
+                raise DamagedRecording(f"{self._path}: found {found} named {name}, expected a table")
+
+    def _columns(self, table: str) -> set[str]:
+        """Names of the plain columns.  Raises DamagedRecording for computed ones."""
+        found = self._rows(f"PRAGMA table_xinfo({table})")
+        if any(row[6] for row in found):
+            raise DamagedRecording(f"{self._path}: found computed columns in {table}, expected plain ones")
+        return {str(row[1]) for row in found}
+
+    def _count(self) -> None:
+        """Messages and bytes by topic, which together are no more than the file."""
+        if not {"id", "topic_id", "timestamp", "data"} <= self._columns("messages"):
+            raise DamagedRecording(f"{self._path}: messages: found other columns than those of rosbag2")
+        self._counted: dict[Any, int] = {}
+        for number, count, size in self._rows(
+            "SELECT topic_id, count(*), sum(length(data)) FROM messages GROUP BY topic_id"
+        ):
+            self._counted[number] = count
+            self._stored += int(size or 0) + count
+        if self._stored > self._size:
+            raise DamagedRecording(
+                f"{self._path}: messages: found {self._stored} bytes in a file of {self._size}: pages are used twice"
+            )
+
+    def _add_topic(self, number: Any, topic: str, ros_type: str, encoding: str, profiles: str) -> None:
+        key = (topic, ros_type)
+        self.counts[key] += self._counted.get(number, 0)
+        self.formats.setdefault(key, encoding)
+        if why := self._unreadable(ros_type, encoding):
+            self.skipped[key] = why
+            return
+        self._keys[number] = key
+        self.qos.setdefault(key, profiles)
+
+    def _rows(self, query: str) -> list[Any]:
+        rows: list[Any] = []
+        for row in self._base.execute(query):
+            limits.check("count", len(rows) + 1, f"{self._path}: rows of a table")
+            rows.append(row)
+        return rows
+
+    def _is_over(self) -> int:
+        """Whether a query does more than a file of this size can need."""
+        self._steps += _EVERY
+        return int(self._steps > self._allowed)
+
+    @property
+    def _allowed(self) -> int:
+        return _STEPS + _STEPS_PER_BYTE * self._size
+
+    def _damaged(self, error: Exception) -> DamagedRecording:
+        if self._steps > self._allowed:
+            return LimitExceeded(f"{self._path}: found more work than a file of {self._size} bytes can need")
+        reason = str(error)
+        if "malformed" in reason or "not a database" in reason:
+            return DamagedRecording(f"{self._path}: cut off or damaged: SQLite says: {reason}")
+        return DamagedRecording(f"{self._path}: SQLite says: {reason}")
+
+
+def _authorized(action: int, first: str | None, second: str | None, _base: str | None, _inner: str | None) -> int:
+    allowed = (
+        action == sqlite3.SQLITE_SELECT
+        or (action == sqlite3.SQLITE_READ and (first or "").lower() in _READABLE)
+        or (action == sqlite3.SQLITE_FUNCTION and (second or "").lower() in _FUNCTIONS)
+        or (action == sqlite3.SQLITE_PRAGMA and (first or "").lower() in _PRAGMAS)
+    )
+    return sqlite3.SQLITE_OK if allowed else sqlite3.SQLITE_DENY
+
+
+def _text(data: bytes) -> str:
+    return data.decode("utf-8", "backslashreplace")
