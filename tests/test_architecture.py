@@ -39,6 +39,7 @@ LEVELS = {
     "faults": 1,
     "config": 2,
     "convert": 2,
+    "mcapfile": 2,
     "gateway": 3,
     "review": 3,  # of a plan, on arrays
     "ros_interfaces.definitions": 3,  # files of definitions, for whoever reads or compiles them
@@ -64,8 +65,9 @@ LEVELS = {
 #: Programs that play somebody else: of us they may use nothing but themselves, of the world what they like.
 STRANGERS = ("demo",)
 
-#: Unit → the unit of its own level that it may use all the same: a configuration names conversions.
-SIBLINGS = {"config": "convert"}
+#: Unit → the unit of its own level that it may use all the same: a configuration names conversions, and what a
+#: recording says of itself is checked like everything that is foreign.
+SIBLINGS = {"config": "convert", "session": "untrusted"}
 
 #: What makes code of ROS definitions.
 GENERATORS = (
@@ -98,15 +100,15 @@ HOMES: dict[str, tuple[str, ...]] = {
     "uuid": (),
     # Libraries
     "av": ("edges.video",),
-    "fastcrc": ("wire", "record.mcap_stream", "replay.chunks"),
-    "lz4": ("record.mcap_stream", "untrusted.unpack"),
+    "fastcrc": ("wire", "record.mcap_stream", "mcapfile"),
+    "lz4": ("record.mcap_stream", "mcapfile.unpack", "untrusted.unpack"),
     "pyigtl": ("bench.pyigtl_side",),  # somebody else's peer
     "mcap": (
         "exchange",
+        "mcapfile",
         "record.mcap_copy",
         "record.mcap_stream",
         "record.mcap_writer",
-        "replay.chunks",
         "replay.lookup",
         "replay.mcap_reader",
         "replay.salvage",
@@ -133,7 +135,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
     "rosbags": ("exchange", "record.rostypes", "replay", "untrusted"),
     "ruamel": ("untrusted.yaml_text",),  # brought by rosbags, as zstandard is by mcap
-    "zstandard": ("exchange.rosbag2", "record.mcap_stream", "untrusted.unpack"),
+    "zstandard": ("exchange.rosbag2", "mcapfile.unpack", "record.mcap_stream", "untrusted.unpack"),
 }
 
 #: What the levels up to the gateway may not use, on top: the environment, other threads, other processes.
@@ -163,6 +165,7 @@ UNMIRRORED = (
     "test_examples.py",  # examples/
     "test_fixtures.py",  # what the recordings in fixtures/ promise
     "test_gateway_fuzz.py",
+    "replay/test_conformance.py",  # MCAP's conformance set through readers and verbs
     "wire/test_bodies.py",  # every type of message against one list of checks
     "wire/test_conformance.py",  # every type of message through the command line
     "wire/test_corpus.py",

@@ -16,7 +16,8 @@ from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.cli.terminal import cell, print_json, say, width
 from igtl_gateway.errors import DamagedRecording
-from igtl_gateway.replay.mcap_reader import PartSummary, SessionFile, recover_hint
+from igtl_gateway.mcapfile.index import recover_hint
+from igtl_gateway.replay.mcap_reader import PartSummary, SessionFile
 from igtl_gateway.replay.salvage import Salvage
 from igtl_gateway.session import layout
 from igtl_gateway.session.clocksteps import ClockStep, without_jump
@@ -149,7 +150,7 @@ class Content:
                 if entry.kind.is_input:
                     content.time(entry)
             else:
-                note = Note.unpack(entry.data())
+                note = Note.of(entry.data())
                 if entry.kind is Kind.LINK and "peer" in note.data:
                     content.addresses.update(dict.fromkeys(entry.links, str(note.data["peer"])))
                 if note.level >= Level.WARN:

@@ -119,7 +119,7 @@ def _recover(source: Path, output: Path, options: argparse.Namespace) -> tuple[d
 
 
 def _copy(file: Salvage, writer: CopyWriter, *, progress: bool) -> None:
-    for metadata in file.metadata:
+    for metadata in file.metadata():
         writer.add_metadata(metadata)
     for attachment in file.attachments():
         writer.add_attachment(attachment)

@@ -266,7 +266,7 @@ class Observer:
     # ── links and notes ───────────────────────────────────────────────────────────────────────────────────────────
 
     def _link(self, entry: Entry) -> None:
-        note = Note.unpack(entry.data())
+        note = Note.of(entry.data())
         for number in entry.links:
             peer = self.peer(number)
             peer.address = str(note.data.get("peer", "")) or peer.address
@@ -279,7 +279,7 @@ class Observer:
                 peer.received_bytes = int(note.data.get("received_bytes", 0))
 
     def _noted(self, entry: Entry) -> None:
-        note = Note.unpack(entry.data())
+        note = Note.of(entry.data())
         said = self.said.setdefault(note.code, Said(0, note))
         said.count += 1
         if step := ClockStep.of(entry):

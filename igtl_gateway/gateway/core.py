@@ -194,7 +194,7 @@ class Gateway:
     # -- notes of the edges, and of new streams --------------------------------------------------------------
 
     def _on_edge_note(self, entry: Entry) -> Outcome:
-        event = Note.unpack(entry.data())
+        event = Note.of(entry.data())
         if event.code == TICK:
             return Outcome([*self._commands.overdue(entry), *self._links.ping(entry)])
         if event.code == LISTENED:

@@ -94,7 +94,7 @@ class RelayGateway:
         return True
 
     def _on_link(self, entry: Entry) -> list[Output]:
-        told = Note.unpack(entry.data())
+        told = Note.of(entry.data())
         link = entry.links[0]
         if told.code == LINK_UP and isinstance(partner := told.data.get(PARTNER), int):
             self._partners |= {link: partner, partner: link}

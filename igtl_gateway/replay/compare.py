@@ -367,7 +367,7 @@ def _of_note(entry: Entry) -> Iterator[_Leaf]:
     """Of notes code, level and stream count, not the wording."""
     try:
         note = Note.unpack(entry.data())
-    except (ValueError, KeyError, TypeError) as error:
+    except ValueError as error:
         raise Undecodable(f"note: {error}") from None
     yield "code", note.code
     yield "level", note.level.name

@@ -22,16 +22,17 @@ from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
-from mcap.data_stream import ReadDataStream
-from mcap.records import Chunk, ChunkIndex, Message
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Message
 
+from igtl_gateway.errors import LimitExceeded
+from igtl_gateway.mcapfile.index import ChunkEntry, Index, check_work, packed_chunk
+from igtl_gateway.mcapfile.records import HEAD, MESSAGE, MESSAGE_HEAD, MESSAGE_INDEX, Malformed
 from igtl_gateway.session.entry import Kind
+from igtl_gateway.untrusted import limits
 
-_HEAD = struct.Struct("<BQ")  # opcode, length
 _INDEX_HEAD = struct.Struct("<HI")  # channel, bytes of the pairs
-_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log_time, publish_time
-_MESSAGE, _MESSAGE_INDEX = 5, 7
+#: Looking up more than that is more work than reading the file.
+_MAX_PLACES = 1_000_000
 _MESSAGES = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT})
 
 Flags = npt.NDArray[np.bool_]
@@ -83,7 +84,7 @@ class _Unfit(Exception):
 
 def look_up(
     stream: IO[bytes],
-    indexes: list[ChunkIndex],
+    file: Index,
     start_ns: int,
     streams: Mapping[int, tuple[Kind, str, str]],
     rule: StateRule,
@@ -93,15 +94,16 @@ def look_up(
     """What has to be read before ``start_ns`` (UTC); None where the index does not tell.
 
     Args:
-        indexes: of all chunks of the file.
+        file: its index.
         streams: kind, channel and type of the entries of each MCAP channel that is read.
         counted: the numbers of the messages are wanted.
     """
     try:
-        chunks = sorted(indexes, key=lambda index: index.chunk_start_offset)
-        if any(one.message_end_time >= two.message_start_time for one, two in pairwise(chunks)):
+        chunks = file.chunks
+        if any(one.end_ns >= two.start_ns for one, two in pairwise(chunks)):
             raise _Unfit
-        before = [index for index in chunks if index.message_end_time < start_ns]
+        before = [index for index in chunks if index.end_ns < start_ns]
+        check_work(file.size, before, "")
         search = _Search(streams, rule)
         concerned = range(len(before)) if counted else _concerned(search, before)
         for at, index in enumerate(before):
@@ -109,14 +111,19 @@ def look_up(
                 search.chunk(at, *_index(stream, index))
             else:
                 search.skip()
-        messages = list(_messages(stream, before, sorted(search.places())))
-    except Exception:  # of the library and the decompressors as well: whatever they make of damaged bytes
+        messages, size, most = [], 0, limits.current().unpacked(file.size)
+        for message, number in _messages(stream, before, sorted(search.places())):
+            messages.append((message, number))
+            size += len(message.data)
+            if size > most:
+                raise _Unfit
+    except (_Unfit, Malformed, LimitExceeded, struct.error, ValueError, LookupError):  # whatever is not as expected
         return None
-    rest_ns = chunks[len(before)].message_start_time if len(before) < len(chunks) else None
+    rest_ns = chunks[len(before)].start_ns if len(before) < len(chunks) else None
     return Found(messages, rest_ns, search.count)
 
 
-def _concerned(search: _Search, chunks: list[ChunkIndex]) -> set[int]:
+def _concerned(search: _Search, chunks: list[ChunkEntry]) -> set[int]:
     """Which of the chunks may hold state, or a part of a group that does."""
     inputs = [at for at, index in enumerate(chunks) if search.has_input(index)]
     if not inputs:
@@ -137,7 +144,7 @@ class _Search:
     """Goes through the chunks in order and remembers what is the last of its channel."""
 
     def __init__(self, streams: Mapping[int, tuple[Kind, str, str]], rule: StateRule) -> None:
-        self.count = 0
+        self.count = self._looked_at = 0
         size = max(streams, default=0) + 1
         self._known, self._inputs, self._messages, self._state, self._by_content = (
             np.zeros(size, np.bool_) for _ in range(5)
@@ -153,10 +160,10 @@ class _Search:
         self._group: list[_Place] = []  # the last input and what follows
         self._cause_is_state: bool | None = None  # of that input; None: there was none yet
 
-    def has_input(self, index: ChunkIndex) -> bool:
+    def has_input(self, index: ChunkEntry) -> bool:
         return bool(self._inputs[self._channels(index)].any())
 
-    def has_state(self, index: ChunkIndex) -> bool:
+    def has_state(self, index: ChunkEntry) -> bool:
         return bool(self._state[self._channels(index)].any())
 
     def skip(self) -> None:
@@ -184,6 +191,9 @@ class _Search:
         def group(at: int) -> list[_Place]:
             """The message and what of its group is before it."""
             here = range(max(int(causes[at]), 0), at + 1)
+            self._looked_at += len(here)
+            if self._looked_at > _MAX_PLACES:
+                raise _Unfit
             places = [_Place(number, int(offsets[i]), int(channels[i]), int(times[i]), self.count + i) for i in here]
             return places if begun[at] else self._group + places
 
@@ -199,9 +209,9 @@ class _Search:
                 self._cause_is_state = bool(state[causes[-1]])
         self.count += count
 
-    def _channels(self, index: ChunkIndex) -> Numbers:
+    def _channels(self, index: ChunkEntry) -> Numbers:
         """The channels of a chunk that are read."""
-        channels = np.fromiter(index.message_index_offsets, np.int64)
+        channels = np.array(index.channels, np.int64)
         return channels[self._of(self._known, channels)]
 
     @staticmethod
@@ -210,48 +220,46 @@ class _Search:
         return np.asarray(flags[np.minimum(channels, len(flags) - 1)] & (channels < len(flags)))
 
 
-def _index(stream: IO[bytes], index: ChunkIndex) -> tuple[Numbers, Numbers, Numbers]:
+def _index(stream: IO[bytes], index: ChunkEntry) -> tuple[Numbers, Numbers, Numbers]:
     """Channels, times and offsets of the messages of a chunk, in order."""
-    start = index.chunk_start_offset + index.chunk_length
+    start = index.at + index.length
     stream.seek(start)
-    data = stream.read(index.message_index_length)
+    data = stream.read(index.index_length)
     parts = []
     at = 0
     places = {}
     while at < len(data):
-        opcode, _ = _HEAD.unpack_from(data, at)
-        channel, size = _INDEX_HEAD.unpack_from(data, at + _HEAD.size)
-        if opcode != _MESSAGE_INDEX or channel in places:
+        opcode, _ = HEAD.unpack_from(data, at)
+        channel, size = _INDEX_HEAD.unpack_from(data, at + HEAD.size)
+        if opcode != MESSAGE_INDEX or channel in places:
             raise _Unfit
         places[channel] = start + at
-        at += _HEAD.size + _INDEX_HEAD.size
+        at += HEAD.size + _INDEX_HEAD.size
         pairs = np.frombuffer(data, "<u8", size // 8, at).reshape(-1, 2)
         parts.append((np.full(len(pairs), channel, np.int64), pairs[:, 0], pairs[:, 1]))
         at += size
-    if at != index.message_index_length or places != index.message_index_offsets or not parts:
+    if at != index.index_length or places != index.message_indexes or not parts:
         raise _Unfit
     channels, times, offsets = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(offsets)
     channels, times, offsets = channels[order], times[order], offsets[order]
-    ends = (int(times[0]), int(times[-1]), int(offsets[-1]) < index.uncompressed_size)
-    if ends != (index.message_start_time, index.message_end_time, True):
+    ends = (int(times[0]), int(times[-1]), int(offsets[-1]) < index.size)
+    if ends != (index.start_ns, index.end_ns, True):
         raise _Unfit
     if (times[1:] < times[:-1]).any() or (offsets[1:] == offsets[:-1]).any():
         raise _Unfit
     return channels, times, offsets
 
 
-def _messages(stream: IO[bytes], chunks: list[ChunkIndex], places: list[_Place]) -> Iterator[tuple[Message, int]]:
+def _messages(stream: IO[bytes], chunks: list[ChunkEntry], places: list[_Place]) -> Iterator[tuple[Message, int]]:
     """The messages at these places; one chunk is held at a time."""
     for number, inside in groupby(places, key=lambda place: place.chunk):
-        stream.seek(chunks[number].chunk_start_offset + _HEAD.size)
-        chunk = Chunk.read(ReadDataStream(stream))
-        data = get_chunk_data_stream(chunk, validate_crc=True)[0].read(chunks[number].uncompressed_size)
+        data = packed_chunk(stream, chunks[number], "").unpack()
         for place in inside:
-            opcode, length = _HEAD.unpack_from(data, place.offset)
-            at, end = place.offset + _HEAD.size, place.offset + _HEAD.size + length
-            channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(data, at)
-            if (opcode, channel, log_time) != (_MESSAGE, place.channel, place.time_ns) or end > len(data):
+            opcode, length = HEAD.unpack_from(data, place.offset)
+            at, end = place.offset + HEAD.size, place.offset + HEAD.size + length
+            channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(data, at)
+            if (opcode, channel, log_time) != (MESSAGE, place.channel, place.time_ns) or end > len(data):
                 raise _Unfit
-            payload = data[at + _MESSAGE_HEAD.size : end]
+            payload = data[at + MESSAGE_HEAD.size : end]
             yield Message(channel, log_time, payload, publish_time, sequence), place.before

@@ -9,37 +9,30 @@ Memory is bounded: a few chunks at a time, as long as chunks do not overlap in t
 
 from __future__ import annotations
 
-import json
 import re
-import shlex
-import struct
 import zlib
 from collections.abc import Callable, Collection, Generator, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import IO
 
-from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, ChunkIndex, Metadata, Schema, Statistics
-from mcap.stream_reader import StreamReader
-from mcap.summary import Summary
+from mcap.records import Channel, Schema
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.mcapfile import records
+from igtl_gateway.mcapfile.chunks import Row, message_rows
+from igtl_gateway.mcapfile.index import ChunkEntry, Index, Place, read_index, recover_hint
+from igtl_gateway.mcapfile.records import HEAD, Malformed
 from igtl_gateway.qos import Qos
-from igtl_gateway.replay.chunks import Row, chunk_rows, in_order
 from igtl_gateway.replay.lookup import StateRule, look_up
-from igtl_gateway.session import layout, migrations
+from igtl_gateway.session import facts, layout, migrations
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.layout import LayoutError
+from igtl_gateway.untrusted import files, limits
+from igtl_gateway.untrusted.shape import digits
 
-MAGIC = b"\x89MCAP0\r\n"
-# The end of every MCAP file: opcode, length, summary_start, summary_offset_start, summary_crc, magic
-FOOTER = struct.Struct("<BQQQI8s")
-_FOOTER_OPCODE, _FOOTER_LENGTH = 2, 20
-_FOOTER_CRC_COVERS = 1 + 8 + 8 + 8
 SEQUENCES = 1 << 32  # MCAP's sequence has 32 bits, entry numbers have no bound
 #: A message is large that has at least this part of its chunk: it is not copied.
 _LARGE_PART = 4
@@ -119,48 +112,38 @@ class SessionFile:
     def __init__(self, path: Path, stream: IO[bytes]) -> None:
         self.path = path
         self._stream = stream
-        size = _check_ends(path, stream)
-        with self._reading("index"):
-            stream.seek(0)
-            self._reader = SeekingReader(stream, validate_crcs=True, record_size_limit=size)
-            summary = self._reader.get_summary()
-        if summary is None or summary.statistics is None:
-            raise UnsupportedRecording(f"{path}: has no index{recover_hint(path)}")
-        if summary.statistics.message_count and not summary.chunk_indexes:
-            raise UnsupportedRecording(f"{path}: has no chunks or no index of them{recover_hint(path)}")
-        session = self._metadata(summary, layout.SESSION_METADATA)
-        ledger = self._metadata(summary, layout.LEDGER_METADATA)
+        self._index = index = read_index(path, stream)
+        session = self._metadata(index, layout.SESSION_METADATA)
+        ledger = self._metadata(index, layout.LEDGER_METADATA)
         self.format_version = format_version(path, session)
+        facts.check_session(session or {}, str(path))
         try:
             self.session = migrations.session(self.format_version, session or {})
         except UnsupportedRecording as error:
             raise UnsupportedRecording(f"{path}: {error}") from None
-        self.ledger = self._ledger(ledger)
-        channels: dict[int, Channel] = summary.channels
-        marked = any(layout.KIND_KEY in channel.metadata for channel in channels.values())
+        self.ledger = None if ledger is None else facts.ledger(ledger.get(layout.LEDGER_KEY, ""), str(path))
+        marked = any(layout.KIND_KEY in channel.metadata for channel in index.channels.values())
         self.foreign = session is None and not marked
         self._decoders: dict[int, Decode] = {}
         self._streams: dict[int, tuple[Kind, str, str]] = {}  # kind, channel and type of a channel's entries
-        self._chunks: list[ChunkIndex] = summary.chunk_indexes
-        self._known = frozenset(channels)
+        self._known = frozenset(index.channels)
         told: list[ChannelSummary | SkippedChannel] = []
-        for channel in channels.values():
-            with self._reading(f"channel {channel.topic}"):
-                schema = summary.schemas[channel.schema_id] if channel.schema_id else None
-            told.append(self._open_channel(channel, schema, summary.statistics))
+        for channel in index.channels.values():
+            schema = index.schemas.get(channel.schema_id) if channel.schema_id else None
+            if channel.schema_id and schema is None:
+                raise self._damaged(f"channel {channel.topic}", f"found schema {channel.schema_id}, which is not there")
+            told.append(self._open_channel(channel, schema, index.counts.get(channel.id, 0)))
+        if unknown := index.counts.keys() - self._known:
+            raise self._damaged("index", f"found messages of channel {min(unknown)}, of which there is no record")
         self.channels = tuple(channel for channel in told if isinstance(channel, ChannelSummary))
         self.skipped = tuple(channel for channel in told if isinstance(channel, SkippedChannel))
         self.definitions = {
             schema.name: schema.data.decode("utf-8", "replace")
-            for schema in summary.schemas.values()
+            for schema in index.schemas.values()
             if schema.encoding == layout.SCHEMA_ENCODING
         }
         self.entry_count = sum(channel.count for channel in self.channels)
-        self.start_ns = summary.statistics.message_start_time
-        self.end_ns = summary.statistics.message_end_time
-        self._prologue = next(
-            (index for index in summary.attachment_indexes if index.name == layout.PROLOGUE_ATTACHMENT), None
-        )
+        self.start_ns, self.end_ns = index.start_ns, index.end_ns
 
     @classmethod
     def open(cls, path: Path | str) -> SessionFile:
@@ -173,7 +156,7 @@ class SessionFile:
         path = Path(path)
         if path.is_dir():
             return SessionParts(path)
-        stream = open_file(path)
+        stream = files.open_file(path)
         try:
             return cls(path, stream)
         except BaseException:
@@ -222,7 +205,7 @@ class SessionFile:
             channel.stream or channel.kind not in layout.WIRE_TOPICS for channel in self.channels if channel.count
         )
         if told and self.format_version == layout.FORMAT_VERSION:
-            found = look_up(self._stream, self._chunks, start_ns, self._streams, rule, counted=self.foreign)
+            found = look_up(self._stream, self._index, start_ns, self._streams, rule, counted=self.foreign)
         state: list[Entry] = []
         try:
             for message, before in found.messages if found else ():
@@ -248,15 +231,24 @@ class SessionFile:
 
         Raises DamagedRecording.
         """
-        if self._prologue is None:
+        place = next((each for each in self._index.attachments if each.name == layout.PROLOGUE_ATTACHMENT), None)
+        if place is None:
             return []
-        with self._reading("prologue"):
-            self._stream.seek(self._prologue.offset)
-            limit = self._prologue.length
-            record = next(StreamReader(self._stream, skip_magic=True, record_size_limit=limit).records)
-            if not isinstance(record, Attachment):
-                raise LayoutError(f"found {type(record).__name__}")
-            return list(SessionFile(self.path, BytesIO(record.data)).entries())
+        content = self._record(records.ATTACHMENT, place, "prologue")
+        try:
+            attachment, covered = records.attachment(content)
+            if zlib.crc32(content[:covered]) != int.from_bytes(content[covered : covered + 4], "little"):
+                raise Malformed("its checksum is wrong")
+        except Malformed as error:
+            raise self._damaged("prologue", error) from None
+        entries, size = [], 0
+        most = limits.current().unpacked(len(attachment.data))
+        for entry in SessionFile(self.path, BytesIO(attachment.data)).entries():
+            entries.append(entry)
+            size += entry.size
+            limits.check("count", len(entries), f"{self.path}: prologue")
+            limits.check("ratio", size, f"{self.path}: prologue", most)
+        return entries
 
     def _entries(self) -> Iterator[Entry]:
         count = yield from self._numbered(self._rows(), 0)
@@ -314,79 +306,69 @@ class SessionFile:
                 yield entry
         return count
 
-    def _rows(self, from_ns: int | None = None, kinds: Collection[Kind] = _ALL_KINDS) -> Iterator[list[Row] | None]:
-        """All messages (from a moment on), those of each chunk together, in order.
+    def _rows(self, from_ns: int = 0, kinds: Collection[Kind] = _ALL_KINDS) -> Iterator[list[Row] | None]:
+        """All messages (from a moment on) in order, in lists.
 
         A chunk that holds nothing of these kinds is passed over: None if there are inputs in it, else nothing.
         """
-        chunks = in_order(self._chunks)
+        wanted = {number for number, (kind, _, _) in self._streams.items() if kind in kinds}
+        inputs = {number for number, (kind, _, _) in self._streams.items() if kind.is_input}
+
+        def is_wanted(chunk: ChunkEntry) -> bool:
+            # without an index of its messages, a chunk may hold any
+            return not chunk.places or not wanted.isdisjoint(chunk.channels)
+
         try:
-            if chunks is None:
-                for _, _, message in self._reader.iter_messages(starting_at=from_ns):
-                    row = (message.channel_id, message.sequence, message.log_time, message.publish_time, 0)
-                    yield [(*row, len(message.data), message.data)]
-                return
-            begin_ns = from_ns or 0
-            chunks = [chunk for chunk in chunks if chunk.message_end_time >= begin_ns]
-            wanted = {number for number, (kind, _, _) in self._streams.items() if kind in kinds}
-            inputs = {number for number, (kind, _, _) in self._streams.items() if kind.is_input}
-
-            def is_wanted(chunk: ChunkIndex) -> bool:
-                # without an index of its messages, a chunk may hold any
-                return not chunk.message_index_offsets or not wanted.isdisjoint(chunk.message_index_offsets)
-
-            for chunk, rows in chunk_rows(self._stream, chunks, is_wanted):
-                if rows is None:
-                    if not inputs.isdisjoint(chunk.message_index_offsets):
-                        yield None
-                    continue
-                unknown = {row[0] for row in rows} - self._known
-                if unknown:
-                    raise LayoutError(f"found a message of channel {min(unknown)}, of which there is no record")
-                yield [row for row in rows if row[2] >= begin_ns] if begin_ns else rows
-        except Exception as error:  # of the library: whatever it makes of damaged bytes
-            raise self._damaged("entries", error) from error
+            for chunk, rows in message_rows(self._stream, self._index, str(self.path), from_ns, is_wanted):
+                if rows is not None:
+                    unknown = {row[0] for row in rows} - self._known
+                    if unknown:
+                        raise Malformed(f"found a message of channel {min(unknown)}, of which there is no record")
+                    yield rows
+                elif chunk and not inputs.isdisjoint(chunk.channels):
+                    yield None
+        except Malformed as error:
+            raise self._damaged("entries", error) from None
+        except OSError as error:
+            raise DamagedRecording(f"{self.path}: cannot be read: {error.strerror}") from None
 
     # -- opening ----------------------------------------------------------------------------------------------
 
-    @contextmanager
-    def _reading(self, what: str) -> Iterator[None]:
+    def _damaged(self, what: str, why: object) -> DamagedRecording:
+        return DamagedRecording(f"{self.path}: {what}: {why}{recover_hint(self.path)}")
+
+    def _record(self, opcode: int, place: Place, what: str) -> bytes:
+        """The content of a record that the index names.  Raises DamagedRecording, LimitExceeded."""
+        if place.at + place.length > self._index.size or place.length < HEAD.size:
+            raise self._damaged(what, f"found {place.length} bytes at {place.at}, which the file does not have")
+        limits.check("memory", place.length, f"{self.path}: {what}")
         try:
-            yield
-        except Exception as error:  # of the library: whatever it makes of damaged bytes
-            raise self._damaged(what, error) from error
+            self._stream.seek(place.at)
+            data = self._stream.read(place.length)
+        except OSError as error:
+            raise DamagedRecording(f"{self.path}: cannot be read: {error.strerror}") from None
+        if HEAD.unpack_from(data) != (opcode, place.length - HEAD.size):
+            raise self._damaged(what, f"found {data[: HEAD.size].hex(' ')} at {place.at}, expected the record")
+        return data[HEAD.size :]
 
-    def _damaged(self, what: str, error: Exception) -> DamagedRecording:
-        return DamagedRecording(f"{self.path}: {what}: {type(error).__name__}: {error}{recover_hint(self.path)}")
-
-    def _metadata(self, summary: Summary, name: str) -> dict[str, str] | None:
+    def _metadata(self, index: Index, name: str) -> dict[str, str] | None:
         """Items of the first metadata record of that name, checked; None if there is none."""
         # by the index, which is under a checksum: a damaged name must not make the record disappear
-        for index in summary.metadata_indexes:
-            if index.name != name:
-                continue
-            with self._reading(f"metadata {name}"):
-                self._stream.seek(index.offset)
-                record = next(
-                    StreamReader(self._stream, skip_magic=True, record_size_limit=index.length).records,
-                )
-                if not isinstance(record, Metadata) or record.name != name:
-                    raise LayoutError(f"found {type(record).__name__}")
-                return layout.unseal(record.metadata)
-        return None
-
-    def _ledger(self, items: dict[str, str] | None) -> dict[str, Any] | None:
-        if items is None:
+        place = next((each for each in index.metadata if each.name == name), None)
+        if place is None:
             return None
-        with self._reading("ledger"):
-            ledger: dict[str, Any] = json.loads(items[layout.LEDGER_KEY])
-        return ledger
+        what = f"metadata {name}"
+        limits.check("free", 8 * place.length, f"{self.path}: {what}")
+        try:
+            record = records.metadata(self._record(records.METADATA, place, what))
+            if record.name != name:
+                raise Malformed(f"found the name {record.name!r}")
+            return layout.unseal(record.metadata)
+        except (Malformed, LayoutError) as error:
+            raise self._damaged(what, error) from None
 
-    def _open_channel(
-        self, channel: Channel, schema: Schema | None, statistics: Statistics
-    ) -> ChannelSummary | SkippedChannel:
+    def _open_channel(self, channel: Channel, schema: Schema | None, count: int) -> ChannelSummary | SkippedChannel:
         """Settle how a channel is read, or why it is not."""
-        count: int = statistics.channel_message_counts.get(channel.id, 0)
         ros_type = schema.name if schema else ""
         kind, why = kind_of(channel, schema, self.foreign)
         if kind is None:
@@ -490,8 +472,7 @@ def format_version(path: Path, session: dict[str, str] | None) -> int:
     if session is None:
         return layout.FORMAT_VERSION
     text = session.get(layout.FORMAT_VERSION_KEY, "")
-    if not (text.isascii() and text.isdigit()):
-        raise DamagedRecording(f"{path}: found format version {text!r}, expected a number")
+    digits(text, f"{path}: format version")
     if int(text) > layout.FORMAT_VERSION:
         raise UnsupportedRecording(
             f"{path}: found format version {text}, expected at most {layout.FORMAT_VERSION}; "
@@ -547,54 +528,3 @@ def _raw_decoder() -> Decode:
         return unpack(memoryview(data) if large else data, seq, log_ns, publish_ns, start, end)
 
     return raw
-
-
-def open_file(path: Path) -> IO[bytes]:
-    """The open file.  Raises UnsupportedRecording."""
-    try:
-        if path.is_dir():
-            raise UnsupportedRecording(f"{path}: found a directory, expected the .mcap file in it")
-        if path.exists() and not path.is_file():
-            raise UnsupportedRecording(f"{path}: not a regular file")
-        return path.open("rb")
-    except (OSError, ValueError) as error:
-        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise UnsupportedRecording(f"{path}: cannot be opened: {reason}") from None
-
-
-def _check_ends(path: Path, stream: IO[bytes]) -> int:
-    """Check what can be checked without the library: both ends and the index.  Gives the size of the file."""
-    try:
-        size = stream.seek(0, 2)
-        stream.seek(0)
-        start = stream.read(len(MAGIC))
-        if not start:
-            raise UnsupportedRecording(f"{path}: the file is empty")
-        if not MAGIC.startswith(start):
-            raise UnsupportedRecording(f"{path}: not an MCAP file: found {start.hex(' ')}, expected {MAGIC.hex(' ')}")
-        cut = DamagedRecording(f"{path}: was cut off after {size:,} bytes{recover_hint(path)}")
-        if size < len(MAGIC) + FOOTER.size:
-            raise cut
-        stream.seek(-FOOTER.size, 2)
-        footer = stream.read(FOOTER.size)
-        opcode, length, summary_start, _, crc, magic = FOOTER.unpack(footer)
-        if magic != MAGIC:
-            raise cut
-        if (opcode, length) != (_FOOTER_OPCODE, _FOOTER_LENGTH) or summary_start > size - FOOTER.size:
-            raise DamagedRecording(f"{path}: its footer is damaged{recover_hint(path)}")
-        if crc and summary_start:
-            stream.seek(summary_start)
-            summary = stream.read(size - FOOTER.size - summary_start)
-            found = zlib.crc32(footer[:_FOOTER_CRC_COVERS], zlib.crc32(summary))
-            if found != crc:
-                raise DamagedRecording(
-                    f"{path}: found checksum {found:08x} of its index, expected {crc:08x}{recover_hint(path)}"
-                )
-    except OSError as error:
-        raise DamagedRecording(f"{path}: cannot be read: {error.strerror}") from None
-    return size
-
-
-def recover_hint(path: Path) -> str:
-    """What to do about a damaged file, as the end of the sentence that says what is wrong with it."""
-    return f"; run: igtl-gateway recover {shlex.quote(str(path))}"

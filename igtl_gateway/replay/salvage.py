@@ -14,38 +14,31 @@ Memory is bounded by the largest chunk and the largest attachment.
 
 from __future__ import annotations
 
-import json
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Literal, TypeVar
 
-from mcap.data_stream import ReadDataStream
-from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema, Statistics
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Attachment, Channel, Message, Metadata, Schema, Statistics
 
-from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
-from igtl_gateway.replay.mcap_reader import (
-    FOOTER,
-    MAGIC,
-    SEQUENCES,
-    Decode,
-    decoder,
-    format_version,
-    kind_of,
-    open_file,
-)
-from igtl_gateway.session import layout, migrations
+from igtl_gateway.errors import DamagedRecording, LimitExceeded, UnsupportedRecording
+from igtl_gateway.mcapfile import records
+from igtl_gateway.mcapfile.index import check_chunk, message_bound
+from igtl_gateway.mcapfile.records import CHUNK_HEAD, FOOTER_RECORD, HEAD, MAGIC, MESSAGE_HEAD, Malformed
+from igtl_gateway.mcapfile.unpack import COMPRESSIONS, told_size, unpacked
+from igtl_gateway.replay.mcap_reader import SEQUENCES, Decode, decoder, format_version, kind_of
+from igtl_gateway.session import facts, layout, migrations
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.layout import LayoutError
+from igtl_gateway.untrusted import files, limits
+from igtl_gateway.untrusted.shape import digits
 
 Compression = Literal["lz4", "zstd", "none"]
-_Record = TypeVar("_Record", Header, Schema, Channel, Metadata, Attachment, Statistics)
+_Record = TypeVar("_Record")
 
 #: Losses that are told one by one; the rest are counted.
 MAX_LOSSES = 1_000
@@ -57,25 +50,20 @@ CUT_OFF, CHUNK, BYTES, CHANNEL, NUMBER, METADATA, LEDGER, ATTACHMENT = (
 
 _SESSION = (layout.SESSION_METADATA, layout.SESSION_COPY_METADATA)
 
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX = range(1, 8)
-_ATTACHMENT, _STATISTICS, _METADATA, _DATA_END = 9, 11, 12, 15
-_HEAD = struct.Struct("<BQ")
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQI")
-_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
+_U32, _U64 = records.U32, records.U64
 #: The fields of each record of a data section: bytes of fixed size, or a length (of 4 or 8 bytes) and so many bytes.
 _FIELDS: dict[int, tuple[int | struct.Struct, ...]] = {
-    _HEADER: (_U32, _U32),
-    _SCHEMA: (2, _U32, _U32, _U32),
-    _CHANNEL: (4, _U32, _U32, _U32),
-    _CHUNK: (_CHUNK_HEAD.size, _U32, _U64),
-    _MESSAGE_INDEX: (2, _U32),
-    _ATTACHMENT: (16, _U32, _U32, _U64, 4),
-    _METADATA: (_U32, _U32),
-    _DATA_END: (4,),
+    records.HEADER: (_U32, _U32),
+    records.SCHEMA: (2, _U32, _U32, _U32),
+    records.CHANNEL: (4, _U32, _U32, _U32),
+    records.CHUNK: (CHUNK_HEAD.size, _U32, _U64),
+    records.MESSAGE_INDEX: (2, _U32),
+    records.ATTACHMENT: (16, _U32, _U32, _U64, 4),
+    records.METADATA: (_U32, _U32),
+    records.DATA_END: (4,),
 }
-_PRIVATE = 0x80  # opcodes from here on are for whoever wants them
-_COMPRESSIONS = ("lz4", "zstd", "")
+#: What describes messages.
+_DEFINITIONS = (records.SCHEMA, records.CHANNEL)
 #: Where a record may begin, for the search: one of those that are never inside a chunk, or, in files that have
 #: messages outside, a message.  None is larger than a terabyte.
 _CANDIDATE = re.compile(rb"[\x06\x07\x09\x0c\x0f](?=.{5}\0\0\0)", re.DOTALL)
@@ -173,7 +161,6 @@ class Salvage:
         session, format_version, ledger, foreign: as of SessionFile.
         recorded_session: the session metadata as the file has it, of whatever version.
         compression: of its chunks; ``"none"`` where they have none or there are none.
-        metadata: the other metadata records.
         report: what was read and lost so far.
         position: offset that has been read up to, for whoever shows progress.
     """
@@ -189,7 +176,8 @@ class Salvage:
         self.position = 0
         self.profile = self.library = ""
         self.compression: Compression = "none"
-        self.metadata: list[Metadata] = []
+        self._metadata: list[_Frame] = []
+        self._deadline = limits.Deadline(size)
         self._loose = False  # messages lie outside of chunks
         self._schemas: dict[int, tuple[Schema, bool]] = {}  # and whether under a checksum
         self._channels: dict[int, tuple[Channel, bool]] = {}
@@ -212,7 +200,7 @@ class Salvage:
         the disk refuses.
         """
         path = Path(path)
-        stream = open_file(path)
+        stream = files.open_file(path)
         try:
             return cls(path, stream)
         except OSError as error:
@@ -246,6 +234,13 @@ class Salvage:
             if attachment:
                 yield attachment
 
+    def metadata(self) -> Iterator[Metadata]:
+        """The metadata records that are not of the session."""
+        for frame in self._metadata:
+            metadata = _parsed(records.metadata, self._content(frame))
+            if metadata:
+                yield metadata
+
     def read(self) -> Iterator[Salvaged]:
         """All messages that can be read, as they lie in the file; once.  Raises DamagedRecording as above."""
         try:
@@ -258,21 +253,25 @@ class Salvage:
     def _read_summary(self) -> None:
         """Take from the summary what it has, if its checksum is right."""
         size = self.report.size
-        if size < len(MAGIC) + FOOTER.size:
+        if size < len(MAGIC) + FOOTER_RECORD.size:
             return
-        footer = self._bytes(size - FOOTER.size, FOOTER.size)
-        opcode, _, start, _, crc, magic = FOOTER.unpack(footer)
-        if magic != MAGIC or opcode != _FOOTER or not crc or not len(MAGIC) <= start <= size - FOOTER.size:
+        footer = self._bytes(size - FOOTER_RECORD.size, FOOTER_RECORD.size)
+        opcode, _, start, _, crc, magic = FOOTER_RECORD.unpack(footer)
+        if magic != MAGIC or opcode != records.FOOTER or not crc:
             return
-        summary = self._bytes(start, size - FOOTER.size - start)
+        if not len(MAGIC) <= start <= size - FOOTER_RECORD.size:
+            return
+        if size - start > limits.current().memory:
+            return
+        summary = self._bytes(start, size - FOOTER_RECORD.size - start)
         if zlib.crc32(footer[: -len(MAGIC) - _U32.size], zlib.crc32(summary)) != crc:
             return
         self.report.indexed = self.report.closed = True
         self._data_end = start
         for opcode, content in _records(summary):
             self._define(opcode, content, checked=True)
-            if opcode == _STATISTICS:
-                self._statistics = _parsed(Statistics, content)
+            if opcode == records.STATISTICS:
+                self._statistics = _parsed(records.statistics, content)
 
     def _survey(self) -> bool:
         """Everything but the messages.  Gives whether there is anything of MCAP at all."""
@@ -280,42 +279,50 @@ class Salvage:
         ledger: dict[str, Any] | None = None
         found = False
         for frame in self._walk():
-            found = found or frame.opcode in (_CHUNK, _METADATA, _HEADER)
-            if frame.opcode == _DATA_END:
+            self._deadline.check(str(self.path))
+            found = found or frame.opcode in (records.CHUNK, records.METADATA, records.HEADER)
+            if frame.opcode == records.DATA_END:
                 self.report.closed = True
-            elif frame.opcode == _CHUNK and self.compression == "none":
-                told = self._bytes(frame.at + _HEAD.size + _CHUNK_HEAD.size + _U32.size, 4)
+            elif frame.opcode == records.CHUNK and self.compression == "none":
+                told = self._bytes(frame.at + HEAD.size + CHUNK_HEAD.size + _U32.size, 4)
                 self.compression = "lz4" if told[:3] == b"lz4" else "zstd" if told == b"zstd" else "none"
-            elif frame.opcode == _ATTACHMENT:
+            elif frame.opcode == records.ATTACHMENT:
                 self._attachments.append(frame)
-            elif frame.opcode in (_HEADER, _SCHEMA, _CHANNEL, _METADATA):
-                content = self._content(frame)
+                limits.check("count", len(self._attachments), f"{self.path}: attachments")
+            elif frame.opcode in (records.HEADER, records.SCHEMA, records.CHANNEL):
+                content = self._small_content(frame)
                 self._define(frame.opcode, content, checked=False)
-                if frame.opcode == _HEADER and (header := _parsed(Header, content)):
+                if frame.opcode == records.HEADER and (header := _parsed(records.header, content)):
                     self.profile, self.library = header.profile, header.library
-                elif frame.opcode == _METADATA and (metadata := _parsed(Metadata, content)):
-                    if metadata.name in _SESSION:
-                        session = session or _unsealed(metadata)
-                    elif metadata.name == layout.LEDGER_METADATA:
-                        ledger = ledger or _ledger(metadata)
-                    else:
-                        self.metadata.append(metadata)
+            elif frame.opcode == records.METADATA and (
+                metadata := _parsed(records.metadata, self._small_content(frame))
+            ):
+                if metadata.name in _SESSION:
+                    session = session or _unsealed(metadata)
+                elif metadata.name == layout.LEDGER_METADATA:
+                    ledger = ledger or _ledger(metadata)
+                else:
+                    self._metadata.append(frame)
+                    limits.check("count", len(self._metadata), f"{self.path}: metadata records")
         marked = any(layout.KIND_KEY in channel.metadata for channel, _ in self._channels.values())
         self.foreign = session is None and not marked and not self.library.startswith("igtl-gateway")
         self.format_version = format_version(self.path, session)
         self.recorded_session = session or {}
-        self.session = migrations.session(self.format_version, self.recorded_session)
+        try:
+            self.session = migrations.session(self.format_version, self.recorded_session)
+        except UnsupportedRecording as error:
+            raise UnsupportedRecording(f"{self.path}: {error}") from None
         self.ledger = ledger
         return found
 
     def _define(self, opcode: int, content: bytes, *, checked: bool) -> None:
         """Learn a schema or a channel; what is under a checksum overrides what is not."""
-        if opcode == _SCHEMA:
-            schema = _parsed(Schema, content)
-            if schema and schema.id and (checked or schema.id not in self._schemas):
+        if opcode == records.SCHEMA:
+            schema = _parsed(records.schema, content)
+            if schema and (checked or schema.id not in self._schemas):
                 self._schemas[schema.id] = schema, checked
-        elif opcode == _CHANNEL:
-            channel = _parsed(Channel, content)
+        elif opcode == records.CHANNEL:
+            channel = _parsed(records.channel, content)
             if channel and (checked or channel.id not in self._channels):
                 self._channels[channel.id] = channel, checked
 
@@ -327,7 +334,7 @@ class Salvage:
         if not self._is_defined(channel_id) and not self._sought:
             self._sought = True
             for frame in self._walk():
-                for opcode, content in _records(self._chunk(frame) or b"") if frame.opcode == _CHUNK else ():
+                for opcode, content in self._definitions_in(frame):
                     self._define(opcode, content, checked=True)
         if not self._is_defined(channel_id):
             return None
@@ -344,39 +351,58 @@ class Salvage:
         channel, _ = self._channels[channel_id]
         return not channel.schema_id or channel.schema_id in self._schemas
 
+    def _definitions_in(self, frame: _Frame) -> Iterator[tuple[int, bytes]]:
+        if frame.opcode == records.CHUNK:
+            try:
+                yield from _records(self._chunk(frame), _DEFINITIONS)
+            except (Malformed, LimitExceeded):
+                return
+
     def _attachment(self, frame: _Frame) -> Attachment | None:
         """An attachment; None if its checksum is wrong (0: it has none)."""
         content = self._content(frame)
-        crc = int.from_bytes(content[-_U32.size :], "little")
-        if crc and crc != zlib.crc32(content[: -_U32.size]):
+        try:
+            attachment, covered = records.attachment(content)
+        except Malformed:
             return None
-        return _parsed(Attachment, content)
+        crc = int.from_bytes(content[covered : covered + _U32.size], "little")
+        return attachment if not crc or crc == zlib.crc32(content[:covered]) else None
 
-    def _chunk(self, frame: _Frame) -> bytes | None:
-        """The records in a chunk, of which some field may be damaged; None if its checksum fits nothing."""
+    def _chunk(self, frame: _Frame) -> bytes:
+        """The records in a chunk, of which some field may be damaged.
+
+        Raises Malformed if its checksum fits nothing, LimitExceeded if it asks for too much.
+        """
         content = self._content(frame)
-        if len(content) < _CHUNK_HEAD.size + _U32.size + _U64.size:
-            return None
-        start, end, size, crc = _CHUNK_HEAD.unpack_from(content)
-        found = re.match(b"|".join(_packed(each) for each in _COMPRESSIONS), content[_CHUNK_HEAD.size :][:8])
+        if len(content) < CHUNK_HEAD.size + _U32.size + _U64.size:
+            raise Malformed("it is cut off")
+        _, _, size, crc = CHUNK_HEAD.unpack_from(content)
+        found = re.match(b"|".join(_packed(each) for each in COMPRESSIONS), content[CHUNK_HEAD.size :][:8])
         first = found[0][_U32.size :].decode() if found else ""
-        for compression in sorted(_COMPRESSIONS, key=lambda name: name != first):
+        too_large: LimitExceeded | None = None
+        for compression in sorted(COMPRESSIONS, key=lambda name: name != first):
             if not crc and compression != first:
                 continue  # nothing would tell right from wrong
-            data = content[_CHUNK_HEAD.size + _U32.size + len(compression) + _U64.size :]
-            try:
-                chunk = Chunk(compression, data, end, start, crc, size)
-                return get_chunk_data_stream(chunk, validate_crc=True)[0].read(1 << 62)
-            except Exception:  # of the library and the decompressors: whatever they make of damaged bytes
-                continue
-        return None
+            at = CHUNK_HEAD.size + _U32.size + len(compression) + _U64.size
+            length = int.from_bytes(content[at - _U64.size : at], "little")
+            packed = content[at : at + length] if length <= len(content) - at else content[at:]
+            for told in dict.fromkeys((size, told_size(compression, packed))) if crc else (size,):
+                self._deadline.check(str(self.path))
+                try:
+                    check_chunk(len(packed), told, "chunk")
+                    return unpacked(compression, packed, told, crc)
+                except LimitExceeded as error:
+                    too_large = too_large or error
+                except Malformed:
+                    continue
+        raise too_large or Malformed("its checksum is wrong")
 
     def _times(self, frame: _Frame) -> tuple[int, int]:
         """First and last time of the messages in a chunk, as it says itself, without a checksum."""
-        content = self._bytes(frame.at + _HEAD.size, _CHUNK_HEAD.size)
-        if len(content) < _CHUNK_HEAD.size:
+        content = self._bytes(frame.at + HEAD.size, CHUNK_HEAD.size)
+        if len(content) < CHUNK_HEAD.size:
             return 0, 0
-        start, end, _, _ = _CHUNK_HEAD.unpack(content)
+        start, end, _, _ = CHUNK_HEAD.unpack(content)
         return start, end
 
     # -- from record to record --------------------------------------------------------------------------------
@@ -389,12 +415,12 @@ class Salvage:
             frame = self._frame(at, limit, ended)
             if frame.opcode == 0 and frame.end == at:
                 frame = _Frame(0, at, self._seek_record(at + 1, limit))
-            if frame.opcode == _MESSAGE:
+            if frame.opcode == records.MESSAGE:
                 self._loose = True
             if not ended or frame.opcode:
                 yield frame
             # behind the data there is only the index, of which nothing can be lost
-            ended = ended or frame.opcode == _DATA_END
+            ended = ended or frame.opcode == records.DATA_END
             at = frame.end
 
     def _frame(self, at: int, limit: int, ended: bool) -> _Frame:
@@ -402,36 +428,39 @@ class Salvage:
 
         Behind the data (``ended``) there are other records than those in the table.
         """
-        head = self._bytes(at, _HEAD.size)
-        if len(head) < _HEAD.size:
+        head = self._bytes(at, HEAD.size)
+        if len(head) < HEAD.size:
             return _Frame(0, at, at)
-        opcode, length = _HEAD.unpack(head)
-        outer = at + _HEAD.size + length
+        opcode, length = HEAD.unpack(head)
+        outer = at + HEAD.size + length
         inner = self._inner_end(opcode, at, limit)
         if inner == outer or (ended and outer <= limit and opcode not in _FIELDS and self._fits(outer, limit)):
             return _Frame(opcode, at, outer)
         outer_fits = outer <= limit and self._fits(outer, limit)
+        if inner and outer_fits and inner < outer and opcode in _FIELDS and not self._fits(inner, limit):
+            # more bytes than its fields need, as MCAP allows; of a chunk only the opcode may be damaged
+            return _Frame(records.CHUNK if self._inner_end(records.CHUNK, at, limit) == outer else opcode, at, outer)
         # where both may be, the nearer end swallows nothing
         if inner and self._fits(inner, limit) and not (outer_fits and outer < inner):
             return _Frame(opcode, at, inner)  # its length is damaged
         if outer_fits:
-            if opcode in (_MESSAGE, _CHUNK, _ATTACHMENT, _METADATA):
+            if opcode in (records.MESSAGE, records.CHUNK, records.ATTACHMENT, records.METADATA):
                 return _Frame(opcode, at, outer)  # a field of it is damaged, if it has any: its checksum tells
             # of a chunk only the opcode may be damaged
-            return _Frame(_CHUNK if self._inner_end(_CHUNK, at, limit) == outer else 0, at, outer)
+            return _Frame(records.CHUNK if self._inner_end(records.CHUNK, at, limit) == outer else 0, at, outer)
         return _Frame(0, at, at)
 
     def _fits(self, at: int, limit: int, chain: int = 1) -> bool:
         """Whether at ``at`` the file ends, or ``chain`` records may follow."""
         for _ in range(chain):
-            head = self._bytes(at, _HEAD.size)
+            head = self._bytes(at, HEAD.size)
             if at == limit or head.startswith(MAGIC):
                 return True
-            if len(head) < _HEAD.size:
+            if len(head) < HEAD.size:
                 return False
-            opcode, length = _HEAD.unpack(head)
-            at += _HEAD.size + length
-            if not (0 < opcode <= _DATA_END or opcode >= _PRIVATE) or at > limit:
+            opcode, length = HEAD.unpack(head)
+            at += HEAD.size + length
+            if not (0 < opcode <= records.DATA_END or opcode >= records.PRIVATE) or at > limit:
                 return False
         return True
 
@@ -440,7 +469,7 @@ class Salvage:
         fields = _FIELDS.get(opcode)
         if not fields:
             return 0
-        end = at + _HEAD.size
+        end = at + HEAD.size
         for each in fields:
             if isinstance(each, int):
                 end += each
@@ -464,27 +493,33 @@ class Salvage:
                     self._window = (0, b"")
                     return at + found.start()
             # a head may lie across the end of the window
-            at += max(1, len(window) - _HEAD.size + 1) if at + len(window) < limit else len(window)
+            at += max(1, len(window) - HEAD.size + 1) if at + len(window) < limit else len(window)
         self._window = (0, b"")
         return limit
 
     def _is_record(self, at: int, limit: int) -> bool:
         """Whether there is a record beyond doubt."""
-        opcode, length = _HEAD.unpack(self._bytes(at, _HEAD.size))
-        end = at + _HEAD.size + length
-        if opcode == _MESSAGE:
-            return bool(length >= _MESSAGE_HEAD.size and self._fits(at, limit, _CHAIN))
+        opcode, length = HEAD.unpack(self._bytes(at, HEAD.size))
+        end = at + HEAD.size + length
+        if opcode == records.MESSAGE:
+            return bool(length >= MESSAGE_HEAD.size and self._fits(at, limit, _CHAIN))
         if self._inner_end(opcode, at, limit) != end:
             return False
-        if opcode == _DATA_END:
+        if opcode == records.DATA_END:
             return self._fits(end, limit)
         # what zeros and small numbers look like: the first text or array must not be empty
         first = _FIELDS[opcode][0]
         skipped = first if isinstance(first, int) else 0
-        return opcode == _CHUNK or self._bytes(at + _HEAD.size + skipped, _U32.size) != bytes(_U32.size)
+        return opcode == records.CHUNK or self._bytes(at + HEAD.size + skipped, _U32.size) != bytes(_U32.size)
+
+    def _small_content(self, frame: _Frame) -> bytes:
+        """Content of a record that is kept; nothing of one that is larger than any that makes sense."""
+        return self._content(frame) if 8 * (frame.end - frame.at) <= limits.current().free else b""
 
     def _content(self, frame: _Frame) -> bytes:
-        return self._bytes(frame.at + _HEAD.size, frame.end - frame.at - _HEAD.size)
+        """Content of a record.  Raises LimitExceeded."""
+        limits.check("memory", frame.end - frame.at, f"{self.path}: record at offset {frame.at:,}")
+        return self._bytes(frame.at + HEAD.size, frame.end - frame.at - HEAD.size)
 
     def _bytes(self, at: int, size: int) -> bytes:
         start, window = self._window
@@ -510,47 +545,50 @@ class _Reading:
         torn: _Frame | None = None
         for frame in file._walk():
             file.position = frame.end
-            if frame.opcode == _CHUNK:
+            file._deadline.check(str(file.path))
+            if frame.opcode == records.CHUNK:
                 yield from self._read_chunk(frame)
-            elif frame.opcode == _MESSAGE and file.foreign:
+            elif frame.opcode == records.MESSAGE and file.foreign:
                 yield from self._message(file._content(frame), frame)
             elif frame.opcode == 0 and frame.end == report.size and not report.closed:
                 torn = frame
-            elif frame.opcode in (0, _MESSAGE) or frame.opcode >= _PRIVATE:
+            elif frame.opcode in (0, records.MESSAGE) or frame.opcode >= records.PRIVATE:
                 # a message of ours outside of a chunk has lost the chunk around it, and with it the checksum
                 self._lose(BYTES, frame, "not readable")
-            elif frame.opcode == _ATTACHMENT and file._attachment(frame) is None:
+            elif frame.opcode == records.ATTACHMENT and file._attachment(frame) is None:
                 self._lose(ATTACHMENT, frame, "its checksum is wrong")
-            elif frame.opcode == _METADATA and self._is_damaged_metadata(frame):
-                self._lose(METADATA, frame, "its checksum is wrong")
+            elif frame.opcode == records.METADATA and (damage := self._damage_of_metadata(frame)):
+                self._lose(METADATA, frame, damage)
         self._end(torn)
 
     def _read_chunk(self, frame: _Frame) -> Iterator[Salvaged]:
-        data = self._file._chunk(frame)
-        if data is None:
-            self._lose(CHUNK, frame, "its checksum is wrong")
+        try:
+            data = self._file._chunk(frame)
+        except (Malformed, LimitExceeded) as error:
+            self._lose(CHUNK, frame, str(error))
             return
         at = 0
         for opcode, content in _records(data):
-            at += _HEAD.size + len(content)
-            self._file._define(opcode, content, checked=True)
-            if opcode == _MESSAGE:
+            at += HEAD.size + len(content)
+            if opcode in _DEFINITIONS:
+                self._file._define(opcode, content, checked=True)
+            elif opcode == records.MESSAGE:
                 yield from self._message(content, frame)
         if at != len(data):
             self._lose(CHUNK, frame, f"found bytes that are no record after {at} of {len(data)} bytes")
 
     def _message(self, content: bytes, frame: _Frame) -> Iterator[Salvaged]:
-        if len(content) < _MESSAGE_HEAD.size:
+        if len(content) < MESSAGE_HEAD.size:
             self._lose(BYTES, frame, "a message shorter than its head")
             return
-        number, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
+        number, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(content)
         definition = self._file._definition(number)
         if definition is None:
             if number not in self._unknown:
                 self._unknown[number] = self._lose(CHANNEL, frame, "")
             self._unknown_counts[number] = self._unknown_counts.get(number, 0) + 1
             return
-        message = Message(number, log_time, content[_MESSAGE_HEAD.size :], publish_time, sequence)
+        message = Message(number, log_time, content[MESSAGE_HEAD.size :], publish_time, sequence)
         entry = None
         if definition.decode:
             step = (sequence - self._seq) % SEQUENCES
@@ -559,7 +597,7 @@ class _Reading:
                 return
             seq = self._entries + 1 if self._file.foreign else self._seq + step
             try:
-                row = (number, sequence, log_time, publish_time, _MESSAGE_HEAD.size, len(content), content)
+                row = (number, sequence, log_time, publish_time, MESSAGE_HEAD.size, len(content), content)
                 entry = definition.decode(row, seq)
             except LayoutError as error:
                 self._lose(NUMBER, frame, f"entry {seq}: {error}")
@@ -569,6 +607,7 @@ class _Reading:
             self._entries += 1
         report = self._report
         report.messages += 1
+        limits.check("count", report.messages, f"{self._file.path}: messages", message_bound(report.size))
         report.start_ns = min(report.start_ns, log_time) if report.messages > 1 else log_time
         report.end_ns = max(report.end_ns, log_time)
         yield Salvaged(definition.schema, definition.channel, message, entry)
@@ -589,7 +628,8 @@ class _Reading:
             self._report.lost.append(loss)
         else:
             self._report.more_lost += 1
-        self._open.append(loss)
+        if len(self._open) < MAX_LOSSES:
+            self._open.append(loss)
         return loss
 
     def _settle(self, log_time: int, missing: int) -> None:
@@ -609,13 +649,19 @@ class _Reading:
         if loss in self._report.lost:
             self._report.lost.remove(loss)
 
-    def _is_damaged_metadata(self, frame: _Frame) -> bool:
-        metadata = _parsed(Metadata, self._file._content(frame))
+    def _damage_of_metadata(self, frame: _Frame) -> str:
+        """What is wrong with a metadata record, ``""`` where nothing is."""
+        metadata = _parsed(records.metadata, self._file._small_content(frame))
         if metadata is None:
-            return True
-        if metadata.name in _SESSION:
-            return not self._file.session and _unsealed(metadata) is None
-        return metadata.name == layout.LEDGER_METADATA and _ledger(metadata) is None
+            return "not readable"
+        try:
+            if metadata.name == layout.LEDGER_METADATA:
+                _check_ledger(metadata)
+            elif metadata.name in _SESSION and not self._file.session:
+                _check_session(metadata)
+        except (LayoutError, DamagedRecording) as error:
+            return str(error)
+        return ""
 
     def _end(self, torn: _Frame | None) -> None:
         file, report = self._file, self._report
@@ -641,24 +687,24 @@ class _Reading:
             self._lose(LEDGER, end, "what became of every message")
 
 
-def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of records in a row, up to the first that does not fit."""
+def _records(data: bytes, opcodes: tuple[int, ...] = ()) -> Iterator[tuple[int, bytes]]:
+    """Opcode and content of records in a row (of these opcodes, or all), up to the first that does not fit."""
     at = 0
-    while at + _HEAD.size <= len(data):
-        opcode, length = _HEAD.unpack_from(data, at)
-        at += _HEAD.size
+    while at + HEAD.size <= len(data):
+        opcode, length = HEAD.unpack_from(data, at)
+        at += HEAD.size
         if length > len(data) - at:
             return
-        yield opcode, data[at : at + length]
+        if not opcodes or opcode in opcodes:
+            yield opcode, data[at : at + length]
         at += length
 
 
-def _parsed(kind: type[_Record], content: bytes) -> _Record | None:
-    """A record of the library; None if it makes nothing of the bytes."""
+def _parsed(read: Callable[[bytes], _Record], content: bytes) -> _Record | None:
+    """A record; None if the bytes are none."""
     try:
-        record: _Record = kind.read(ReadDataStream(BytesIO(content)))
-        return record
-    except Exception:  # of the library: whatever it makes of damaged bytes
+        return read(content)
+    except Malformed:
         return None
 
 
@@ -666,17 +712,28 @@ def _packed(text: str) -> bytes:
     return re.escape(_U32.pack(len(text)) + text.encode())
 
 
+def _check_session(metadata: Metadata) -> dict[str, str]:
+    """The session metadata of a record.  Raises LayoutError, DamagedRecording."""
+    items = layout.unseal(metadata.metadata)
+    digits(items.get(layout.FORMAT_VERSION_KEY), layout.FORMAT_VERSION_KEY)
+    facts.check_session(items, metadata.name)
+    return items
+
+
+def _check_ledger(metadata: Metadata) -> dict[str, Any]:
+    """The ledger of a record.  Raises LayoutError, DamagedRecording."""
+    return facts.ledger(layout.unseal(metadata.metadata).get(layout.LEDGER_KEY, ""), metadata.name)
+
+
 def _unsealed(metadata: Metadata) -> dict[str, str] | None:
     try:
-        return layout.unseal(metadata.metadata)
-    except LayoutError:
+        return _check_session(metadata)
+    except (LayoutError, DamagedRecording):
         return None
 
 
 def _ledger(metadata: Metadata) -> dict[str, Any] | None:
-    items = _unsealed(metadata)
     try:
-        ledger = json.loads(items[layout.LEDGER_KEY]) if items else None
-    except (KeyError, ValueError, RecursionError):
+        return _check_ledger(metadata)
+    except (LayoutError, DamagedRecording):
         return None
-    return ledger if isinstance(ledger, dict) else None

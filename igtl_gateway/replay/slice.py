@@ -229,7 +229,7 @@ def _carries_state(group: Group) -> bool:
 
 
 def _code(entry: Entry) -> str:
-    return Note.unpack(entry.data()).code
+    return Note.of(entry.data()).code
 
 
 def _prologue(entries: Iterable[Entry], window: Window, depth: Depth) -> set[int]:

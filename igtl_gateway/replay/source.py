@@ -71,7 +71,7 @@ def spoken_to(role: str, entries: Iterable[Entry], passed_over: Counter[str] | N
     listeners: set[int] = set()
     for entry in entries:
         if entry.kind is Kind.LINK:
-            note = Note.unpack(entry.data())
+            note = Note.of(entry.data())
             if note.code == LINK_UP and note.data.get("role") == role:
                 listeners.update(entry.links)
         if entry.kind.is_input or listeners.intersection(entry.links):

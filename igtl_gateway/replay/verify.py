@@ -273,14 +273,14 @@ class _Verifier:
 
     def _is_elsewhere(self, entry: Entry) -> bool:
         """Whether an output is a note of the guard in a part of a session."""
-        return self._partial and entry.kind is Kind.NOTE and Note.unpack(entry.data()).code in CODES
+        return self._partial and entry.kind is Kind.NOTE and Note.of(entry.data()).code in CODES
 
     def _differ(self, entry: Entry, recorded: str, computed: str) -> None:
         self._report.add(Difference(entry.seq, self._cause, _name(entry), "message", recorded, computed))
 
 
 def _is_news(entry: Entry) -> bool:
-    return entry.kind is Kind.NOTE and Note.unpack(entry.data()).code == _STREAM_NEWS
+    return entry.kind is Kind.NOTE and Note.of(entry.data()).code == _STREAM_NEWS
 
 
 def compare(recorded: Entry, computed: Entry, cause: int, decoder: Decoder | None = None) -> Difference | None:
@@ -292,7 +292,7 @@ def compare(recorded: Entry, computed: Entry, cause: int, decoder: Decoder | Non
     if recorded.kind is Kind.NOTE and computed.kind is Kind.NOTE:
         try:
             one, other = Note.unpack(recorded.data()), Note.unpack(computed.data())
-        except (ValueError, KeyError, TypeError):
+        except ValueError:
             return differ(*first_byte(recorded.data(), computed.data()))
         for what in ("code", "level", "stream"):
             if getattr(one, what) != getattr(other, what):

@@ -57,7 +57,7 @@ class ClockStep:
         """The step that an entry tells of, if it does."""
         if entry.kind is not Kind.EDGE_NOTE or _MARK not in (data := entry.data()):
             return None
-        note = Note.unpack(data)
+        note = Note.of(data)
         step_ns, jump_ns, ahead_ns = (note.data.get(name) for name in ("step_ns", "jump_ns", "ahead_ns"))
         if note.code != CLOCK_STEP or not (type(step_ns) is type(jump_ns) is type(ahead_ns) is int):
             return None

@@ -20,10 +20,12 @@ import struct
 import zlib
 
 from igtl_gateway.buffers import Buffer
+from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.session.note import UNREADABLE, Level, Note
 from igtl_gateway.stamp import NS_PER_S, ns_to_ros
+from igtl_gateway.untrusted.text import parse_json
 
 #: Version of ``docs/session-log.md``; a reader refuses a file with a newer one.
 FORMAT_VERSION = 1
@@ -375,13 +377,13 @@ def unpack_note(data: Buffer, seq: int, log_ns: int) -> Entry:
         text, at = _get_string(view, at)
         stream, at = _get_string(view, at)
         links, at = _get_links(view, at)
-        facts = json.loads(_get_string(view, at)[0])
+        facts = parse_json(_get_string(view, at)[0], "facts")
         kind = Kind(kind_name)
         if isinstance(facts, str):
             payload = facts.encode("utf-8", "surrogateescape")
         else:
             payload = Note(Level(level), unescape(code), unescape(text), unescape(stream), facts).pack()
-    except (struct.error, ValueError, RecursionError) as error:
+    except (struct.error, ValueError, RecursionError, DamagedRecording) as error:
         raise LayoutError(f"Note of {view.nbytes} bytes: {error}") from None
     if kind not in NOTE_KINDS:
         raise LayoutError(f"Note: found kind {kind_name!r}, expected one of {[each.value for each in NOTE_KINDS]}")
@@ -460,9 +462,9 @@ def _note_of(payload: bytes) -> tuple[Note, bool]:
     """The note in a payload, and whether its fields give the very same bytes again."""
     try:
         note = Note.unpack(payload)
-        return note, isinstance(note.data, dict) and note.pack() == payload
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        return Note(Level.WARN, "unreadable_note", "the payload of this entry is not a note"), False
+        return note, note.pack() == payload
+    except (ValueError, RecursionError):
+        return UNREADABLE, False
 
 
 # --- CDR -------------------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
@@ -46,5 +47,56 @@ class Note:
     @classmethod
     def unpack(cls, payload: bytes) -> Note:
         """The note in the payload of an entry.  Raises ValueError if it is not one."""
-        fields = json.loads(payload.decode("utf-8", "surrogateescape"))
-        return cls(Level[fields["level"]], fields["code"], fields["text"], fields["stream"], fields["data"])
+        try:
+            fields = json.loads(payload.decode("utf-8", "surrogateescape"))
+            level, texts, data = fields["level"], [fields[name] for name in _TEXTS], fields["data"]
+            code, text, stream = texts
+            found = cls(Level[level], code, text, stream, data)
+        except (LookupError, TypeError, RecursionError) as error:
+            raise ValueError(f"found no note: {type(error).__name__} {error}") from None
+        if not all(type(each) is str for each in texts) or not isinstance(data, dict):
+            raise ValueError(f"found a note with {', '.join(_TEXTS)} and data of other types, expected texts and facts")
+        for name, is_right in _FACTS.items():
+            if name in data and not is_right(data[name]):
+                raise ValueError(f"found {name!r} of another type or value than it has in notes")
+        return found
+
+    @classmethod
+    def of(cls, payload: bytes) -> Note:
+        """The note in the payload of an entry, or one that says that there is none: for entries of a file."""
+        try:
+            return cls.unpack(payload)
+        except ValueError:
+            return UNREADABLE
+
+
+_TEXTS = ("code", "text", "stream")
+
+
+def _is_text(value: Any) -> bool:
+    return type(value) is str
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) is int and abs(value) < 1 << 63
+
+
+def _is_count(value: Any) -> bool:
+    """A number, or numbers by stream."""
+    return all(map(_is_number, value.values())) if isinstance(value, dict) else _is_number(value)
+
+
+def _is_hex(value: Any) -> bool:
+    return _is_text(value) and not len(value) % 2 and set(value) <= _HEX
+
+
+_HEX = frozenset("0123456789abcdefABCDEF")
+#: Facts that programs act on, and what they have to be.
+_FACTS: Mapping[str, Callable[[Any], bool]] = {
+    **dict.fromkeys(("peer", "local", "role", "reason"), _is_text),
+    **dict.fromkeys(("sent_messages", "received_bytes", "count", "step_ns", "jump_ns", "ahead_ns"), _is_number),
+    "dropped": _is_count,
+    "head": _is_hex,
+}
+#: What stands for the payload of an entry that is no note.
+UNREADABLE = Note(Level.WARN, "unreadable_note", "the payload of this entry is not a note")

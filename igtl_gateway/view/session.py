@@ -230,7 +230,7 @@ class SessionView:
                 self.told.timeless[line] += 1
 
     def _note(self, entry: Entry) -> None:
-        note = Note.unpack(entry.data())
+        note = Note.of(entry.data())
         links = f" [link {', '.join(map(str, entry.links))}]" if entry.links else ""
         stream = f"{note.stream}: " if note.stream and note.stream not in note.text else ""
         text = f"{stream}{note.text}{links}"
@@ -239,7 +239,7 @@ class SessionView:
             self._pen.text(LINKS, text, note.level.name, _COLOURS[note.level])
         if any(word in note.code for word in _DROP_WORDS):
             dropped = note.data.get("count") or note.data.get("dropped") or 1
-            self._drop(dropped if isinstance(dropped, int) else 1, text, in_log=False)
+            self._drop(sum(dropped.values()) if isinstance(dropped, dict) else dropped, text, in_log=False)
 
     def _drop(self, number: int, text: str, *, in_log: bool = True) -> None:
         self._pen.log(DROPS, rr.TextLog(self._pen.letters(text), level="WARN", color=WARN), rr.Scalars([float(number)]))

@@ -111,14 +111,14 @@ def test_what_went_in_is_in_the_file(path: Path, compression: str) -> None:
     entries = samples.every_kind(100)
     for entry in entries:
         bench.recorder(entry)
-    summary = bench.recorder.close({"streams": {"a": 1}})
+    summary = bench.recorder.close({"streams": {"a": {}}})
     assert (summary.path, summary.entries, summary.dropped, summary.failure) == (path, len(entries), {}, "")
     assert summary.size == path.stat().st_size
     assert read(path) == [samples.flat(entry) for entry in entries]
     with SessionFile.open(path) as file:
         assert file.session == {**samples.SESSION, "format_version": "1"}
         assert file.ledger is not None
-        assert file.ledger["streams"] == {"a": 1}
+        assert file.ledger["streams"] == {"a": {}}
         assert file.ledger["recorder"]["written_entries"] == len(entries)
         assert file.ledger["recorder"]["dropped_entries"] == 0
     assert bench.notes == []

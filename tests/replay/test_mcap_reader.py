@@ -142,6 +142,28 @@ def _newer(path: Path) -> None:
     _bag(path, {layout.SESSION_METADATA: layout.seal({"format_version": str(layout.FORMAT_VERSION + 1)})})
 
 
+@pytest.mark.parametrize(
+    ("make", "error", "words"),
+    [
+        (_missing, UnsupportedRecording, "No such file"),
+        (_directory, UnsupportedRecording, "found a directory"),
+        (_empty, UnsupportedRecording, "the file is empty"),
+        (_text, UnsupportedRecording, "not an MCAP file"),
+        (_sqlite_bag, UnsupportedRecording, "not an MCAP file"),
+        (_newer, UnsupportedRecording, "found format version 2, expected at most 1"),
+    ],
+)
+def test_what_is_no_recording_is_refused(
+    tmp_path: Path, make: Callable[[Path], None], error: type[RecordingError], words: str
+) -> None:
+    path = tmp_path / "session.mcap"
+    make(path)
+    with pytest.raises(error, match=words) as caught:
+        SessionFile.open(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
 def _unindexed(path: Path) -> None:
     _bag(path, {}, index_types=IndexType.NONE)
 
@@ -157,29 +179,12 @@ def _without_summary(path: Path) -> None:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("make", "error", "words"),
-    [
-        (_missing, UnsupportedRecording, "No such file"),
-        (_directory, UnsupportedRecording, "found a directory"),
-        (_empty, UnsupportedRecording, "the file is empty"),
-        (_text, UnsupportedRecording, "not an MCAP file"),
-        (_sqlite_bag, UnsupportedRecording, "not an MCAP file"),
-        (_newer, UnsupportedRecording, "found format version 2, expected at most 1"),
-        (_unindexed, UnsupportedRecording, "index"),
-        (_unchunked, UnsupportedRecording, "chunks"),
-        (_without_summary, UnsupportedRecording, "has no index"),
-    ],
-)
-def test_what_is_no_recording_is_refused(
-    tmp_path: Path, make: Callable[[Path], None], error: type[RecordingError], words: str
-) -> None:
-    path = tmp_path / "session.mcap"
+@pytest.mark.parametrize("make", [_unindexed, _unchunked, _without_summary])
+def test_a_file_without_an_index_is_read(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    indexed, path = tmp_path / "indexed.mcap", tmp_path / "session.mcap"
+    _bag(indexed, {})
     make(path)
-    with pytest.raises(error, match=words) as caught:
-        SessionFile.open(path)
-    assert str(caught.value).startswith(f"{path}: ")
-    assert "\n" not in str(caught.value)
+    assert read(path) == read(indexed) != []
 
 
 # --- damaged ---------------------------------------------------------------------------------------------------
@@ -193,7 +198,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[Entry]]
     writer = SessionWriter(path, samples.SESSION, chunk_bytes=2000)
     for entry in entries:
         writer.write(entry)
-    writer.close({"streams": {"a": 1}})
+    writer.close({"a": {"b": 1}})
     return path.read_bytes(), [samples.flat(entry) for entry in entries]
 
 
@@ -203,7 +208,7 @@ def outcome(path: Path, data: bytes) -> list[Entry] | RecordingError:
     try:
         with SessionFile.open(path) as file:
             assert file.session == {**samples.SESSION, "format_version": "1"}
-            assert file.ledger == {"streams": {"a": 1}}
+            assert file.ledger == {"a": {"b": 1}}
             assert not file.foreign
             return list(file.entries())
     except RecordingError as error:
@@ -259,7 +264,7 @@ def test_what_comes_before_the_damage_is_given(tmp_path: Path) -> None:
     assert data.count(b"body 40.") == 1
     (tmp_path / "a").write_bytes(data.replace(b"body 40.", b"body 41."))
     given: list[Entry] = []
-    with SessionFile.open(tmp_path / "a") as file, pytest.raises(DamagedRecording, match="crc"):
+    with SessionFile.open(tmp_path / "a") as file, pytest.raises(DamagedRecording, match="checksum"):
         given.extend(file.entries())
     assert 0 < len(given) < 40
     assert given == [samples.flat(samples.igtl(n, body=f"body {n}.".encode())) for n in range(1, len(given) + 1)]

@@ -26,7 +26,7 @@ from tests.record import samples
 
 OLD = Path(__file__).parent / "old" / "v1-paper-types.mcap"
 STRING = "std_msgs/msg/String"
-LEDGER = {"streams": {"a": 1}}
+LEDGER = {"a": {"b": 1}}
 SESSION = {**samples.SESSION, layout.FORMAT_VERSION_KEY: "1"}
 
 
@@ -362,7 +362,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, data: bytes, words: str
 def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UnsupportedRecording, match="No such file"):
         Salvage.open(tmp_path / "a")
-    with pytest.raises(UnsupportedRecording, match="directory"):
+    with pytest.raises(UnsupportedRecording, match="folder"):
         Salvage.open(tmp_path)
 
 

@@ -65,7 +65,7 @@ class Links:
 
     def take(self, entry: Entry) -> Outcome:
         """A link came up or went down."""
-        event = Note.unpack(entry.data())
+        event = Note.of(entry.data())
         self._peers.changed()
         outcome = Outcome()
         for link in entry.links:
@@ -124,7 +124,8 @@ class Links:
         if peer is None or not isinstance(delivered := counts.get("sent_messages"), int):
             return []
         row = f"{link} {peer.address}"
-        dropped = sum(counts.get("dropped", {}).values())
+        by_stream = counts.get("dropped", {})
+        dropped = sum(by_stream.values()) if isinstance(by_stream, dict) else by_stream
         gone = peer.sent - delivered - dropped  # sent while the link was closing: it took them no more
         losses = (("queue", dropped), ("link_closed", gone))
         return [

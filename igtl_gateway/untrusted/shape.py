@@ -1,0 +1,95 @@
+"""Shapes of JSON that somebody else wrote: checked once where it is read, so that nobody behind has to.
+
+A :data:`Shape` is called with a value and its place, and raises DamagedRecording with the place, the value found and
+what was expected; the functions here make shapes of shapes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+from igtl_gateway.errors import DamagedRecording
+
+Shape = Callable[[Any, str], None]
+
+_SHOWN = 40
+
+
+def wrong(place: str, found: Any, expected: str) -> DamagedRecording:
+    """The error that says so, with the value shortened."""
+    try:
+        text = json.dumps(found, default=repr)
+    except (ValueError, RecursionError):
+        text = type(found).__name__
+    text = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
+    return DamagedRecording(f"{place}: found {text}, expected {expected}")
+
+
+def anything(_value: Any, _place: str) -> None:
+    """Whatever JSON has."""
+
+
+def text(value: Any, place: str) -> None:
+    """A text."""
+    if not isinstance(value, str):
+        raise wrong(place, value, "a text")
+
+
+def truth(value: Any, place: str) -> None:
+    """True or false."""
+    if not isinstance(value, bool):
+        raise wrong(place, value, "true or false")
+
+
+def number(value: Any, place: str) -> None:
+    """A whole number from 0 on that 63 bits hold."""
+    if type(value) is not int or not 0 <= value < 1 << 63:
+        raise wrong(place, value, "a whole number from 0 on")
+
+
+def digits(value: Any, place: str) -> None:
+    """Decimal digits of a number that 64 bits hold, as text."""
+    is_number = isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 20
+    if not is_number or int(value) >= 1 << 64:
+        raise wrong(place, value, "a number of at most 64 bits")
+
+
+def map_of(inner: Shape) -> Shape:
+    """An object with any keys."""
+
+    def check(value: Any, place: str) -> None:
+        if not isinstance(value, dict):
+            raise wrong(place, value, "an object")
+        for key, item in value.items():
+            inner(item, f"{place}.{key[:_SHOWN]}")
+
+    return check
+
+
+def list_of(inner: Shape) -> Shape:
+    """An array."""
+
+    def check(value: Any, place: str) -> None:
+        if not isinstance(value, list):
+            raise wrong(place, value, "an array")
+        for at, item in enumerate(value):
+            inner(item, f"{place}[{at}]")
+
+    return check
+
+
+def fields(known: Mapping[str, Shape], needed: Collection[str] = (), other: Shape = anything) -> Shape:
+    """An object: shapes of the fields that are known, and of the others."""
+
+    def check(value: Any, place: str) -> None:
+        if not isinstance(value, dict):
+            raise wrong(place, value, "an object")
+        for name in needed:
+            if name not in value:
+                raise DamagedRecording(f"{place}: found no field {name!r}, expected one")
+        for key, item in value.items():
+            known.get(key, other)(item, f"{place}.{key[:_SHOWN]}")
+
+    return check
