@@ -16,15 +16,16 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Protocol
-
-from mcap.reader import SeekingReader
+from typing import Protocol
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.exchange.rosbag2_metadata import METADATA, Key, Metadata, read_metadata, storage_files
 from igtl_gateway.exchange.rosbag2_sqlite import Message, SqliteStorage
 from igtl_gateway.exchange.rostypes import definition
 from igtl_gateway.exchange.source import Item, Row, Told, reading
+from igtl_gateway.mcapfile.chunks import message_rows
+from igtl_gateway.mcapfile.index import read_index, recover_hint
+from igtl_gateway.mcapfile.records import Malformed
 from igtl_gateway.qos import Qos
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Kind
@@ -178,7 +179,7 @@ class _Mcap:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._stream: IO[bytes] = path.open("rb")
+        self._stream = files.open_file(path)
         self.counts: Counter[Key] = Counter()
         self.skipped: dict[Key, str] = {}
         self.qos: dict[Key, str] = {}
@@ -193,17 +194,14 @@ class _Mcap:
             raise
 
     def _open(self) -> None:
-        self._reader = SeekingReader(self._stream, validate_crcs=True, record_size_limit=self._path.stat().st_size)
-        summary = self._reader.get_summary()
-        if summary is None or summary.statistics is None:
-            raise DamagedRecording(f"{self._path}: has no index; `igtl-gateway recover` makes one")
-        if any(index.name == layout.SESSION_METADATA for index in summary.metadata_indexes):
+        self._index = index = read_index(self._path, self._stream)
+        if any(place.name == layout.SESSION_METADATA for place in index.metadata):
             raise UnsupportedRecording(f"{self._path}: is a session of igtl-gateway already")
-        for channel in summary.channels.values():
-            schema = summary.schemas.get(channel.schema_id)
+        for channel in index.channels.values():
+            schema = index.schemas.get(channel.schema_id)
             ros_type = schema.name if schema else ""
             key = (channel.topic, ros_type)
-            self.counts[key] += summary.statistics.channel_message_counts.get(channel.id, 0)
+            self.counts[key] += index.counts.get(channel.id, 0)
             self.formats.setdefault(key, channel.message_encoding)
             why = _unreadable(ros_type, channel.message_encoding)
             if why:
@@ -215,19 +213,14 @@ class _Mcap:
                 self.definitions.setdefault(ros_type, (schema.data.decode("utf-8", "replace"), schema.encoding))
 
     def messages(self) -> Iterator[Message]:
-        found = self._reader.iter_messages()
-        while True:
-            try:
-                _, channel, message = next(found)
-            except StopIteration:
-                return
-            except Exception as error:  # of the library: whatever it makes of damaged bytes
-                raise DamagedRecording(f"{self._path}: {type(error).__name__}: {error}") from error
-            key = self._keys.get(channel.id)
-            if key:
-                # MCAP says publish_time = log_time for "not set"
-                source_ns = message.publish_time if message.publish_time != message.log_time else 0
-                yield message.log_time, key, message.data, source_ns
+        try:
+            for _, rows in message_rows(self._stream, self._index, str(self._path)):
+                for channel, _, log_ns, publish_ns, start, end, data in rows or ():
+                    if key := self._keys.get(channel):
+                        # MCAP says publish_time = log_time for "not set"
+                        yield log_ns, key, data[start:end], publish_ns if publish_ns != log_ns else 0
+        except Malformed as error:
+            raise DamagedRecording(f"{self._path}: {error}{recover_hint(self._path)}") from None
 
     def close(self) -> None:
         self._stream.close()
