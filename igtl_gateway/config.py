@@ -415,7 +415,7 @@ def from_values(place: str, kind: type[T], settings: Mapping[str, Any]) -> T:
 
 def _value(place: str, name: str, wanted: type, given: Any) -> Any:
     """One setting, of the type of its default."""
-    if wanted is float and type(given) is int:
+    if wanted is float and type(given) is int and abs(given) < 1 << 63:
         return float(given)
     if wanted in _TYPE_NAMES and type(given) is not wanted:
         raise ConfigError(f"{place}: found {given!r}, expected a {_TYPE_NAMES[wanted]}")

@@ -19,6 +19,7 @@
         ├── DiskRefused             the disk is full, read-only or not ours
         ├── UnsupportedRecording    not a session log, or a version we do not know
         └── DamagedRecording        a session log that cannot be read to its end
+            ├── BeingRecorded       a session log that another process is still writing
             └── LimitExceeded       a file that asks for more memory, depth or time than it may have
 
 Every message of an error names the place, the value found and the value expected.
@@ -121,6 +122,10 @@ class UnsupportedRecording(RecordingError):
 
 class DamagedRecording(RecordingError):
     """The file is a session log, but cut off or corrupt."""
+
+
+class BeingRecorded(DamagedRecording):
+    """The file has no end yet, and another process holds the lock of its writer."""
 
 
 class LimitExceeded(DamagedRecording):

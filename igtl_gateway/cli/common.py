@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import signal
 import threading
@@ -15,8 +14,9 @@ from typing import Any
 from igtl_gateway.config import PROFILES, Config
 from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_ROS
-from igtl_gateway.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.faults import FAULTS
+from igtl_gateway.session import facts
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
 
@@ -195,10 +195,10 @@ def recorded_config(session: dict[str, str], path: Path | None = None) -> Config
     """The configuration to run a recording with: of the file ``path`` if given, else the recorded one."""
     given = Config.from_toml(path) if path else None
     try:
-        recorded = Config.from_dict(json.loads(session.get("config", "{}")))
+        recorded = Config.from_dict(facts.configuration(session))
         # a file that does not speak of the watchers leaves them as they were that day
         return given.watched(recorded.watch) if given else recorded
-    except (ValueError, ConfigError) as error:
+    except (ConfigError, DamagedRecording) as error:
         if given:
             return given
         raise UnsupportedRecording(f"the recorded configuration cannot be used: {error}") from None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
@@ -15,17 +14,18 @@ from igtl_gateway.cli.common import count, size
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.cli.terminal import cell, print_json, say, width
-from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.errors import BeingRecorded, DamagedRecording, LimitExceeded
 from igtl_gateway.mcapfile.index import recover_hint
 from igtl_gateway.replay.mcap_reader import PartSummary, SessionFile
 from igtl_gateway.replay.salvage import Salvage
-from igtl_gateway.session import layout
+from igtl_gateway.session import facts, layout
 from igtl_gateway.session.clocksteps import ClockStep, without_jump
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.session.timing import Timing, best
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.untrusted.text import parse_json
 
 EXAMPLES = """\
   igtl-gateway info out.mcap            streams, rates, gaps, errors, losses, peers, configuration
@@ -38,6 +38,8 @@ _GAP_MIN_NS = NS_PER_S
 #: Messages that make a stream with a rhythm; fewer are events.
 _RHYTHM = 20
 _NS_PER_MS = 1_000_000
+
+_NOT_YET = "   not known yet: the ledger is written when the recording ends"
 
 #: So many stamps tell their quality; a longer session must not cost memory.
 _MAX_AGES = 100_000
@@ -92,19 +94,26 @@ class Stream:
         return bool(mean_ns) and self.longest_pause_ns > max(_GAP_FACTOR * mean_ns, _GAP_MIN_NS)
 
     @property
+    def age_ms(self) -> tuple[float, float] | None:
+        """Median of the ages of an input stream's messages when they arrive, and the largest less the smallest."""
+        if not self.ages_ns:
+            return None
+        ages = sorted(self.ages_ns)
+        return ages[len(ages) // 2] / _NS_PER_MS, (ages[-1] - ages[0]) / _NS_PER_MS
+
+    @property
     def stamps(self) -> str:
         """Quality of the senders' stamps of an input stream: how old the messages are when they arrive."""
         if not self.kind.is_input:
             return ""
-        if not self.ages_ns:
+        if self.age_ms is None:
             return "unstamped"
-        ages = sorted(self.ages_ns)
-        median_ms = ages[len(ages) // 2] / _NS_PER_MS
-        span_ms = (ages[-1] - ages[0]) / _NS_PER_MS
-        text = f"age {median_ms:,.1f} ms (spread {span_ms:,.1f})"
+        median_ms, range_ms = self.age_ms
+        text = f"median age {median_ms:,.1f} ms (max - min {range_ms:,.1f})"
         return text + (f", {self.unstamped:,} unstamped" if self.unstamped else "")
 
     def to_dict(self) -> dict[str, Any]:
+        median_ms, range_ms = self.age_ms or (None, None)
         return {
             "direction": self.kind.value,
             "stream": self.channel,
@@ -115,6 +124,8 @@ class Stream:
             "longest_pause_s": self.longest_pause_ns / NS_PER_S,
             "gap": self.has_gap,
             "stamps": self.stamps,
+            "age_median_ms": median_ms,
+            "age_max_minus_min_ms": range_ms,
         }
 
 
@@ -198,10 +209,12 @@ def run(options: argparse.Namespace) -> int:
             if file.parts:
                 told["bytes"] = sum(part.size for part in file.parts)
                 told["parts"] = [_part(part) for part in file.parts]
+    except LimitExceeded:
+        raise
     except DamagedRecording as error:
         if options.file.is_dir():
             raise  # it names the part that is damaged
-        return _run_damaged(options, str(error))
+        return _run_damaged(options, error)
     if options.json:
         print_json(told)
     else:
@@ -209,20 +222,24 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _run_damaged(options: argparse.Namespace, why: str) -> int:
-    """The same of whatever can be read; a finding."""
+def _run_damaged(options: argparse.Namespace, error: DamagedRecording) -> int:
+    """The same of whatever can be read: a finding, unless the recording has not ended yet."""
+    growing = isinstance(error, BeingRecorded)
     with Salvage.open(options.file) as file:
         content = Content.of(file.entries())
         report = file.report
-        told = _told(options.file, file, content, report.start_ns, report.end_ns)
+        told = _told(options.file, file, content, report.start_ns, report.end_ns) | {"skipped": []}
+    told |= {"being_recorded": True} if growing else {"damaged": {"why": str(error), **asdict(report)}}
     if options.json:
-        print_json(told | {"skipped": [], "damaged": {"why": why, **asdict(report)}})
-        return 1
-    _print(told | {"skipped": []}, content.notes, report.start_ns)
+        print_json(told)
+        return 0 if growing else 1
+    _print(told, content.notes, report.start_ns)
+    if growing:
+        return 0
     say("  DAMAGED")
     print_losses(report)
     hint = recover_hint(options.file)
-    say(f"igtl-gateway info: {why.removesuffix(hint)}{hint}", error=True)
+    say(f"igtl-gateway info: {str(error).removesuffix(hint)}{hint}", error=True)
     return 1
 
 
@@ -285,6 +302,8 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
     parts = told.get("parts", [])
     number = f"{count(len(parts), 'part')}, " if parts else ""
     say(f"{told['file']}: {kind}, {number}{size(told['bytes'])}")
+    if "being_recorded" in told:
+        say("  BEING RECORDED: what is there so far, up to the last flush")
     if told["entries"]:
         jumped_s = sum(step["jump_s"] for step in told["clock_steps"])
         jumps = f" ({jumped_s:,.3f} s of them jumps of the clock)" if jumped_s else ""
@@ -297,16 +316,16 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
         say(f"  made by   igtl-gateway {made}" + (f" ({session['scenario']})" if "scenario" in session else ""))
     if "synthetic" in session:
         say(f"  synthetic {session['synthetic']}")
-    for key, value in json.loads(session.get(layout.CUSTOM_KEY, "{}")).items():
+    for key, value in parse_json(session.get(layout.CUSTOM_KEY, "{}"), layout.CUSTOM_KEY).items():
         say(f"  {key:<9} {value}")
     for line in _origin(session):
         say(f"  {line}")
-    config = json.loads(session.get("config", "{}"))
+    config = facts.configuration(session)
     if config:
-        say(
-            f"  units     {config['igtl_unit']} in OpenIGTLink, {config['ros_unit']} in ROS; "
-            f"stamps: {config['stamp']}; base frame {config['base_frame']!r}"
+        igtl_unit, ros_unit, stamp, base_frame = (
+            config.get(key, "unknown") for key in ("igtl_unit", "ros_unit", "stamp", "base_frame")
         )
+        say(f"  units     {igtl_unit} in OpenIGTLink, {ros_unit} in ROS; stamps: {stamp}; base frame {base_frame!r}")
     if parts:
         say("  parts")
         columns = width(part["file"] for part in parts)
@@ -320,7 +339,7 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
         ("host's clock", [f"{step['at']}  {step['text']}" for step in told["clock_steps"]]),
         ("problems", [f"{number:>7,}  {code}" for code, number in told["problems"].items()] or ["   none"]),
         ("first of each problem", _firsts(notes, start_ns)),
-        ("losses", losses(told["ledger"]) or ["   none"]),
+        ("losses", [_NOT_YET] if "being_recorded" in told else losses(told["ledger"]) or ["   none"]),
         (
             "skipped",
             [f"{each['topic']} ({count(each['count'], 'message')}): {each['why']}" for each in told["skipped"]],
@@ -353,7 +372,7 @@ def _origin(session: dict[str, str]) -> list[str]:
 
 
 def _globs(text: str) -> str:
-    return " ".join(json.loads(text)) if text else ""
+    return " ".join(parse_json(text, "globs")) if text else ""
 
 
 def _print_streams(streams: list[dict[str, Any]]) -> None:

@@ -18,11 +18,11 @@ from typing import IO
 
 from mcap.records import Channel, Schema, Statistics
 
-from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.errors import BeingRecorded, DamagedRecording, UnsupportedRecording
 from igtl_gateway.mcapfile import records
 from igtl_gateway.mcapfile.records import CHUNK_HEAD, FOOTER_RECORD, HEAD, MAGIC, MESSAGE_HEAD, Content, Malformed
 from igtl_gateway.mcapfile.unpack import unpacked
-from igtl_gateway.untrusted import limits
+from igtl_gateway.untrusted import files, limits
 
 _FOOTER_CRC_COVERS = 1 + 8 + 8 + 8
 _PLACE = struct.Struct("<HQ")
@@ -171,14 +171,13 @@ def _ends(path: Path, stream: IO[bytes]) -> tuple[int, int, int]:
             raise UnsupportedRecording(f"{path}: the file is empty")
         if not MAGIC.startswith(start):
             raise UnsupportedRecording(f"{path}: not an MCAP file: found {start.hex(' ')}, expected {MAGIC.hex(' ')}")
-        cut = DamagedRecording(f"{path}: was cut off after {size:,} bytes{recover_hint(path)}")
         if size < len(MAGIC) + FOOTER_RECORD.size:
-            raise cut
+            raise _endless(path, stream, size)
         end = stream.seek(-FOOTER_RECORD.size, 2)
         footer = stream.read(FOOTER_RECORD.size)
         opcode, length, summary_start, _, crc, magic = FOOTER_RECORD.unpack(footer)
         if magic != MAGIC:
-            raise cut
+            raise _endless(path, stream, size)
         if (
             (opcode, length) != (records.FOOTER, records.FOOTER_LENGTH)
             or summary_start > end
@@ -197,6 +196,16 @@ def _ends(path: Path, stream: IO[bytes]) -> tuple[int, int, int]:
     except OSError as error:
         raise DamagedRecording(f"{path}: cannot be read: {error.strerror}") from None
     return size, summary_start, end
+
+
+def _endless(path: Path, stream: IO[bytes], size: int) -> DamagedRecording:
+    """The error for a file without an end: somebody is writing it, or it was cut off."""
+    if files.is_being_written(stream):
+        return BeingRecorded(
+            f"{path}: is being recorded ({size:,} bytes so far) and can be read when the recording has ended; "
+            f"igtl-gateway info {shlex.quote(str(path))} tells what is there"
+        )
+    return DamagedRecording(f"{path}: was cut off after {size:,} bytes{recover_hint(path)}")
 
 
 def _summary(path: Path, stream: IO[bytes], size: int, start: int, end: int) -> tuple[Index, Statistics | None]:

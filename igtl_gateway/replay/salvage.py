@@ -160,6 +160,7 @@ class Salvage:
         profile, library: of the file's header; ``""`` where that is lost.
         session, format_version, ledger, foreign: as of SessionFile.
         recorded_session: the session metadata as the file has it, of whatever version.
+        growing: another process is writing it.
         compression: of its chunks; ``"none"`` where they have none or there are none.
         report: what was read and lost so far.
         position: offset that has been read up to, for whoever shows progress.
@@ -176,6 +177,7 @@ class Salvage:
         self.position = 0
         self.profile = self.library = ""
         self.compression: Compression = "none"
+        self.growing = files.is_being_written(stream)
         self._metadata: list[_Frame] = []
         self._deadline = limits.Deadline(size)
         self._loose = False  # messages lie outside of chunks
@@ -679,7 +681,8 @@ class _Reading:
         end = _Frame(0, report.size, report.size)
         if not report.closed:
             rest = f" and {torn.end - torn.at:,} bytes of a record" if torn else ""
-            self._lose(CUT_OFF, torn or end, f"the file ends here{rest}: what came after it was not yet on the disk")
+            why = "is not there yet: it is being recorded" if file.growing else "was not yet on the disk"
+            self._lose(CUT_OFF, torn or end, f"the file ends here{rest}: what came after it {why}")
         ours = not file.foreign
         if ours and not file.session:
             self._lose(METADATA, _Frame(0, 0, 0), "what the recording says of itself, such as the configuration")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import stat
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, BinaryIO
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.untrusted import limits
@@ -40,6 +41,18 @@ def open_file(path: Path) -> BinaryIO:
         return path.open("rb")
     except OSError as error:
         raise UnsupportedRecording(f"{path}: {error.strerror or error}") from None
+
+
+def is_being_written(stream: IO[bytes]) -> bool:
+    """Whether another process holds the lock of a writer (``flock``, exclusive) on an open file."""
+    try:
+        fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+        fcntl.flock(stream.fileno(), fcntl.LOCK_UN)
+    except BlockingIOError:
+        return True
+    except OSError:  # bytes in memory, or a file system without locks
+        pass
+    return False
 
 
 def read_bytes(path: Path) -> bytes:

@@ -220,7 +220,7 @@ def test_info_reads_a_file_that_turns_out_to_be_damaged_in_the_middle(
     facts = told(capsys, "info", path, code=1)
     assert 0 < facts["entries"] < len(ENTRIES)
     assert facts["damaged"]["missing"] == len(ENTRIES) - facts["entries"]
-    assert "crc" in facts["damaged"]["why"]
+    assert "checksum" in facts["damaged"]["why"]
 
 
 def test_info_tells_of_a_recovered_file(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
