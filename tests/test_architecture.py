@@ -117,6 +117,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "numpy": (
         "wire",
         "convert",
+        "mcapfile",
         "doctor",
         "gateway",
         "edges",
