@@ -5,6 +5,7 @@ What a header may cost is bounded: ``free`` bytes in all, ``count`` fields, and 
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -61,7 +62,7 @@ class Imported:
 def lines(stream: BinaryIO, where: str) -> Iterator[str]:
     """Header lines; the stream stands behind each as it is given.  Raises LimitExceeded."""
     bound, size = limits.current(), 0
-    deadline = limits.Deadline(bound.free)
+    deadline = limits.Deadline(os.fstat(stream.fileno()).st_size)
     for count in range(1, bound.count + 2):
         line = stream.readline(bound.free + 1)
         if not line:

@@ -18,6 +18,7 @@ from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.exchange.header import Imported
 from igtl_gateway.exchange.place import Place
 from igtl_gateway.exchange.raster import COMPONENT, FRAME, MAX_STEP_S, RAW, SPACE, ZLIB, Raster, axes_of
+from igtl_gateway.extras import missing
 from igtl_gateway.untrusted import limits
 
 _GZIP = b"\x1f\x8b"
@@ -95,10 +96,8 @@ def _header(start: bytes, where: str) -> tuple[Any, str]:
     try:
         from nibabel.nifti1 import Nifti1Header
         from nibabel.nifti2 import Nifti2Header
-    except ImportError:
-        raise UnsupportedRecording(
-            f'{where}: NIfTI needs nibabel, which is not installed: pip install "igtl-gateway[nifti]"'
-        ) from None
+    except ImportError as error:
+        raise UnsupportedRecording(f"{where}: NIfTI: {missing('nibabel', error)}") from None
     for order, name in (("<", "little"), (">", "big")):
         size = int.from_bytes(start[:4], "little" if order == "<" else "big")
         if (version := _SIZES.get(size)) and len(start) >= size:

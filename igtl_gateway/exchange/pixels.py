@@ -25,8 +25,11 @@ _READ = 1 << 20
 _EXACT = 1 << 53
 
 
-def frames(raster: Raster) -> Iterator[bytes]:
-    """The frames in order.  Raises DamagedRecording where pixels are missing, LimitExceeded."""
+def frames(raster: Raster, notes: list[str]) -> Iterator[bytes]:
+    """The frames in order; ``notes`` gets what is behind the last one.
+
+    Raises DamagedRecording where pixels are missing, LimitExceeded.
+    """
     packed = files.size_of(raster.data)
     check_room(raster, packed)
     deadline = limits.Deadline(packed)
@@ -37,10 +40,12 @@ def frames(raster: Raster) -> Iterator[bytes]:
             for index in range(raster.frames):
                 deadline.check(raster.where)
                 yield _ordered(raster, pieces.read(raster.frame_bytes, f"frame {index}"), index, framed=False)
+            pieces.tell_rest(notes)
             return
         total = raster.frame_bytes * raster.frames
         limits.check("memory", total, f"{raster.where}: bytes of all frames, which are not one after the other")
         data = pieces.read(total, "all frames")
+        pieces.tell_rest(notes)
         for index in range(raster.frames):
             deadline.check(raster.where)
             yield _ordered(raster, data, index, framed=True)
@@ -117,6 +122,15 @@ class _Pieces:
             part = min(size, _READ)
             self.read(part, "bytes before the pixels")
             size -= part
+
+    def tell_rest(self, notes: list[str]) -> None:
+        """Note that there is more than the header says."""
+        try:
+            more = self._some(1)
+        except (OSError, ValueError, EOFError, zlib.error):
+            more = b"?"
+        if more.strip():
+            notes.append("there is more behind the last pixel that the header announces: it is not read")
 
     def _some(self, missing: int) -> bytes:
         """Between 1 and ``missing`` bytes; none at the end."""

@@ -94,7 +94,7 @@ def axes_of(roles: list[str], sizes: list[int], where: str) -> tuple[Axis, ...]:
             f"{where}: found axes {', '.join(roles)}, expected 2 or 3 of space and at most one of time"
         )
     if max(spaces) > _MAX_SIZE:
-        raise UnsupportedRecording(f"{where}: found sizes {_shown(sizes)}, expected at most {_MAX_SIZE} (IMAGE)")
+        raise UnsupportedRecording(f"{where}: found sizes {_shown(spaces)}, expected at most {_MAX_SIZE} (IMAGE)")
     components = math.prod(axis.size for axis in axes if axis.role == COMPONENT)
     if not 1 <= components <= _MAX_COMPONENTS:
         raise UnsupportedRecording(

@@ -28,7 +28,7 @@ from igtl_gateway.exchange.place import COORDINATE
 from igtl_gateway.exchange.raster import WIDER, check_room
 from igtl_gateway.exchange.source import Item, Row, Told, fact, from_peer, link_down, link_up, reading
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
-from igtl_gateway.untrusted import files
+from igtl_gateway.untrusted import files, limits
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.fields import cut_text
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, SCALARS, Image
@@ -71,7 +71,7 @@ class Sequence(Told):
             check_room(imported.raster, files.size_of(imported.raster.data))
         self._raster = raster = imported.raster
         self.notes += imported.notes
-        tracked = bool(imported.frames)
+        tracked = any(fields.keys() - {*_IMAGE_STATUS} for fields in imported.frames.values())
         self._frames = self._numbered(imported)
         self.title = f"{'tracked sequence' if tracked else 'image'} {path.name}"
         self.epoch_ns = self._epoch(imported.fields) if epoch_ns is None else epoch_ns
@@ -89,8 +89,8 @@ class Sequence(Told):
             self._image_row.left_out, self._image_row.why = raster.frames, "the file has no pixels"
         self.rows = [*self._transform_rows.values(), self._image_row]
         self._matrix = raster.place.wire_matrix(raster.size, str(path)) if raster.place else Image.IDENTITY
-        self._stampless = 0
-        self._tell(tracked)
+        self._stampless, self._tracked = 0, tracked
+        self._tell()
 
     def _numbered(self, imported: Imported) -> dict[int, dict[str, str]]:
         """Fields of the frames by index; numbers of what was cut from a sequence need not begin at 0."""
@@ -113,22 +113,23 @@ class Sequence(Told):
                 if fields.get(f"{name}TransformStatus", OK) != OK:
                     row.left_out += 1
                     row.why = "status not OK"
+        limits.check("fields", len(rows), f"{self._path}: transforms")
         self._devices = _device_names(sorted(rows))
         for name, device in self._devices.items():
             if device != name:
                 self.notes.append(f"{name}: cut to {device}, a device name has at most 20 bytes")
         return dict(sorted(rows.items()))
 
-    def _tell(self, tracked: bool) -> None:
+    def _tell(self) -> None:
         """Notes on what does not come over as it stands."""
         raster = self._raster
         extra = {name for fields in self._frames.values() for name in fields} - {_TIMESTAMP, *_IMAGE_STATUS}
         extra -= {f"{name}Transform{end}" for name in self._devices for end in ("", "Status")}
         if extra:
             self.notes.append(f"fields of frames that are not kept: {_listed(sorted(extra))}")
-        if tracked and (len(self._frames) != raster.frames or max(self._frames) >= raster.frames):
+        if self._frames and (len(self._frames) != raster.frames or max(self._frames) >= raster.frames):
             self.notes.append(f"{raster.frames} frames declared, fields of {len(self._frames)} of them")
-        if not tracked and raster.frames > 1 and not raster.times_s:
+        if not self._tracked and raster.frames > 1 and not raster.times_s:
             self.notes.append("the frames have no times: they are a nanosecond apart")
         if raster.dtype in WIDER:
             self.notes.append("whole numbers of 64 bits, which IMAGE does not have, become float64 of the same values")
@@ -136,7 +137,7 @@ class Sequence(Told):
     def items(self) -> Iterator[Item]:
         peer = {"peer": f"file {self._path.name}", "local": "import", "role": "server"}
         raster = self._raster
-        images = pixels.frames(raster) if raster.frame_bytes else iter(())
+        images = pixels.frames(raster, self.notes) if raster.frame_bytes else iter(())
         count = raster.frames if raster.frame_bytes else 0
         start_ns = time_ns = self._time_ns(0, self.epoch_ns)
         yield link_up(start_ns, _LINK, peer)
@@ -158,8 +159,9 @@ class Sequence(Told):
             message = Message("IMAGE", IMAGE_DEVICE, self._image(data), ns_to_ticks(time_ns))
             yield from_peer(time_ns, _LINK, join(encode(message)))
         yield link_down(time_ns, _LINK, peer, "the end of the file")
+        next(images, None)  # notes what lies behind the last frame
         if self._stampless:
-            self.notes.append(f"{self._stampless} frames without a time stamp: they have that of the frame before")
+            self.notes.append(f"frames without a time stamp: {self._stampless}; they have that of the frame before")
 
     def _indices(self, images: int) -> Iterator[int]:
         """Frames with pixels or fields, in order."""
@@ -192,7 +194,7 @@ class Sequence(Told):
         except InvalidOperation:
             seconds = Decimal("NaN")
         if not seconds.is_finite():
-            self._stampless += bool(self._frames)
+            self._stampless += self._tracked
             return before_ns
         # a number of seconds with twelve digits is past every stamp; larger powers of ten must not be multiplied out
         time_ns = self.epoch_ns + int(seconds * NS_PER_S) if seconds.adjusted() < 12 else _STAMPS_END

@@ -31,6 +31,7 @@ class Limits:
         count: things of one sort: fields of a header, connections of a capture, channels, names.
         definition: characters of the definition of one message type, with all that it needs.
         fields: fields, constants and types of one such definition; an array of five messages counts as five.
+            Also the transforms of one sequence.
         document: characters of a YAML document.
         seconds: time that reading may take, plus ``seconds_per_mb`` for each megabyte of the file.
         seconds_per_mb: see ``seconds``.
@@ -60,7 +61,7 @@ MEANINGS = {
     "depth": "levels of nesting (JSON, YAML, message definitions)",
     "count": "things of one sort (header fields, connections, channels, names)",
     "definition": "characters of the definition of one message type",
-    "fields": "fields, constants and types of one definition",
+    "fields": "fields, constants and types of one definition; transforms of one sequence",
     "document": "characters of a YAML document",
     "seconds": "time that reading a file may take, plus `seconds_per_mb`",
     "seconds_per_mb": "further seconds for each megabyte of the file",

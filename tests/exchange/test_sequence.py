@@ -261,7 +261,7 @@ def test_frames_keep_their_numbers_where_one_has_no_fields(tmp_path: Path) -> No
     told = read(path)
     assert [at for at, _, _ in told.transforms()] == [stamp(0), stamp(2)]
     assert [at for at, _ in told.images()] == [stamp(0), stamp(0), stamp(2)]
-    assert "1 frames without a time stamp" in " ".join(told.source.notes)
+    assert "frames without a time stamp: 1;" in " ".join(told.source.notes)
 
 
 def test_frames_that_were_cut_out_begin_anywhere(tmp_path: Path) -> None:

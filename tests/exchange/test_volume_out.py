@@ -101,6 +101,8 @@ def test_others_read_the_sequence_of_a_fixture(tmp_path: Path, fixture: Path) ->
             assert plus.faults(path) == []
             image = read(path)
             assert found.count == len(found.frames) == (image.GetSize()[-1] if "list" in found.kinds else 1)
+            if image.GetDimension() == 3:
+                assert vtk_size(path) == image.GetSize()
             held = sum(fields["ImageStatus"] == "OK" for fields in found.frames.values())
             assert held == sum(row.taken for row in account.rows if row.type == "IMAGE")
             for name in (row.stream for row in account.rows if row.type == "TRANSFORM"):
@@ -116,6 +118,15 @@ def test_others_read_the_sequence_of_a_fixture(tmp_path: Path, fixture: Path) ->
                 assert np.abs(corners(recorded) - itk_corners(image, recorded.dimensions)).max() < MICROMETRE
                 values = sitk().GetArrayFromImage(image).reshape((found.count, *values_of(recorded).shape))
                 assert np.array_equal(values[0], values_of(recorded))
+
+
+def vtk_size(path: Path) -> tuple[int, ...]:
+    """The size of an image as VTK reads it."""
+    module = pytest.importorskip("vtkmodules.vtkIOImage", reason="VTK is the judge")
+    reader = module.vtkMetaImageReader()
+    reader.SetFileName(str(path))
+    reader.Update()
+    return tuple(reader.GetOutput().GetDimensions())
 
 
 def whole_images(file: SessionFile, stream: str) -> Iterator[Image]:
