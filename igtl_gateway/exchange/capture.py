@@ -10,17 +10,19 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import DamagedRecording, MessageTooLarge, UnsupportedRecording
 from igtl_gateway.exchange.sequence import DEFAULT_EPOCH_NS
 from igtl_gateway.exchange.source import BYTES, Item, Row, Told, from_peer, link_down, link_up, reading
 from igtl_gateway.stamp import NS_PER_MS
+from igtl_gateway.untrusted import files
 from igtl_gateway.wire import HEADER_SIZE
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.message import HEADER_VERSIONS
 
+#: Streams with a row of their own.
+MAX_STREAMS = 10_000
 _LINK = 1
 _READ = 1 << 16
 _START = struct.Struct(">H12s")
@@ -34,13 +36,13 @@ class Capture(Told):
         self._path = path
         self._epoch_ns = DEFAULT_EPOCH_NS if epoch_ns is None else epoch_ns
         with reading(path):
-            self._stream: IO[bytes] = path.open("rb")
+            self._stream = files.open_file(path)
             start = self._stream.read(HEADER_SIZE)
             self._stream.seek(0)
         if not looks_like_igtl(start):
             self._stream.close()
             raise UnsupportedRecording(f"{path}: found {start[:14]!r}, expected the header of an OpenIGTLink message")
-        self._row = Row("(all)", path.stat().st_size, unit=BYTES)
+        self._row = Row("(all)", files.size_of(path), unit=BYTES)
         self.rows = [self._row]
 
     def items(self) -> Iterator[Item]:
@@ -92,6 +94,11 @@ def looks_like_igtl(start: bytes) -> bool:
 def count(streams: dict[str, Row], rows: list[Row], item: Item) -> None:
     """Count a message in the row of its stream, which is made at the first; nobody declared how many there are."""
     row = streams.get(item.channel)
+    if row is None and len(streams) >= MAX_STREAMS:
+        row = streams.get("")
+        if row is None:
+            row = streams[""] = Row("(further streams)", 0, why=f"more than {MAX_STREAMS} streams")
+            rows.append(row)
     if row is None:
         row = streams[item.channel] = Row(item.channel.partition("/")[2], 0, item.type)
         rows.append(row)

@@ -6,27 +6,37 @@ a message has the time of the packet that completed it.  Connections that do not
 are left out and named.  The account is in bytes by direction: what the sequence numbers span against what came out
 in whole messages, so a packet that was not captured shows.
 
-Memory: what waits for a missing segment, at most ``MAX_WAITING`` a direction; then the direction is given up.
+Bounds, each counted in the account: ``MAX_WAITING`` bytes wait for missing segments in all connections together, a
+segment counting ``_SEGMENT_COST`` more, and ``MAX_BEGUN`` bytes are there for messages that have begun; beyond, the
+direction that holds most is given up.  ``MAX_OPEN`` connections are followed at once; beyond, that which was silent
+for longest is closed.  Beyond ``MAX_ROWS`` rows connections share two rows: OpenIGTLink, and what is none.
 """
 
 from __future__ import annotations
 
+import heapq
 import ipaddress
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import DamagedRecording, MessageTooLarge, UnsupportedRecording
 from igtl_gateway.exchange.capture import count, looks_like_igtl
 from igtl_gateway.exchange.source import BYTES, Item, Row, Told, from_peer, link_down, link_up, reading
+from igtl_gateway.untrusted import files, limits
 from igtl_gateway.wire import HEADER_SIZE
 from igtl_gateway.wire.framer import Framer
 
-#: What may wait for a missing segment: more than the largest TCP window of a usual host.
+#: What may wait for missing segments: more than the largest TCP window of a usual host.
 MAX_WAITING = 32 << 20
+#: Connections that are followed at once, and rows of the account.
+MAX_OPEN, MAX_ROWS = 1_000, 2_000
+#: Room for messages that have begun, in all connections together.
+MAX_BEGUN = 512 << 20
+#: What a waiting segment takes besides its bytes.
+_SEGMENT_COST = 256
 IGTL_PORT = 18944
 
 PCAPNG = b"\x0a\x0d\x0d\x0a"
@@ -38,6 +48,7 @@ MAGICS = {
     b"\xa1\xb2\x3c\x4d": (">", 1),
 }
 _MAX_PACKET = 1 << 22
+_DEADLINE_PACKETS = 1_000
 _FIN, _SYN, _RST, _ACK = 0x01, 0x02, 0x04, 0x10
 _SEQUENCES = 1 << 32
 
@@ -82,12 +93,15 @@ class _Direction:
     link: int
     name: str
     row: Row
+    is_listed: bool
     start: int | None = None  # sequence number of the first byte
     taken: int = 0  # bytes in order
     end: int = 0  # the furthest byte that was seen
     waiting: dict[int, bytes] = field(default_factory=dict)
-    waiting_bytes: int = 0
-    framer: Framer = field(default_factory=Framer)
+    order: list[int] = field(default_factory=list)  # of what waits, a heap
+    waiting_cost: int = 0
+    framer: Framer | None = None  # of OpenIGTLink only
+    begun: int = 0  # bytes of the framer's storage
     head: bytes = b""  # the first bytes, until they tell whether this is OpenIGTLink
     is_igtl: bool | None = None
     given_up: bool = False
@@ -105,20 +119,23 @@ class _Direction:
         """What can be read on, now that ``data`` is there."""
         if data:
             self.end = max(self.end, at + len(data))
-        if self.given_up or at + len(data) <= self.taken:
+        if self.given_up or not data or at + len(data) <= self.taken:
             return b""
         if at > self.taken:
-            if len(data) > len(self.waiting.get(at, b"")):
-                self.waiting_bytes += len(data) - len(self.waiting.get(at, b""))
+            before = self.waiting.get(at)
+            if before is None:
+                heapq.heappush(self.order, at)
+                self.waiting_cost += _SEGMENT_COST
+            if len(data) > len(before or b""):
+                self.waiting_cost += len(data) - len(before or b"")
                 self.waiting[at] = data
-            if self.waiting_bytes > MAX_WAITING:
-                self.give_up(f"a segment is missing after {self.taken} bytes")
             return b""
         parts = [data[self.taken - at :]]
         self.taken = at + len(data)
-        while self.waiting and (first := min(self.waiting)) <= self.taken:
+        while self.order and self.order[0] <= self.taken:
+            first = heapq.heappop(self.order)
             more = self.waiting.pop(first)
-            self.waiting_bytes -= len(more)
+            self.waiting_cost -= len(more) + _SEGMENT_COST
             if first + len(more) > self.taken:
                 parts.append(more[self.taken - first :])
                 self.taken = first + len(more)
@@ -127,7 +144,9 @@ class _Direction:
     def give_up(self, why: str) -> None:
         self.given_up, self.row.why = True, why
         self.waiting.clear()
-        self.waiting_bytes = 0
+        self.order.clear()
+        self.waiting_cost = self.begun = 0
+        self.framer = None
 
 
 @dataclass(slots=True)
@@ -146,9 +165,13 @@ class Pcap(Told):
         self._streams: dict[str, Row] = {}
         self._links = 0
         self._last_ns = 0
-        self._cut = self._fragments = 0
+        self._cut = self._fragments = self._dropped = 0
+        self._connections: dict[frozenset[_Address], _Connection] = {}
+        self._waiting = self._begun = 0  # bytes, in all connections
+        self._further: dict[bool, Row] = {}
         with reading(path):
-            self._stream: IO[bytes] = path.open("rb")
+            self._stream = files.open_file(path)
+            self._deadline = limits.Deadline(files.size_of(path))
         try:
             with reading(path):
                 self._open()
@@ -170,23 +193,33 @@ class Pcap(Told):
             )
 
     def items(self) -> Iterator[Item]:
-        connections: dict[frozenset[_Address], _Connection] = {}
+        connections = self._connections  # the one that was silent for longest comes first
         for segment in self._segments():
             key = frozenset((segment.source, segment.target))
-            connection = connections.get(key)
+            connection = connections.pop(key, None)
             starts = segment.flags & _SYN and not segment.flags & _ACK
             if connection and starts and _is_new(connection, segment):
-                yield from self._close(connections.pop(key), "replaced by a new connection")
+                yield from self._close(connection, "replaced by a new connection")
                 connection = None
             if connection is None:
                 if segment.flags & _RST or not (segment.data or segment.flags & _SYN):
                     continue  # what is left of a connection that has ended
-                connection = connections[key] = self._connect(segment)
+                if len(connections) >= MAX_OPEN:
+                    yield from self._close(connections.pop(next(iter(connections))), "silent for longest of too many")
+                    self._dropped += 1
+                connection = self._connect(segment)
+            connections[key] = connection
             yield from self._receive(connection, segment)
             if segment.flags & _RST or all(one.ended for one in connection.directions.values()):
-                yield from self._close(connections.pop(key), "reset" if segment.flags & _RST else "closed by the peer")
+                del connections[key]
+                yield from self._close(connection, "reset" if segment.flags & _RST else "closed by the peer")
         for connection in connections.values():
             yield from self._close(connection, "the end of the file")
+        if self._dropped:
+            self.notes.append(
+                f"{self._dropped} connections were closed early: at most {MAX_OPEN} are followed at once, "
+                "and that which was silent for longest makes room"
+            )
         if self._cut:
             self.notes.append(f"{self._cut} packets were captured in part only")
         if self._fragments:
@@ -203,8 +236,10 @@ class Pcap(Told):
             self._links += 1
             name = f"{_text(source)} to {_text(target)}"
             row = Row(name, 0, unit=BYTES)
-            self.rows.append(row)
-            directions[source] = _Direction(self._links, name, row)
+            is_listed = len(self.rows) < MAX_ROWS
+            if is_listed:
+                self.rows.append(row)
+            directions[source] = _Direction(self._links, name, row, is_listed)
             role = "client" if source == server else "server"
             facts[source] = {"peer": _text(source), "local": _text(target), "role": role}
         return _Connection(directions, facts)
@@ -212,7 +247,11 @@ class Pcap(Told):
     def _receive(self, connection: _Connection, segment: Segment) -> Iterator[Item]:
         direction = connection.directions[segment.source]
         at = direction.place(segment)
+        held = direction.waiting_cost
         data = direction.in_order(at, segment.data)
+        self._waiting += direction.waiting_cost - held
+        if self._waiting > MAX_WAITING:
+            self._make_room("waiting_cost", "too much waits for a segment that is missing")
         if segment.flags & _FIN and direction.taken >= at + len(segment.data):
             direction.ended = True
         for message in self._framed(direction, data):
@@ -234,40 +273,83 @@ class Pcap(Told):
             direction.is_igtl, data, direction.head = looks_like_igtl(direction.head), direction.head, b""
         if not direction.is_igtl:
             return
+        if direction.framer is None:
+            direction.framer = Framer()
+        framer, before = direction.framer, direction.begun
         try:
-            yield from direction.framer.feed(data)
-            yield from direction.framer.received(0)  # raises what the last bytes announced
+            yield from framer.feed(data)
+            yield from framer.received(0)  # raises what the last bytes announced
+            direction.begun = framer.pending + len(framer.buffer())
+            self._begun += direction.begun - before
+            if self._begun > MAX_BEGUN:
+                self._make_room("begun", "too many messages have begun and do not end")
         except MessageTooLarge as error:
+            self._begun -= before
             direction.give_up(str(error))
+
+    def _make_room(self, what: str, why: str) -> None:
+        """Give up the direction that holds most."""
+        directions = [one for connection in self._connections.values() for one in connection.directions.values()]
+        most = max(directions, key=lambda one: int(getattr(one, what)))
+        self._waiting -= most.waiting_cost
+        self._begun -= most.begun
+        most.give_up(f"{why}: given up after {most.taken} bytes")
 
     def _close(self, connection: _Connection, reason: str) -> Iterator[Item]:
         for source, direction in connection.directions.items():
             row = direction.row
             row.declared = direction.end
+            self._waiting -= direction.waiting_cost
+            self._begun -= direction.begun
             if not direction.end:
                 row.why = "nothing was sent"
+            elif direction.given_up:
+                pass  # and the row says why
             elif not direction.is_igtl:
                 row.left_out, row.why = row.declared, "not OpenIGTLink"
             elif direction.waiting:
                 row.why = f"a segment is missing after {direction.taken} bytes"
-            elif direction.framer.pending and not row.why:
+            elif direction.framer and direction.framer.pending and not row.why:
                 row.why = f"ends inside a message, of which {direction.framer.pending} bytes are there"
+            if not direction.is_listed:
+                self._add(row, is_igtl=bool(direction.is_igtl))
             if source in connection.up:
                 yield link_down(self._last_ns, direction.link, connection.facts[source], reason)
+
+    def _add(self, row: Row, *, is_igtl: bool) -> None:
+        """Count a connection that has no row of its own."""
+        if is_igtl not in self._further:
+            kind = "OpenIGTLink" if is_igtl else "not OpenIGTLink"
+            self._further[is_igtl] = Row(
+                f"(further connections, {kind})", 0, unit=BYTES, why=f"more than {MAX_ROWS} rows"
+            )
+            self.rows.append(self._further[is_igtl])
+        into = self._further[is_igtl]
+        into.declared += row.declared
+        into.taken += row.taken
+        into.left_out += row.left_out
 
     # -- packets ------------------------------------------------------------------------------------------------
 
     def _segments(self) -> Iterator[Segment]:
         record = struct.Struct(f"{self._order}4I")
+        number = 0
         while head := self._stream.read(record.size):
+            number += 1
+            if number % _DEADLINE_PACKETS == 0:
+                self._deadline.check(str(self._path))
             if len(head) < record.size:
-                raise DamagedRecording(f"{self._path}: ends inside a packet")
+                raise DamagedRecording(f"{self._path}: cut off inside the header of packet {number}")
             seconds, rest, size, original = record.unpack(head)
             if size > _MAX_PACKET:
-                raise DamagedRecording(f"{self._path}: found a packet of {size} bytes, expected at most {_MAX_PACKET}")
+                raise DamagedRecording(
+                    f"{self._path}: packet {number}: found {size} bytes, expected at most {_MAX_PACKET}"
+                )
             packet = self._stream.read(size)
             if len(packet) < size:
-                raise DamagedRecording(f"{self._path}: ends inside a packet")
+                raise DamagedRecording(
+                    f"{self._path}: cut off inside packet {number}, {size - len(packet)} bytes short"
+                )
             self._cut += size < original
             self._last_ns = seconds * 1_000_000_000 + rest * self._unit_ns
             try:

@@ -2,7 +2,8 @@
 
 The storage files themselves are read, not what ``metadata.yaml`` says of them; its counts and serialization formats
 are what the import is held against.  Channels that are no topics, such as service events, are left out by name, and
-messages with a time that no session can hold are counted.  Parts of a split recording are merged in order of time.
+messages with a time that no session can hold are missing in the account.  Parts of a split recording are merged in
+order of time.
 
 Memory: one message of each part, and one chunk of MCAP files.
 """
@@ -126,8 +127,7 @@ class Rosbag2(Told):
         for time_ns, key, data, source_ns in heapq.merge(*(part.messages() for part in self._parts), key=_time):
             row, payload = self._rows[key], data
             if not 0 <= time_ns < _MAX_NS:
-                row.left_out += 1
-                row.why = "left out: no bytes, or a time that is not between 1970 and 2116"
+                row.why = "some have no bytes, or a time that is not between 1970 and 2116"
                 continue
             if self._metadata.by_message:
                 place = f"{self._path}: {key[0]} at {time_ns} ns"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import random
 import struct
+import time
+import tracemalloc
 from contextlib import closing
 from dataclasses import dataclass, field
 from ipaddress import ip_address
@@ -13,7 +15,7 @@ import pytest
 
 from igtl_gateway.buffers import join
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
-from igtl_gateway.exchange.pcap import Pcap
+from igtl_gateway.exchange.pcap import MAX_OPEN, MAX_ROWS, Pcap
 from igtl_gateway.exchange.source import Item
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Note
@@ -215,7 +217,7 @@ def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
         Pcap(path)
     write(path, Talk().open().say(message("a")).packets)
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(DamagedRecording, match="ends inside a packet"):
+    with pytest.raises(DamagedRecording, match="cut off inside packet 3, 1 bytes short"):
         read(path)
 
 
@@ -235,3 +237,95 @@ def test_the_real_capture_comes_whole(shared_dir: Path) -> None:
         ("CAPABILITY", "Device"): 2,
     }
     assert sum(counts.values()) == len(said(items))
+
+
+def talks(path: Path, talks: list[Talk], order: str = "<") -> Path:
+    """The packets of many connections, one connection after the other."""
+    with path.open("wb") as out:
+        out.write(struct.pack(f"{order}IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 2**32 - 1, 101))  # a giant snap length
+        for talk in talks:
+            for packet in talk.packets:
+                out.write(struct.pack(f"{order}4I", 1000, 0, len(packet), len(packet)) + packet)
+    return path
+
+
+def client(number: int) -> End:
+    return f"10.{1 + number // 50_000}.0.1", 1024 + number % 50_000
+
+
+def test_very_many_connections_are_followed_within_bounds(tmp_path: Path) -> None:
+    scan = [Talk(client(number)).open() for number in range(4_000)]
+    path = talks(tmp_path / "some.pcap", [Talk().open().say(message("first")), *scan])
+    start = time.process_time()
+    tracemalloc.start()
+    with closing(Pcap(path)) as source:
+        items = list(source.items())
+        rows, notes = source.rows, source.notes
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert sum(item.kind is Kind.IGTL_IN for item in items) == 1
+    assert len(rows) < 2 * MAX_ROWS
+    assert notes[0].startswith(f"{4_001 - MAX_OPEN} connections were closed early: at most {MAX_OPEN} are followed")
+    assert all(row.good for row in rows)
+    assert peak < 100 << 20
+    assert time.process_time() - start < 30  # under tracemalloc
+
+
+def test_connections_without_a_row_of_their_own_are_counted(tmp_path: Path) -> None:
+    both = [Talk(client(number)).open().say(message(f"{number}")).close() for number in range(MAX_ROWS)]
+    other = [Talk(client(number)).open().say(b"x" * 100).close() for number in range(MAX_ROWS, MAX_ROWS + 50)]
+    with closing(Pcap(talks(tmp_path / "some.pcap", [*both, *other]))) as source:
+        items = list(source.items())
+        rows = {row.stream: row for row in source.rows}
+    assert sum(item.kind is Kind.IGTL_IN for item in items) == MAX_ROWS
+    igtl, rest = rows["(further connections, OpenIGTLink)"], rows["(further connections, not OpenIGTLink)"]
+    assert igtl.declared == igtl.taken > 0
+    assert (rest.declared, rest.left_out) == (5000, 5000)
+    own = sum(row.taken for row in rows.values() if " to " in row.stream)
+    assert own + igtl.taken == sum(len(message(f"{number}")) for number in range(MAX_ROWS))
+
+
+def test_gaps_without_end_cost_the_direction_that_holds_most(tmp_path: Path) -> None:
+    good, greedy = Talk().open(), Talk(client(1)).open()
+    greedy.client_seq += 1  # a byte that never comes
+    for _ in range(60_000):
+        greedy.say(b"x")
+        greedy.client_seq += 1  # and another
+    greedy.say(bytes(40 << 20), piece=60_000)
+    good.client_seq += 5
+    good.say(message("late")[5:])
+    good.client_seq -= len(message("late"))
+    good.say(message("late")[:5])
+    half = len(good.packets) // 2 + 1
+    first, last = Talk(packets=good.packets[:half]), Talk(packets=good.packets[half:])
+    start = time.process_time()
+    with closing(Pcap(talks(tmp_path / "some.pcap", [first, greedy, last]))) as source:
+        items = list(source.items())
+        rows = {row.stream: row for row in source.rows}
+    assert [bytes(item.payload) for item in items if item.kind is Kind.IGTL_IN] == [message("late")]
+    row = next(row for name, row in rows.items() if name.startswith(f"{client(1)[0]}:{client(1)[1]}"))
+    assert row.why == "too much waits for a segment that is missing: given up after 0 bytes"
+    assert not row.good
+    assert time.process_time() - start < 20
+
+
+def test_messages_that_begin_and_never_end_are_bounded(tmp_path: Path) -> None:
+    head = bytearray(message("x")[:58])
+    head[42:50] = struct.pack(">Q", 200 << 20)
+    begun = [Talk(client(number)).open().say(bytes(head)) for number in range(100)]
+    with closing(Pcap(talks(tmp_path / "some.pcap", begun))) as source:
+        assert [item.kind for item in source.items() if item.kind is Kind.IGTL_IN] == []
+        given_up = [row for row in source.rows if row.why.startswith("too many messages have begun")]
+    assert 50 < len(given_up) < 100
+
+
+def test_streams_without_a_row_of_their_own_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("igtl_gateway.exchange.capture.MAX_STREAMS", 3)
+    talk = Talk().open()
+    for name in ("A", "B", "C", "D", "E", "A"):
+        talk.say(join(encode(Message("STRING", name, String.of("x")))))
+    with closing(Pcap(talks(tmp_path / "some.pcap", [talk]))) as source:
+        list(source.items())
+        counts = {row.stream: row.taken for row in source.rows}
+    assert {name: counts[name] for name in ("A", "B", "C")} == {"A": 2, "B": 1, "C": 1}
+    assert counts["(further streams)"] == 2
