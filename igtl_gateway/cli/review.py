@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import csv
 import math
+import shutil
+import textwrap
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, fields
@@ -49,6 +51,7 @@ _THRESHOLDS = {
 _COLOURS = {Level.OK: "32", Level.LOOK: "33", Level.WRONG: "1;31"}
 _MARKS = {Level.OK: " ", Level.LOOK: "?", Level.WRONG: "!"}
 _NS_PER_S = 1e9
+_NARROW = 30  #: letters that a line of reasons has at least
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -273,6 +276,7 @@ def _print_plan(plan: PlanReview, colour: bool, with_tool: bool) -> None:
         if column and title:
             over += title if len(title) > wide else title.rjust(wide)
     say(f"    {over}".rstrip())
+    room = shutil.get_terminal_size().columns - widths[0] - 6 if is_terminal() else 0
     for number, row in enumerate(table[1:]):
         cells = [cell(row[0], widths[0]), *(text.rjust(wide) for text, wide in zip(row[1:], widths[1:], strict=True))]
         line = "  ".join(cells).rstrip()
@@ -283,7 +287,13 @@ def _print_plan(plan: PlanReview, colour: bool, with_tool: bool) -> None:
         painted = colour and stitch.level is not Level.OK
         say(f"  {_MARKS[stitch.level]} {line}", colour=_COLOURS[stitch.level] if painted else "")
         for reason in stitch.reasons:
-            say(f"    {' ' * widths[0]}  {reason}")
+            for part in _wrapped(reason, room):
+                say(f"    {' ' * widths[0]}  {part}")
+
+
+def _wrapped(text: str, room: int) -> list[str]:
+    """``text`` in lines of ``room`` letters; 0: in one."""
+    return textwrap.wrap(text, max(room, _NARROW)) if room else [text]
 
 
 def _row(stitch: StitchReview, with_tool: bool) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from igtl_gateway.view.seen import (
     RATES,
     REVIEW_CLOUD,
     REVIEW_DISTANCE,
+    REVIEW_LEGENDS,
     REVIEW_STITCHES,
     REVIEW_TABLE,
     Seen,
@@ -117,8 +118,14 @@ def _spaces(seen: Seen) -> list[Part]:
     views: list[Part] = []
     for root, tree in seen.trees().items():
         contents = [entity for shown in tree for entity in _solids(shown)]
+        scales = [shown.scale for shown in tree if shown.scale]
         views.append(
-            _space(seen, f"Space of {root}", tree, [*contents, *(f"+ /{path}" for path in seen.frames_of(root))])
+            _space(
+                seen,
+                ", ".join([f"Space of {root} (m)", *scales]),
+                tree,
+                [*contents, *(f"+ /{path}" for path in seen.frames_of(root))],
+            )
         )
     return views
 
@@ -146,8 +153,13 @@ def _noise(seen: Seen) -> list[Part]:
         return []
     plan = [shown for shown in seen.of(What.LINES) if shown.frame == clouds[0].frame]
     return [
-        _space(seen, name, plan or clouds, [f"+ /{cloud}", f"+ /{REVIEW_STITCHES}/**"])
-        for name, cloud in (("Depth noise", REVIEW_CLOUD), ("Distance to the plan", REVIEW_DISTANCE))
+        _space(
+            seen,
+            seen.scales.get(cloud, cloud),
+            plan or clouds,
+            [f"+ /{cloud}", f"+ /{REVIEW_STITCHES}/**", f"+ /{REVIEW_LEGENDS[cloud]}/**"],
+        )
+        for cloud in (REVIEW_CLOUD, REVIEW_DISTANCE)
     ]
 
 

@@ -13,6 +13,7 @@ from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, PointCloud2, PointSt
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.view import colours
 from igtl_gateway.view.canvas import Canvas
+from igtl_gateway.view.legend import scale_bar, scale_text
 from igtl_gateway.view.seen import What
 
 Array = npt.NDArray[Any]
@@ -25,6 +26,9 @@ _FEW = 200
 _READABLE = 12
 #: Names of fields that colour a cloud which has no colour, in order.
 _SCALARS = ("intensity", "intensities", "i", "noise", "confidence", "curvature", "scalar")
+#: Units of fields that ROS defines; of others nothing is known.
+_UNITS = dict.fromkeys(_XYZ, "m")
+_LEGEND = ("legend", "legend/numbers")
 #: Drawn radius of single points without a size, in metres.
 POINT_M = 0.0008
 
@@ -44,6 +48,12 @@ def draw_cloud(message: PointCloud2, canvas: Canvas) -> None:
     words = _words(fields, canvas)
     canvas.shown.coloured = words is not None
     canvas.box(places)
+    if canvas.shown.scale and not canvas.memory.get("legend") and canvas.shown.low and canvas.shown.high:
+        name, (low, high) = next(iter(canvas.memory["scales"].items()))
+        box = canvas.shown.low, canvas.shown.high
+        for child, part in zip(_LEGEND, scale_bar(name, low, high, _UNITS.get(name, ""), box), strict=True):
+            canvas.log(part, child=child, frame=frame)
+        canvas.memory["legend"] = True
     few = len(places) <= _FEW
     if few:
         canvas.what(What.POINTS)
@@ -141,7 +151,8 @@ def _scaled(name: str, values: Array, canvas: Canvas) -> Array:
     scales = canvas.memory.setdefault("scales", {})
     if name not in scales and len(values):
         scales[name] = low, high = colours.span(values)
-        canvas.text(f"coloured by {name}, blue {low:.4g} … red {high:.4g}")
+        canvas.shown.scale = scale_text(name, low, high, _UNITS.get(name, ""))
+        canvas.text(f"coloured by {canvas.shown.scale}")
     return colours.scale(values, *scales.get(name, (0.0, 1.0)))
 
 

@@ -9,8 +9,9 @@ import rerun as rr
 from igtl_gateway.review import Level, PlanReview, Review, StitchReview
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.view import colours
+from igtl_gateway.view.legend import scale_bar
 from igtl_gateway.view.pen import Pen
-from igtl_gateway.view.seen import REVIEW_CLOUD, REVIEW_DISTANCE, REVIEW_STITCHES, REVIEW_TABLE
+from igtl_gateway.view.seen import REVIEW_CLOUD, REVIEW_DISTANCE, REVIEW_LEGENDS, REVIEW_STITCHES, REVIEW_TABLE
 
 _COLOURS = {Level.OK: 0x66BB6AFF, Level.LOOK: 0xFFB300FF, Level.WRONG: 0xFF1744FF}
 #: Of the same, lighter: letters that can be read on a cloud.
@@ -24,8 +25,8 @@ _RED = 2.0
 _FAR_MM = 20.0
 
 
-def draw_review(review: Review, pen: Pen) -> None:
-    """Static cloud; stitches and table at the time of each version of the plan."""
+def draw_review(review: Review, pen: Pen) -> dict[str, str]:
+    """Static cloud; stitches and table at the time of each version of the plan.  Clouds → what their colours mean."""
     cloud = review.cloud
     red_mm = review.thresholds.noise_mm * _RED
     points = rr.Points3D(
@@ -36,6 +37,11 @@ def draw_review(review: Review, pen: Pen) -> None:
     pen.static(REVIEW_CLOUD, rr.CoordinateFrame(cloud.frame_id), points)
     for path in (REVIEW_STITCHES, REVIEW_DISTANCE, _NAMES):
         pen.static(path, rr.CoordinateFrame(cloud.frame_id))
+    scales = {
+        REVIEW_CLOUD: ("Depth noise", 0.0, red_mm, "mm"),
+        REVIEW_DISTANCE: ("Distance to plan", 0.0, _FAR_MM, "mm"),
+    }
+    _draw_legends(cloud.frame_id, review, scales, pen)
     for number, plan in enumerate(review.plans, 1):
         pen.at(Entry(0, plan.stamp_ns, Kind.NOTE, source_ns=plan.source_ns))
         pen.log(REVIEW_STITCHES, _stitches(plan))
@@ -44,6 +50,18 @@ def draw_review(review: Review, pen: Pen) -> None:
         pen.log(
             REVIEW_TABLE, rr.TextDocument(pen.letters(_table(review, plan, number, red_mm)), media_type="text/markdown")
         )
+    return {cloud: f"{name} {low:g} … {high:g} {unit}" for cloud, (name, low, high, unit) in scales.items()}
+
+
+def _draw_legends(frame: str, review: Review, scales: dict[str, tuple[str, float, float, str]], pen: Pen) -> None:
+    """A bar of each scale, below what the stitches lie in: that is what their view shows."""
+    stitches = [end.position for stitch in review.last.stitches for end in (stitch.entry, stitch.exit)]
+    if not stitches:
+        return
+    low, high = np.min(stitches, axis=0), np.max(stitches, axis=0)
+    for cloud, scale in scales.items():
+        for place, part in zip(("", "/numbers"), scale_bar(*scale, (low, high)), strict=True):
+            pen.static(f"{REVIEW_LEGENDS[cloud]}{place}", rr.CoordinateFrame(frame), part)
 
 
 def _by_distance(positions: npt.NDArray[np.float32], plan: PlanReview) -> rr.Points3D:
@@ -93,13 +111,20 @@ def _label(stitch: StitchReview) -> str:
 
 
 def _table(review: Review, plan: PlanReview, number: int, red_mm: float) -> str:
-    """The stitches for a surgeon, the worst first: millimetres."""
+    """The stitches for a surgeon, the worst first; why one is not good stands above the table, where lines wrap."""
     lines = [
         f"**Plan {number} of {len(review.plans)}**, {plan.topic}: {len(plan.wrong)} of {len(plan.stitches)} stitches "
         "are wrong.",
         "",
-        "| stitch | judged | entry off tissue | exit off tissue | depth noise | spacing | bite | why |",
-        "|---|---|---|---|---|---|---|---|",
+        *(
+            f"- **{stitch.label}** {stitch.level.value}: {'; '.join(stitch.reasons)}"
+            for stitch in sorted(plan.stitches, key=lambda each: -each.level.rank)
+            if stitch.reasons
+        ),
+        "",
+        "| stitch | judged | entry off tissue (mm) | exit off tissue (mm) | depth noise (mm) | spacing (mm) "
+        "| bite length (mm) |",
+        "|---|---|---|---|---|---|---|",
     ]
     for stitch in sorted(plan.stitches, key=lambda each: -each.level.rank):
         ends = (stitch.entry, stitch.exit)
@@ -110,7 +135,6 @@ def _table(review: Review, plan: PlanReview, number: int, red_mm: float) -> str:
             _MARKS[stitch.level],
             *(_mm(end.distance_mm, sign=True) for end in ends),
             *(_mm(noise), _mm(spacing), _mm(stitch.bite_length_mm)),
-            "; ".join(stitch.reasons),
         ]
         lines.append(f"| {' | '.join(cells)} |")
     lines += [

@@ -22,13 +22,15 @@ from igtl_gateway.wire.ndarray import NDARRAY_SCALARS
 #: So many numbers are curves; more of them are bars.
 _CURVES = 16
 _WRENCH = (*(f"force {axis} (N)" for axis in "xyz"), *(f"torque {axis} (Nm)" for axis in "xyz"))
-_JOINTS = ("position", "velocity", "effort")
+#: Units of joints that turn, and of those that slide: which one is which the message does not say.
+_JOINTS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "Nm or N"}
 
 
 def draw_joints(message: JointState, canvas: Canvas) -> None:
     """sensor_msgs/JointState: positions at the topic's path, velocities and efforts below it."""
-    for what, values in zip(_JOINTS, (message.position, message.velocity, message.effort), strict=True):
-        _curves(canvas, values.tolist(), message.name, "" if what == "position" else what)
+    for (what, unit), values in zip(_JOINTS.items(), (message.position, message.velocity, message.effort), strict=True):
+        names = [f"{name} ({unit})" for name in message.name]
+        _curves(canvas, values.tolist(), names, "" if what == "position" else what)
 
 
 def draw_sensor(message: Sensor, canvas: Canvas) -> None:

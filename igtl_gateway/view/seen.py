@@ -20,6 +20,7 @@ PLACES = "places"
 REVIEW = "review"
 REVIEW_CLOUD, REVIEW_STITCHES, REVIEW_TABLE = f"{REVIEW}/cloud", f"{REVIEW}/stitches", f"{REVIEW}/table"
 REVIEW_DISTANCE = f"{REVIEW}/distance"
+REVIEW_LEGENDS = {REVIEW_CLOUD: f"{REVIEW}/legends/noise", REVIEW_DISTANCE: f"{REVIEW}/legends/distance"}
 
 
 class What(Enum):
@@ -69,6 +70,7 @@ class Shown:
         first_ns, last_ns: gateway time of the first and the last message, UTC ns.
         width, height: of pictures in pixels; 0 for others.
         coloured: whether a cloud has colours of its own.
+        scale: of a cloud that is coloured by numbers: of which, and from blue to red with the unit.
         low, high: corners of the box around most of what was drawn (of a cloud without its outliers), metres in
             ``frame``; None while there is none.  The eye of a 3-D view is set by it.
         right, up: directions to the right and to the top of a picture with a place, in ``frame``; None for others.
@@ -86,6 +88,7 @@ class Shown:
     width: int = 0
     height: int = 0
     coloured: bool = False
+    scale: str = ""
     low: tuple[float, float, float] | None = None
     high: tuple[float, float, float] | None = None
     right: tuple[float, float, float] | None = None
@@ -113,6 +116,7 @@ class Seen:
         places: child frame → its place in the parent frame, last told: x, y, z in metres, quaternion x, y, z, w.
         first_ns, last_ns: gateway time of the first and last entry, UTC ns; 0 = none.
         reviewed: whether a review of the suture plan was drawn.
+        scales: clouds of the review → what their colours mean.
         fields: names of the fields that clouds had, to colour by.
         frames: child frame → its entity, ``frames/<frame id>``.
     """
@@ -124,6 +128,7 @@ class Seen:
     first_ns: int = 0
     last_ns: int = 0
     reviewed: bool = False
+    scales: dict[str, str] = field(default_factory=dict)
     fields: set[str] = field(default_factory=set)
     frames: dict[str, str] = field(default_factory=dict)
 

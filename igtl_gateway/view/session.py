@@ -155,7 +155,7 @@ class SessionView:
     def review(self, review: Review) -> None:
         """Draw the review of a suture plan."""
         self.seen.reviewed = True
-        draw_review(review, self._pen)
+        self.seen.scales = draw_review(review, self._pen)
 
     # Messages
 

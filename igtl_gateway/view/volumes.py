@@ -12,6 +12,7 @@ from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.colours import span
+from igtl_gateway.view.legend import box_sides, picture_sides
 from igtl_gateway.view.pictures2d import grey, image
 from igtl_gateway.view.seen import What
 from igtl_gateway.wire.image import SCALARS
@@ -47,8 +48,13 @@ def draw_volume(message: Volume, canvas: Canvas) -> None:
     canvas.log(rr.Tensor(voxels[..., 0] if voxels.shape[3] == 1 else voxels, dim_names=_dimensions(voxels)))
     window = None if voxels.shape[3] in _COLOUR else span(_sample(voxels))
     middle = len(voxels) // 2
-    upright = voxels[middle][:: _turn(message, 1), :: _turn(message, 0)]
-    canvas.log(_picture(square(upright, message.spacing[0], message.spacing[1])), child="slice")
+    across, down = _turn(message, 0), _turn(message, 1)
+    upright = square(voxels[middle][::down, ::across], message.spacing[0], message.spacing[1])
+    canvas.log(_picture(upright), child="slice")
+    directions = np.array(message.direction).reshape(3, 3)
+    height, width = upright.shape[:2]
+    canvas.log(picture_sides(width, height, across * directions[0], down * directions[1]), child="slice/sides")
+    canvas.log(box_sides(corners, directions), child="plane/sides", frame=frame)
     for axis in range(3):
         plane = _plane(message, voxels, axis, message.size[axis] // 2, window, air=True)
         canvas.log(plane, child=f"plane/{_NAMES[axis]}", frame=frame)

@@ -91,12 +91,24 @@ def test_each_version_of_the_plan_has_its_stitches_at_its_time(drawn: Drawn) -> 
 
 def test_the_table_is_in_millimetres_and_begins_with_the_worst(drawn: Drawn) -> None:
     first, last = (row["TextDocument:text"][0] for row in drawn.rows("review/table"))
-    rows = [line for line in first.splitlines() if line.startswith("| ")][1:]
-    assert rows[0] == "| 2 | **wrong** | +0.10 | -2.40 | 0.30 | 3.00 | 7.00 | exit 2.4 mm under tissue |"
+    titles, *rows = [line for line in first.splitlines() if line.startswith("| ")]
+    assert titles.count("(mm)") == 5
+    assert rows[0] == "| 2 | **wrong** | +0.10 | -2.40 | 0.30 | 3.00 | 7.00 |"
+    assert "- **2** wrong: exit 2.4 mm under tissue" in first.splitlines()  # a line of its own, which wraps
     assert rows[1].startswith("| 1 | ok |")
     assert "1 of 2 stitches are wrong" in first
     assert "0 of 2 stitches are wrong" in last
     assert "the tool is not known" in first
+
+
+def test_the_colours_of_both_clouds_have_a_legend_in_millimetres(drawn: Drawn) -> None:
+    for name, ends in (
+        ("noise", ["Depth noise 0 mm", "0.4 mm", "0.8 mm"]),
+        ("distance", ["Distance to plan 0 mm", "10 mm", "20 mm"]),
+    ):
+        assert drawn.static(f"review/legends/{name}/numbers")["LineStrips3D:labels"] == ends
+        assert len(drawn.static(f"review/legends/{name}")["LineStrips3D:strips"]) == 32
+    assert set(drawn.view.seen.scales.values()) == {"Depth noise 0 … 0.8 mm", "Distance to plan 0 … 20 mm"}
 
 
 def test_it_is_said_that_there_is_a_review(drawn: Drawn) -> None:

@@ -23,7 +23,7 @@ def test_joints_are_curves_with_their_names(draw: Draw) -> None:
     drawn = draw(said, said)
     assert [row["Scalars:scalars"] for row in drawn.rows("topic")] == [[0.1, 0.2]] * 2
     assert drawn.rows("topic/velocity")[0]["Scalars:scalars"] == [1.0, 2.0]
-    assert drawn.static("topic")["SeriesLines:names"] == ["a1", "a2"]
+    assert drawn.static("topic")["SeriesLines:names"] == ["a1 (rad or m)", "a2 (rad or m)"]
     assert drawn.count("topic/effort") == 0
 
 
