@@ -49,6 +49,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 LONGEST = (
     "integration/test_soak.py",
     "integration/test_live_faults.py",
+    "exchange/test_targets.py",
     "replay/test_salvage.py",
     "test_gateway_fuzz.py",
     "wire/test_bodies.py",

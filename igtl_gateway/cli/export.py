@@ -51,7 +51,8 @@ def run(options: argparse.Namespace) -> int:
             raise GatewayError(f"cannot write to {options.out}: {error.strerror or error}") from None
     written = sum(row.taken for row in account.rows)
     if not written:
-        why = "".join(f"\n  {row.stream}: {row.why}" for row in account.rows if row.why)
+        reasons = [f"{row.stream}: {row.why}" for row in account.rows if row.why]
+        why = f" ({_some(reasons, 3, '; ')})" if reasons else ""
         raise GatewayError(
             f"{options.file}: nothing in it goes to {options.to}: see `igtl-gateway info`, and --streams{why}"
         )
@@ -78,9 +79,15 @@ def _print(account: Account, options: argparse.Namespace) -> None:
         say(f"{mark} {cell(row.stream, streams)}  {cell(row.type, kinds)} {numbers}  {why}".rstrip())
     if account.others:
         others = count(sum(account.others.values()), "message")
-        say(f"note: {others} of other types are not for {options.to}: {', '.join(sorted(account.others))}")
+        say(f"note: {others} of other types are not for {options.to}: {_some(sorted(account.others), 20)}")
     for note in account.notes:
         say(f"note: {note}")
+
+
+def _some(texts: list[str], most: int, separator: str = ", ") -> str:
+    """The first of some texts, and how many more there are."""
+    more = [f"{len(texts) - most:,} more"] if len(texts) > most else []
+    return separator.join([*texts[:most], *more])
 
 
 def _as_json(row: Exported) -> dict[str, Any]:

@@ -24,6 +24,8 @@ from igtl_gateway.untrusted import limits
 
 Cells = dict[str, Any]
 
+#: Columns of every table; a field of such a name gets an underscore.
+HEAD = ("entry", "time_ns", "source_ns", "item")
 #: Longer rows of numbers are no columns.
 MAX_NUMBERS = 64
 #: Columns of one table.
@@ -130,27 +132,47 @@ _UNITS: dict[str, dict[str, str]] = {
 }
 
 
-def of_message(store: Typestore, value: Any, unit: str = "") -> Any:
+def of_message(store: Typestore, value: Any) -> Any:
     """A message of rosbags' as a dict of its fields with their units; constants are left out."""
-    ros_type = getattr(value, "__msgtype__", "")
-    if not ros_type:
-        return [of_message(store, one, unit) for one in value] if isinstance(value, list) else value
-    package, _, name = ros_type.partition("/msg/")
-    own = _UNITS.get(f"{package}/{name}", {})
-    inherited = unit or _INHERIT[name] if package == "geometry_msgs" and name in _INHERIT else ""
-    named: dict[str, Any] = {}
-    for field, _ in store.fielddefs[ros_type][1]:
-        inner = getattr(value, normalize_fieldname(field))
-        if getattr(inner, "__msgtype__", "") in _TIMES:
-            named[f"{field}_ns"] = inner.sec * NS_PER_S + inner.nanosec
-            continue
-        of_field = own.get(field, inherited)
-        is_message = hasattr(inner, "__msgtype__") or (
-            isinstance(inner, list) and bool(inner) and hasattr(inner[0], "__msgtype__")
-        )
-        key = field if is_message or not of_field else f"{field}_{of_field}"
-        named[key] = of_message(store, inner, of_field)
-    return named
+    return _Namer(store).named(value, "")
+
+
+class _Namer:
+    """Names the fields of one message; what holds for a type is found out once."""
+
+    def __init__(self, store: Typestore) -> None:
+        self._store = store
+        self._plans: dict[tuple[str, str], list[tuple[str, str, str]]] = {}
+
+    def named(self, value: Any, unit: str) -> Any:
+        ros_type = getattr(value, "__msgtype__", "")
+        if not ros_type:
+            return [self.named(one, unit) for one in value] if isinstance(value, list) else value
+        named: dict[str, Any] = {}
+        for field, attribute, of_field in self._plan(ros_type, unit):
+            inner = getattr(value, attribute)
+            if isinstance(inner, float | int | str):
+                named[f"{field}_{of_field}" if of_field else field] = inner
+            elif getattr(inner, "__msgtype__", "") in _TIMES:
+                named[f"{field}_ns"] = inner.sec * NS_PER_S + inner.nanosec
+            else:
+                one = inner[0] if isinstance(inner, list) and inner else inner
+                is_message = hasattr(one, "__msgtype__")
+                key = field if is_message or not of_field else f"{field}_{of_field}"
+                named[key] = self.named(inner, of_field)
+        return named
+
+    def _plan(self, ros_type: str, unit: str) -> list[tuple[str, str, str]]:
+        """Field, attribute of rosbags' class, and unit of each field of a type inside a field of some unit."""
+        if (ros_type, unit) not in self._plans:
+            package, _, name = ros_type.partition("/msg/")
+            own = _UNITS.get(f"{package}/{name}", {})
+            inherited = unit or _INHERIT[name] if package == "geometry_msgs" and name in _INHERIT else ""
+            self._plans[ros_type, unit] = [
+                (field, normalize_fieldname(field), own.get(field, inherited))
+                for field, _ in self._store.fielddefs[ros_type][1]
+            ]
+        return self._plans[ros_type, unit]
 
 
 def _nanoseconds(value: Mapping[str, int]) -> int:
@@ -206,7 +228,11 @@ def _cells(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     match value:
         case dict():
             for key, inner in value.items():
-                yield from _cells(f"{name}.{key}" if name else key, inner)
+                place = f"{name}.{key}" if name else f"{key}_" if key in HEAD else key
+                if isinstance(inner, float | int | str):
+                    yield place, inner
+                else:
+                    yield from _cells(place, inner)
         case list() | tuple():
             _check_length(name, len(value), "values")
             for index, inner in enumerate(value):

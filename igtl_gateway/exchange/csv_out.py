@@ -2,8 +2,8 @@
 
 Columns: ``entry`` (its number in the session), ``time_ns`` (gateway, UTC), ``source_ns`` (the sender's stamp, empty if
 unset), ``item`` (place in the list, where there is one), then the fields of the message; ``exchange/columns.py`` says
-how they and their units are named.  Numbers are as in the message: those of OpenIGTLink in
-millimetres.  Images, surfaces and other long rows of numbers are left out: they do not fit a table.
+how they and their units are named.  Numbers are as in the message: those of OpenIGTLink in millimetres.  Images,
+surfaces and other long rows of numbers are left out: they do not fit a table.
 
 A file has the columns of all its messages: where a later message brings a new one, the file is written anew in the end.
 Text is kept as it came.  A spreadsheet takes cells that begin with ``=``, ``+``, ``-`` or ``@`` for formulas, so the
@@ -18,17 +18,15 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 from igtl_gateway.exchange.account import Account
-from igtl_gateway.exchange.columns import MAX_COLUMNS, Cells, TooLong, listed, of_description, of_message
+from igtl_gateway.exchange.columns import HEAD, MAX_COLUMNS, Cells, TooLong, listed, of_description, of_message
 from igtl_gateway.exchange.folder import Folder, Names, new_folder, reason
 from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.untrusted.decoding import Decoder
 from igtl_gateway.wire import decode
 
-_HEAD = ("entry", "time_ns", "source_ns")
 #: Files that are open at once; a session has some dozens of streams.
 _MAX_FILES = 500
 #: Larger messages are not taken apart: each element of a list costs some hundred bytes of memory.
@@ -86,7 +84,7 @@ class _Table:
 
     def __init__(self, lines: list[Cells]) -> None:
         self.formulas = 0
-        self._columns = dict.fromkeys((*_HEAD, *(lines[0] if lines else ())))
+        self._columns = dict.fromkeys((*HEAD[:3], *(lines[0] if lines else ())))
         self._head_columns = len(self._columns)
 
     def open(self, folder: Folder, name: str) -> io.TextIOWrapper:
@@ -114,11 +112,10 @@ class _Table:
         head = {"entry": entry.seq, "time_ns": entry.stamp_ns, "source_ns": entry.source_ns or ""}
         for line in lines:
             cells = head | line
-            self._writer.writerow([self._cell(cells.get(name, "")) for name in columns])
+            row = [cells.get(name, "") for name in columns]
+            self._writer.writerow([self._text(cell) if isinstance(cell, str) else cell for cell in row])
 
-    def _cell(self, value: Any) -> Any:
-        if not isinstance(value, str):
-            return value
+    def _text(self, value: str) -> str:
         self.formulas += value.startswith(_FORMULA)
         return _UNWRITABLE.sub("\ufffd", value)
 

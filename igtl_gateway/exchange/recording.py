@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from hashlib import blake2b
 from typing import Protocol
 
 from igtl_gateway.errors import WireError
@@ -110,30 +111,28 @@ class _Forms:
 
     def __init__(self) -> None:
         self._first: dict[str, Entry] = {}
-        self._forms: dict[str, list[tuple[int, int, bytes]]] = {}
+        self._versions: dict[tuple[str, int, bytes], set[int]] = {}
 
     def repeat(self, entry: Entry) -> bool:
         """Whether a message with this device, stamp and content went out before in the other header version."""
         first = self._first.setdefault(entry.channel, entry)
         if first is entry:
-            return False
-        forms = self._forms.setdefault(entry.channel, [_form(first)])
-        version, ticks, content = form = _form(entry)
-        known = any(of != version and (at, told) == (ticks, content) for of, at, told in forms)
-        if not known:
-            forms.append(form)
-        return known
+            return False  # what most inputs cause is one message: nothing to compare
+        self._note(first)
+        return len(self._note(entry)) > 1
 
-
-def _form(entry: Entry) -> tuple[int, int, bytes]:
-    """Header version, stamp and content of an OpenIGTLink message; a damaged one equals no other."""
-    data = memoryview(entry.data())
-    try:
-        header, body = Header.unpack(data), data[HEADER_SIZE:]
-        content = Extended.unpack(body).split(body)[0] if header.version > 1 else body
-    except WireError:
-        return 0, entry.seq, bytes(data)
-    return header.version, header.ticks, bytes(content)
+    def _note(self, entry: Entry) -> set[int]:
+        """The header versions in which this message went out so far."""
+        data = memoryview(entry.data())
+        try:
+            header, body = Header.unpack(data), data[HEADER_SIZE:]
+            content = Extended.unpack(body).split(body)[0] if header.version > 1 else body
+        except WireError:
+            return set()  # a damaged message is no form of another
+        key = entry.channel, header.ticks, blake2b(content).digest()
+        versions = self._versions.setdefault(key, set())
+        versions.add(header.version)
+        return versions
 
 
 def fits(channel: str, kind: Kind, globs: Sequence[str]) -> bool:

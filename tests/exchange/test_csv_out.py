@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from igtl_gateway.buffers import join
@@ -204,3 +206,18 @@ def test_what_cannot_be_decoded_is_counted_with_its_reason(tmp_path: Path) -> No
     assert (row.declared, row.taken, row.left_out, row.failed) == (5, 1, 4, 4)
     assert "cannot be decoded" in row.why
     assert not row.good
+
+
+def test_a_field_does_not_take_the_place_of_the_entry(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("a/msg/T", "ros2msg", b"uint32 entry\nuint32 item\nuint32 time_ns")
+        channel = writer.register_channel("/t", "cdr", schema)
+        writer.add_message(channel, 5, b"\0\1\0\0" + struct.pack("<III", 7, 8, 9), 5)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with SessionFile.open(path) as file:
+        export_to("csv", file, tmp_path / "out", ())
+    (made,) = (tmp_path / "out").iterdir()
+    assert made.read_text().splitlines() == ["entry,time_ns,source_ns,entry_,item_,time_ns_", "1,5,,7,8,9"]
