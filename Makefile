@@ -4,7 +4,7 @@ READY := .venv/.ready
 # For the tests, on two cores: some of them only wait.
 WORKERS := 3
 
-.PHONY: help demo test check static peers pictures clean
+.PHONY: help demo test check static peers pictures fixtures clean
 .DEFAULT_GOAL := help
 
 help:
@@ -12,6 +12,7 @@ help:
 	@echo "make test        all tests, after the checks of 'make check': the gate for every change"
 	@echo "make check       format, lint, types, pins, generated documents, architecture"
 	@echo "make pictures    the pictures in docs/pictures anew, from the recordings in fixtures/"
+	@echo "make fixtures    the recordings in fixtures/ anew, by the commands of fixtures/README.md"
 	@echo "make clean       remove what make has made, .venv too"
 	@echo
 	@echo "The first run installs what is missing (a few minutes); PYTHON=... chooses the interpreter."
@@ -40,6 +41,9 @@ peers:
 pictures: $(READY)
 	@tools/setup.sh pictures
 	@$(BIN)/python tools/pictures.py
+
+fixtures: $(READY)
+	@$(BIN)/python -m tools.fixtures
 
 $(READY): pyproject.toml constraints.txt igtl_gateway/__init__.py hatch_build.py igtl_gateway/convert/_express.c
 	@tools/setup.sh venv

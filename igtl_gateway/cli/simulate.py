@@ -14,6 +14,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway import Gateway
 from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.session.content import ContentDigest
 from igtl_gateway.simulate.catalogue import SCENARIOS
 from igtl_gateway.simulate.load import SENDERS, SIZES, Load
 from igtl_gateway.simulate.scenario import SYNTHETIC, Scenario
@@ -24,7 +25,7 @@ EXAMPLES = f"""\
   igtl-gateway simulate acquisition                   live: a bridge, a ROS 2 node and an OpenIGTLink client
   igtl-gateway simulate acquisition --record a.mcap   and keep what the bridge recorded
   igtl-gateway simulate star --view                   and be seen in rerun's window as it happens
-  igtl-gateway simulate acquisition --out a.mcap      offline: no ROS, no network, always the same bytes
+  igtl-gateway simulate acquisition --out a.mcap      offline: no ROS, no network, always the same content
   igtl-gateway simulate test-server --type IMAGE --size 640 --rate 30 --count 300
   igtl-gateway simulate test-node --side ros          the ROS node alone, for a bridge of yours
   igtl-gateway simulate test-server --side igtl --connect 127.0.0.1:18944
@@ -131,10 +132,11 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
         compression="zstd",
         overwrite=options.overwrite,
     )
-    entries = 0
+    entries, content = 0, ContentDigest()
     try:
         for entry in scenario.entries(options.duration, gateway, cast):
             writer.write(entry)
+            content.update(entry)
             entries += 1
         writer.close({"streams": gateway.ledger.to_dict()})
     except BaseException:  # half a story (Ctrl-C, a full disk) is none: it can be told again
@@ -143,7 +145,8 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
         raise
     reports = {actor.name: (actor.done, actor.report()) for actor in cast}
     good = all(done and report.good for done, report in reports.values())
-    told = {"file": str(options.out), "entries": entries, "bytes": options.out.stat().st_size, "good": good}
+    length, sha256 = options.out.stat().st_size, content.hexdigest()
+    told = {"file": str(options.out), "entries": entries, "bytes": length, "sha256": sha256, "good": good}
     if options.json:
         actors = {name: stage.report_facts(done, report) for name, (done, report) in reports.items()}
         print_json(told | ({"actors": actors} if actors else {}))
@@ -151,12 +154,12 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
         say(scenario.title)
         for name, (done, report) in reports.items():
             say(*stage.report_lines(name, "", done, report))
-        say(f"{options.out}: {count(entries, 'entry', 'entries')}, {size(told['bytes'])}")
+        say(f"{options.out}: {count(entries, 'entry', 'entries')}, {size(length)}", f"sha256 {sha256} of the content")
     return 0 if good else 1
 
 
 def facts(name: str, config: Config) -> dict[str, str]:
-    """What the file says of itself: nothing of this machine or moment, so that equal sessions are equal files."""
+    """What the file says of itself: nothing of this machine or moment, so that equal sessions have equal contents."""
     return {
         "config": json.dumps(config.to_dict(), sort_keys=True),
         "igtl_gateway_version": __version__,

@@ -1,7 +1,7 @@
 """The session file being written: entries in, MCAP out, as ``docs/session-log.md`` says.
 
 Synchronous and single-threaded; the recorder runs it in its own thread, tools use it as it is.  It adds no
-times or chance of its own: the same entries give the same file.
+times or chance of its own: the same entries give the same records, and the same file by the same compressor.
 
 What a whole file depends on is there twice: the session's metadata, and schemas and channels, which are in the first
 chunk that needs them and, on top, between the chunks.  So no one damaged place costs more than itself.

@@ -1,6 +1,6 @@
 """ROS 2 interface packages that no wheel brings: igtl_msgs, tf2_msgs, foxglove_msgs, rosbag2_interfaces.
 
-After ``pip install igtl-gateway[ros]`` any program of that environment may say ``from igtl_msgs.msg import
+After ``pip install "igtl-gateway[ros]"`` any program of that environment may say ``from igtl_msgs.msg import
 TrackingData``.  Strategy:
 
 * ``python/`` holds a stand-in for each package.  A ``.pth`` file puts that folder at the end of ``sys.path``,
