@@ -67,6 +67,8 @@ services, with --to ros, as of `ros2 bag play`: ~/pause ~/resume ~/toggle_paused
 At every rate the same messages go out in the same order; a slow reader slows the replay down, nothing is dropped."""
 
 _FASTER, _SLOWER = 1.1, 0.9
+#: A year: longer than a session, shorter than what a clock of the system cannot wait for.
+_LONGEST_S = 366 * 86_400.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -201,10 +203,10 @@ def _check(options: argparse.Namespace) -> None:
     checked_rate(options.rate)
     if options.wait_peers is not None and options.wait_peers < 0:
         raise ConfigError(f"--wait-peers: found {options.wait_peers}, expected 0 or more")
-    if not 0 <= options.delay < float("inf"):
-        raise ConfigError(f"--delay: found {options.delay}, expected seconds, 0 or more")
-    if options.duration is not None and not 0 < options.duration < float("inf"):
-        raise ConfigError(f"--duration: found {options.duration}, expected seconds, above 0")
+    if not 0 <= options.delay <= _LONGEST_S:
+        raise ConfigError(f"--delay: found {options.delay}, expected seconds, 0 or more, at most {_LONGEST_S:,.0f}")
+    if options.duration is not None and not 0 < options.duration <= _LONGEST_S:
+        raise ConfigError(f"--duration: found {options.duration}, expected seconds, above 0, at most {_LONGEST_S:,.0f}")
     if options.clock is not None:
         period_ns(options.clock)
         if options.to == "igtl":

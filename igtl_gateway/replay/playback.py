@@ -11,12 +11,14 @@ from igtl_gateway.replay.pace import Pace
 
 #: Of a playback without pauses between entries.
 UNLIMITED = None
+#: The highest rate, and one over the lowest: a second becomes 30 years, or a nanosecond.
+_MOST = 1e9
 
 
 def checked_rate(rate: float | None) -> float | None:
     """``rate``, if one can play at it.  Raises ConfigError."""
-    if rate is not UNLIMITED and not 0 < rate < float("inf"):
-        raise ConfigError(f"--rate: found {rate}, expected a number above 0")
+    if rate is not UNLIMITED and not 1 / _MOST <= rate <= _MOST:
+        raise ConfigError(f"--rate: found {rate}, expected a number above 0: {1 / _MOST:g} to {_MOST:g}")
     return rate
 
 

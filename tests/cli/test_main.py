@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from igtl_gateway.cli import VERBS, main
 from igtl_gateway.cli.bridge import _Event, _TextOutput
@@ -55,12 +56,16 @@ def bad_file(kind: str, folder: Path) -> Path:
     """A file that is no sound recording."""
     path = folder / f"{kind}.mcap"
     data = FIXTURE.read_bytes()
+    with FIXTURE.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary
+    chunk = summary.chunk_indexes[0].chunk_start_offset + 1000
     contents = {
         "empty": b"",
         "text": b"this is a text\n" * 50,
         "foreign": b"\x89PNG\r\n\x1a\n" + bytes(500),
         "truncated": data[: len(data) // 2],
-        "flipped": data[:3000] + bytes(byte ^ 0xFF for byte in data[3000:3100]) + data[3100:],
+        "flipped": data[:chunk] + bytes(byte ^ 0xFF for byte in data[chunk : chunk + 100]) + data[chunk + 100 :],
         "short": data[:6],
     }
     if kind == "folder":
