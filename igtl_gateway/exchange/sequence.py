@@ -69,7 +69,7 @@ class Sequence(Told):
                 read = read_nrrd if start == b"NRRD" else read_metaimage
             imported = read(path, stream)
             check_room(imported.raster, files.size_of(imported.raster.data))
-        self._raster = raster = imported.raster
+        self._raster, self._fields = (raster := imported.raster), imported.fields
         self.notes += imported.notes
         tracked = any(fields.keys() - {*_IMAGE_STATUS} for fields in imported.frames.values())
         self._frames = self._numbered(imported)
@@ -110,7 +110,7 @@ class Sequence(Told):
             for name in _transforms_of(fields):
                 row = rows.setdefault(name, Row(name, 0, "TRANSFORM"))
                 row.declared += 1
-                if fields.get(f"{name}TransformStatus", OK) != OK:
+                if _transform_status(fields, name) != OK:
                     row.left_out += 1
                     row.why = "status not OK"
         limits.check("fields", len(rows), f"{self._path}: transforms")
@@ -131,6 +131,10 @@ class Sequence(Told):
             self.notes.append(f"{raster.frames} frames declared, fields of {len(self._frames)} of them")
         if not self._tracked and raster.frames > 1 and not raster.times_s:
             self.notes.append("the frames have no times: they are a nanosecond apart")
+        if (orientation := _turned(self._fields)) and raster.frame_bytes:
+            self.notes.append(
+                f"ultrasound images stay {orientation[:20]}, as in the file; PLUS turns them as it reads them"
+            )
         if raster.dtype in WIDER:
             self.notes.append("whole numbers of 64 bits, which IMAGE does not have, become float64 of the same values")
 
@@ -172,7 +176,7 @@ class Sequence(Told):
         """The TRANSFORMs of a frame; ``invalid`` has the names of those that are not OK by now."""
         ticks = ns_to_ticks(time_ns)
         for name in _transforms_of(fields):
-            device, status = self._devices[name], fields.get(f"{name}TransformStatus", OK)
+            device, status = self._devices[name], _transform_status(fields, name)
             if status == OK:
                 invalid.discard(name)
                 text, place = fields[f"{name}Transform"], f"{self._path}: frame {index}, {name}Transform"
@@ -221,7 +225,20 @@ class Sequence(Told):
 
 
 def _image_status(fields: dict[str, str]) -> str:
-    return next((fields[key] for key in _IMAGE_STATUS if key in fields), OK)
+    return next((fields[key].upper() for key in _IMAGE_STATUS if fields.get(key)), OK)
+
+
+def _transform_status(fields: dict[str, str], name: str) -> str:
+    """As the file has it, in capitals; PLUS reads either case."""
+    return fields.get(f"{name}TransformStatus", OK).upper()
+
+
+def _turned(fields: dict[str, str]) -> str:
+    """The orientation of ultrasound images in the file, where PLUS turns them as it reads them; else ``""``."""
+    values = {key.lower().replace(" ", ""): value.upper() for key, value in fields.items()}
+    orientation = values.get("ultrasoundimageorientation", "XX")
+    kept = ("FM",) if values.get("ultrasoundimagetype", "").startswith("RF") else ("MF", "MFA")
+    return "" if orientation in {"XX", *kept} else orientation
 
 
 def _transforms_of(fields: dict[str, str]) -> list[str]:

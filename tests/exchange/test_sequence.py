@@ -285,6 +285,20 @@ def test_images_that_are_not_ok_are_left_out(tmp_path: Path, key: str) -> None:
     assert not any("not kept" in note for note in told.source.notes)
 
 
+@pytest.mark.parametrize(("orientation", "noted"), [("MF", False), ("mfa", False), ("UN", True), ("FM", True)])
+def test_orientations_that_plus_turns_are_noted(tmp_path: Path, orientation: str, noted: bool) -> None:
+    path = mha(tmp_path / "some.mha")
+    path.write_bytes(path.read_bytes().replace(b"Orientation = MF", b"Orientation = " + orientation.encode()))
+    assert any("as in the file; PLUS turns them" in note for note in read(path).source.notes) == noted
+
+
+def test_a_status_in_small_letters_is_one(tmp_path: Path) -> None:
+    path = mha(tmp_path / "some.mha")
+    path.write_bytes(path.read_bytes().replace(b"Status = OK", b"Status = ok"))
+    told = read(path)
+    assert (len(told.transforms()), len(told.images())) == (2, 3)
+
+
 @pytest.mark.parametrize("text", ["1e999999999", "99999999999", "-1e12", "1e15"])
 def test_stamps_out_of_range_are_an_error(tmp_path: Path, text: str) -> None:
     path = mha(tmp_path / "some.mha")
