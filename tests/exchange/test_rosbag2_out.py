@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -13,7 +15,9 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.rosbag2 import Rosbag2
 from igtl_gateway.exchange.targets import export_to
+from igtl_gateway.qos import Qos
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
@@ -118,3 +122,72 @@ def test_hostile_definitions_cost_their_own_messages(tmp_path: Path, name: str, 
     assert rows["/bad"].declared == 2 == rows["/bad"].taken + rows["/bad"].left_out
     if to == "csv":
         assert (rows["/bad"].failed, bool(rows["/bad"].why)) == (2, True)
+
+
+#: What ``rosbag2_storage`` of each release reads of ``metadata.yaml``, and of the channels of an MCAP file: the newest
+#: version whose profiles are a text with rmw's numbers, and whether it takes the version into account at all.
+#: Sources: yaml.hpp, qos.cpp and mcap_storage.cpp of ros2/rosbag2 in the branches of these names.
+RELEASES = {"humble": None, "iron": None, "jazzy": 8, "kilted": 8}
+RMW = {"history": (1, 2), "reliability": (1, 2), "durability": (1, 2), "liveliness": (1, 3)}
+NAMES = {"reliability": {1: "reliable", 2: "best_effort"}, "durability": {1: "transient_local", 2: "volatile"}}
+
+
+def profiles(release: str, version: int, value: object) -> list[dict[str, Any]]:
+    """The profiles as that release reads them.  Raises like its parser where the form is another one."""
+    newest = RELEASES[release]
+    if newest is not None and version > newest:
+        assert isinstance(value, list)
+        raise AssertionError("names: no such bag is written")
+    assert isinstance(value, str)
+    found: list[dict[str, Any]] = YAML(typ="safe").load(value)
+    for profile in found:
+        assert all(type(profile[policy]) is int and profile[policy] in numbers for policy, numbers in RMW.items())
+        assert all(type(profile[name][part]) is int for name in ("deadline", "lifespan") for part in ("sec", "nsec"))
+    return found
+
+
+@pytest.mark.parametrize("release", RELEASES)
+def test_every_release_reads_the_quality_of_service(tmp_path: Path, release: str) -> None:
+    offered = {"/a": Qos(depth=5), "/b": Qos(reliable=False), "/c": Qos(latched=True)}
+    writer = SessionWriter(tmp_path / "some.mcap", {}, qos_of=lambda topic, _type: offered[topic])
+    for number, topic in enumerate(offered, 1):
+        writer.write(Entry(number, number, Kind.ROS_IN, topic, STRING, (SAID,)))
+    writer.close({})
+    bag, _ = exported(tmp_path, tmp_path / "some.mcap")
+    side = YAML(typ="safe").load(bag / "metadata.yaml")["rosbag2_bagfile_information"]
+    found = {
+        one["topic_metadata"]["name"]: profiles(release, side["version"], one["topic_metadata"]["offered_qos_profiles"])
+        for one in side["topics_with_message_count"]
+    }
+    with (bag / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        (record,) = (one for one in reader.iter_metadata() if one.name == "rosbag2")
+        inner = YAML(typ="safe").load(record.metadata["serialized_metadata"])
+        summary = reader.get_summary()
+    assert summary
+    assert inner == side
+    for channel in summary.channels.values():
+        assert profiles(release, inner["version"], channel.metadata["offered_qos_profiles"]) == found[channel.topic]
+    read = {
+        topic: (
+            one["depth"],
+            NAMES["reliability"][one["reliability"]] == "reliable",
+            NAMES["durability"][one["durability"]] == "transient_local",
+        )
+        for topic, (one,) in found.items()
+    }
+    assert read == {topic: (qos.depth, qos.reliable, qos.latched) for topic, qos in offered.items()}
+
+
+def test_rosbags_and_import_read_the_same_quality_of_service(tmp_path: Path) -> None:
+    offered = Qos(depth=7, reliable=False, latched=True)
+    writer = SessionWriter(tmp_path / "some.mcap", {}, qos_of=lambda _topic, _type: offered)
+    writer.write(Entry(1, 1, Kind.ROS_IN, "/a", STRING, (SAID,)))
+    writer.close({})
+    bag, _ = exported(tmp_path, tmp_path / "some.mcap")
+    with Reader(bag) as reader:
+        (profile,) = reader.connections[0].ext.offered_qos_profiles  # type: ignore[union-attr]
+    assert (profile.depth, profile.reliability.name, profile.durability.name) == (7, "BEST_EFFORT", "TRANSIENT_LOCAL")
+    with closing(Rosbag2(bag)) as source:
+        assert source.qos_of("/a", STRING) == offered
+        assert source.notes == []
