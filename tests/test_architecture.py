@@ -167,6 +167,7 @@ UNMIRRORED = (
     "test_fixtures.py",  # what the recordings in fixtures/ promise
     "test_gateway_fuzz.py",
     "replay/test_conformance.py",  # MCAP's conformance set through readers and verbs
+    "replay/test_mcap_fuzz.py",  # tools/mcap_mutations.py
     "wire/test_bodies.py",  # every type of message against one list of checks
     "wire/test_conformance.py",  # every type of message through the command line
     "wire/test_corpus.py",

@@ -109,7 +109,7 @@ class Stream:
         if self.age_ms is None:
             return "unstamped"
         median_ms, range_ms = self.age_ms
-        text = f"median age {median_ms:,.1f} ms (max - min {range_ms:,.1f})"
+        text = f"median age {median_ms:,.1f} ms (max - min {range_ms:,.1f} ms)"
         return text + (f", {self.unstamped:,} unstamped" if self.unstamped else "")
 
     def to_dict(self) -> dict[str, Any]:

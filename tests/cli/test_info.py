@@ -75,3 +75,46 @@ def test_what_a_file_is_a_part_of_is_told(tmp_path: Path, capsys: pytest.Capture
     assert line.split()[1:3] == ["of", "star.mcap,"] and line.endswith("streams TRANSFORM/*")
     assert f".{int(facts['slice_start_ns']) % 10**9 // 10**6:03}Z to " in line
     assert not any(word in said(capsys, whole) for word in ("slice ", "snapshot ", "recorded  ", "parts\n"))
+
+
+def test_a_recording_in_progress_is_told_as_such(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "now.mcap"
+    writer = SessionWriter(path, SESSION)
+    for entry in samples.every_kind(3):
+        writer.write(entry)
+    writer.flush()
+    text = said(capsys, path)
+    assert "  BEING RECORDED: what is there so far" in text
+    assert "21 entries" in text
+    assert not any(word in text for word in ("DAMAGED", "LOST", "recover"))
+    told = json.loads(said(capsys, path, "--json"))
+    assert (told["being_recorded"], told["entries"], "damaged" in told) == (True, 21, False)
+    assert main(["verify", str(path)]) == 1
+    assert f"igtl-gateway verify: {path}: is being recorded (" in capsys.readouterr().err
+    writer.close({})
+    assert "being_recorded" not in json.loads(said(capsys, path, "--json"))
+
+
+def test_a_file_that_was_cut_off_is_not_being_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "cut.mcap"
+    write(path, samples.every_kind(3))
+    path.write_bytes(path.read_bytes()[:-300])
+    assert main(["info", str(path)]) == 1
+    assert "igtl-gateway recover" in capsys.readouterr().err
+
+
+def test_the_age_of_stamps_is_a_median_and_its_range_is_max_minus_min(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "ages.mcap"
+    ages_ms = (5, 1, 101, 2, 4)
+    entries = [
+        samples.igtl(seq, source_ns=samples.START_NS + seq - age_ms * 1_000_000)
+        for seq, age_ms in enumerate(ages_ms, 1)
+    ]
+    write(path, entries)
+    (stream,) = json.loads(said(capsys, path, "--json"))["streams"]
+    assert stream["age_median_ms"] == pytest.approx(4, abs=1e-3)
+    assert stream["age_max_minus_min_ms"] == pytest.approx(100, abs=1e-3)
+    assert stream["stamps"] == "median age 4.0 ms (max - min 100.0 ms)"
+    assert "median age 4.0 ms (max - min 100.0 ms)" in said(capsys, path)
