@@ -20,7 +20,7 @@ from io import StringIO
 from itertools import count, islice
 from pathlib import Path
 from random import Random
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 
 from igtl_gateway.cli import main
 from igtl_gateway.exchange.targets import TARGETS
@@ -126,7 +126,7 @@ def run(seed: int, number: int) -> None:
                 outcome = export(data, to)
             except Exception:
                 broken += 1
-                Path(f"/tmp/broken-{name}-{to}.mcap").write_bytes(data)
+                (Path(gettempdir()) / f"broken-{name}-{to}.mcap").write_bytes(data)
                 sys.stdout.write(f"{name} {to}\n{traceback.format_exc(-3)}\n")
                 continue
             codes[to, outcome.code] += 1

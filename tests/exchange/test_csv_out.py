@@ -221,3 +221,17 @@ def test_a_field_does_not_take_the_place_of_the_entry(tmp_path: Path) -> None:
         export_to("csv", file, tmp_path / "out", ())
     (made,) = (tmp_path / "out").iterdir()
     assert made.read_text().splitlines() == ["entry,time_ns,source_ns,entry_,item_,time_ns_", "1,5,,7,8,9"]
+
+
+def test_what_every_row_repeats_is_bounded(tmp_path: Path) -> None:
+    status, text = ROS2.types["diagnostic_msgs/msg/DiagnosticStatus"], "x" * 100_000
+    value = ros("diagnostic_msgs/msg/KeyValue", key="a", value="b")
+    given = [
+        topic("/s", status.__msgtype__, status(level=0, name="", message=text, hardware_id="", values=[value] * count))
+        for count in (1, 1_000)
+    ]
+    tables, account = exported(tmp_path, "csv", *given)
+    assert len(tables["s"]) == 1
+    (row,) = account.rows
+    assert (row.taken, row.left_out, row.failed) == (1, 1, 0)
+    assert "--limit ratio" in row.why
