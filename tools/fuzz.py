@@ -177,7 +177,7 @@ def _judge_description(data: bytes) -> None:
         return
     json.dumps(shown)
     try:
-        decode(data, check_crc=False)
+        decode(data)
     except WireError:
         if "error" not in shown:
             raise Broken("description hides an error") from None
