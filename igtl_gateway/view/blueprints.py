@@ -218,8 +218,8 @@ def _plots(seen: Seen) -> Part:
     """Sensors first, then how the gateway did."""
     plots = [_plot(shown.topic, f"/{shown.path}") for shown in seen.of(What.PLOT)]
     inputs = [f"+ $origin/{kind.value}/**" for kind in (Kind.ROS_IN, Kind.IGTL_IN)]  # the outputs follow them
-    gateway = [_plot("Rate (Hz)", f"/{RATES}", inputs), _plot("Latency (ms)", f"/{LATENCIES}")]
-    return _tabs([*plots, *gateway, _plot("Drops and gaps", f"/{DROPS}")])
+    rates = [_plot("Rate (Hz)", f"/{RATES}", inputs)] if seen.seconds >= 1 else []  # less has no rate
+    return _tabs([*plots, *rates, _plot("Latency (ms)", f"/{LATENCIES}"), _plot("Drops and gaps", f"/{DROPS}")])
 
 
 def _plot(name: str, origin: str, contents: list[str] | str = "$origin/**") -> rrb.TimeSeriesView:

@@ -15,7 +15,7 @@ Array = npt.NDArray[Any]
 
 _STEPS = 32
 _TICKS = 3
-_GAP, _THICK = 0.08, 0.012  #: of the box's diagonal: from box to bar, and half the bar's thickness
+_GAP, _THICK = 0.13, 0.012  #: of the box's diagonal: from box to bar, and half the bar's thickness
 _LETTER = 0xFFFFFFFF
 _DOT_M = 0.0005
 #: Positive and negative side of each axis of the patient's frame: right, anterior, superior.
