@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.errors import DamagedRecording, Unavailable, UnsupportedRecording
 from igtl_gateway.exchange.header import Imported
 from igtl_gateway.exchange.place import Place
 from igtl_gateway.exchange.raster import COMPONENT, FRAME, MAX_STEP_S, RAW, SPACE, ZLIB, Raster, axes_of
@@ -46,7 +46,7 @@ def looks_like_nifti(start: bytes) -> bool:
 
 
 def read_nifti(path: Path, stream: BinaryIO) -> Imported:
-    """The header.  Raises DamagedRecording, UnsupportedRecording (also without nibabel) or LimitExceeded."""
+    """The header.  Raises DamagedRecording, UnsupportedRecording, LimitExceeded, or Unavailable without nibabel."""
     where = str(path)
     start = stream.read(1 << 16)
     packed = start.startswith(_GZIP)
@@ -97,7 +97,7 @@ def _header(start: bytes, where: str) -> tuple[Any, str]:
         from nibabel.nifti1 import Nifti1Header
         from nibabel.nifti2 import Nifti2Header
     except ImportError as error:
-        raise UnsupportedRecording(f"{where}: NIfTI: {missing('nibabel', error)}") from None
+        raise Unavailable(f"{where}: NIfTI: {missing('nibabel', error)}") from None
     for order, name in (("<", "little"), (">", "big")):
         size = int.from_bytes(start[:4], "little" if order == "<" else "big")
         if (version := _SIZES.get(size)) and len(start) >= size:

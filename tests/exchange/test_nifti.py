@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.errors import DamagedRecording, Unavailable, UnsupportedRecording
 from igtl_gateway.exchange.formats import open_source
 from igtl_gateway.exchange.nifti import read_nifti
 from igtl_gateway.exchange.sequence import DEFAULT_EPOCH_NS, Sequence
@@ -136,7 +136,7 @@ def test_scaling_is_noted(tmp_path: Path) -> None:
 def test_without_nibabel_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = saved(tmp_path / "some.nii.gz", np.zeros(SIZE, np.uint8), affine_of(np.eye(3)))
     monkeypatch.setitem(sys.modules, "nibabel.nifti1", None)
-    with pytest.raises(UnsupportedRecording, match=r'pip install "igtl-gateway\[nifti\]"'):
+    with pytest.raises(Unavailable, match=r'pip install "igtl-gateway\[nifti\]"'):
         open_source(path)
 
 
