@@ -171,7 +171,7 @@ class BagFile:
         return sorted(self._messages(data, index << 32, place)), len(data)
 
     def _messages(self, data: bytes, order: int, place: str) -> Iterator[Message]:
-        at, count = 0, 0
+        at, count, most = 0, 0, limits.current().count
         while at < len(data):
             try:
                 (length,) = _U32.unpack_from(data, at)
@@ -183,9 +183,10 @@ class BagFile:
             at += 4
             if length > len(data) - at:
                 raise DamagedRecording(f"{place}: found a record of {length} bytes, {len(data) - at} are left")
+            count += 1
+            if count > most:
+                limits.check("count", count, f"{place}: records")
             if head.get(b"op") == bytes([_MESSAGE]):
-                count += 1
-                limits.check("count", count, f"{place}: messages")
                 yield Message(self._time(head, b"time"), order + at, self._u32(head, b"conn"), data[at : at + length])
             at += length
 
