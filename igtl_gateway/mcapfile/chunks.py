@@ -22,7 +22,7 @@ from typing import IO
 
 import numpy as np
 
-from igtl_gateway.mcapfile.index import ChunkEntry, Index, check_work, message_bound, packed_chunk
+from igtl_gateway.mcapfile.index import ChunkEntry, Index, check_work, message_bound, packed_chunk, work_of
 from igtl_gateway.mcapfile.records import HEAD, MESSAGE, MESSAGE_HEAD, Malformed
 from igtl_gateway.untrusted import limits
 
@@ -63,7 +63,7 @@ def message_rows(
     Raises Malformed, LimitExceeded.
     """
     chunks = [chunk for chunk in index.chunks if chunk.end_ns >= from_ns]
-    check_work(index.size, chunks, path)
+    check_work(index.size, work_of(chunks), path)
     count, most = 0, message_bound(index.size)
     found: Iterator[tuple[ChunkEntry | None, list[Row] | None]]
     found = _in_turn(stream, chunks, path, is_wanted) if in_order(chunks) else _merged(stream, index, chunks, path)
@@ -124,9 +124,11 @@ def _merged(
             continue
         _, at, row, rest, size = heapq.heappop(heads)
         rows.append(row)
-        if not _push(heads, at, rest, size):
-            held -= size
-        if len(rows) >= _BATCH:
+        ended = not _push(heads, at, rest, size)
+        # a row keeps the bytes of its chunk
+        if ended or len(rows) >= _BATCH:
+            held -= size if ended else 0
+            del row, rest
             yield None, rows
             rows = []
     if rows:

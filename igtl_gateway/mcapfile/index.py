@@ -32,7 +32,7 @@ _CHUNK_BEGIN = HEAD.size + CHUNK_HEAD.size + records.U32.size + len("zstd") + re
 _PIECE = 1 << 20
 #: What a slow machine unpacks and checks in a second: the limit of time as a limit of bytes, which does not depend on
 #: whoever takes the messages.
-_BYTES_PER_SECOND = 250_000_000
+_BYTES_PER_SECOND = 100_000_000
 #: What chunks of hundreds of megabytes may be packed to, to the utmost.
 _PLAUSIBLE_RATIO = 20
 
@@ -152,13 +152,17 @@ def check_chunk(packed: int, size: int, place: str) -> None:
     limits.check("free", size, place, max(3 * limits.current().free, _PLAUSIBLE_RATIO * packed))
 
 
-def check_work(index_size: int, chunks: Iterable[ChunkEntry], place: str) -> None:
-    """Raise LimitExceeded if unpacking all of these chunks takes too long, or there are too many."""
+def check_work(file_size: int, work: int, place: str) -> None:
+    """Raise LimitExceeded if unpacking so many bytes of a file takes too long."""
     current = limits.current()
-    seconds = current.seconds + current.seconds_per_mb * index_size // 1_000_000
-    work = sum(chunk.size for chunk in chunks)
-    if work > seconds * _BYTES_PER_SECOND:
-        raise limits.exceeded("seconds", f"{work} bytes unpacked", place, f"{seconds * _BYTES_PER_SECOND} bytes")
+    most = (current.seconds + current.seconds_per_mb * file_size // 1_000_000) * _BYTES_PER_SECOND
+    if work > most:
+        raise limits.exceeded("seconds", f"{work} bytes unpacked", place, f"{most} bytes")
+
+
+def work_of(chunks: Iterable[ChunkEntry]) -> int:
+    """Bytes of all of these chunks, unpacked."""
+    return sum(chunk.size for chunk in chunks)
 
 
 def _ends(path: Path, stream: IO[bytes]) -> tuple[int, int, int]:
@@ -293,7 +297,7 @@ class _Scan:
     def __init__(self, path: Path, stream: IO[bytes], size: int, data_end: int) -> None:
         self._place, self._stream, self._end = str(path), stream, data_end
         self._index = Index(size, scanned=True)
-        self._messages = 0
+        self._messages = self._work = 0
         # loose messages: where they begin, first and last time, how many
         self._run: tuple[int, int, int, int] | None = None
         self._deadline = limits.Deadline(size)
@@ -385,6 +389,8 @@ class _Scan:
 
     def _chunk(self, at: int, end: int) -> None:
         data = packed_chunk(self._stream, ChunkEntry(0, 0, at, end - at, 0), self._place).unpack()
+        self._work += len(data)
+        check_work(self._index.size, self._work, self._place)
         before, first, last = self._messages, 1 << 64, 0
         for opcode, start, stop in records.records(data, f"chunk at offset {at}"):
             if opcode == records.MESSAGE:

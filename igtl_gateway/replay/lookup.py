@@ -25,7 +25,7 @@ import numpy.typing as npt
 from mcap.records import Message
 
 from igtl_gateway.errors import LimitExceeded
-from igtl_gateway.mcapfile.index import ChunkEntry, Index, check_work, packed_chunk
+from igtl_gateway.mcapfile.index import ChunkEntry, Index, check_work, packed_chunk, work_of
 from igtl_gateway.mcapfile.records import HEAD, MESSAGE, MESSAGE_HEAD, MESSAGE_INDEX, Malformed
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.untrusted import limits
@@ -103,7 +103,7 @@ def look_up(
         if any(one.end_ns >= two.start_ns for one, two in pairwise(chunks)):
             raise _Unfit
         before = [index for index in chunks if index.end_ns < start_ns]
-        check_work(file.size, before, "")
+        check_work(file.size, work_of(before), "")
         search = _Search(streams, rule)
         concerned = range(len(before)) if counted else _concerned(search, before)
         for at, index in enumerate(before):

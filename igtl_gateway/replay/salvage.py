@@ -27,7 +27,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema, Statist
 
 from igtl_gateway.errors import DamagedRecording, LimitExceeded, UnsupportedRecording
 from igtl_gateway.mcapfile import records
-from igtl_gateway.mcapfile.index import check_chunk, message_bound
+from igtl_gateway.mcapfile.index import check_chunk, check_work, message_bound
 from igtl_gateway.mcapfile.records import CHUNK_HEAD, FOOTER_RECORD, HEAD, MAGIC, MESSAGE_HEAD, Malformed
 from igtl_gateway.mcapfile.unpack import COMPRESSIONS, told_size, unpacked
 from igtl_gateway.replay.mcap_reader import SEQUENCES, Decode, decoder, format_version, kind_of
@@ -180,6 +180,7 @@ class Salvage:
         self.growing = files.is_being_written(stream)
         self._metadata: list[_Frame] = []
         self._deadline = limits.Deadline(size)
+        self._work = 0  # bytes unpacked
         self._loose = False  # messages lie outside of chunks
         self._schemas: dict[int, tuple[Schema, bool]] = {}  # and whether under a checksum
         self._channels: dict[int, tuple[Channel, bool]] = {}
@@ -392,6 +393,8 @@ class Salvage:
                 self._deadline.check(str(self.path))
                 try:
                     check_chunk(len(packed), told, "chunk")
+                    self._work += told
+                    check_work(self.report.size, self._work, str(self.path))
                     return unpacked(compression, packed, told, crc)
                 except LimitExceeded as error:
                     too_large = too_large or error
@@ -540,7 +543,7 @@ class _Reading:
         self._open: list[Loss] = []  # since the last message: how far they reach shows with the next one
         self._unknown: dict[int, Loss] = {}
         self._unknown_counts: dict[int, int] = {}
-        self._seq = self._entries = 0
+        self._seq = self._entries = self._seen = 0
 
     def run(self) -> Iterator[Salvaged]:
         file, report = self._file, self._report
@@ -583,6 +586,8 @@ class _Reading:
         if len(content) < MESSAGE_HEAD.size:
             self._lose(BYTES, frame, "a message shorter than its head")
             return
+        self._seen += 1
+        limits.check("count", self._seen, f"{self._file.path}: messages", message_bound(self._report.size))
         number, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(content)
         definition = self._file._definition(number)
         if definition is None:
@@ -609,7 +614,6 @@ class _Reading:
             self._entries += 1
         report = self._report
         report.messages += 1
-        limits.check("count", report.messages, f"{self._file.path}: messages", message_bound(report.size))
         report.start_ns = min(report.start_ns, log_time) if report.messages > 1 else log_time
         report.end_ns = max(report.end_ns, log_time)
         yield Salvaged(definition.schema, definition.channel, message, entry)

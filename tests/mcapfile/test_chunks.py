@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import tracemalloc
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -62,6 +63,17 @@ def test_chunks_that_overlap_are_held_within_the_limit() -> None:
     assert len(times(data)) == 20
     with limits.use(replace(limits.current(), free=20_000_000)), pytest.raises(LimitExceeded, match="overlap"):
         times(data)
+
+
+def test_chunks_that_only_claim_to_overlap_are_not_held_together() -> None:
+    one = (build.MESSAGE, build.message(1, 1, 5, 5, bytes(3_000_000)))
+    chunk = Chunk((*DEFINITIONS, one), "zstd", start=10, end=20)
+    data = bag(*(chunk for _ in range(20))).finish()
+    tracemalloc.start()
+    assert len(times(data)) == 20
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 15_000_000  # of 60 MB
 
 
 @pytest.mark.parametrize("small", [0, 8 << 20])
