@@ -165,6 +165,7 @@ UNMIRRORED = (
     "test_docs.py",  # tools/docs.py
     "test_examples.py",  # examples/
     "test_fixtures.py",  # what the recordings in fixtures/ promise
+    "test_fuzz_files.py",  # tools/fuzz_files.py
     "test_gateway_fuzz.py",
     "replay/test_conformance.py",  # MCAP's conformance set through readers and verbs
     "replay/test_mcap_fuzz.py",  # tools/mcap_mutations.py

@@ -128,6 +128,7 @@ def _dtype(header: Any, where: str) -> tuple[int, str]:
     )
 
 
+@np.errstate(all="ignore")  # what is not finite is refused below; numpy would print a warning as well
 def _place(header: Any, axes: int, where: str, notes: list[str]) -> Place:
     scale = _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
     codes = {name: int(header[f"{name}_code"]) for name in ("sform", "qform")}
