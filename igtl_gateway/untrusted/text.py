@@ -54,6 +54,10 @@ def parse_toml(data: bytes, place: str) -> dict[str, Any]:
     """TOML within the limits of memory, count and depth.  Raises DamagedRecording."""
     limits.check("free", len(data), place)
     limits.check("count", sum(map(data.count, (b"\n", b",", b"=", b"."))), place)
+    if found := _LONG_NUMBER.search(data):
+        raise DamagedRecording(
+            f"{place}: byte {found.start()}: found a number of more than 1,000 digits, expected fewer"
+        )
     try:
         text = data.decode()
         check_nesting(text, place)
@@ -66,6 +70,8 @@ def parse_toml(data: bytes, place: str) -> dict[str, Any]:
         raise DamagedRecording(f"{place}: is not valid TOML: {error}") from None
 
 
+#: No setting has so many digits, and Python does not print integers of more than 4,300.
+_LONG_NUMBER = re.compile(rb"=\s*[+-]?(?:0x)?[0-9a-fA-F_]{1000}")
 #: Texts in quotes, comments and numbers of TOML.
 _FREE_DOTS = re.compile(r""""[^"]*"|'[^']*'|#.*|\d\.\d""")
 

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,8 @@ from igtl_gateway.config import Config
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
+from tests.integration.hostile_cases import raw
+from tests.integration.hostile_files import bags, foreign, images, streams
 
 FIXTURE = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
 
@@ -205,3 +208,45 @@ def test_a_name_that_no_file_can_have_is_usage(capsys: pytest.CaptureFixture[str
     code, out, err = outcome(capsys, "info", "x" * 300)
     assert (code, out) == (2, "")
     assert err.endswith("File name too long\n") and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("verb", ["info", "verify", "lint", "recover", "slice", "diff", "export", "review"])
+def test_limits_are_lowered_and_raised_for_each_verb(
+    verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fixture = str(Path(__file__).parents[2] / "fixtures" / "star.mcap")
+    more = {
+        "recover": ["-o", str(tmp_path / "out.mcap")],
+        "slice": [str(tmp_path / "out.mcap"), "--end", "0.5"],
+        "diff": [fixture],
+        "export": ["--to", "csv", "--out", str(tmp_path / "out")],
+    }.get(verb, [])
+    code, _, err = outcome(capsys, verb, fixture, *more, "--limit", "memory=1000")
+    assert code == 1
+    assert "expected at most 1000 (--limit memory=1000)" in err
+    code, _, err = outcome(capsys, verb, fixture, *more, "--limit", "memory=1099511627776", "--limit", "seconds=9999")
+    assert "--limit" not in err and code in (0, 1)
+
+
+@pytest.mark.parametrize("name", ["a.mha", "a.nrrd", "a.nii", "a.bag", "a.mcap", "a.pcap", "a.igtl", "a.db3"])
+def test_limits_of_an_import(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, hello = tmp_path / name, raw(b"STRING", b"A", b"\0\3\0\1x")
+    contents: dict[str, Callable[[], bytes]] = {
+        "a.mha": images.mha,
+        "a.nrrd": images.nrrd,
+        "a.nii": images.nifti,
+        "a.bag": bags.bag1,
+        "a.mcap": foreign.bag,
+        "a.pcap": lambda: streams.talk(hello),
+        "a.igtl": lambda: hello * 2,
+    }
+    if name in contents:
+        path.write_bytes(contents[name]())
+    else:
+        bags.database(path)
+    command = ["import", str(path), "--out", str(tmp_path / "out.mcap"), "--overwrite"]
+    code, _, err = outcome(capsys, *command, "--limit", "memory=8", "--limit", "free=8")
+    assert code == 1
+    assert "expected at most 8 (--limit" in err or "too big" in err
+    code, _, err = outcome(capsys, *command, "--limit", "memory=1099511627776", "--limit", "count=1000000")
+    assert (code, err) == (0, "")

@@ -72,7 +72,7 @@ def test_toml_within_the_limits() -> None:
         (b"a = '" + b"x" * (65 << 20) + b"'", "--limit free="),
         (b"a = ", "x.toml: is not valid TOML"),
         (b"a = '\xff'", "x.toml: is not valid TOML"),
-        (b"a = 0x" + b"f" * 20_000 + b"\nb = " + b"9" * 5000, "x.toml: is not valid TOML"),
+        (b"b = 1\na = 0x" + b"f" * 20_000, "x.toml: byte 8: found a number of more than 1,000 digits"),
     ],
 )
 def test_toml_beyond_them(data: bytes, told: str) -> None:

@@ -384,8 +384,8 @@ BAGS_2: tuple[Hostile, ...] = (
     _db(
         "trigger",
         Danger.LIE,
-        "100,000 topics",
-        script="WITH RECURSIVE n(i) AS (SELECT 2 UNION ALL SELECT i + 1 FROM n WHERE i < 100000) "
+        "10,000 topics",
+        script="WITH RECURSIVE n(i) AS (SELECT 2 UNION ALL SELECT i + 1 FROM n WHERE i < 10000) "
         "INSERT INTO topics SELECT i, '/t' || i, 'std_msgs/msg/String', 'cdr', '', '' FROM n;",
     ),
     _db(

@@ -74,7 +74,7 @@ _SESSION_VERBS = (
     "recover F -o OUT.mcap",
     "lint F",
     "lint F --json",
-    "slice F --out OUT.mcap --start 0 --end 2",
+    "slice F OUT.mcap --start 0 --end 2",
     "diff F F",
     "diff F GOOD --json",
     "replay F --to igtl --listen 127.0.0.1:0 --wait-peers 0 --as-fast-as-possible",
@@ -97,7 +97,7 @@ VERBS: dict[str, tuple[str, ...]] = {
     "stream": ("decode F", "decode F --reencode OUT.igtl", "import F --out OUT.mcap", "info F"),
     "configuration": (
         "verify GOOD --config F",
-        "slice GOOD --config F --out OUT.mcap --start 0 --end 1",
+        "slice GOOD OUT.mcap --config F --start 0 --end 1",
         "lint GOOD --config F",
         "bridge --no-ros --listen 127.0.0.1:0 --duration 0.1 --config F",
     ),

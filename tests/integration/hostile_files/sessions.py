@@ -11,6 +11,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.config import Config
 from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
@@ -34,7 +35,7 @@ from tools.mcap_build import Chunk, Record
 
 Parts = list[Record | Chunk]
 _DEEP = "[" * 100_000 + "]" * 100_000
-_CONFIG = samples.SESSION["config"]
+_CONFIG = json.dumps(Config().to_dict())
 
 
 def session(
@@ -47,7 +48,7 @@ def session(
     memory = BytesIO()
     writer = SessionWriter(
         Path("hostile.mcap"),
-        {**samples.SESSION, **(facts or {})},
+        {"config": _CONFIG, "host": "theatre-2", **(facts or {})},
         memory=memory,
         chunk_bytes=1500,
         prologue=prologue,
@@ -238,6 +239,7 @@ _WRONG = {
     "no JSON": "{",
     "an integer of 5,000 digits": "9" * 5000,
     "another type inside": '{"streams": 5, "links": [1], "base_frame": 7, "to_ros": {"a": 1}, "watch": "x"}',
+    "without most settings": '{"base_frame": "world"}',
     "infinity": '{"stamp": 1e999, "max_age": -Infinity, "igtl_unit": NaN}',
 }
 
@@ -373,7 +375,7 @@ CASES: tuple[Hostile, ...] = (
     *(
         _shape(f"custom-{_slug(what)}", f"custom data that is {what}", _wrong_fact(layout.CUSTOM_KEY, text))
         for what, text in _WRONG.items()
-        if what != "infinity"
+        if what not in {"infinity", "without most settings"}
     ),
     *(
         _shape(
@@ -512,9 +514,9 @@ CASES: tuple[Hostile, ...] = (
     _terminal("file-name", "the same in the file name", session, f"a{ESCAPE}\n{FORGED}.mcap".replace("/", "")),
     _terminal(
         "long-name",
-        "a device name of 10 MB",
+        "a device name of 3 MB",
         lambda: session(
-            entries=[samples.igtl(1, device="x" * 10_000_000), samples.igtl(2), samples.igtl(3, device="y")]
+            entries=[samples.igtl(1, device="x" * 3_000_000), samples.igtl(2), samples.igtl(3, device="y")]
         ),
     ),
 )
