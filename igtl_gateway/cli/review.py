@@ -52,6 +52,7 @@ _COLOURS = {Level.OK: "32", Level.LOOK: "33", Level.WRONG: "1;31"}
 _MARKS = {Level.OK: " ", Level.LOOK: "?", Level.WRONG: "!"}
 _NS_PER_S = 1e9
 _NARROW = 30  #: letters that a line of reasons has at least
+_STEP_SHARE = 0.5  # of the noise: smaller steps of depth are not worth a word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -134,6 +135,8 @@ def _told(path: Path, review: Review) -> dict[str, Any]:
             "points": len(cloud.positions),
             "noise": "temporal" if cloud.temporal else "spatial",
             "noise_mm": dict(zip(("p10", "median", "p90"), _noise(review), strict=True)),
+            "step_mm": round(cloud.step_mm, 4),
+            "step_grows": round(cloud.step_grows, 2),
         },
         "tool": review.tool,
         "thresholds": asdict(review.thresholds),
@@ -168,7 +171,7 @@ def _noise(review: Review) -> tuple[float | None, ...]:
 
 _END_COLUMNS = (
     *("distance_mm", "error_mm", "noise_mm", "temporal_mm", "spatial_mm", "reading_mm", "wider_mm"),
-    *("density_mm2", "missing", "spacing_mm"),
+    *("density_mm2", "missing", "spacing_mm", "interval_mm", "scatter_mm"),
 )
 
 
@@ -199,6 +202,7 @@ def _csv_rows(review: Review) -> Iterable[dict[str, Any]]:
             for name, end in (("entry", stitch.entry), ("exit", stitch.exit)):
                 row |= {f"{name}_{axis}_m": f"{value:.6f}" for axis, value in zip("xyz", end.position, strict=True)}
                 row |= {f"{name}_{column}": _number(getattr(end, column)) for column in _END_COLUMNS}
+                row[f"{name}_lifted"] = int(end.lifted)
                 row[f"{name}_tool_mm"] = _number(end.executed.distance_mm if end.executed else None)
                 row[f"{name}_reached"] = int(end.executed.reached) if end.executed else ""
             row |= {
@@ -224,6 +228,9 @@ def _print(path: Path, review: Review, start_ns: int) -> None:
     low, middle, high = _noise(review)
     if middle is not None:
         how = "from cloud to cloud" if cloud.temporal else "from pixel to pixel, a lower bound"
+        if cloud.step_mm > _STEP_SHARE * middle:
+            growing = ", growing with depth" if cloud.step_grows > 1 else ""
+            how += f"; depth comes in steps of {cloud.step_mm:.2f} mm{growing}"
         say(f"  noise  {middle:.2f} mm in depth ({low:.2f} … {high:.2f}), {how}")
     if review.tool:
         say(f"  tool   {review.tool}")

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.review import executed, judge
+from igtl_gateway.review import executed, judge, points
+from igtl_gateway.review.error import SURE_95
 from igtl_gateway.review.frames import Path
 from igtl_gateway.review.material import Material
 from igtl_gateway.review.messages import Drawn
@@ -22,6 +23,7 @@ from igtl_gateway.review.model import (
     StitchReview,
     Thresholds,
 )
+from igtl_gateway.review.points import Assessed
 from igtl_gateway.review.scene import Scene
 from igtl_gateway.review.surface import Surface, fit
 
@@ -53,7 +55,9 @@ def review_of(material: Material, thresholds: Thresholds | None = None) -> Revie
     assessor = _Assessor(scene, limits)
     plans = [assessor.plan(version, path if version is versions[-1] else None) for version in versions]
     known = np.isfinite(scene.depth)
-    positions = np.concatenate([scene.rays, np.ones((len(scene.rays), 1))], axis=1)[known] * scene.depth[known, None]
+    seen = np.concatenate([scene.rays, np.ones((len(scene.rays), 1))], axis=1)[known] * scene.depth[known, None]
+    positions = scene.axes.own(seen)
+    middle = np.array(np.median(scene.depth[known]) if known.any() else np.nan)
     height, width, _ = scene.clouds[-1].points.shape
     first, last = scene.clouds[0], scene.clouds[-1]
     cloud = CloudReview(
@@ -67,13 +71,15 @@ def review_of(material: Material, thresholds: Thresholds | None = None) -> Revie
         positions.astype(np.float32),
         (scene.noise[known] * MM).astype(np.float32),
         scene.temporal is not None,
+        float(scene.steps.at(middle)) * MM,
+        scene.steps.grow,
     )
     return Review(cloud, tuple(plans), tuple(_changes(plans[0], plans[-1])), tool, limits, tuple(notes))
 
 
 def _doubts(scene: Scene) -> list[str]:
     """What makes the figures less certain than they look."""
-    notes = []
+    notes = [scene.note] if scene.note else []
     if len(scene.clouds) < _FEW_CLOUDS:
         notes.append(
             f"only {len(scene.clouds)} cloud{'s' * (len(scene.clouds) > 1)}: "
@@ -109,7 +115,7 @@ class _Assessor:
     def __init__(self, scene: Scene, limits: Thresholds) -> None:
         self._scene = scene
         self._limits = limits
-        self._ends: dict[bytes, EndReview] = {}
+        self._ends: dict[bytes, Assessed] = {}
         self._bites: dict[bytes, Surface | None] = {}
 
     def plan(self, drawn: Drawn, path: Path | None) -> PlanReview:
@@ -122,14 +128,12 @@ class _Assessor:
         usual = [float(np.median(found)) if count >= _USUAL else 0.0 for found in spacing]
         lengths = np.sqrt(((drawn.exit - drawn.entry) ** 2).sum(axis=1)) * MM
         usual_bite = float(np.median(lengths)) if count >= _USUAL else 0.0
+        found_ends = points.with_own_errors(self._scene, [self._end(point) for point in drawn.ends()])
         stitches = []
         for i in range(count):
             ends = [
-                replace(self._end(points[i]), spacing_mm=float(found[i]) if count > 1 else None, executed=way)
-                for points, found, way in (
-                    (drawn.entry, spacing[0], passed[i]),
-                    (drawn.exit, spacing[1], passed[count + i]),
-                )
+                replace(found_ends[number], spacing_mm=float(found[i]) if count > 1 else None, executed=way)
+                for number, found, way in ((i, spacing[0], passed[i]), (count + i, spacing[1], passed[count + i]))
             ]
             reasons: list[judge.Reason] = []
             for name, end, usual_mm in zip(("entry", "exit"), ends, usual, strict=True):
@@ -142,7 +146,8 @@ class _Assessor:
             surface = self._bite(drawn.entry[i], drawn.exit[i])
             driven = None
             if path is not None and surface and (entered := ends[0].executed) and (left := ends[1].executed):
-                driven = executed.driven_depth_mm(path, entered, left, surface)
+                seen = replace(path, positions=self._scene.axes.optical(path.positions))
+                driven = executed.driven_depth_mm(seen, entered, left, surface)
             stitches.append(
                 StitchReview(
                     number=i + 1,
@@ -150,7 +155,7 @@ class _Assessor:
                     entry=ends[0],
                     exit=ends[1],
                     bite_length_mm=length_mm,
-                    bite_depth_mm=_chord_depth_mm(drawn.entry[i], drawn.exit[i], surface) if surface else None,
+                    bite_depth_mm=self._chord_depth_mm(drawn.entry[i], drawn.exit[i], surface) if surface else None,
                     driven_depth_mm=driven,
                     level=level,
                     reasons=texts,
@@ -158,22 +163,24 @@ class _Assessor:
             )
         return PlanReview(drawn.topic, drawn.type, drawn.frame_id, drawn.stamp_ns, drawn.source_ns, tuple(stitches))
 
-    def _end(self, point: Array) -> EndReview:
+    def _end(self, point: Array) -> Assessed:
         key = point.tobytes()
         if key not in self._ends:
             self._ends[key] = self._assessed(point)
         return self._ends[key]
 
-    def _assessed(self, point: Array) -> EndReview:
+    def _assessed(self, position: Array) -> Assessed:
         scene, limits = self._scene, self._limits
-        x, y, z = (float(value) for value in point)
+        x, y, z = (float(value) for value in position)
         end = EndReview((x, y, z))
+        point = scene.axes.optical(position)
+        z = float(point[2])
         if not z > 0:
-            return end
+            return end, None
         ray = point[:2] / z
         place = scene.around(ray, limits.place_mm / MM / z)
         if not len(place):
-            return end
+            return end, None
         temporal, spatial = (_usual_mm(found, place) for found in (scene.temporal, scene.spatial))
         known = np.isfinite(scene.depths[:, place])
         end = replace(
@@ -185,7 +192,7 @@ class _Assessor:
         )
         surface = fit(scene, point, limits.window_mm / MM)
         if surface is None:
-            return end
+            return end, None
         distance_mm = MM * float(surface.distance(point[None])[0])
         # a wrong reading that fills the window passes for tissue; a wider one outvotes it
         wider = fit(scene, point, _WIDER * limits.window_mm / MM)
@@ -200,20 +207,28 @@ class _Assessor:
         # the disc as the camera sees it is of this size at the depth of the point; on slanting tissue it is larger
         scale = float(surface.depth(ray[None])[0]) / z
         area_mm2 = np.pi * limits.place_mm**2 * scale**2 * slant
-        return replace(
+        error_mm = surface.error / slant * MM
+        end = replace(
             end,
             distance_mm=distance_mm,
-            error_mm=surface.error / slant * MM,
+            error_mm=error_mm,
+            interval_mm=SURE_95 * error_mm,
             reading_mm=reading,
             wider_mm=wider_mm,
             density_mm2=float(known.sum(axis=1).mean() / area_mm2),
         )
+        return end, surface.reading / slant * MM
+
+    def _chord_depth_mm(self, entry: Array, leave: Array, surface: Surface) -> float:
+        shares = np.linspace(0, 1, _CHORD_STEPS)[:, None]
+        return -MM * float(surface.distance(self._scene.axes.optical(entry + shares * (leave - entry))).min())
 
     def _bite(self, entry: Array, leave: Array) -> Surface | None:
         """The tissue around a whole stitch: across the wound, which a robust fit takes for closed."""
         key = entry.tobytes() + leave.tobytes()
         if key not in self._bites:
             half = float(np.sqrt(((leave - entry) ** 2).sum())) / 2
+            entry, leave = self._scene.axes.optical(entry), self._scene.axes.optical(leave)
             window = max(self._limits.window_mm / MM, half + _BEYOND_BITE_M)
             sane = min(entry[2], leave[2]) > 0 and half < _LONGEST_BITE_M / 2
             self._bites[key] = fit(self._scene, (entry + leave) / 2, window) if sane else None
@@ -227,11 +242,6 @@ def _spacing(points: Array) -> Array:
     beside[0, 1:] = beside[1, :-1] = steps
     nearer: Array = beside.min(axis=0)
     return nearer
-
-
-def _chord_depth_mm(entry: Array, leave: Array, surface: Surface) -> float:
-    shares = np.linspace(0, 1, _CHORD_STEPS)[:, None]
-    return -MM * float(surface.distance(entry + shares * (leave - entry)).min())
 
 
 def _usual_mm(noise: Array | None, place: Array) -> float | None:

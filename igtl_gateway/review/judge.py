@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import hypot
 
 from igtl_gateway.review.model import EndReview, Level, Thresholds
 
@@ -23,8 +24,11 @@ def of_end(name: str, end: EndReview, limits: Thresholds) -> Iterator[Reason]:
     else:
         off, side = abs(end.distance_mm), "above" if end.distance_mm > 0 else "under"
         text = f"{name} {off:.2f} ± {end.error_mm:.2f} mm {side} the tissue"
-        if off >= limits.wrong_mm and off > limits.sure * end.error_mm:
+        error_mm = hypot(end.error_mm, end.scatter_mm or 0.0)
+        if off >= limits.wrong_mm and off > limits.sure * error_mm:
             yield Level.WRONG, text
+        elif off >= limits.wrong_mm and off > limits.sure * end.error_mm:
+            yield Level.LOOK, f"{text}, but the whole plan scatters by {end.scatter_mm:.2f} mm, as the readings do here"
         elif off >= limits.look_mm:
             yield Level.LOOK, text
     if end.reading_mm is not None and abs(end.reading_mm) >= limits.reading_mm:

@@ -42,6 +42,16 @@ class Design:
         factor = self._factor(weights)
         return None if factor is None else np.stack(_solve(factor, list(self.columns * weights)))
 
+    def weights_of(self, functional: Array, weights: Array) -> Array | None:
+        """(n,) what each value counts in a linear functional (k,) of the solution."""
+        factor = self._factor(weights)
+        return None if factor is None else weights * self.values(np.array(_solve(factor, functional.tolist())))
+
+    def variance(self, functional: Array, weights: Array) -> float | None:
+        """Variance of a linear functional (k,) of the solution, for values of variance 1 / weight."""
+        factor = self._factor(weights)
+        return None if factor is None else float((functional * _solve(factor, functional.tolist())).sum())
+
     def values(self, unknowns: Array) -> Array:
         """(n,) what the model gives."""
         values: Array = (self.columns * unknowns[:, None]).sum(axis=0)

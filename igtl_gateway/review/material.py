@@ -198,7 +198,7 @@ class Material:
 def _on_tissue(plan: Drawn, scene: Scene) -> bool:
     """Whether most of the points lie about where the camera sees something."""
     hits = 0
-    for point in plan.ends():
+    for point in scene.axes.optical(plan.ends()):
         if point[2] > 0:
             depth = scene.depth[scene.around(point[:2] / point[2], _HIT_RADIUS)]
             depth = depth[np.isfinite(depth)]

@@ -78,6 +78,8 @@ class CloudReview:
         height, width: pixels; height 1 for a cloud that is not organised.
         positions: (points, 3) float32, metres: those pixels that have a depth.
         noise_mm: (points,) float32, depth noise as standard deviation; NaN where unknown.
+        step_mm: step of the depth at the median depth; 0 where it is continuous.
+        step_grows: exponent with which the step grows with depth: 0 for a grid of depths, 2 of disparities.
         temporal: whether the noise was seen between clouds (all of it), or only within one (a lower bound).
     """
 
@@ -91,6 +93,8 @@ class CloudReview:
     positions: Array
     noise_mm: Array
     temporal: bool
+    step_mm: float = 0.0
+    step_grows: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +121,12 @@ class EndReview:
     Attributes:
         position: metres, frame of the cloud.
         distance_mm: from the fitted tissue, at a right angle to it: + above (the camera's side), − under it.
-        error_mm: standard error of this distance, of the tissue's part.
+        error_mm: standard error of this distance: of the tissue, and of the reading where the point is one of the
+            camera's readings (``lifted``).
+        interval_mm: the true distance is within so much of ``distance_mm`` in 95 of 100 cases.
+        lifted: whether the point is one of the camera's readings, with all of its noise.
+        scatter_mm: how much the whole plan scatters about the tissue beyond that, at most as readings do here;
+            None where the plan is too short to tell.
         noise_mm: depth noise here: ``temporal_mm`` where known, else ``spatial_mm``.
         temporal_mm: depth noise from cloud to cloud at the same pixel.
         spatial_mm: depth noise from pixel to pixel within a cloud: a lower bound.
@@ -132,6 +141,9 @@ class EndReview:
     position: Point
     distance_mm: float | None = None
     error_mm: float | None = None
+    interval_mm: float | None = None
+    lifted: bool = False
+    scatter_mm: float | None = None
     noise_mm: float | None = None
     temporal_mm: float | None = None
     spatial_mm: float | None = None

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.review import noise
-from igtl_gateway.review.linear import Design, times
-from igtl_gateway.review.scene import SEVERAL, Scene
+from igtl_gateway.review import error, noise
+from igtl_gateway.review.linear import Design
+from igtl_gateway.review.scene import Scene
+from igtl_gateway.review.steps import UNIFORM_VARIANCE
 
 Array = npt.NDArray[Any]
 
@@ -23,11 +24,11 @@ _TUKEY = 4.685  # deviations; from here on a point has no weight
 _FIRST_ROUNDS, _ROUNDS = 4, 6
 _SILENT = (0.0, 0.5, 0.7)  # shares of the radius within which points have no say in the first rounds
 _MIN_POINTS = 24
+_WANTED_POINTS = 40  # with fewer the window is made wider, ...
+_WIDENS, _WIDEST = 1.2, 3.0  # ... step by step, up to so many times
 _ROUGH_M = 1.5e-4  # tissue that a quadric does not follow: wrinkles
+_DOUBT = 3.0  # the figures of the noise may be too small by so much
 _LEAST_SCALE_M = 1e-5  # a scatter below the steps of any sensor
-_MISFIT_SHARE = 0.5  # of what the surface leaves all over the window, as error in the middle; docs/review.md
-_MEDIAN_VARIES = np.pi / 2  # by so much more than a mean
-_GROSS = 5.0  # deviations; what is beyond in one cloud says nothing of the surface
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +39,15 @@ class Surface:
         ray: (x / z, y / z) of the middle.
         radius: of the window, as x / z.
         coefficients: (6,) metres.
-        error: standard error of the depth in the middle, metres: by chance, and by what a quadric cannot follow.
+        error: standard error of the depth in the middle, metres: 1.96 of them hold the truth in 95 of 100 cases.
+        reading: standard deviation of single readings of one cloud about the surface, metres.
     """
 
     ray: Array
     radius: float
     coefficients: Array
     error: float
+    reading: float
 
     def depth(self, rays: Array) -> Array:
         """(n,) z of the surface on (n, 2) rays."""
@@ -80,53 +83,55 @@ def fit(scene: Scene, point: Array, window: float) -> Surface | None:
     if not point[2] > 0:
         return None
     ray, radius = point[:2] / point[2], window / point[2]
-    around = scene.around(ray, radius)
-    around = around[np.isfinite(scene.depth[around])]
+    around, radius = _window(scene, ray, radius)
     if len(around) < _MIN_POINTS:
         return None
     places = (scene.rays[around] - ray) / radius
     z = scene.depth[around]
-    sigma = _sigma_of_median(scene, around)
     design = _design(places)
-    found = _robust(design, places, z, None if sigma is None else float(np.hypot(sigma, _ROUGH_M)))
+    scale = _expected_scatter(scene, around)
+    found = _robust(design, places, z, scale)
     if found is None:
         return None
     coefficients, weights = found
+    if scale is not None and 2 * float(np.median(scene.steps.at(z))) > scale:
+        # of readings that flip between two values the rarer one is no gross error: all that are kept count alike
+        weights = (weights > 0).astype(np.float64)
+        kept = design.solve(z, weights)
+        if kept is None:
+            return None
+        coefficients = kept
     spread = design.influence(weights)
     if spread is None:
         return None
-    counted = weights > 0
     fitted = design.values(coefficients)
-    residuals = scene.depths[:, around] - fitted
-    scatter = max(noise.deviation(residuals[:, counted]), _LEAST_SCALE_M)
-    residuals = np.where(np.abs(residuals) < _GROSS * scatter, residuals, 0.0)
-    # the depth in the middle as each cloud alone would have it
-    single = times(residuals, spread[0])
-    clouds = len(single)
-    if clouds >= SEVERAL:
-        chance = _error_of_mean(single)
-    else:
-        chance = scatter * float(np.sqrt((spread[0] ** 2).sum() / clouds))
-    # what the surface leaves of the tissue's shape: the scatter of the median picture beyond that of its noise
-    misfit = float(np.sqrt(max(noise.deviation((z - fitted)[counted]) ** 2 - (sigma or 0.0) ** 2, 0.0)))
-    return Surface(ray, radius, coefficients, float(np.hypot(chance, _MISFIT_SHARE * misfit)))
+    off = (scene.depths[:, around] - fitted)[:, weights > 0]
+    step = scene.steps.at(fitted)
+    reading = max(noise.deviation(off) ** 2, UNIFORM_VARIANCE * float((step**2).mean()), _LEAST_SCALE_M**2) ** 0.5
+    return Surface(ray, radius, coefficients, error.of_depth(scene, ray, radius, around, spread[0], fitted), reading)
 
 
-def _sigma_of_median(scene: Scene, pixels: Array) -> float | None:
-    """Standard deviation of the median picture at some pixels, by the noise of one cloud; None where unknown."""
-    clouds = len(scene.depths)
+def _window(scene: Scene, ray: Array, radius: float) -> tuple[Array, float]:
+    """Pixels with a depth around a ray, and the radius that they lie within: more where pixels are few."""
+    widest = _WIDEST * radius
+    while True:
+        around = scene.around(ray, radius)
+        around = around[np.isfinite(scene.depth[around])]
+        if len(around) >= _WANTED_POINTS or radius >= widest:
+            return around, radius
+        radius = min(radius * _WIDENS, widest)
+
+
+def _expected_scatter(scene: Scene, pixels: Array) -> float | None:
+    """Standard deviation of the picture at some pixels about a surface; None where unknown."""
     sigma = scene.noise[pixels]
-    sigma = sigma[np.isfinite(sigma)]
-    if not sigma.size:
+    known = np.isfinite(sigma)
+    if not known.any():
         return None
-    worse = _MEDIAN_VARIES if clouds > 2 else 1.0  # of two the median is the mean
-    return float(np.sqrt(np.median(sigma) ** 2 * worse / clouds))
-
-
-def _error_of_mean(values: Array) -> float:
-    """Standard error of the mean."""
-    off = values - values.mean()
-    return float(np.sqrt((off**2).sum() / (len(values) - 1) / len(values)))
+    variance = sigma[known] ** 2
+    lasting = UNIFORM_VARIANCE * scene.steps.at(scene.depth[pixels][known]) ** 2
+    picture = np.median((variance - lasting) / len(scene.depths) + lasting)
+    return float(np.sqrt(picture + _ROUGH_M**2))
 
 
 def _robust(design: Design, places: Array, z: Array, scale: float | None) -> tuple[Array, Array] | None:
@@ -152,8 +157,9 @@ def _robust(design: Design, places: Array, z: Array, scale: float | None) -> tup
                 starts.append(start)
     if not starts:
         return None
-    if scale is None:
-        scale = min(_scatter(z - design.values(coefficients)) for coefficients, _ in starts)
+    # of noise that neighbours share the camera's figures know too little
+    scatter = min(_scatter(z - design.values(coefficients)) for coefficients, _ in starts)
+    scale = scatter if scale is None else max(scale, scatter / _DOUBT)
     cut = _TUKEY * scale
     residuals = [z - design.values(coefficients) for coefficients, _ in starts]
     lost = [float((np.minimum(np.abs(off), cut) ** 2).sum()) for off in residuals]

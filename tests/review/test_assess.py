@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.review import Level, Material, Review, Thresholds, review_of
+from igtl_gateway.review.axes import BODY
 from igtl_gateway.review.model import Array
 from igtl_gateway.review.scene import Cloud, Scene
 from igtl_gateway.simulate import star_scene
@@ -268,3 +269,61 @@ def test_a_list_of_points_is_reviewed_without_what_needs_a_picture() -> None:
     assert (end.noise_mm, end.missing) == (None, None)
     assert end.density_mm2 is not None
     assert not review.cloud.temporal
+
+
+def test_a_camera_of_whole_millimetres_is_looked_at() -> None:
+    """σ 0.4 mm in steps of 1 mm: most readings equal the one before, and the true noise is 0.49 mm."""
+    clouds = dome_clouds(8, sigma=0.0004)
+    for cloud in clouds:
+        cloud.points[...] *= (np.round(cloud.points[..., 2] * 1000) / 1000 / cloud.points[..., 2])[..., None]
+    review = _of(clouds, (_FIRST, _LAST))
+    assert _levels(review) == ["look"] * 3
+    for stitch in review.last.stitches:
+        for end in (stitch.entry, stitch.exit):
+            assert end.noise_mm == pytest.approx(0.494, rel=0.15)
+    assert review.cloud.step_mm == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("sigma_mm", [0.34, 0.8])
+def test_a_plan_that_was_lifted_from_raw_readings_is_not_wrong_for_their_noise(sigma_mm: float) -> None:
+    clouds = dome_clouds(8, sigma=sigma_mm / 1000)
+    raw = clouds[3].points.astype(np.float32).astype(np.float64)
+    columns = np.arange(12, 72, 6)
+    first, last = raw[18, columns], raw[42, columns]
+    review = _of(clouds, (first, last))
+    ends = [end for stitch in review.last.stitches for end in (stitch.entry, stitch.exit)]
+    assert all(end.lifted for end in ends)
+    assert review.last.wrong == ()
+    assert np.median([end.error_mm for end in ends]) == pytest.approx(sigma_mm, rel=0.3)
+    last = last.copy()
+    last[4] *= 1 + 0.004 / last[4, 2]
+    assert [stitch.number for stitch in _of(clouds, (first, last)).last.wrong] == [5]
+
+
+def test_a_plan_from_a_cloud_that_is_not_in_the_file_scatters_as_a_whole() -> None:
+    raw = dome_clouds(9, sigma=0.0008)[8].points
+    columns = np.arange(12, 72, 6)
+    review = _of(dome_clouds(8, sigma=0.0008), (raw[18, columns], raw[42, columns]))
+    assert review.last.wrong == ()
+    assert all((stitch.entry.scatter_mm or 0) > 0.3 and not stitch.entry.lifted for stitch in review.last.stitches)
+
+
+@pytest.mark.parametrize("organised", [True, False])
+def test_an_x_forward_cloud_is_reviewed_along_its_depth_and_noted(organised: bool) -> None:
+    clouds = dome_clouds(4)
+    moved = _LAST.copy()
+    moved[1] *= 1 - 0.0025 / moved[1, 2]
+    turned = [replace(cloud, points=BODY.own(cloud.points), frame_id="camera_link") for cloud in clouds]
+    if not organised:
+        turned = [replace(cloud, points=cloud.points.reshape(1, -1, 3)) for cloud in turned]
+    material = Material()
+    for cloud in turned:
+        message = cloud_message(cloud.points, cloud.stamp_ns, "camera_link")
+        material.take(entry("/cloud", message, cloud.stamp_ns))
+    plan = plan_message(BODY.own(_FIRST), BODY.own(moved), SECOND, "camera_link")
+    material.take(entry("/plan", plan, SECOND))
+    review = review_of(material)
+    assert [stitch.number for stitch in review.last.wrong] == [2]
+    assert any("x forward" in note for note in review.notes)
+    np.testing.assert_allclose(review.last.stitches[0].entry.position, BODY.own(_FIRST)[0])
+    assert np.median(review.cloud.positions[:, 0]) == pytest.approx(0.25, abs=0.01)

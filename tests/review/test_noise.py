@@ -82,3 +82,19 @@ def test_the_scenes_noise_is_found_within_the_bounds_of_the_manual(
     spatial = scenes[seed].spatial
     assert spatial is not None
     assert 0.7 < np.nanmedian(spatial / truth) < 1  # of grain larger than a pixel the neighbours know less
+
+
+@pytest.mark.parametrize(("sigma", "true"), [(0.4, 0.494), (0.1, 0.305), (0.02, 0.289)])
+@pytest.mark.parametrize("slope", [0.0, 0.05])
+def test_in_whole_millimetres_the_rounding_counts(sigma: float, true: float, slope: float) -> None:
+    """√(σ² + q² / 12), also where most successive readings are equal and their median tells 0."""
+    tissue = 250.3 + slope * np.mgrid[0:80, 0:90].sum(axis=0)
+    depths = np.round(tissue + sigma * _RANDOM.standard_normal((8, 80, 90))) / 1000
+    found = noise.whole(noise.between_clouds(depths, 0.001), np.array(0.001)) * 1000
+    assert np.nanmedian(found) == pytest.approx(true, rel=0.15 if slope or sigma == 0.4 else 0.5)
+    assert np.nanmin(found) > 0.28
+
+
+def test_clouds_that_were_sent_twice_still_tell_their_noise() -> None:
+    twice = np.repeat(_clouds(6, 0.0002), 3, axis=0)
+    assert np.nanmedian(noise.between_clouds(twice)) == pytest.approx(0.0002, rel=0.05)
