@@ -300,7 +300,7 @@ class _Scan:
         self._messages = self._work = 0
         # loose messages: where they begin, first and last time, how many
         self._run: tuple[int, int, int, int] | None = None
-        self._deadline = limits.Deadline(size)
+        self._deadline = limits.Deadline(files.stored_bytes(path, size))
 
     def run(self, told: Statistics | None) -> Index:
         """The index.  Raises Malformed where it does not have as many messages as it was told."""

@@ -179,7 +179,7 @@ class Salvage:
         self.compression: Compression = "none"
         self.growing = files.is_being_written(stream)
         self._metadata: list[_Frame] = []
-        self._deadline = limits.Deadline(size)
+        self._deadline = limits.Deadline(files.stored_bytes(path, size))
         self._work = 0  # bytes unpacked
         self._loose = False  # messages lie outside of chunks
         self._schemas: dict[int, tuple[Schema, bool]] = {}  # and whether under a checksum
@@ -491,6 +491,8 @@ class Salvage:
         """Offset of the next record that fits, or of the end."""
         pattern = _CANDIDATE_MESSAGE if self._loose else _CANDIDATE
         while at < limit:
+            self._deadline.check(f"{self.path}: offset {at:,}")
+            at = min(files.next_data(self._stream, at), limit)
             window = self._bytes(at, min(_WINDOW, limit - at))
             self._window = (at, window)
             for found in pattern.finditer(window):

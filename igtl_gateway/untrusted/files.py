@@ -11,6 +11,8 @@ from typing import IO, BinaryIO
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.untrusted import limits
 
+_SEEK_DATA = 3  # as lseek(2)
+
 _NOTHING, _UNSEEN = "nothing", "unseen"
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -41,6 +43,24 @@ def open_file(path: Path) -> BinaryIO:
         return path.open("rb")
     except OSError as error:
         raise UnsupportedRecording(f"{path}: {error.strerror or error}") from None
+
+
+def stored_bytes(path: Path, size: int) -> int:
+    """How many of the ``size`` bytes of a file are on the disk: the holes of a sparse file cost nothing to make."""
+    try:
+        return min(size, path.stat().st_blocks * 512)
+    except (OSError, ValueError):  # bytes in memory
+        return size
+
+
+def next_data(stream: IO[bytes], at: int) -> int:
+    """The offset of the next byte, from ``at`` on, that is not in a hole of a sparse file; the end if there is none."""
+    try:
+        return stream.seek(at, _SEEK_DATA)
+    except OSError as error:
+        return stream.seek(0, 2) if error.errno == errno.ENXIO else at
+    except ValueError:  # bytes in memory
+        return at
 
 
 def is_being_written(stream: IO[bytes]) -> bool:

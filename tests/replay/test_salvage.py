@@ -373,6 +373,16 @@ def test_a_newer_version_is_refused(tmp_path: Path) -> None:
         Salvage.open(tmp_path / "a")
 
 
+def test_a_hole_behind_a_recording_costs_no_time(tmp_path: Path, small: Sound) -> None:
+    path = tmp_path / "sparse.mcap"
+    end = small.chunks[1][1]
+    write_anew(path, small.data[:end])
+    os.truncate(path, 1 << 36)  # 64 GiB, of which next to nothing is stored
+    found = read(path).entries
+    assert found == small.entries[: len(found)]
+    assert len(found) == small.chunks[0][2] + small.chunks[1][2]
+
+
 def test_random_bytes_behind_the_magic_give_nothing(tmp_path: Path) -> None:
     for seed in range(100):
         data = b"\x89MCAP0\r\n" + random.Random(seed).randbytes(3000)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
 from pathlib import Path
 
 import pytest
 
 from igtl_gateway.errors import DamagedRecording, LimitExceeded, UnsupportedRecording
-from igtl_gateway.untrusted import limits
+from igtl_gateway.untrusted import files, limits
 from igtl_gateway.untrusted.files import beside, open_file, read_bytes
 from igtl_gateway.untrusted.limits import Limits
 
@@ -59,3 +60,19 @@ def test_a_reference_to_a_file_beside(tmp_path: Path) -> None:
     assert beside(tmp_path / "a.mhd", "b.raw") == tmp_path / "b.raw"
     with pytest.raises(UnsupportedRecording, match="FIFO"):
         beside(tmp_path / "a.mhd", "pipe")
+
+
+def test_holes_of_a_sparse_file_cost_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "sparse"
+    with path.open("wb") as stream:
+        stream.write(b"x" * 10_000)
+        stream.seek(1 << 34)
+        stream.write(b"y")
+    assert files.stored_bytes(path, 1 << 34) < 1 << 20
+    assert files.stored_bytes(path, 3) == 3
+    with path.open("rb") as stream:
+        assert files.next_data(stream, 5) == 5
+        assert (1 << 34) - (1 << 20) < files.next_data(stream, 1 << 20) <= 1 << 34
+        assert files.next_data(stream, (1 << 34) + 1) == (1 << 34) + 1
+    assert files.next_data(io.BytesIO(b"abc"), 1) == 1
+    assert files.stored_bytes(tmp_path / "none", 7) == 7
