@@ -1,6 +1,6 @@
 """Every hostile file of the table is given to the verbs that read its sort, with limits of time and memory.
 
-In every run of the tests each file meets the first verb of its sort and two others by turns;
+In every run of the tests each file meets the first verb of its sort and one other by turns;
 ``HOSTILE_FILES=all`` gives it to all of them.
 """
 
@@ -15,7 +15,7 @@ from tests.integration.hostile_files.case import VERBS, Danger, Hostile, file
 from tests.integration.hostile_files.page import MARK, PAGE, page, results
 from tests.integration.hostile_files.table import CASES, Outcome, Worker, judged, outcomes
 
-_MORE = None if os.environ.get("HOSTILE_FILES") == "all" else 2
+_MORE = None if os.environ.get("HOSTILE_FILES") == "all" else 1
 #: Files that one process reads, so that several test workers share the table.
 _PART = 90
 _PARTS = [CASES[start : start + _PART] for start in range(0, len(CASES), _PART)]
