@@ -141,7 +141,8 @@ def _uneven(scene: Scene, pixels: Array, off: Array) -> float:
     counts = np.isfinite(off) & np.isfinite(scene.noise[pixels])
     if not counts.any():
         return 0.0
-    step, clouds = scene.steps.at(scene.depth[pixels[counts]]), len(scene.depths)
+    step = scene.steps.at(scene.depth[pixels[counts]])
+    clouds = np.maximum(scene.counted[:, pixels[counts]].sum(axis=0), 1)
     lasting = steps.UNIFORM_VARIANCE * step**2
     noisy = float(((scene.noise[pixels[counts]] ** 2 - lasting) / clouds + lasting).mean())
     found = noise.deviation(off) ** 2
