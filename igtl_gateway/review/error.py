@@ -36,6 +36,7 @@ _NARROW, _NARROW_PX = 0.5, 6.0  # radii of the window, and pixels: a pattern is 
 _PATTERN_REACH, _PATTERN_PX = 3.0, 18.0  # times that, or so many pixels: the grain of a sensor is some pixels wide
 _WIDEST = 7.0
 _CHANCE_RINGS = ((0.0, 1), (0.6, 5), (1.0, 8))  # of places: share of what the weights may be moved by, number
+_FREE = 6  # of these places do not overlap: degrees of freedom that each cloud adds
 _PATTERN_RINGS = ((0.0, 1), (0.35, 5), (0.7, 8), (1.0, 11))
 _LEAST_PLACES = 8
 _ROUNDS = 5
@@ -107,7 +108,7 @@ def of_depth(scene: Scene, ray: Array, radius: float, pixels: Array, influence: 
     reach = min(max(_PATTERN_REACH, _PATTERN_PX * pitch / narrow), _WIDEST)
     pattern, bent = _pattern(Cells.around(scene, ray, narrow * radius, reach), reach, 1 / narrow)
     turned = _rounding(scene, pixels, influence, fitted)
-    base = white * (single**2 if chance is None else chance)
+    base = white * (single**2 if chance is None else chance * _student(len(scene.depths)))
     uneven = _uneven(scene, pixels, np.where(influence != 0, off, np.nan))
     missed = max(bent**2, _MISSED * uneven)
     expected = base + missed + float((turned**2).mean())
@@ -128,6 +129,12 @@ def _chance(cells: Cells) -> float | None:
             found += float((times(cells.besides[:, inside], weight) ** 2).sum())
             expected += float((weight**2 / cells.number[inside]).sum())
     return clouds / (clouds - 1) * found / expected if clouds > 1 and expected > 0 else None
+
+
+def _student(clouds: int) -> float:
+    """By how much a variance of so few readings has to be larger for 1.96 of its roots to hold 95 %: of n degrees of
+    freedom Student's t is 1.96 + 2.4 / n."""
+    return (1 + 2.4 / SURE_95 / (_FREE * (clouds - 1))) ** 2
 
 
 def _uneven(scene: Scene, pixels: Array, off: Array) -> float:
