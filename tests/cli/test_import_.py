@@ -16,6 +16,7 @@ from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.text import String
+from tests.replay import conformance
 
 
 def message(text: str) -> bytes:
@@ -151,3 +152,12 @@ def test_there_is_nothing_to_verify(tmp_path: Path, capsys: pytest.CaptureFixtur
     capsys.readouterr()
     assert main(["verify", str(out)]) == USAGE
     assert "was imported (sequence)" in capsys.readouterr().err
+
+
+def test_a_truncated_mcap_file_ends_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = next(file for file in conformance.files() if file.messages)
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole.data[: len(whole.data) // 2])
+    assert main(["import", str(path), "-o", str(tmp_path / "out.mcap")]) == FAILURE
+    error = capsys.readouterr().err
+    assert f"was cut off after {len(whole.data) // 2} bytes" in error and "recover" in error
