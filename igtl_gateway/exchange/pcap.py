@@ -19,6 +19,7 @@ import ipaddress
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 from igtl_gateway.buffers import Buffer
@@ -404,6 +405,7 @@ def _is_new(connection: _Connection, segment: Segment) -> bool:
     return start is None or (segment.seq + 1) % _SEQUENCES != start
 
 
+@lru_cache(maxsize=4_096)  # asked for several times in each connection
 def _text(address: _Address) -> str:
     host = ipaddress.ip_address(address[0])
     return f"[{host}]:{address[1]}" if host.version == 6 else f"{host}:{address[1]}"

@@ -122,7 +122,7 @@ class BagFile:
             raise DamagedRecording(f"{self._path}: has no index, so recording was cut off: `rosbag reindex` makes one")
         if index > self._size:
             raise DamagedRecording(f"{self._path}: cut off: found {self._size} bytes, expected an index at {index}")
-        limits.check("count", connections, f"{self._path}: connections")
+        limits.check("topics", connections, f"{self._path}: connections")
         limits.check("count", chunks, f"{self._path}: chunks")
         self._stream.seek(index)
         self.connections = [self._connection() for _ in range(connections)]

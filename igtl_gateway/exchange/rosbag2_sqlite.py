@@ -96,11 +96,13 @@ class SqliteStorage:
         qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
         self._count()
         for number, topic, ros_type, encoding, profiles in self._rows(
-            f"SELECT id, name, type, serialization_format, {qos} FROM topics"
+            f"SELECT id, name, type, serialization_format, {qos} FROM topics", "topics"
         ):
             self._add_topic(number, str(topic), str(ros_type), str(encoding), str(profiles or ""))
         if self._columns("message_definitions"):
-            found = self._rows("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
+            found = self._rows(
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions", "topics"
+            )
             self.definitions = {str(name): (str(text or ""), str(encoding)) for name, encoding, text in found}
 
     def _check_tables(self) -> None:
@@ -130,7 +132,7 @@ class SqliteStorage:
             raise DamagedRecording(f"{self._path}: messages: found other columns than those of rosbag2")
         self._counted: dict[Any, int] = {}
         for number, count, size in self._rows(
-            "SELECT topic_id, count(*), sum(length(data)) FROM messages GROUP BY topic_id"
+            "SELECT topic_id, count(*), sum(length(data)) FROM messages GROUP BY topic_id", "topics"
         ):
             self._counted[number] = count
             self._stored += int(size or 0) + count
@@ -149,10 +151,10 @@ class SqliteStorage:
         self._keys[number] = key
         self.qos.setdefault(key, profiles)
 
-    def _rows(self, query: str) -> list[Any]:
+    def _rows(self, query: str, limit: str = "count") -> list[Any]:
         rows: list[Any] = []
         for row in self._base.execute(query):
-            limits.check("count", len(rows) + 1, f"{self._path}: rows of a table")
+            limits.check(limit, len(rows) + 1, f"{self._path}: rows of a table")
             rows.append(row)
         return rows
 

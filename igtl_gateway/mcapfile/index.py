@@ -11,7 +11,7 @@ import shlex
 import struct
 import zlib
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import IO
@@ -105,10 +105,14 @@ class Index:
     scanned: bool = False
 
     def define(self, opcode: int, content: bytes) -> None:
-        """Learn a schema or a channel."""
+        """Learn a schema or a channel.
+
+        Of a definition that is longer than any that is parsed, only the beginning is kept: it is refused like the whole.
+        """
         if opcode == records.SCHEMA:
             schema = records.schema(content)
-            self.schemas[schema.id] = schema
+            most = 4 * limits.current().definition + 1  # a character of UTF-8 has at most 4 bytes
+            self.schemas[schema.id] = schema if len(schema.data) <= most else replace(schema, data=schema.data[:most])
         elif opcode == records.CHANNEL:
             channel = records.channel(content)
             self.channels[channel.id] = channel

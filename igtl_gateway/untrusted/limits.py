@@ -29,6 +29,7 @@ class Limits:
         free: bytes that a piece may always have, whatever its ratio: a black picture packs to nothing.
         depth: levels of nesting of JSON, YAML, message definitions and the like.
         count: things of one sort: fields of a header, connections of a capture, channels, names.
+        topics: topics of a bag.
         definition: characters of the definition of one message type, with all that it needs.
         fields: fields, constants and types of one such definition; an array of five messages counts as five.
             Also the transforms of one sequence.
@@ -42,6 +43,7 @@ class Limits:
     free: int = 64 * _MIB
     depth: int = 64
     count: int = 200_000
+    topics: int = 20_000
     definition: int = 256 * 1024
     fields: int = 3_000
     document: int = 512 * 1024
@@ -60,6 +62,7 @@ MEANINGS = {
     "free": "bytes that a piece may have unpacked whatever its ratio",
     "depth": "levels of nesting (JSON, YAML, message definitions)",
     "count": "things of one sort (header fields, connections, channels, names)",
+    "topics": "topics of a bag",
     "definition": "characters of the definition of one message type",
     "fields": "fields, constants and types of one definition; transforms of one sequence",
     "document": "characters of a YAML document",

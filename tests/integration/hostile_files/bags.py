@@ -382,10 +382,10 @@ BAGS_2: tuple[Hostile, ...] = (
         script="UPDATE schema SET schema_version = 99;",
     ),
     _db(
-        "trigger",
+        "many-topics",
         Danger.LIE,
-        "10,000 topics",
-        script="WITH RECURSIVE n(i) AS (SELECT 2 UNION ALL SELECT i + 1 FROM n WHERE i < 10000) "
+        "100,000 topics",
+        script="WITH RECURSIVE n(i) AS (SELECT 2 UNION ALL SELECT i + 1 FROM n WHERE i < 100000) "
         "INSERT INTO topics SELECT i, '/t' || i, 'std_msgs/msg/String', 'cdr', '', '' FROM n;",
     ),
     _db(

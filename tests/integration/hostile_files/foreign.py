@@ -107,7 +107,7 @@ CASES: tuple[Hostile, ...] = (
         "with arrays of arrays of 65,535 structures",
         lambda: "lab/A[65535] a\n" + f"{'=' * 80}\nMSG: lab/A\nlab/B[65535] b\n{'=' * 80}\nMSG: lab/B\nuint8 c\n",
     ),
-    _definition("giant-text", "of 8 MB", lambda: "# " + "x" * 8_000_000 + "\nuint8 a\n"),
+    _definition("giant-text", "of 40 MB", lambda: "# " + "x" * 40_000_000 + "\nuint8 a\n"),
     _definition("one-line", "with one name of 1 MB", lambda: "uint8 " + "x" * 1_000_000 + "\n"),
     _definition(
         "constants", "with 20,000 constants", lambda: "".join(f"uint8 C{n}={n % 256}\n" for n in range(20_000))

@@ -68,7 +68,7 @@ def _capture(name: str, danger: Danger, what: str, data: Callable[[], bytes]) ->
 
 
 CAPTURES = (
-    _capture("connections", Danger.BOMB, "20,000 connections", lambda: talks(20_000)),
+    _capture("connections", Danger.BOMB, "60,000 connections", lambda: talks(60_000)),
     _capture("holes", Danger.BOMB, "100,000 pieces behind a gap", lambda: holes(100_000)),
     _capture(
         "bytes",
