@@ -72,7 +72,7 @@ def test_what_takes_too_much_is_found(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(fuzz_files, "CPU_S", -1.0)
     assert found(tmp_path, lambda _path, _rng: "read") == ["slow"]
     monkeypatch.setattr(fuzz_files, "CPU_S", 60.0)
-    monkeypatch.setattr(fuzz_files, "PEAK_MB", fuzz_files._peak_mb() + 10)
+    monkeypatch.setattr(fuzz_files, "GROWTH_MB", 10)
     assert found(tmp_path, grows) == ["memory"]
 
 

@@ -107,7 +107,7 @@ class Index:
     def define(self, opcode: int, content: bytes) -> None:
         """Learn a schema or a channel.
 
-        Of a definition that is longer than any that is parsed, only the beginning is kept: it is refused like the whole.
+        Of a definition that is longer than any that is parsed, the beginning is kept; it is refused like the whole.
         """
         if opcode == records.SCHEMA:
             schema = records.schema(content)

@@ -119,7 +119,8 @@ class Decoder:
                 self._stores[ros_type] = error
         found = self._stores[ros_type]
         if isinstance(found, DamagedRecording):
-            raise found
+            # without its traceback, which grows with each raise and keeps the frames, and so the messages, of all
+            raise found.with_traceback(None)
         return found
 
     def _load(self, ros_type: str) -> tuple[Typestore, Elements]:

@@ -14,7 +14,7 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.convert.rosmsg import Header, Image
 from igtl_gateway.edges.tcp import Limits
-from igtl_gateway.errors import ConfigError, RecordingError
+from igtl_gateway.errors import RecordingError, Unavailable
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.replay.mcap_reader import SessionFile
@@ -35,7 +35,7 @@ def test_a_port_that_is_taken_does_not_cost_the_recording_of_yesterday(tmp_path:
         options = BridgeOptions(
             (taken.getsockname(),), ros=False, record=recording, recording=RecordOptions(overwrite=True)
         )
-        with pytest.raises(ConfigError):
+        with pytest.raises(Unavailable):
             Bridge(Config(), options, SystemClock()).start()
     assert recording.read_bytes() == b"yesterday"
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 
 from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.cli import main
@@ -253,8 +254,12 @@ def test_an_output_that_nobody_reads_ends_without_a_traceback() -> None:
 
 def test_damage_in_the_middle_ends_a_replay_with_one_line(tmp_path: Path) -> None:
     data = TYPES.read_bytes()
+    with TYPES.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary
+    at = summary.chunk_indexes[-1].chunk_start_offset + 200
     path = tmp_path / "flipped.mcap"
-    path.write_bytes(data[:3000] + bytes(byte ^ 0xFF for byte in data[3000:3100]) + data[3100:])
+    path.write_bytes(data[:at] + bytes(byte ^ 0xFF for byte in data[at : at + 100]) + data[at + 100 :])
     with server() as listener, replay(str(path), "--to", "igtl", "--connect", target(listener)) as process:
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1

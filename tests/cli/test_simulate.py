@@ -39,7 +39,7 @@ def test_the_outcome_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 def test_scenarios_without_actors_are_written_as_ever(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "t.mcap"
     assert main(["simulate", "paper-types", "--out", str(out), "--json"]) == 0
-    assert set(json.loads(capsys.readouterr().out)) == {"file", "entries", "bytes", "good"}
+    assert set(json.loads(capsys.readouterr().out)) == {"file", "entries", "bytes", "sha256", "good"}
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

@@ -50,9 +50,9 @@ def run(programs: list[Program], *arguments: str, **changes: str) -> Result:
     return programs[-1].end(None)
 
 
-def refused(result: Result | Outcome) -> str:
-    """The one line of a usage error."""
-    assert (result.code, result.out) == (2, "")
+def refused(result: Result | Outcome, code: int = 2) -> str:
+    """The one line of an error; of usage, unless another code is given."""
+    assert (result.code, result.out) == (code, "")
     (line,) = result.err.splitlines()
     return line
 
@@ -142,7 +142,7 @@ def test_port_in_use(programs: list[Program], tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         result = run(programs, "bridge", "--no-ros", "--listen", port, "--record", str(path))
-    line = refused(result)
+    line = refused(result, 1)
     assert f"127.0.0.1:{port}" in line and "in use" in line
     assert not path.exists()
 
@@ -185,8 +185,8 @@ def test_usage(tmp_path: Path) -> None:
 def test_without_ros_installed(programs: list[Program], tmp_path: Path) -> None:
     hiding = hidden_ros(tmp_path)
     path = tmp_path / "out.mcap"
-    line = refused(run(programs, "bridge", "--listen", "0", "--record", str(path), PYTHONPATH=hiding))
-    assert "ROS 2 is not available" in line and "install" in line
+    line = refused(run(programs, "bridge", "--listen", "0", "--record", str(path), PYTHONPATH=hiding), 1)
+    assert "rclpy cannot be imported" in line and 'pip install "igtl-gateway[ros]"' in line
     assert not path.exists()
     bridge = Bridge("--no-ros", "--record", str(path), PYTHONPATH=hiding)
     programs.append(bridge)

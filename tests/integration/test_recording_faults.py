@@ -90,7 +90,8 @@ def test_a_read_only_folder_leaves_the_bridge_to_its_work(disk: Path) -> None:
     bridge = Bridge("--no-ros", "--record", str(path), "--metrics", "0")
     try:
         told = bridge.wait_code("record_failed")
-        assert told["text"] == f"cannot record to {path}: {READ_ONLY}; the bridge goes on without recording"
+        failure = f"cannot record to {path}: {READ_ONLY}, in the folder {disk}"
+        assert told["text"] == f"{failure}; the bridge goes on without recording"
         with RawPeer(bridge.port) as peer:
             peer.send(string("all the same"))
             bridge.wait_code("stream")
@@ -98,7 +99,7 @@ def test_a_read_only_folder_leaves_the_bridge_to_its_work(disk: Path) -> None:
         result = bridge.end()
     finally:
         bridge.close()
-    assert recorder["failure"] == f"cannot record to {path}: {READ_ONLY}"
+    assert recorder["failure"] == failure
     recording = bridge.events[-1]["recording"]
     # up, down, the message and what it became, and the notes of these
     assert recording["entries"] == 0 and recording["files"] == [] and recording["dropped"] >= 4
