@@ -64,9 +64,10 @@ def lines(stream: BinaryIO, where: str) -> Iterator[str]:
     bound, size = limits.current(), 0
     deadline = limits.Deadline(os.fstat(stream.fileno()).st_size)
     for count in range(1, bound.count + 2):
-        line = stream.readline(bound.free + 1)
+        line = stream.readline(bound.document + 1)
         if not line:
             return
+        limits.check("document", len(line), f"{where}: bytes of a line of the header")
         size += len(line)
         limits.check("free", size, f"{where}: bytes of the header")
         limits.check("count", count, f"{where}: fields of the header")

@@ -33,7 +33,7 @@ class Limits:
         definition: characters of the definition of one message type, with all that it needs.
         fields: fields, constants and types of one such definition; an array of five messages counts as five.
             Also the transforms of one sequence.
-        document: characters of a YAML document.
+        document: characters of a YAML document, or of a line of an image header.
         seconds: time that reading may take, plus ``seconds_per_mb`` for each megabyte of the file.
         seconds_per_mb: see ``seconds``.
     """
@@ -65,7 +65,7 @@ MEANINGS = {
     "topics": "topics of a bag",
     "definition": "characters of the definition of one message type",
     "fields": "fields, constants and types of one definition; transforms of one sequence",
-    "document": "characters of a YAML document",
+    "document": "characters of a YAML document or of a line of an image header",
     "seconds": "time that reading a file may take, plus `seconds_per_mb`",
     "seconds_per_mb": "further seconds for each megabyte of the file",
 }
