@@ -134,9 +134,9 @@ class Gateway:
         try:
             outcome = room(entry)
             outcome.items += self._opened_streams()
-            outputs = self._accounts.settle(entry, outcome)
             if outcome.origin:
                 self.fast_path.learn(entry, outcome)
+            outputs = self._accounts.settle(entry, outcome)  # last: what fails above has counted nothing yet
         except Exception as error:  # a defect of ours must cost one message, not the session
             self._streams.news.clear()
             outputs = self._accounts.fail(entry, error)

@@ -14,6 +14,7 @@ from igtl_gateway.convert.igtl_msgs import RawMessage, VideoFrame, Volume
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway import LISTENED
+from igtl_gateway.gateway.fastpath import FastPath
 from igtl_gateway.gateway.metadata import FULL_NAME
 from igtl_gateway.gateway.to_ros.route import Router
 from igtl_gateway.qos import Qos
@@ -515,3 +516,17 @@ def test_who_listens_late_to_a_latched_topic_gets_its_last_message() -> None:
     cloud = rosmsg.PointCloud2.unpack(script.last[0].data())
     assert np.frombuffer(cloud.data, "<f4")[0] == np.float32(0.002)
     assert script.feed(Kind.EDGE_NOTE, (listened.pack(),)) == []
+
+
+def test_a_defect_of_the_fast_path_is_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    script.up(1)
+
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("oops")
+
+    script.igtl(TRANSFORM)  # shows what the peer is; the next one is compiled
+    monkeypatch.setattr(FastPath, "learn", broken)
+    assert script.igtl(TRANSFORM) == ["note internal_error"]
+    row = script.gateway.ledger.to_dict()["igtl_in"]["TRANSFORM/ProbeToTracker"]
+    assert (row["received"], row["converted"], row["dropped"]) == (2, 1, {"internal_error": 1})
