@@ -199,8 +199,5 @@ def _invalid_stream(entry: Entry) -> str:
     payload: Buffer = entry.data()
     if TRANSFORM_STATUS.encode() not in bytes(payload):
         return ""
-    try:
-        note = Note.unpack(bytes(payload))
-    except (ValueError, LookupError, TypeError):
-        return ""
+    note = Note.of(bytes(payload))
     return note.stream if note.code == TRANSFORM_STATUS else ""
