@@ -10,7 +10,7 @@ WORKERS := 3
 help:
 	@echo "make demo        bridge, record, verify and replay on this machine, with real ROS 2"
 	@echo "make test        all tests, after the checks of 'make check': the gate for every change"
-	@echo "make check       format, lint, types, pins, generated documents, architecture"
+	@echo "make check       format, lint, types, pins, generated documents, terms, architecture"
 	@echo "make pictures    the pictures in docs/pictures anew, from the recordings in fixtures/"
 	@echo "make fixtures    the recordings in fixtures/ anew, by the commands of fixtures/README.md"
 	@echo "make clean       remove what make has made, .venv too"
@@ -34,6 +34,7 @@ static: $(READY)
 	@$(BIN)/mypy --no-error-summary
 	@$(BIN)/python tools/constraints.py --check
 	@$(BIN)/python tools/docs.py --check
+	@$(BIN)/python tools/terms.py
 
 peers:
 	@tools/setup.sh peers

@@ -167,6 +167,7 @@ UNMIRRORED = (
     "test_fixtures.py",  # what the recordings in fixtures/ promise
     "test_fuzz_files.py",  # tools/fuzz_files.py
     "test_gateway_fuzz.py",
+    "test_terms.py",  # tools/terms.py
     "replay/test_conformance.py",  # MCAP's conformance set through readers and verbs
     "replay/test_mcap_fuzz.py",  # tools/mcap_mutations.py
     "wire/test_bodies.py",  # every type of message against one list of checks
