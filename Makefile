@@ -46,10 +46,10 @@ pictures: $(READY)
 fixtures: $(READY)
 	@$(BIN)/python -m tools.fixtures
 
-$(READY): pyproject.toml constraints.txt igtl_gateway/__init__.py hatch_build.py igtl_gateway/convert/_express.c
+$(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/__init__.py hatch_build.py igtl_gateway/convert/_express.c
 	@tools/setup.sh venv
 	@touch $@
 
 clean:
 	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis
-	find igtl_gateway tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
+	find igtl_gateway lab tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

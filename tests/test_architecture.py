@@ -16,8 +16,13 @@ import pytest
 from tests.conftest import LONGEST
 
 PACKAGE = "igtl_gateway"
+LABORATORY = "igtl_gateway_lab"
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
+
+#: Distribution → its folder.  The modules of the laboratory have names that start with ``lab``.
+FOLDERS = {PACKAGE: ROOT / PACKAGE, LABORATORY: ROOT / "lab" / LABORATORY}
+LAB = "lab"
 
 #: The package itself, ``igtl_gateway/__init__.py``: its version, for everybody.
 TOP = ""
@@ -39,7 +44,6 @@ LEVELS = {
     "faults": 1,
     "config": 2,
     "convert": 2,
-    "mcapfile": 2,
     "gateway": 3,
     "review": 3,  # of a plan, on arrays
     "ros_interfaces.definitions": 3,  # files of definitions, for whoever reads or compiles them
@@ -51,23 +55,35 @@ LEVELS = {
     "record": 4,
     "replay": 4,
     "ros_interfaces": 4,
-    "simulate": 4,
+    "sessionfile": 4,
     "view": 4,
     "app": 5,
-    "bench": 5,
     "cli": 6,
     "testing": 6,
     "__main__": 7,
     "ros_interfaces.__main__": 7,
-    "demo": 7,
+    "lab": 0,
+    "lab.simulate": 4,
+    "lab.bench": 5,
+    "lab.stage": 5,
+    "lab.verbs": 7,
+    "lab.cli": 7,
+    "lab.demo": 7,
+    "lab.bench.__main__": 7,
 }
 
 #: Programs that play somebody else: of us they may use nothing but themselves, of the world what they like.
-STRANGERS = ("demo",)
+STRANGERS = ("lab.demo",)
 
 #: Unit → the unit of its own level that it may use all the same: a configuration names conversions, and what a
 #: recording says of itself is checked like everything that is foreign.
-SIBLINGS = {"config": "convert", "session": "untrusted"}
+SIBLINGS = {
+    "config": "convert",
+    "session": "untrusted",
+    "exchange": "sessionfile",
+    "record": "sessionfile",
+    "replay": "sessionfile",
+}
 
 #: What makes code of ROS definitions.
 GENERATORS = (
@@ -88,36 +104,26 @@ HOMES: dict[str, tuple[str, ...]] = {
     "asyncio": (),
     "select": ("edges.tcp.link",),
     "selectors": ("edges.tcp.loop",),
-    "socket": ("edges.tcp", "bench.programs"),  # a measurement has a peer that costs nothing
+    "socket": ("edges.tcp", "lab.bench.programs"),  # a measurement has a peer that costs nothing
     "socketserver": (),
     "ssl": ("edges.tcp.tls",),
     "http": ("app.metrics",),
     "rclpy": ("edges.ros",),
     # Time and chance: the core is a pure function of its inputs
     "time": ("clock",),
-    "random": ("simulate",),
+    "random": ("lab.simulate",),
     "secrets": (),
     "uuid": (),
     # Libraries
     "av": ("edges.video",),
-    "fastcrc": ("wire", "record.mcap_stream", "mcapfile"),
-    "lz4": ("record.mcap_stream", "mcapfile.unpack", "untrusted.unpack"),
-    "pyigtl": ("bench.pyigtl_side",),  # somebody else's peer
-    "mcap": (
-        "exchange",
-        "mcapfile",
-        "record.mcap_copy",
-        "record.mcap_stream",
-        "record.mcap_writer",
-        "replay.lookup",
-        "replay.mcap_reader",
-        "replay.salvage",
-    ),
+    "fastcrc": ("wire", "sessionfile"),
+    "lz4": ("sessionfile.stream", "sessionfile.unpack", "untrusted.unpack"),
+    "pyigtl": ("lab.bench.pyigtl_side",),  # somebody else's peer
+    "mcap": ("exchange", "sessionfile"),
     "nibabel": ("exchange.nifti",),
     "numpy": (
         "wire",
         "convert",
-        "mcapfile",
         "doctor",
         "gateway",
         "edges",
@@ -126,17 +132,17 @@ HOMES: dict[str, tuple[str, ...]] = {
         "replay",
         "review",
         "ros_interfaces.build",
-        "simulate",
+        "sessionfile",
         "view",
-        "bench",
         "cli",
+        "lab",
     ),
     "pytest": ("testing.plugin",),
     "rerun": ("view",),
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
-    "rosbags": ("exchange", "record.rostypes", "replay", "untrusted"),
+    "rosbags": ("exchange", "replay", "sessionfile.schemas", "untrusted"),
     "ruamel": ("untrusted.yaml_text",),  # brought by rosbags, as zstandard is by mcap
-    "zstandard": ("exchange.rosbag2", "mcapfile.unpack", "record.mcap_stream", "untrusted.unpack"),
+    "zstandard": ("exchange.rosbag2", "sessionfile.stream", "sessionfile.unpack", "untrusted.unpack"),
 }
 
 #: What the levels up to the gateway may not use, on top: the environment, other threads, other processes.
@@ -149,7 +155,7 @@ DYNAMIC_IMPORTERS = ("edges.ros", "cli")
 #: Who may print or write to the standard streams: whatever else prints does it by ``cli.terminal``, which escapes.
 PRINTERS = ("cli.terminal",)
 #: Programs that tell our own process what they do, and one line of our own beside the work of a compiler.
-STREAM_WRITERS = (*PRINTERS, "bench.programs", "ros_interfaces.cache")
+STREAM_WRITERS = (*PRINTERS, "lab.bench.programs", "ros_interfaces.cache")
 CLOCK_CALLS = frozenset({"now", "today", "utcnow"})
 
 #: Tests of no single module, relative to the folder of tests; a folder stands for all that is in it.
@@ -168,13 +174,21 @@ UNMIRRORED = (
     "test_fuzz_files.py",  # tools/fuzz_files.py
     "test_gateway_fuzz.py",
     "test_terms.py",  # tools/terms.py
-    "replay/test_conformance.py",  # MCAP's conformance set through readers and verbs
-    "replay/test_mcap_fuzz.py",  # tools/mcap_mutations.py
+    "sessionfile/test_conformance.py",  # MCAP's conformance set through readers and verbs
+    "sessionfile/test_mcap_fuzz.py",  # tools/mcap_mutations.py
     "wire/test_bodies.py",  # every type of message against one list of checks
     "wire/test_conformance.py",  # every type of message through the command line
     "wire/test_corpus.py",
     "wire/test_fuzz.py",  # tools/fuzz.py
 )
+
+
+def ours(name: str) -> str | None:
+    """The name of a module of either distribution, as the tables have it; None for modules of others."""
+    package, _, rest = name.partition(".")
+    if package == LABORATORY:
+        return f"{LAB}.{rest}".removesuffix(".")
+    return rest if package == PACKAGE else None
 
 
 def lies_in(module: str, unit: str) -> bool:
@@ -184,7 +198,7 @@ def lies_in(module: str, unit: str) -> bool:
 
 def unit_of(module: str) -> str | None:
     """The unit of a module (both relative to the package); None if the table of levels has none."""
-    units = [unit for unit in LEVELS if unit != TOP and lies_in(module, unit)]
+    units = [unit for unit in LEVELS if unit != TOP and lies_in(module, unit) and (unit != LAB or module == LAB)]
     if units:
         return max(units, key=len)
     return TOP if module == TOP else None
@@ -202,7 +216,11 @@ def imports_of(module: str, is_package: bool, tree: ast.Module) -> Iterator[tupl
             case ast.ImportFrom():
                 source = node.module or ""
                 if node.level:
-                    parts = [PACKAGE, *(module.split(".") if module else [])]
+                    parts = (
+                        (f"{LABORATORY}{module.removeprefix(LAB)}" if lies_in(module, LAB) else f"{PACKAGE}.{module}")
+                        .rstrip(".")
+                        .split(".")
+                    )
                     here = parts[: len(parts) - node.level + is_package]
                     source = ".".join([*here, source] if source else here)
                 yield from ((node.lineno, f"{source}.{alias.name}") for alias in node.names)
@@ -222,8 +240,8 @@ def violations(module: str, source: str, *, is_package: bool = False) -> list[st
     tree = ast.parse(source)
     imports = imports_of(module, is_package, tree)
     if unit in STRANGERS:
-        ours = [(line, name) for line, name in imports if lies_in(name, PACKAGE)]
-        return [f"{module}:{line}: imports {name}" for line, name in ours if not lies_in(name, f"{PACKAGE}.{unit}")]
+        known = [(line, name, other) for line, name in imports if (other := ours(name)) is not None]
+        return [f"{module}:{line}: imports {name}" for line, name, other in known if not lies_in(other, unit)]
     found = [(line, fault) for line, name in imports if (fault := _import_fault(module, unit, name))]
     for node in ast.walk(tree):
         match node:
@@ -244,9 +262,9 @@ def violations(module: str, source: str, *, is_package: bool = False) -> list[st
 
 def _import_fault(module: str, unit: str, name: str) -> str | None:
     """Why ``module`` may not import ``name``, or None."""
+    if (imported := ours(name)) is not None:
+        return _level_fault(unit, imported)
     library = name.partition(".")[0]
-    if library == PACKAGE:
-        return _level_fault(unit, name.removeprefix(PACKAGE).removeprefix("."))
     if name == "?":
         return None if _is_home(module, DYNAMIC_IMPORTERS) else "imports a module chosen at run time"
     if library in HOMES:
@@ -264,6 +282,8 @@ def _level_fault(unit: str, imported: str) -> str | None:
     """Why ``unit`` may not import that module of ours, or None."""
     # "from igtl_gateway import __version__" names no module but something in the package's own file.
     other = unit_of(imported) or TOP
+    if lies_in(other, LAB) and not lies_in(unit, LAB):
+        return f"imports {other}, but the gateway does without its laboratory"
     if other in {unit, TOP} or LEVELS[other] < LEVELS[unit]:
         return None
     if SIBLINGS.get(unit) == other:
@@ -279,11 +299,13 @@ def _is_home(module: str, homes: tuple[str, ...]) -> bool:
 
 
 def modules() -> dict[str, Path]:
-    """Module name, relative to the package → file, of the whole package."""
+    """Module name, as the tables have it → file, of both distributions."""
     names = {}
-    for path in sorted((ROOT / PACKAGE).rglob("*.py")):
-        parts = path.relative_to(ROOT / PACKAGE).with_suffix("").parts
-        names[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    for package, folder in FOLDERS.items():
+        for path in sorted(folder.rglob("*.py")):
+            parts = path.relative_to(folder).with_suffix("").parts
+            module = ".".join([package, *(parts[:-1] if parts[-1] == "__init__" else parts)])
+            names[ours(module) or TOP] = path
     return names
 
 
@@ -331,15 +353,16 @@ def test_tests_mirror_the_package() -> None:
         ("gateway", "from igtl_gateway import __version__, convert"),
         ("edges.tcp.loop", "import selectors, socket, threading"),
         ("edges.tcp.link", "import select\nfrom igtl_gateway.edges.tcp.loop import Loop"),
-        ("edges.ros", "import rclpy.node\nfrom igtl_gateway.edges import ros_env"),
+        ("edges.ros.edge", "import rclpy.node\nfrom igtl_gateway.edges.ros import env"),
         ("edges.ros", "import importlib\nimportlib.import_module(name)"),
-        ("record.mcap_writer", "from mcap.writer import Writer"),
+        ("sessionfile.writer", "from mcap.writer import Writer"),
         ("replay.verify", "from igtl_gateway.gateway import Gateway\nfrom rosbags.typesys import Stores"),
-        ("simulate.star", "import random"),
+        ("lab.simulate.star", "import random"),
+        ("lab.stage.live", "from igtl_gateway.config import Config\nfrom igtl_gateway_lab.simulate import scenario"),
         ("app", "from igtl_gateway.record.recorder import Recorder\nfrom igtl_gateway.edges import ros, tcp"),
         ("cli.bridge", "def run():\n    from igtl_gateway.app import App\n    say(App)"),
         ("__main__", "from igtl_gateway.cli import main"),
-        ("demo.ros_node", "import rclpy, time\nfrom igtl_gateway.demo import pattern\nprint(time.time())"),
+        ("lab.demo.ros_node", "import rclpy, time\nfrom igtl_gateway_lab.demo import pattern\nprint(time.time())"),
         ("stamp", "from datetime import datetime, timezone\ndatetime.fromtimestamp(0, timezone.utc)"),
     ],
 )
@@ -357,19 +380,24 @@ def test_what_is_allowed(module: str, source: str) -> None:
         ("gateway", "from igtl_gateway.edges import tcp", "imports edges.tcp (level 4)"),
         ("record.recorder", "from igtl_gateway.app import App", "imports app (level 5)"),
         ("app", "from igtl_gateway.cli import main", "imports cli (level 6)"),
-        ("cli.demo", "from igtl_gateway.demo import ros_node", "imports demo (level 7)"),
+        ("cli.info", "from igtl_gateway_lab.simulate import star", "does without its laboratory"),
+        ("lab.simulate.star", "from igtl_gateway_lab.stage import live", "imports lab.stage (level 5)"),
         # Strangers
-        ("demo.igtl_client", "from igtl_gateway.wire import encode", "demo.igtl_client:1: imports igtl_gateway.wire"),
-        ("demo.igtl_client", "from igtl_gateway import errors", "imports igtl_gateway.errors"),
+        (
+            "lab.demo.igtl_client",
+            "from igtl_gateway.wire import encode",
+            "demo.igtl_client:1: imports igtl_gateway.wire",
+        ),
+        ("lab.demo.igtl_client", "from igtl_gateway import errors", "imports igtl_gateway.errors"),
         # Sideways
         ("errors", "from igtl_gateway.stamp import ns_to_ros", "imports stamp (level 0)"),
         ("wire.message", "from igtl_gateway.session.entry import Entry", "imports session (level 1)"),
         ("session.entry", "from igtl_gateway.wire import Message", "imports wire (level 1)"),
         ("convert.table", "from igtl_gateway.config import Config", "imports config (level 2)"),
-        ("edges.tcp", "from igtl_gateway.edges.ros import Node", "imports edges.ros (level 4)"),
+        ("edges.tcp", "from igtl_gateway.edges.ros.edge import Node", "imports edges.ros (level 4)"),
         ("edges.ros", "from . import tcp", "imports edges.tcp (level 4)"),
         ("edges.ros", "from igtl_gateway.edges.tcp.loop import Loop", "imports edges.tcp (level 4)"),
-        ("edges.ros_env", "from igtl_gateway.edges import ros", "imports edges.ros (level 4)"),
+        ("edges.video", "from igtl_gateway.edges import ros", "imports edges.ros (level 4)"),
         ("record.recorder", "from igtl_gateway.replay import verify", "imports replay (level 4)"),
         ("replay.verify", "from ..record import rostypes", "imports record (level 4)"),
         ("view.log", "from igtl_gateway.edges.tcp import Link", "imports edges.tcp (level 4)"),
@@ -381,7 +409,7 @@ def test_what_is_allowed(module: str, source: str) -> None:
         ("view.log", "import importlib\nimportlib.import_module(name)", "chosen at run time"),
         # Homes
         ("app", "import rclpy", "imports rclpy, whose home is edges.ros"),
-        ("edges.ros_env", "from rclpy.node import Node", "imports rclpy"),
+        ("edges.video", "from rclpy.node import Node", "imports rclpy"),
         ("app", "import rerun as rr", "imports rerun"),
         ("record.recorder", "from mcap.writer import Writer", "imports mcap"),
         ("convert.cdr", "from rosbags.typesys import Stores", "imports rosbags"),

@@ -25,11 +25,11 @@ from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.gateway import LINKS_TOPIC
 from igtl_gateway.gateway.profiles import BY_NAME
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.wire import Header, decode
 from igtl_gateway.wire.query import QUERIES
 from igtl_gateway.wire.registry import BODIES

@@ -17,17 +17,18 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-PROJECT = Requirement("igtl-gateway[ros,view,video,nifti,dev]")
+PROJECT = Requirement("igtl-gateway[ros,view,video,nifti,lab,dev]")
 CONSTRAINTS = Path(__file__).parent.parent / "constraints.txt"
 HEADER = """\
-# What the extras [ros,view,video,nifti,dev] install, with everything they need, on CPython 3.11, Linux x86_64.
-# To renew: make a virtual environment, pip install -e '.[ros,view,video,nifti,dev]' without this file, and there
+# What the extras [ros,view,video,nifti,lab,dev] install, with everything they need, on CPython 3.11, Linux x86_64.
+# To renew: make a virtual environment without this file, and in it
+#   pip install -e '.[ros,view,video,nifti,lab,dev]' -e ./lab
 #   python tools/constraints.py > constraints.txt
 """
 
 
 def installed_pins(project: Requirement) -> dict[str, str]:
-    """Name → installed version of all that ``project`` needs here, directly or not, but for itself.
+    """Name → installed version of all that ``project`` needs here, directly or not, but for itself and its laboratory.
 
     What a marker excludes is not needed; what is needed but absent is left out (ROS 2 where it has no wheels).
     """
@@ -49,7 +50,8 @@ def installed_pins(project: Requirement) -> dict[str, str]:
             seen.add((name, extra))
             needs = [Requirement(line) for line in found.requires or ()]
             waiting += [need for need in needs if need.marker is None or need.marker.evaluate({"extra": extra})]
-    pins.pop(canonicalize_name(project.name), None)
+    for own in (canonicalize_name(project.name), "igtl-gateway-lab"):
+        pins.pop(own, None)
     return dict(sorted(pins.items()))
 
 

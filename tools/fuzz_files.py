@@ -36,9 +36,9 @@ from igtl_gateway.cli.edge_file import EdgeFile
 from igtl_gateway.config import Config
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.exchange.formats import open_source
-from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.replay.salvage import Salvage
 from igtl_gateway.session.ledger import gaps
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.salvage import Salvage
 from igtl_gateway.untrusted.text import printable
 from tools import image_mutations, import_mutations, mcap_mutations
 from tools.import_mutations import Case

@@ -54,10 +54,10 @@ from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role
 from igtl_gateway.errors import MessageTooLarge
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LISTENED, TICK, Gateway, Session
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, decode, encode
 from igtl_gateway.wire.body import Body

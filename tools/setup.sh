@@ -78,17 +78,17 @@ make_venv() {
 }
 
 setup_venv() {
-    local extras='ros,view,video,nifti,dev' attempt
+    local extras='ros,view,video,nifti,lab,dev' attempt
     if [ -n "${AMENT_PREFIX_PATH:-}" ]; then
         # The wheels and a sourced ROS 2 do not go together in one environment.
         say "A ROS 2 environment is sourced: its rclpy is used, the ROS wheels are not installed."
-        extras='view,video,nifti,dev'
+        extras='view,video,nifti,lab,dev'
     fi
     "$VENV/bin/python" -c 'import pip' 2>/dev/null || make_venv
     say "Installing Python packages into $VENV (about 1 GB, a few minutes, only once)."
     for attempt in 1 2 3; do
         if "$VENV/bin/python" -m pip install -qq --disable-pip-version-check --retries 10 \
-            -c constraints.txt -e ".[$extras]" </dev/null; then
+            -c constraints.txt -e ".[$extras]" -e ./lab </dev/null; then
             setup_interfaces
             return
         fi
@@ -127,7 +127,7 @@ setup_peers() {
     fi
 }
 
-# What igtl_gateway/simulate/volume.py looks for; it finds an installed mricron-data, too.
+# What lab/igtl_gateway_lab/simulate/volume.py looks for; it finds an installed mricron-data, too.
 setup_mri() {
     local target="${XDG_CACHE_HOME:-$HOME/.cache}/igtl_gateway/mri" work log
     if [ -f "$target/ch2.nii.gz" ] && [ -f "$target/ch2bet.nii.gz" ]; then

@@ -36,11 +36,11 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.bench import programs
-from igtl_gateway.bench.cases import Direction, payload
-from igtl_gateway.bench.figures import Passage, latency
-from igtl_gateway.bench.jobs import Job, Part
-from igtl_gateway.bench.processes import BenchError, Event, Program, ours
+from igtl_gateway_lab.bench import programs
+from igtl_gateway_lab.bench.cases import Direction, payload
+from igtl_gateway_lab.bench.figures import Passage, latency
+from igtl_gateway_lab.bench.jobs import Job, Part
+from igtl_gateway_lab.bench.processes import BenchError, Event, Program, ours
 from tools.soak_findings import Found, Sample, Settings, say
 from tools.soak_guests import Guests
 from tools.soak_judge import BACK, PROCESSES, judge, picture, report, spare, words

@@ -86,7 +86,7 @@ def node(seed: int) -> None:
     import rclpy
     from std_msgs.msg import String
 
-    from igtl_gateway.edges.ros_env import prepare_environment
+    from igtl_gateway.edges.ros.env import prepare_environment
 
     prepare_environment()
     rng = Random(seed)

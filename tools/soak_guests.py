@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from random import Random
 
-from igtl_gateway.bench.cases import payload
+from igtl_gateway_lab.bench.cases import payload
 from tools.soak_findings import Found, Settings
 from tools.soak_load import PICTURE
 

@@ -7,11 +7,11 @@ from functools import partial
 
 import numpy as np
 
-from igtl_gateway.bench import cases, payloads
-from igtl_gateway.bench.cases import CASES, Stream
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.polydata import Cells, PolyData
+from igtl_gateway_lab.bench import cases, payloads
+from igtl_gateway_lab.bench.cases import CASES, Stream
 
 PICTURE, _CLOUD = "scan-vga", "grid-30k"
 

@@ -25,7 +25,7 @@ from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import CompressedImage, DiagnosticArray, TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList, MetadataItem
-from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import Limits, TcpEdge, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError

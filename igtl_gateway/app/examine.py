@@ -16,7 +16,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.observer import Intent, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink
-from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
 from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.gateway import Gateway, Session

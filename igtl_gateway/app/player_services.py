@@ -6,7 +6,7 @@ import threading
 from typing import Any
 
 from igtl_gateway.app.player import Player
-from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.errors import RosError
 from igtl_gateway.stamp import ros_to_ns
 

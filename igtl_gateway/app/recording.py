@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import TimeoutError as NotYetError
 from typing import Any
 
-from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.record.recorder import Recorder
 
 TYPE = "std_srvs/srv/Trigger"

@@ -9,10 +9,10 @@ from typing import Any
 
 from igtl_gateway.app.player import Played
 from igtl_gateway.app.replay_plan import Plan
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import FORMS, MADE_ANEW, RELAY, STREAMS
 from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.layout import NOTE_KINDS
+from igtl_gateway.sessionfile.layout import NOTE_KINDS
+from igtl_gateway.sessionfile.reader import SessionFile
 
 NOTES, UNREAD, LOST, NO_PEER, REFUSED, LEFT, OUTSIDE, NOT_REACHED = (
     "notes",

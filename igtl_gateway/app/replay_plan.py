@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from itertools import chain
 
 from igtl_gateway.config import Config
-from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.errors import RosError
 from igtl_gateway.qos import Qos
 from igtl_gateway.replay.latched import part, rule
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import once, select, spoken_to, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 
 #: For topics of which the file tells no quality of service.
 PLAYED_QOS = Qos(depth=100)

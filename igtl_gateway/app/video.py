@@ -13,7 +13,7 @@ from igtl_gateway.app.hub import Hub
 from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.rosmsg import Image
-from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.video import VideoDecoder, VideoEncoder, VideoOptions
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind

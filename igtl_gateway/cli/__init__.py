@@ -13,41 +13,16 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import keyword
 import sys
 from collections.abc import Sequence
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.terminal import Parser, abandon, finish, open_outputs, say
+from igtl_gateway.cli.verbs import LABORATORY, WITHOUT_LABORATORY, available
 from igtl_gateway.errors import ConfigError, GatewayError, OutputError, UnsupportedRecording
 from igtl_gateway.untrusted import limits
 
 FAILURE, USAGE = 1, 2
-
-#: Verb → one line of help.  The module of the same name in this package has ``add_arguments`` and ``run``; verbs that
-#: are words of Python have a module with an underscore behind the name.
-VERBS = {
-    "bridge": "run the gateway between OpenIGTLink and ROS 2, and record it",
-    "replay": "drive OpenIGTLink or ROS 2 from a recording",
-    "verify": "prove that a recording's outputs follow from its inputs, byte for byte",
-    "diff": "compare two recordings, stream by stream, in millimetres and degrees",
-    "slice": "cut a part out of a recording, by time and stream, that still verifies",
-    "import": "make a session of another program's recording",
-    "export": "write a session in the formats of other programs",
-    "recover": "make a whole file of a damaged one, and tell what is lost",
-    "info": "what is in a recording",
-    "doctor": "connect to a peer, or wait for one, and say what is wrong",
-    "lint": "the rules of doctor on a recording",
-    "view": "a session in rerun: its window, a file, a page, a picture",
-    "review": "is every stitch of a suture plan on the tissue, and how sure is the camera",
-    "decode": "print the messages of a raw OpenIGTLink byte stream as JSON lines",
-    "simulate": "play a scenario, live over ROS 2 and OpenIGTLink or as a recording",
-    "bench": "measure latency, rate and cost, beside bare hops of the same bytes",
-    "demo": "the main job in a minute: bridge, record, verify, replay",
-}
-
-#: Verbs that read files which somebody else may have written.
-READERS = frozenset(VERBS) - {"bridge", "doctor", "simulate", "bench", "demo"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -63,17 +38,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     # only the module of the verb that is asked for is imported: `info` must not wait for ROS
     asked = next((word for word in given if not word.startswith("-")), "")
-    for verb, text in VERBS.items():
+    known = available()
+    if asked in LABORATORY and asked not in known:
+        return _say(asked, WITHOUT_LABORATORY, USAGE)
+    for name, verb in known.items():
         made = verbs.add_parser(
-            verb,
-            help=text,
-            description=text[0].upper() + text[1:] + ".",
+            name,
+            help=verb.help,
+            description=verb.help[0].upper() + verb.help[1:] + ".",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        if verb == asked:
-            module = importlib.import_module(f"igtl_gateway.cli.{verb}{'_' * keyword.iskeyword(verb)}")
+        if name == asked:
+            if not verb.module:
+                return _say(asked, verb.help, FAILURE)
+            module = importlib.import_module(verb.module)
             module.add_arguments(made)
-            if verb in READERS:
+            if verb.reads_files:
                 _add_limits(made)
             made.epilog = "examples:\n" + module.EXAMPLES
             made.set_defaults(run=module.run)

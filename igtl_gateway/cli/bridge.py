@@ -36,7 +36,7 @@ from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.config import AUTO, Config
 from igtl_gateway.convert.igtl_msgs import Query
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role, RosRow
-from igtl_gateway.edges.ros_env import keep_large_blocks, prepare_environment
+from igtl_gateway.edges.ros.env import keep_large_blocks, prepare_environment
 from igtl_gateway.edges.video import CODECS, VideoOptions
 from igtl_gateway.errors import ConfigError, ViewerError
 from igtl_gateway.extras import missing

@@ -16,7 +16,7 @@ from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.faults import FAULTS
-from igtl_gateway.session import facts
+from igtl_gateway.sessionfile import facts
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
 

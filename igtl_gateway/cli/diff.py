@@ -15,7 +15,7 @@ from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.replay.compare import Decoder, Tolerance
 from igtl_gateway.replay.diff import DiffReport, Side, StreamDiff, diff
-from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
   igtl-gateway diff monday.mcap tuesday.mcap                    exit code 0: the same messages; 1: differences

@@ -12,7 +12,7 @@ from igtl_gateway.errors import GatewayError
 from igtl_gateway.exchange.account import Account, Exported
 from igtl_gateway.exchange.source import MESSAGES
 from igtl_gateway.exchange.targets import TARGETS, export_to
-from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
   igtl-gateway export out.mcap --to rosbag2 -o bag/             the ROS topics, for `ros2 bag play bag/`

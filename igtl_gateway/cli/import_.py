@@ -16,8 +16,8 @@ from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, DamagedRecording, WireError
 from igtl_gateway.exchange.formats import open_source
 from igtl_gateway.exchange.source import Row, Source, numbered
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.session.layout import LayoutError
+from igtl_gateway.sessionfile.layout import LayoutError
+from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.files import is_same
 

@@ -15,15 +15,15 @@ from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.cli.terminal import cell, print_json, say, width
 from igtl_gateway.errors import BeingRecorded, DamagedRecording, LimitExceeded
-from igtl_gateway.mcapfile.index import recover_hint
-from igtl_gateway.replay.mcap_reader import PartSummary, SessionFile
-from igtl_gateway.replay.salvage import Salvage
-from igtl_gateway.session import facts, layout
 from igtl_gateway.session.clocksteps import ClockStep, without_jump
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.session.timing import Timing, best
+from igtl_gateway.sessionfile import facts, layout
+from igtl_gateway.sessionfile.index import recover_hint
+from igtl_gateway.sessionfile.reader import PartSummary, SessionFile
+from igtl_gateway.sessionfile.salvage import Salvage
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.text import parse_json
 

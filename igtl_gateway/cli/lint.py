@@ -12,8 +12,8 @@ from igtl_gateway.cli.terminal import print_json, say
 from igtl_gateway.doctor.observer import Observer
 from igtl_gateway.doctor.report import Report
 from igtl_gateway.errors import DamagedRecording
-from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.replay.salvage import Salvage
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.salvage import Salvage
 
 EXAMPLES = """\
   igtl-gateway lint out.mcap            findings: stamps, names, units, CRCs, header versions, losses

@@ -11,10 +11,10 @@ from igtl_gateway import __version__
 from igtl_gateway.cli.common import count, size
 from igtl_gateway.cli.terminal import clear, is_terminal, live, print_json, say
 from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
-from igtl_gateway.record.mcap_copy import CopyWriter
-from igtl_gateway.record.mcap_writer import reason
 from igtl_gateway.record.parts import SIDE_FILE, Part, write_side_file
-from igtl_gateway.replay.salvage import Loss, Report, Salvage
+from igtl_gateway.sessionfile.copying import CopyWriter
+from igtl_gateway.sessionfile.salvage import Loss, Report, Salvage
+from igtl_gateway.sessionfile.writer import reason
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.files import is_same
 

@@ -28,16 +28,16 @@ from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, is_ou
 from igtl_gateway.cli.replay_sides import Side, open_sides
 from igtl_gateway.cli.terminal import cell, print_json, say
 from igtl_gateway.clock import SystemClock
-from igtl_gateway.edges.ros import RosEdge
+from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.faults import CLOCK_STEP, LOSS, Fate, Faults
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.moment import moment
 from igtl_gateway.replay.pace import Pace, steps_of
 from igtl_gateway.replay.playback import checked_rate
 from igtl_gateway.replay.restamp import MODES, Restamper
 from igtl_gateway.replay.simclock import DEFAULT_HZ, period_ns, with_ticks
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\

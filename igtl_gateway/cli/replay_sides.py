@@ -22,13 +22,13 @@ from igtl_gateway.app.replay_plan import (
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import addresses, count
 from igtl_gateway.clock import SystemClock
-from igtl_gateway.edges.ros import RosEdge
-from igtl_gateway.edges.ros_env import prepare_environment
+from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, CLOCK_TYPE
 from igtl_gateway.replay.source import fits
 from igtl_gateway.session.note import Note
+from igtl_gateway.sessionfile.reader import SessionFile
 
 _FLUSH_S = 30.0
 _LOOK_S = 0.2

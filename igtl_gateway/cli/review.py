@@ -19,9 +19,9 @@ from igtl_gateway.cli.common import count, recorded_config
 from igtl_gateway.cli.terminal import cell, is_terminal, print_json, say, width
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.errors import ConfigError, GatewayError
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.review import EndReview, Level, Material, PlanReview, Review, StitchReview, Thresholds, review_of
 from igtl_gateway.review.material import CLOUDS
+from igtl_gateway.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
   igtl-gateway review out.mcap                        each stitch of the first and the last plan, with reasons

@@ -12,11 +12,11 @@ from igtl_gateway.cli.common import count, recorded_config, size
 from igtl_gateway.cli.terminal import print_json, say
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.qos import Qos
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.moment import moment
 from igtl_gateway.replay.slice import Slice, SliceReport, Window
-from igtl_gateway.session import layout
+from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.files import is_same
 

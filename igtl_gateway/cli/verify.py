@@ -14,8 +14,8 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.errors import UnsupportedRecording
 from igtl_gateway.replay.compare import Decoder
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import Losses, Report, verify
+from igtl_gateway.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
   igtl-gateway verify out.mcap                     exit code 0: every byte follows; 1: the first difference

@@ -20,10 +20,10 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError, ViewerError
 from igtl_gateway.extras import missing
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import through_gateway
 from igtl_gateway.review import Material, review_of
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
 
 if TYPE_CHECKING:

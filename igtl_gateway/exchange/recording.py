@@ -20,7 +20,7 @@ REPEATED = "the same message in another header version"
 
 
 class Channel(Protocol):
-    """A stream of the file; see ``replay.mcap_reader.ChannelSummary``."""
+    """A stream of the file; see ``sessionfile.reader.ChannelSummary``."""
 
     @property
     def topic(self) -> str: ...
@@ -33,7 +33,7 @@ class Channel(Protocol):
 
 
 class Skipped(Protocol):
-    """A channel that cannot be read; see ``replay.mcap_reader.SkippedChannel``."""
+    """A channel that cannot be read; see ``sessionfile.reader.SkippedChannel``."""
 
     @property
     def topic(self) -> str: ...
@@ -46,7 +46,7 @@ class Skipped(Protocol):
 
 
 class Recording(Protocol):
-    """An open session file; see ``replay.mcap_reader.SessionFile``."""
+    """An open session file; see ``sessionfile.reader.SessionFile``."""
 
     @property
     def session(self) -> Mapping[str, str]: ...

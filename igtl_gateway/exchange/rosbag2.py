@@ -24,12 +24,12 @@ from igtl_gateway.exchange.rosbag2_metadata import METADATA, Key, Metadata, read
 from igtl_gateway.exchange.rosbag2_sqlite import Message, SqliteStorage
 from igtl_gateway.exchange.rostypes import definition
 from igtl_gateway.exchange.source import Item, Row, Told, reading
-from igtl_gateway.mcapfile.chunks import message_rows
-from igtl_gateway.mcapfile.index import read_index, recover_hint
-from igtl_gateway.mcapfile.records import Malformed
 from igtl_gateway.qos import Qos
-from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Kind
+from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.chunks import message_rows
+from igtl_gateway.sessionfile.index import read_index, recover_hint
+from igtl_gateway.sessionfile.records import Malformed
 from igtl_gateway.untrusted import files, limits
 from igtl_gateway.untrusted.unpack import zstd_file, zstd_of_any_size
 

@@ -21,7 +21,7 @@ from igtl_gateway.exchange.folder import new_folder
 from igtl_gateway.exchange.recording import ROS_KINDS, Recording, chosen
 from igtl_gateway.exchange.rostypes import definition
 from igtl_gateway.qos import Qos
-from igtl_gateway.session import layout
+from igtl_gateway.sessionfile import layout
 
 _CHUNK_BYTES = 1 << 20
 _VERSION = 8

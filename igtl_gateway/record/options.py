@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from igtl_gateway.record.mcap_stream import CHUNK_BYTES, Compression
-from igtl_gateway.record.mcap_writer import Fsync
 from igtl_gateway.record.selection import Selection
+from igtl_gateway.sessionfile.stream import CHUNK_BYTES, Compression
+from igtl_gateway.sessionfile.writer import Fsync
 
 #: Bounds of the queue: a second of Full HD video at 40 Hz, and ten seconds of small messages at 20 kHz.
 QUEUE_BYTES = 256 << 20

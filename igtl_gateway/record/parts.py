@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.errors import RecordingError
-from igtl_gateway.record.mcap_writer import SessionWriter, TopicCount, refusal
 from igtl_gateway.record.prologue import Prologue
-from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.writer import SessionWriter, TopicCount, refusal
 from igtl_gateway.stamp import NS_PER_S
 
 SIDE_FILE = "metadata.yaml"

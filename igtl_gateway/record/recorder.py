@@ -25,12 +25,12 @@ from typing import Any
 from igtl_gateway.clock import Clock
 from igtl_gateway.errors import RecordingError
 from igtl_gateway.record.host import Host, in_process
-from igtl_gateway.record.mcap_writer import QosOf
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, StateRule
 from igtl_gateway.record.worker import FAILED, THREAD, RecordingSummary, Settings, State
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.writer import QosOf
 
 _ENDED = "the recording has ended"
 

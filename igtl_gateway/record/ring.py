@@ -10,11 +10,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.record.mcap_writer import SessionWriter, create_file
 from igtl_gateway.record.prologue import Prologue
-from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.layout import LayoutError
+from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.layout import LayoutError
+from igtl_gateway.sessionfile.writer import SessionWriter, create_file
 from igtl_gateway.stamp import NS_PER_S
 
 #: (path, further session facts, prologue) → the writer of a snapshot.

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 from igtl_gateway.globs import matches
 from igtl_gateway.record.shared_queue import owned
-from igtl_gateway.session import layout
 from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile import layout
 
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 _ALWAYS = frozenset({Kind.LINK, Kind.EDGE_NOTE})

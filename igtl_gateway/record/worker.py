@@ -22,18 +22,18 @@ from typing import Any
 from igtl_gateway.clock import Clock
 from igtl_gateway.errors import DiskRefused, RecordingError
 from igtl_gateway.qos import Qos
-from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.ring import Ring
-from igtl_gateway.record.rostypes import RosTypes
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, Gate, StateRule
 from igtl_gateway.record.shared_queue import Getter
-from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.layout import LayoutError
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.layout import LayoutError
+from igtl_gateway.sessionfile.schemas import RosTypes
+from igtl_gateway.sessionfile.writer import SessionWriter
 
 #: Codes of the recorder's notes.
 DROPPED, FAILED, REFUSED, UNDEFINED = "record_drop", "record_failed", "record_refused", "record_undefined"

@@ -17,8 +17,8 @@ from collections.abc import Callable, Hashable, Iterable, Iterator
 
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.errors import GatewayError
-from igtl_gateway.replay.lookup import StateRule
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.lookup import StateRule
 
 #: Surfaces, plans, annotations, tables, states: sent when they change, and valid until they change again.
 STATE_TYPES = frozenset("BIND CAPABILITY COLORT COLORTABLE IMGMETA LBMETA POINT POLYDATA STATUS TRAJ VIDEOMETA".split())

@@ -25,9 +25,9 @@ from igtl_gateway.errors import ChecksumMismatch, GatewayError
 from igtl_gateway.gateway import Session, gateway_of
 from igtl_gateway.gateway.guard import CODES
 from igtl_gateway.replay.compare import Decoder, compare_values, first_byte, flat, same
-from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
+from igtl_gateway.sessionfile import layout
 from igtl_gateway.wire import describe
 
 #: So many differences are kept in full, and the first of each of so many streams; all are counted.

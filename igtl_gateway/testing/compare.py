@@ -15,10 +15,10 @@ from typing import Any
 from igtl_gateway.config import Config
 from igtl_gateway.convert.units import Lengths
 from igtl_gateway.globs import matches
-from igtl_gateway.record.rostypes import RosTypes
 from igtl_gateway.replay.compare import Decoder, Tolerance, Undecodable, compare_values
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.schemas import RosTypes
 from igtl_gateway.testing.gateway import ManualGateway, recorded_config
 
 #: A recording, a gateway on manual time, or the entries of a session.

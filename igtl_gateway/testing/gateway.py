@@ -18,11 +18,11 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Session, gateway_of
 from igtl_gateway.globs import matches
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import select
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.testing.rostypes import unpack
 from igtl_gateway.wire import Message, decode, encode

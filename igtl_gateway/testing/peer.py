@@ -17,10 +17,10 @@ from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.errors import ConfigError, WireError
 from igtl_gateway.faults import Faults
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import once, select, spoken_to, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.testing.gateway import config_of, recorded_config
 from igtl_gateway.wire import Header, Message, decode, encode

@@ -17,10 +17,10 @@ from igtl_gateway.edges.tcp import Limits
 from igtl_gateway.errors import RecordingError, Unavailable
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 

@@ -14,7 +14,7 @@ from igtl_gateway.clock import ManualClock
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 
 

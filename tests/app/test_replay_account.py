@@ -15,9 +15,9 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import RosError
 from igtl_gateway.faults import Faults
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import FORMS, MADE_ANEW, STREAMS
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile.reader import SessionFile
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 TYPES = FIXTURES / "paper-types.mcap"

@@ -17,9 +17,9 @@ from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateRule
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 
 TYPES = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"

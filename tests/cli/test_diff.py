@@ -11,9 +11,9 @@ import pytest
 from mcap.writer import Writer
 
 from igtl_gateway.cli import main
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 TYPES = FIXTURES / "paper-types.mcap"

@@ -17,9 +17,9 @@ from igtl_gateway.buffers import join
 from igtl_gateway.cli import FAILURE, USAGE, main
 from igtl_gateway.config import Config
 from igtl_gateway.gateway import Gateway, Session
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body

@@ -12,11 +12,11 @@ import pytest
 from igtl_gateway.app.replay_plan import plan
 from igtl_gateway.buffers import join
 from igtl_gateway.cli import FAILURE, USAGE, main
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.text import String
-from tests.replay import conformance
+from tests.sessionfile import conformance
 
 
 def message(text: str) -> bytes:

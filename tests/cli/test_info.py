@@ -9,8 +9,8 @@ import pytest
 
 from igtl_gateway.cli import main
 from igtl_gateway.config import Config
-from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.record import samples
 
 SESSION = {**samples.SESSION, "config": json.dumps(Config().to_dict())}

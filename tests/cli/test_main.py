@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from igtl_gateway.cli import VERBS, main
+from igtl_gateway.cli import main, verbs
 from igtl_gateway.cli.bridge import _Event, _TextOutput
-from igtl_gateway.cli.simulate import facts
 from igtl_gateway.config import Config
-from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway_lab.cli.simulate import facts
 from tests.integration.hostile_cases import raw
 from tests.integration.hostile_files import bags, foreign, images, streams
 
@@ -39,10 +39,10 @@ def outcome(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, s
 def test_without_a_verb_there_is_help(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = outcome(capsys)
     assert code == 2
-    assert all(verb in out for verb in VERBS)
+    assert all(verb in out for verb in verbs.available())
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", verbs.available())
 def test_every_verb_has_help_with_examples(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = outcome(capsys, verb, "--help")
     assert code == 0

@@ -19,8 +19,8 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
 from igtl_gateway.record.worker import PAUSED, RESUMED, SNAPSHOT
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.note import Note
+from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 
 DEADLINE_S = 30.0

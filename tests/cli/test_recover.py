@@ -18,10 +18,10 @@ from ruamel.yaml import YAML
 
 from igtl_gateway.cli import main
 from igtl_gateway.config import Config
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.record import samples
 
 FIXTURE = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"

@@ -24,9 +24,9 @@ from igtl_gateway.cli import main
 from igtl_gateway.extras import missing
 from igtl_gateway.faults import Faults
 from igtl_gateway.replay.latched import STATE_TYPES
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import once, select
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import ticks_to_ns
 from tests.several import outcomes
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import main
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.simulate.star_tissue import PLANTED, STITCHES
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway_lab.simulate.star_tissue import PLANTED, STITCHES
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 STAR = FIXTURES / "star.mcap"

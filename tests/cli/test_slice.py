@@ -10,8 +10,8 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from igtl_gateway.cli import main
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 

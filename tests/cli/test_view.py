@@ -14,8 +14,8 @@ import mcap.writer
 
 from igtl_gateway.cli import main
 from igtl_gateway.convert import rosmsg
-from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 

@@ -16,7 +16,7 @@ from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import Struct
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.session.layout import OWN_TYPES
+from igtl_gateway.sessionfile.layout import OWN_TYPES
 
 DEFINITIONS = Path(__file__).parents[2] / "ros2" / "igtl_msgs" / "msg"
 CLASSES = {
@@ -24,7 +24,7 @@ CLASSES = {
     for kind in vars(igtl_msgs).values()
     if isinstance(kind, type) and issubclass(kind, Struct) and kind is not Struct
 }
-#: Packed by hand in session/layout.
+#: Packed by hand in sessionfile/layout.
 BY_HAND = {"igtl_msgs/msg/Note"}
 
 

@@ -16,9 +16,9 @@ from igtl_gateway.doctor.observer import Intent
 from igtl_gateway.doctor.rules import RULES, judge
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP
 from igtl_gateway.gateway.metadata import FULL_NAME
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.body import Body

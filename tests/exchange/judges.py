@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from igtl_gateway.session.layout import KIND_KEY
+from igtl_gateway.sessionfile.layout import KIND_KEY
 
 MESSAGE_KINDS = {"igtl_in", "igtl_out", "ros_in", "ros_out"}
 

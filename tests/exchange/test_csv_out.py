@@ -15,9 +15,9 @@ from rosbags.typesys import Stores, get_typestore
 from igtl_gateway.buffers import join
 from igtl_gateway.exchange.account import Account
 from igtl_gateway.exchange.targets import export_to
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.text import String

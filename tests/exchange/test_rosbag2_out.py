@@ -18,9 +18,9 @@ from igtl_gateway.exchange.account import Account
 from igtl_gateway.exchange.rosbag2 import Rosbag2
 from igtl_gateway.exchange.targets import export_to
 from igtl_gateway.qos import Qos
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 
 STRING = "std_msgs/msg/String"
 ROS2 = get_typestore(Stores.ROS2_JAZZY)

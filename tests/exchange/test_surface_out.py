@@ -10,9 +10,9 @@ import pytest
 from igtl_gateway.buffers import join
 from igtl_gateway.exchange.account import Account
 from igtl_gateway.exchange.targets import export_to
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.polydata import CELL, NORMAL, RGBA, SCALAR, TENSOR, VECTOR, Attribute, Cells, PolyData
 from tests.exchange.judges import by_meshio, by_vtk

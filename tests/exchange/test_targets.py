@@ -24,8 +24,8 @@ from igtl_gateway.errors import ConversionError, UnsupportedRecording, WireError
 from igtl_gateway.exchange.account import Account
 from igtl_gateway.exchange.surface_out import surface_of
 from igtl_gateway.exchange.targets import TARGETS, export_to
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.wire.polydata import CELL, Attribute, PolyData
 from tests.exchange import mutants
 from tests.exchange.judges import Shape, by_meshio, by_vtk, entries_of_tables, messages_in

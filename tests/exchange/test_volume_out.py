@@ -22,8 +22,8 @@ from igtl_gateway.exchange.place import Place
 from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, chosen
 from igtl_gateway.exchange.sequence_out import export_sequence
 from igtl_gateway.exchange.volume_out import export_nrrd
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import SCALARS, Image
 from tests.exchange import plus

@@ -30,11 +30,11 @@ from igtl_gateway.buffers import join
 from igtl_gateway.cli import main
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config, ToRosRow
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.pace import steps_of
 from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.command import Command

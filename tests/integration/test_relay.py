@@ -14,8 +14,8 @@ import pytest
 from igtl_gateway.app.replay_plan import plan, planned
 from igtl_gateway.cli import main
 from igtl_gateway.cli.common import recorded_config
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from tests.integration.bridge import (
     TIMEOUT_S,
     Bridge,

@@ -12,9 +12,9 @@ import pytest
 from mcap.writer import Writer
 
 from igtl_gateway.convert.rosmsg import String
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.source import once, select
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from tests.integration.bridge import TIMEOUT_S, RosClient, gateway
 
 pytestmark = pytest.mark.ros

@@ -21,11 +21,11 @@ from rosbags.typesys import get_types_from_msg
 from ruamel.yaml import YAML
 
 from igtl_gateway.cli import main
-from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.selection import StateRule
-from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.record.mcap_writer import SessionWriter
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import ns_to_ticks, ticks_to_ns
 
 START_NS = 1_700_000_000_000_000_000

@@ -23,7 +23,7 @@ from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
 
 from igtl_gateway.exchange.targets import export_to
-from igtl_gateway.replay.mcap_reader import SessionFile
+from igtl_gateway.sessionfile.reader import SessionFile
 from tests.test_fixtures import NAMES
 
 FOLDER = Path(os.environ.get("IGTL_GATEWAY_NODE", ""))

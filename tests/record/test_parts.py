@@ -21,10 +21,10 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateRule
 from igtl_gateway.record.worker import RecordingSummary
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 
 SECOND_NS = 1_000_000_000

@@ -24,18 +24,18 @@ from mcap.stream_reader import StreamReader
 from igtl_gateway.clock import ManualClock, SystemClock
 from igtl_gateway.errors import DamagedRecording, RecordingError
 from igtl_gateway.qos import Qos
-from igtl_gateway.record import host, mcap_writer
+from igtl_gateway.record import host
 from igtl_gateway.record import recorder as recorder_module
 from igtl_gateway.record import worker as worker_module
 from igtl_gateway.record.host import in_thread
-from igtl_gateway.record.mcap_writer import Compression, SessionWriter
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
-from igtl_gateway.replay.mcap_reader import SessionFile
-from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile import layout, writer
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import Compression, SessionWriter
 from tests.record import samples
 
 DEADLINE_S = 30.0
@@ -657,7 +657,7 @@ import shutil
 resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
 from pathlib import Path
 from igtl_gateway.errors import RecordingError
-from igtl_gateway.record.mcap_writer import SessionWriter
+from igtl_gateway.sessionfile.writer import SessionWriter
 try:
     SessionWriter(Path({str(path)!r}), {{}})
 except RecordingError as error:
@@ -760,7 +760,7 @@ def test_the_disk_is_asked_to_have_it(
     path: Path, monkeypatch: pytest.MonkeyPatch, fsync: str, while_open: int, in_all: int
 ) -> None:
     asked: list[int] = []
-    monkeypatch.setattr(mcap_writer, "_DATASYNC", asked.append)
+    monkeypatch.setattr(writer, "_DATASYNC", asked.append)
     bench = Bench(path, fsync=fsync, flush_s=0.5)
     bench.clock.advance(600_000_000)
     bench.recorder(samples.ros(1))

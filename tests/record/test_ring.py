@@ -18,10 +18,10 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.shared_queue import Getter
 from igtl_gateway.record.worker import FAILED, SNAPSHOT
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Note
+from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 from tests.record.test_parts import RULE, healthy, session
 

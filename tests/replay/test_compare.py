@@ -16,11 +16,11 @@ from igtl_gateway.convert.common_msgs import FrameTransform as Frame
 from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped, TFMessage
 from igtl_gateway.convert.rosmsg import Header, Image, PointCloud2, PointField, PointStamped, RosMessage, String
 from igtl_gateway.convert.units import Lengths
-from igtl_gateway.record.rostypes import RosTypes
 from igtl_gateway.replay.compare import EXACT, Decoder, Delta, Tolerance, Undecodable, compare_values, first_byte
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.schemas import RosTypes
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.image import Image as IgtlImage

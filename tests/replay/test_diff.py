@@ -12,8 +12,8 @@ import pytest
 from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.replay.compare import EXACT, Decoder, Tolerance
 from igtl_gateway.replay.diff import WINDOW, DiffReport, Side, StreamDiff, diff
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.pace import Pace, steps_of
 from igtl_gateway.replay.playback import PlaybackClock
 from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.record import samples
 
 S = 1_000_000_000

@@ -14,11 +14,11 @@ import pytest
 from igtl_gateway.config import Config
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.gateway import LINK_UP
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.slice import SMALL_BYTES, Depth, Slice, SliceReport, Window, groups
 from igtl_gateway.replay.verify import Losses, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
+from igtl_gateway.sessionfile.reader import SessionFile
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 NAMES = ("star", "paper-types", "every-type")

@@ -12,9 +12,9 @@ from igtl_gateway.gateway import LINK_UP, PARTNER, Session, gateway_of
 from igtl_gateway.replay.source import once, select, spoken_to, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.simulate.catalogue import SCENARIOS
 from igtl_gateway.wire import Header, Message, encode
 from igtl_gateway.wire.text import String
+from igtl_gateway_lab.simulate.catalogue import SCENARIOS
 
 SCENARIO = SCENARIOS["paper-types"]
 OUT = frozenset({Kind.IGTL_OUT})

@@ -22,14 +22,14 @@ from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway import core, streams
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.slice import groups
 from igtl_gateway.replay.verify import MAX_KEPT, UNKNOWN, Losses, Report, compare, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
-from igtl_gateway.simulate.catalogue import SCENARIOS
-from igtl_gateway.simulate.scenario import Scenario
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway_lab.simulate.catalogue import SCENARIOS
+from igtl_gateway_lab.simulate.scenario import Scenario
 from tests.files import write_anew
 from tests.gateway.test_guard import pose
 from tests.script import Script

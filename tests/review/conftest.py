@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from igtl_gateway.review.scene import Cloud, Scene
-from igtl_gateway.simulate import star_scene
-from igtl_gateway.simulate.star_arm import held
+from igtl_gateway_lab.simulate import star_scene
+from igtl_gateway_lab.simulate.star_arm import held
 
 CLOUDS = 6
 SEEDS = (2017, 1)

@@ -11,9 +11,9 @@ from igtl_gateway.review import Level, Material, Review, Thresholds, review_of
 from igtl_gateway.review.axes import BODY
 from igtl_gateway.review.model import Array
 from igtl_gateway.review.scene import Cloud, Scene
-from igtl_gateway.simulate import star_scene
-from igtl_gateway.simulate.star_camera import noise_sigma
-from igtl_gateway.simulate.star_tissue import PLANTED
+from igtl_gateway_lab.simulate import star_scene
+from igtl_gateway_lab.simulate.star_camera import noise_sigma
+from igtl_gateway_lab.simulate.star_tissue import PLANTED
 from tests.review.conftest import SEEDS
 from tests.review.sessions import (
     SECOND,

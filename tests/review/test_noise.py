@@ -8,8 +8,8 @@ import pytest
 from igtl_gateway.review import noise
 from igtl_gateway.review.model import Array
 from igtl_gateway.review.scene import Scene
-from igtl_gateway.simulate import star_scene
-from igtl_gateway.simulate.star_camera import noise_sigma
+from igtl_gateway_lab.simulate import star_scene
+from igtl_gateway_lab.simulate.star_camera import noise_sigma
 from tests.review.conftest import SEEDS
 
 _RANDOM = np.random.default_rng(11)

@@ -7,7 +7,7 @@ import pytest
 
 from igtl_gateway.review.scene import Cloud, Scene
 from igtl_gateway.review.surface import Surface, fit
-from igtl_gateway.simulate import star_scene
+from igtl_gateway_lab.simulate import star_scene
 from tests.review.conftest import SEEDS
 from tests.review.sessions import dome_clouds, on_dome
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway import __version__
-from igtl_gateway.record.rostypes import RosTypes
 from igtl_gateway.ros_interfaces.definitions import PACKAGES, SHARES, folder_of, interface_files
+from igtl_gateway.sessionfile.schemas import RosTypes
 
 ROOT = Path(__file__).parents[2]
 IGTL_MSGS = ROOT / "ros2" / "igtl_msgs"

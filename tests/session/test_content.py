@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.record.mcap_writer import COMPRESSIONS, SessionWriter
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.content import ContentDigest
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import COMPRESSIONS, SessionWriter
 from tests.record import samples
 
 ENTRIES = [samples.ros(1), samples.igtl(2), samples.ros(3)]

@@ -10,9 +10,9 @@ import pytest
 from igtl_gateway.config import Config
 from igtl_gateway.convert.rosmsg import Header, String, TransformStamped
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.replay.verify import verify
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.testing.gateway import START_NS, ManualGateway
 from igtl_gateway.wire import Message, encode

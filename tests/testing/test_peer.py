@@ -15,8 +15,8 @@ from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.faults import Faults
 from igtl_gateway.gateway import PARTNER
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.testing.peer import ReplayPeer
 from igtl_gateway.wire import Header, Message, decode, encode

@@ -14,7 +14,7 @@ import pytest
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 from igtl_gateway.errors import DamagedRecording, LimitExceeded
-from igtl_gateway.record.rostypes import RosTypes
+from igtl_gateway.sessionfile.schemas import RosTypes
 from igtl_gateway.untrusted import limits
 from igtl_gateway.untrusted.definitions import IDL, PLACEHOLDER, parse, text_of, type_hash
 from tools.import_mutations import Bend, definition

@@ -15,9 +15,9 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
 from igtl_gateway.convert.igtl_msgs import PolyData
 from igtl_gateway.convert.rosmsg import Header, Mesh, String, TransformStamped
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.view.blueprints import NAMES, blueprint
 
 from .conftest import START_NS, STEP_NS, Draw, messages

@@ -16,8 +16,8 @@ pytest.importorskip("datafusion", reason="datafusion is not installed (rerun-sdk
 from igtl_gateway.cli import main
 from igtl_gateway.convert.igtl_msgs import Sensor
 from igtl_gateway.convert.rosmsg import PointCloud2, String, TransformStamped
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.view.clouds import columns
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"

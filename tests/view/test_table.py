@@ -9,8 +9,8 @@ import pytest
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
-from igtl_gateway.replay.mcap_reader import SessionFile
 from igtl_gateway.session.entry import Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.view.table import PICTURES
 
 from .conftest import Draw

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.config import Config
-from igtl_gateway.record.mcap_writer import SessionWriter
-from igtl_gateway.session import layout
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.integration.hostile_files.case import (
     ESCAPE,
     FORGED,

@@ -1,7 +1,0 @@
-"""One program of a measurement: see ``programs``."""
-
-import sys
-
-from igtl_gateway.bench.programs import main
-
-sys.exit(main(sys.argv[1:]))

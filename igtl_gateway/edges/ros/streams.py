@@ -1,0 +1,221 @@
+"""The state of one topic at the ROS edge: what is held back, what came back, what is missing.
+
+Nothing here needs rclpy: publishers are anything with ``publish(bytes)``, times are arguments or a clock.
+"""
+
+from __future__ import annotations
+
+import threading
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+from igtl_gateway.clock import Clock
+from igtl_gateway.edges.ros.direct import Publisher, gone
+from igtl_gateway.qos import Qos
+
+#: Messages held for one topic until its subscribers are matched: 2 s of a 1 kHz stream.
+HOLD_MESSAGES = 2000
+#: Bytes held for one topic: ten Full HD RGB images.
+HOLD_BYTES = 64 << 20
+
+_ECHO_MEMORY = 4096  # own messages remembered per topic: more than a reader has in its queue
+_ECHO_PREFIX = 256  # enough to hold the header with its stamp; whole images need not be kept
+_CAME_BACK = (0, b"")
+_DDS_STAMP_NS = 1  # DDS stamps are 32.32 fixed point: a nanosecond is lost at most
+
+
+@dataclass(slots=True)
+class Counts:
+    """Of one topic, in messages.
+
+    Attributes:
+        received: handed on to the gateway.
+        published: handed over to the middleware.  With ``held``, ``unheard`` and ``failed`` all that we were asked for.
+        held: waiting for subscribers now.
+        lost: sent by others but never received.
+        failed: refused by the middleware, or by a fault of ours.
+        unheard: not handed over, for nobody was there to hear it, now or later.
+    """
+
+    received: int = 0
+    published: int = 0
+    held: int = 0
+    lost: int = 0
+    failed: int = 0
+    unheard: int = 0
+
+
+class Echo:
+    """Recognises our own messages among those of a topic that others publish as well.
+
+    rclpy hides which publisher a message came from.  But DDS stamps it within our call of publish, and in that
+    time on that topic nobody else sends a message that begins with the same bytes.  (Begins: DDS may pad it.)
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._begun_ns: list[int] = []
+        self._sent: list[tuple[int, bytes]] = []  # (end of the call, how the message begins)
+        # the same of before the host's clock was set back: what was on its way then has stamps of then
+        self._before: tuple[list[int], list[tuple[int, bytes]]] = [], []
+
+    def publish(self, publisher: Publisher, cdr: bytes, clock: Clock) -> None:
+        """Send, and remember; the lock makes the receiver wait until the end of the call is known."""
+        with self._lock:
+            begun_ns = clock.utc_ns()
+            publisher.publish(cdr)
+            if self._begun_ns and begun_ns < self._begun_ns[-1]:
+                self._before = self._begun_ns, self._sent
+                self._begun_ns, self._sent = [], []
+            self._begun_ns.append(begun_ns)
+            self._sent.append((clock.utc_ns(), cdr[:_ECHO_PREFIX]))
+            if len(self._sent) > 2 * _ECHO_MEMORY:
+                del self._begun_ns[:_ECHO_MEMORY], self._sent[:_ECHO_MEMORY]
+
+    def is_own(self, cdr: bytes, source_ns: int) -> bool:
+        with self._lock:
+            return _came_back(self._begun_ns, self._sent, cdr, source_ns) or _came_back(*self._before, cdr, source_ns)
+
+
+def _came_back(begun_ns: list[int], sent: list[tuple[int, bytes]], cdr: bytes, source_ns: int) -> bool:
+    """Whether a message is one of those that were sent."""
+    index = bisect_right(begun_ns, source_ns + _DDS_STAMP_NS) - 1
+    if index < 0:
+        return False
+    ended_ns, prefix = sent[index]
+    own = source_ns <= ended_ns + _DDS_STAMP_NS and cdr.startswith(prefix)
+    if own:
+        # Each comes back once: should somebody send the very same at this moment, that one is let through.
+        sent[index] = _CAME_BACK
+    return own
+
+
+class Reader:
+    """One subscription: what arrived on it, and what did not.
+
+    While one publisher alone is matched, its sequence numbers show every loss.  With several, rclpy does not say
+    whose number it is; then only the losses count that the middleware reports (those on the way, not those of an
+    overflowing queue).
+    """
+
+    def __init__(self, topic: str, type_name: str, counts: Counts, echo: Echo | None) -> None:
+        self.topic = topic
+        self.type_name = type_name
+        self.counts = counts
+        self.echo = echo
+        self.noted_lost = 0
+        self.subscription: Any = None
+        self._publishers = 0
+        self._last = 0
+        self._unconfirmed = 0
+
+    def matched(self, publishers: int) -> None:
+        """So many publishers are matched now.  Comes by another thread, perhaps after the first messages."""
+        if self._publishers == 0 and publishers == 1:
+            self.counts.lost += self._unconfirmed
+        else:
+            self._last = 0  # another publisher counts from another number
+        self._unconfirmed = 0
+        self._publishers = publishers
+
+    def lost(self, messages: int) -> None:
+        """The middleware reports a loss."""
+        if self._publishers != 1:
+            self.counts.lost += messages
+
+    def received(self, sequence: int | None) -> None:
+        """A message with its publisher's number (None or 0 where the middleware gives none)."""
+        self.counts.received += 1
+        if not sequence:
+            return
+        missing = sequence - self._last - 1 if self._last else 0
+        self._last = sequence
+        if missing > 0:
+            if self._publishers == 1:
+                self.counts.lost += missing
+            elif self._publishers == 0:
+                self._unconfirmed += missing
+
+
+class Writer:
+    """One publisher, with the messages that wait for its subscribers.
+
+    ``ready`` once they need not wait: from then on `RosEdge.publish` sends in the caller's thread.  All but
+    ``ready`` is guarded by ``lock``, which outside the seconds after its creation nobody else holds.
+    """
+
+    def __init__(self, topic: str, type_name: str, publisher: Publisher, qos: Qos, counts: Counts) -> None:
+        self.topic = topic
+        self.type_name = type_name
+        self.publisher = publisher
+        self.qos = qos
+        self.counts = counts
+        self.echo: Echo | None = None
+        self.lock = threading.Lock()
+        self.held: deque[bytes] = deque()
+        self.held_bytes = 0
+        self.deadline_ns = 0
+        self.ready = False
+        self.burst = qos.depth
+
+    @property
+    def heard(self) -> bool:
+        """Whether a message might reach anybody: now, or, where it waits, later."""
+        return not self.ready or self.publisher.get_subscription_count() > 0
+
+    def send(self, cdr: bytes, clock: Clock) -> str:
+        """Hand over to the middleware; returns what went wrong, or ``""``."""
+        try:
+            if self.echo is not None:
+                self.echo.publish(self.publisher, cdr, clock)
+            else:
+                self.publisher.publish(cdr)
+        except Exception as error:  # rclpy raises a dozen unrelated classes here
+            self.counts.failed += 1
+            return first_line(error)
+        self.counts.published += 1
+        return ""
+
+    def close(self) -> None:
+        """The publisher is about to be destroyed: what is sent from now on fails."""
+        with self.lock:
+            self.publisher = gone()
+
+    def hold(self, cdr: bytes) -> None:
+        """Keep for later (with ``lock`` held).  `overflows` tells when the oldest has to go first."""
+        self.held.append(cdr)
+        self.held_bytes += len(cdr)
+        self.counts.held = len(self.held)
+
+    @property
+    def overflows(self) -> bool:
+        """Whether more is held than may be."""
+        return len(self.held) > HOLD_MESSAGES or (self.held_bytes > HOLD_BYTES and len(self.held) > 1)
+
+    def send_oldest(self, clock: Clock) -> str:
+        """Send the oldest held message (with ``lock`` held); returns what went wrong, or ``""``."""
+        cdr = self.held.popleft()
+        self.held_bytes -= len(cdr)
+        self.counts.held = len(self.held)
+        return self.send(cdr, clock)
+
+    def release(self, clock: Clock, at_most: int) -> str:
+        """Send held messages in order; ready when none is left.  Returns what went wrong last, or ``""``.
+
+        The lock is taken for each message anew: a caller of publish waits for one message, not for all.
+        """
+        failure = ""
+        for _ in range(at_most):
+            with self.lock:
+                if not self.held:
+                    self.ready = True
+                    break
+                failure = self.send_oldest(clock) or failure
+        return failure
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of an error's text: rclpy puts whole paragraphs into some."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0]

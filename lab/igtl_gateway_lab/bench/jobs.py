@@ -1,0 +1,78 @@
+"""What the programs of a measurement are told."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Self
+
+from igtl_gateway_lab.bench.cases import Direction, Stream
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A stream that a program sends or hears.
+
+    Attributes:
+        stream: which.
+        direction: which way it goes through the gateway; without a gateway, whose bytes it is.
+        topic: where, in ROS.
+        count: messages to send; 0: for ``seconds``.
+        client: by which client it is heard, where a program is several.
+        window: of a flood, how many messages may be on their way; 0: any number.
+        progress: file that the last number is told in, see ``window``.
+    """
+
+    stream: Stream
+    direction: Direction
+    topic: str
+    count: int = 0
+    client: int = 0
+    window: int = 0
+    progress: str = ""
+
+    @property
+    def device(self) -> str:
+        return self.stream.device(self.direction)
+
+    @property
+    def key(self) -> str:
+        """Names the columns of what was heard."""
+        return f"{self.device}#{self.client}" if self.client else self.device
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What a program is to do.
+
+    Attributes:
+        side: ``"ros"`` or ``"igtl"``, or a peer on the side of OpenIGTLink, see ``peers``.
+        name: of the node.
+        sends, hears: streams.
+        seconds: how long to send what has no count.
+        times: file to write times into.
+        address: of the gateway, for OpenIGTLink.
+        listen: be a server there instead.
+    """
+
+    side: str
+    name: str
+    sends: tuple[Part, ...]
+    hears: tuple[Part, ...]
+    seconds: float
+    times: str
+    address: tuple[str, int] = ("127.0.0.1", 0)
+    listen: bool = False
+
+    def to_json(self) -> str:
+        return json.dumps(asdict(self), default=lambda value: value.value)
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        values = json.loads(text)
+        for name in ("sends", "hears"):
+            values[name] = tuple(
+                Part(Stream(**part.pop("stream")), Direction(part.pop("direction")), **part) for part in values[name]
+            )
+        values["address"] = tuple(values["address"])
+        return cls(**values)

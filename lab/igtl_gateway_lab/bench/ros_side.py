@@ -1,0 +1,91 @@
+"""The ROS side of a measurement: a node that hands bytes to the middleware and takes them from it, and no more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.ros.streams import Reader
+from igtl_gateway.errors import GatewayError
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.note import Note
+from igtl_gateway_lab.bench.cases import payload
+from igtl_gateway_lab.bench.cutter import Heard
+from igtl_gateway_lab.bench.jobs import Job, Part
+from igtl_gateway_lab.bench.pace import Send
+from igtl_gateway_lab.bench.payloads import Number
+
+_FOUND_S = 60.0
+#: Enough for a reader that lags by a second at 1 kHz; large messages, which would cost memory, are not kept as long.
+_DEPTH_BYTES, _DEPTH_MOST, _DEPTH_LEAST = 256 << 20, 20_000, 5
+
+
+class _Node(RosEdge):
+    """The gateway's edge, without what it does for a gateway with each message."""
+
+    def __init__(self, name: str, heard: dict[str, tuple[Number, Heard]]) -> None:
+        super().__init__(node_name=name, on_message=_no_message, wants=lambda *_: None, on_note=_no_note)
+        self._now = SystemClock().monotonic_ns
+        self._heard = heard
+
+    def raw_publisher(self, topic: str) -> Callable[[bytes], None]:
+        """What hands bytes to the middleware."""
+        return self._writers[topic].publisher.publish
+
+    def _receive(self, reader: Reader, cdr: bytes, info: dict[str, Any]) -> None:
+        at_ns = self._now()
+        number, heard = self._heard[reader.topic]
+        heard.take(number(cdr), at_ns, cdr)
+
+
+class RosSide:
+    """See ``programs.Side``."""
+
+    def __init__(self, job: Job, heard: dict[str, Heard]) -> None:
+        self._job = job
+        self._now = SystemClock().monotonic_ns
+        numbers = {part.topic: (payload(part.stream.kind).forms[0].number, heard[part.key]) for part in job.hears}
+        self._node = _Node(job.name, numbers)
+
+    def open(self) -> None:
+        self._node.start()
+        for join, parts in ((self._node.subscribe, self._job.hears), (self._node.advertise, self._job.sends)):
+            for part in parts:
+                kind = payload(part.stream.kind)
+                join(part.topic, kind.ros_type, Qos(queue_depth(kind.size)))
+
+    def found(self) -> None:
+        for part in self._job.sends:
+            if not self._node.wait_for_subscribers(part.topic, 1, _FOUND_S):
+                raise GatewayError(f"{part.topic}: nobody subscribed within {_FOUND_S:g} s")
+
+    def sender(self, part: Part) -> Send:
+        make, publish, now = payload(part.stream.kind).ros_maker(), self._node.raw_publisher(part.topic), self._now
+
+        def send(first: int, count: int) -> list[int]:
+            times = []
+            for number in range(first, first + count):
+                message = make(number)
+                times.append(now())
+                publish(message)
+            return times
+
+        return send
+
+    def close(self) -> None:
+        self._node.stop()
+
+
+def queue_depth(size: int) -> int:
+    """Deep enough that a flood of small messages is not cut off by the program that measures it."""
+    return max(_DEPTH_LEAST, min(_DEPTH_MOST, _DEPTH_BYTES // size))
+
+
+def _no_message(*_: object) -> None:
+    """The node takes them where they come in."""
+
+
+def _no_note(_note: Note) -> None:
+    """What a node has to say is no part of a measurement."""

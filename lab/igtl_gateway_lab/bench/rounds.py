@@ -1,0 +1,70 @@
+"""Several rounds of one measurement as one: medians, but the worst of what must not happen even once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median_low
+from typing import Any
+
+from igtl_gateway_lab.bench.figures import ratio
+from igtl_gateway_lab.bench.runner import Row
+
+#: Numbers that say what was measured, beside all that are no numbers.
+_NAMES = frozenset({"rate_hz", "x", "clients"})
+#: Of these the most counts.
+_MOST = frozenset(
+    {"max_ms", "late_max_ms", "recorder_dropped", "gateway_rss_mb", "gateway_rss_growth_mb", "gateway_rss_peak_mb"}
+)
+#: These belong together: those of the round that lost most.
+_LOSSES = (("sent", "delivered"), ("sent_after_resume", "delivered_after_resume"))
+
+
+def merged(rounds: Sequence[Sequence[Row]]) -> list[Row]:
+    """A row for each of a round, with the figures of all of them as ``rounds``; of one round alone its rows."""
+    if len(rounds) == 1:
+        return list(rounds[0])
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for rows in rounds:
+        for row in rows:
+            groups.setdefault(tuple((name, row[name]) for name in row if _names(name, row[name])), []).append(row)
+    return [_merged(rows) for rows in groups.values()]
+
+
+def _merged(rows: Sequence[Row]) -> Row:
+    told: Row = {}
+    for name in rows[0]:
+        values = [row[name] for row in rows if row.get(name) is not None]
+        if not values or _names(name, values[0]):
+            told[name] = rows[0][name]
+        else:
+            told[name] = max(values) if name in _MOST else median_low(values)
+    for sent, delivered in _LOSSES:
+        if delivered in told and sent in told:
+            worst = max(rows, key=lambda row: row[sent] - row[delivered])
+            told |= {sent: worst[sent], delivered: worst[delivered]}
+    told["rounds"] = [{name: value for name, value in row.items() if not _names(name, value)} for row in rows]
+    return told
+
+
+def _names(name: str, value: Any) -> bool:
+    """Whether a field says what was measured."""
+    return name in _NAMES or isinstance(value, str | bool)
+
+
+def with_costs(rows: Sequence[Row]) -> list[Row]:
+    """The rows, those of recordings with how many times they took of what they take without."""
+
+    def key(row: Row) -> tuple[Any, ...]:
+        return row["case"], row.get("stream"), row.get("direction"), row.get("peer")
+
+    plain = {key(row): row for row in rows if not row.get("recording")}
+    return [
+        row
+        | {
+            f"recording_{name}_ratio": ratio(row[f"{name}_ms"], plain[key(row)][f"{name}_ms"])
+            for name in ("p50", "p99")
+        }
+        if row.get("recording") and key(row) in plain
+        else row
+        for row in rows
+    ]

@@ -1,0 +1,273 @@
+"""What else takes time: to start, to record, to replay and to verify."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from igtl_gateway.clock import Clock
+from igtl_gateway.config import Config, ToIgtlRow
+from igtl_gateway.gateway import LINK_UP, Gateway, Session
+from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway_lab.bench.cases import CASES, Direction, Stream, payload
+from igtl_gateway_lab.bench.jobs import Job, Part
+from igtl_gateway_lab.bench.processes import Program, Usage, ours
+from igtl_gateway_lab.bench.runner import Row
+
+_STARTS = 5
+_START_S = 120.0
+_RECORDED_S = 10  # seconds of the mixed load, of the recorded session
+_LARGE_BYTES, _HEAD_BYTES = 100_000, 200  # of messages that are made noise of, and what stays of them
+_QUEUED_BYTES = 24 << 20  # no more waits than does where the recorder keeps up: a burst takes memory anew
+_REPLAYED = {"transform": 20_000, "image-fullhd": 30}
+_STAR_S = 12.0  # what the scenario lasts
+_PATIENCE_S = 300.0
+_LOOK_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Workshop:
+    """What a work is done with.
+
+    Attributes:
+        folder: for recordings.
+        clock: monotonic.
+        tell: takes a line for people.
+    """
+
+    folder: Path
+    clock: Clock
+    tell: Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Something to measure: one line for people, and what gives its rows."""
+
+    text: str
+    run: Callable[[Workshop], list[Row]]
+
+
+def start_up(shop: Workshop) -> list[Row]:
+    """From the command to the open port and the node in ROS."""
+    waits, memory = [], 0.0
+    for _ in range(_STARTS):
+        shop.tell("start-up")
+        begun_ns = shop.clock.monotonic_ns()
+        with Program("gateway", ours("bridge", "--json", "--listen", "127.0.0.1:0")) as gateway:
+            gateway.wait_for("started", _START_S)
+            waits.append((shop.clock.monotonic_ns() - begun_ns) / NS_PER_S)
+            memory = Usage.of(gateway.pid).rss_mb
+            gateway.interrupt()
+    waits.sort()
+    median = waits[len(waits) // 2]
+    return [
+        {
+            "case": "start-up",
+            "starts": _STARTS,
+            "p50_s": round(median, 3),
+            "max_s": round(waits[-1], 3),
+            "gateway_rss_mb": round(memory, 1),
+        }
+    ]
+
+
+def recording(shop: Workshop) -> list[Row]:
+    """The mixed load through the recorder alone, as fast as it writes: from the first entry until the file is closed.
+
+    Twice, for it depends on what becomes smaller: nothing does of a picture with the noise of a camera.
+    """
+    second = list(_mixed_second(shop.clock))
+    noise = np.random.default_rng(1)
+    rows = []
+    for what, entries in (("mixed", second), ("mixed, noise", [_noisy(entry, noise) for entry in second])):
+        shop.tell(f"recording {what}")
+        rows.append({"case": "recording", "what": what} | _recorded(shop, entries))
+    return rows
+
+
+def _noisy(entry: Entry, noise: np.random.Generator) -> Entry:
+    """A large message with other content, which cannot be compressed."""
+    if entry.size < _LARGE_BYTES:
+        return entry
+    return replace(entry, payload=(entry.data()[:_HEAD_BYTES] + noise.bytes(entry.size - _HEAD_BYTES),))
+
+
+def _recorded(shop: Workshop, second: Sequence[Entry]) -> Row:
+    """How fast the entries of a second are recorded, again and again."""
+    path = shop.folder / "throughput.mcap"
+    rest = threading.Event()
+    recorder = _recorder(path, Config(), shop.clock)
+    begun_ns = shop.clock.monotonic_ns()
+    before = Usage.of(os.getpid())
+    seq, stamp_ns = 0, shop.clock.utc_ns()
+    for _ in range(_RECORDED_S):
+        for entry in second:
+            seq += 1
+            recorder(replace(entry, seq=seq, stamp_ns=stamp_ns + seq))
+            if not seq % 64:
+                while recorder.counters()["queued_bytes"] > _QUEUED_BYTES:
+                    rest.wait(0.002)
+    while recorder.counters()["queued_bytes"]:
+        rest.wait(0.002)
+    after = Usage.of(os.getpid())
+    summary = recorder.close({})
+    seconds = (shop.clock.monotonic_ns() - begun_ns) / NS_PER_S
+    path.unlink()
+    return {
+        "entries": summary.entries,
+        "dropped": sum(summary.dropped.values()),
+        "entries_per_s": round(summary.entries / seconds),
+        "mb_per_s": round(_RECORDED_S * sum(entry.size for entry in second) / seconds / 1e6, 1),
+        "times_mixed_load": round(_RECORDED_S / seconds, 2),
+        # at the rate of the mixed load: of who gives and of who writes
+        "gateway_cpu_percent": round(100 * (after.cpu_s - before.cpu_s) / _RECORDED_S, 1),
+        "recorder_cpu_percent": round(100 * (after.children_cpu_s - before.children_cpu_s) / _RECORDED_S, 1),
+    }
+
+
+def replay(shop: Workshop) -> list[Row]:
+    """A recording to a local peer, as fast as possible."""
+    rows = []
+    for kind, count in _REPLAYED.items():
+        shop.tell(f"replay {kind}")
+        stream = Stream(kind, 0.0)
+        path = shop.folder / f"{kind}.mcap"
+        record_passage(path, stream, count, shop.clock)
+        rows.append({"case": "replay", "what": kind, "sent": count} | _replayed(shop, path, stream, count))
+        path.unlink()
+    return rows
+
+
+def verify(shop: Workshop) -> list[Row]:
+    """The synthetic suturing session, and a recording of small messages: until the verdict, the start included."""
+    star = shop.folder / "star.mcap"
+    _until_end("simulate", ["simulate", "star", "--out", str(star), "--overwrite", "--json"])
+    small = shop.folder / "small.mcap"
+    count = _REPLAYED["transform"]
+    record_passage(small, Stream("transform", 0.0), count, shop.clock)
+    rows = []
+    for name, path in (("star", star), ("transform", small)):
+        shop.tell(f"verify {name}")
+        begun_ns = shop.clock.monotonic_ns()
+        _until_end("verify", ["verify", str(path), "--json"])
+        seconds = (shop.clock.monotonic_ns() - begun_ns) / NS_PER_S
+        row: Row = {"case": "verify", "what": name, "seconds": round(seconds, 2)}
+        row["mb_per_s"] = round(path.stat().st_size / seconds / 1e6, 1)
+        if name == "star":
+            row["times_real_time"] = round(_STAR_S / seconds, 1)
+        else:
+            row["inputs_per_s"] = round(count / seconds)
+        rows.append(row)
+    return rows
+
+
+WORKS: dict[str, Work] = {
+    "start-up": Work("from the command to the open port and the node in ROS", start_up),
+    "recording": Work("the mixed load through the recorder alone, as fast as it writes", recording),
+    "replay": Work("20,000 transforms and 30 Full HD pictures, recorded, to a local peer at once", replay),
+    "verify": Work("the recorded suturing session and 20,000 transforms", verify),
+}
+
+
+def _mixed_second(clock: Clock) -> Iterator[Entry]:
+    """The entries of one second of the mixed load, both ways, with what the gateway makes of it."""
+    streams = CASES["mixed"].streams
+    session = _session(streams, clock)
+    for stream in streams:
+        made = payload(stream.kind)
+        device, topic = stream.device(Direction.IGTL_TO_ROS), stream.topic(Direction.ROS_TO_IGTL)
+        frame, cdr = bytes(made.igtl_maker(device)(1)), made.ros_maker()(1)
+        for _ in range(round(stream.rate_hz)):
+            yield from session.input(clock.utc_ns(), Kind.IGTL_IN, (frame,), links=(1,))
+            yield from session.input(clock.utc_ns(), Kind.ROS_IN, (cdr,), channel=topic, type_name=made.ros_type)
+
+
+def record_passage(path: Path, stream: Stream, count: int, clock: Clock) -> None:
+    """A recording of so many messages from ROS to OpenIGTLink."""
+    made, topic = payload(stream.kind), stream.topic(Direction.ROS_TO_IGTL)
+    make = made.ros_maker()
+    recorder = _recorder(path, _config((stream,)), clock)
+    session = _session((stream,), clock, recorder)
+    rest = threading.Event()
+    for number in range(1, count + 1):
+        cdr = (make(number),)
+        for entry in session.input(clock.utc_ns(), Kind.ROS_IN, cdr, channel=topic, type_name=made.ros_type):
+            recorder(entry)
+        while recorder.counters()["queued_bytes"] > _QUEUED_BYTES:
+            rest.wait(0.002)
+    recorder.close(session.gateway.ledger.to_dict())
+
+
+def _config(streams: Sequence[Stream]) -> Config:
+    way = Direction.ROS_TO_IGTL
+    return Config(
+        to_igtl=tuple(
+            ToIgtlRow(topic=stream.topic(way), device=stream.device(way), type=payload(stream.kind).igtl_type)
+            for stream in streams
+        )
+    )
+
+
+def _session(streams: Sequence[Stream], clock: Clock, recorder: Recorder | None = None) -> Session:
+    """A session with one peer."""
+    session = Session(Gateway(_config(streams)))
+    for entry in session.input(clock.utc_ns(), Kind.LINK, (Note(Level.INFO, LINK_UP, "up").pack(),), links=(1,)):
+        if recorder:
+            recorder(entry)
+    return session
+
+
+def _recorder(path: Path, config: Config, clock: Clock) -> Recorder:
+    facts = {"config": json.dumps(config.to_dict(), sort_keys=True)}
+    return Recorder(path, facts, qos_of=lambda *_: None, on_note=lambda _note: None, clock=clock)
+
+
+def _replayed(shop: Workshop, path: Path, stream: Stream, count: int) -> Row:
+    """How fast the recorded messages of a stream reach a peer."""
+    part = Part(stream, Direction.ROS_TO_IGTL, "", count)
+    times = shop.folder / "replayed.npz"
+    job = Job("igtl", "peer", (), (part,), 0.0, str(times), listen=True)
+    rest = threading.Event()
+    with ExitStack() as stack:
+        peer = stack.enter_context(Program("peer", [sys.executable, "-m", "igtl_gateway_lab.bench", job.to_json()]))
+        place = peer.wait_for("listening", _START_S)
+        to = f"{place['host']}:{place['port']}"
+        words = ["replay", str(path), "--to", "igtl", "--connect", to, "--as-fast-as-possible", "--no-digest", "--json"]
+        player = stack.enter_context(Program("replay", ours(*words)))
+        peer.wait_for("ready", _START_S)
+        player.gone(_PATIENCE_S)
+        last = -1
+        while True:
+            peer.order("count")
+            arrived = peer.wait_for("count", _PATIENCE_S)["messages"]
+            if arrived in (last, count):
+                break
+            last = arrived
+            rest.wait(_LOOK_S)
+        peer.end()
+    with np.load(times, allow_pickle=False) as file:
+        received = file[f"received {part.device}"]
+    seconds = (int(received.max()) - int(received.min())) / NS_PER_S if len(received) > 1 else 0.0
+    per_s = (len(received) - 1) / seconds if seconds else None
+    return {
+        "delivered": len(received),
+        "received_per_s": round(per_s, 1) if per_s else None,
+        "mb_per_s": round(per_s * payload(stream.kind).size / 1e6, 1) if per_s else None,
+    }
+
+
+def _until_end(name: str, words: Sequence[str]) -> None:
+    with Program(name, ours(*words)) as program:
+        program.gone(_PATIENCE_S)

@@ -1,0 +1,353 @@
+"""``igtl-gateway bench``: how fast, on this machine, and against what it costs without us."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import platform
+import tempfile
+from dataclasses import dataclass, field, replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway import __version__
+from igtl_gateway.cli.terminal import print_json, say
+from igtl_gateway.clock import Clock, SystemClock
+from igtl_gateway.errors import ConfigError, Unavailable
+from igtl_gateway.extras import missing
+from igtl_gateway_lab.bench import flame
+from igtl_gateway_lab.bench.bounds import judged, shown
+from igtl_gateway_lab.bench.cases import CASES, FLOOD, TABLE_1, Case, Direction
+from igtl_gateway_lab.bench.peers import PEERS, lacks
+from igtl_gateway_lab.bench.plot import latency_plots, sweep_plots
+from igtl_gateway_lab.bench.rounds import merged, with_costs
+from igtl_gateway_lab.bench.runner import Extent, Plan, Row, Runner
+from igtl_gateway_lab.bench.sweeps import SWEEPS, fits
+from igtl_gateway_lab.bench.works import WORKS, Workshop
+
+EXAMPLES = """\
+  igtl-gateway bench --case transform                     30 Hz, both ways, and the bare hops
+  igtl-gateway bench --case transform --rate 1000 --direction ros-to-igtl
+  igtl-gateway bench --case image-fullhd --flood --json   as fast as it goes without loss
+  igtl-gateway bench --case mixed --duration 60 --record --rounds 3   with and without recording, in turns
+  igtl-gateway bench --case transform image-vga --peers   with the C++ library and pyigtl as peers, too
+  igtl-gateway bench --case start-up replay verify        what is no passage of messages
+  igtl-gateway bench --case mixed --flame out.svg           where the gateway spends its time
+  igtl-gateway bench --sweep payload streams --plot out   what it costs as it grows, with lines and pictures
+  igtl-gateway bench --table1 --plot out                  the paper's table: 1000 messages each, 30 Hz"""
+
+_TABLE_COUNT, _TABLE_HZ = 1000, 30.0
+_MOST_S, _MOST_HZ, _MOST_COUNT, _MOST_ROUNDS = 3600.0, 100_000.0, 10_000_000, 100
+_BOTH = "both"
+
+#: Column → field of a row and how it is shown.
+_COLUMNS = {
+    "case": ("case", ""),
+    "direction": ("direction", ""),
+    "Hz": ("rate_hz", "g"),
+    "sent": ("sent", ",d"),
+    "delivered": ("delivered", ",d"),
+    "/s": ("received_per_s", ",.0f"),
+    "p50 ms": ("p50_ms", ".3f"),
+    "p99 ms": ("p99_ms", ".3f"),
+    "mean ms": ("mean_ms", ".3f"),
+    "sd ms": ("sd_ms", ".3f"),
+    "max ms": ("max_ms", ".3f"),
+    "floor ms": ("floor_p50_ms", ".3f"),
+    "ratio": ("ratio", ".2f"),
+    "CPU %": ("gateway_cpu_percent", ".0f"),
+    "RSS MB": ("gateway_rss_mb", ".0f"),
+    "bounds": ("bounds", ""),
+}
+_LEFT_ALIGNED = frozenset({"case", "direction", "bounds"})
+_PACKAGES = ("ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "numpy", "fastcrc", "mcap")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--case", nargs="+", default=[], metavar="NAME", help="what is measured; --list shows all")
+    parser.add_argument("--table1", action="store_true", help="the cases of the paper's Table 1")
+    parser.add_argument(
+        "--sweep", nargs="+", default=[], choices=tuple(SWEEPS), metavar="WHAT", help=f"growing: {', '.join(SWEEPS)}"
+    )
+    parser.add_argument("--list", action="store_true", help="show the cases, then end")
+    parser.add_argument(
+        "--direction",
+        choices=(*(direction.value for direction in Direction), _BOTH),
+        default=_BOTH,
+        help="which way (%(default)s)",
+    )
+    speed = parser.add_mutually_exclusive_group()
+    speed.add_argument("--rate", type=float, metavar="HZ", help="messages a second (default: as the case has it)")
+    speed.add_argument("--flood", action="store_true", help="as fast as all arrives")
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--duration", type=float, default=10.0, metavar="S", help="how long each (%(default)g s)")
+    length.add_argument("--count", type=int, metavar="N", help="messages each, instead")
+    parser.add_argument("--rounds", type=int, default=1, metavar="N", help="measure N times in turns: medians")
+    parser.add_argument("--record", action="store_true", help="again with a recording, and what that costs")
+    parser.add_argument(
+        "--floor",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="measure the same bytes over a bare DDS hop and a bare TCP connection too",
+    )
+    parser.add_argument(
+        "--peers", action="store_true", help=f"again with {' and '.join(PEERS)} instead of our client, where installed"
+    )
+    parser.add_argument("--plot", type=Path, metavar="DIR", help="draw the rows into SVG files there")
+    parser.add_argument("--flame", type=Path, metavar="SVG", help="draw where the gateway spends its time (py-spy)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(options: argparse.Namespace) -> int:
+    if options.list:
+        for case in CASES.values():
+            say(f"{case.name:<15} {case.text}")
+        for name, work in WORKS.items():
+            say(f"{name:<15} {work.text}")
+        for name, sweep in SWEEPS.items():
+            say(f"{f'--sweep {name}':<15} {sweep.text}")
+        return 0
+    groups, works = _asked(options)
+    if importlib.util.find_spec("rclpy") is None:
+        raise Unavailable(missing("rclpy"))
+    # a measurement must neither hear nor disturb other robots
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
+    clock = SystemClock()
+    ambient = _ambient(clock)
+    ticks = _ticks()
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory(prefix="igtl-gateway-bench-") as folder:
+        runner = Runner(Path(folder), clock, _tell)
+        for group in groups:
+            rows += merged([_measured(runner, group) for _ in range(options.rounds)])
+        workshop = Workshop(Path(folder), clock, _tell)
+        for name in works:
+            rows += merged([WORKS[name].run(workshop) for _ in range(options.rounds)])
+    rows = [judged(row) for row in rows]
+    lines = fits(rows)
+    ambient["load_after"] = _load()
+    ambient["stolen_percent"] = _stolen_percent(ticks, _ticks())
+    if options.plot:
+        options.plot.mkdir(parents=True, exist_ok=True)
+        for name, text in (latency_plots(rows) | sweep_plots(rows, lines)).items():
+            (options.plot / name).write_text(text, "utf-8")
+    if options.json:
+        print_json({"rows": rows, **({"fits": lines} if lines else {}), "ambient": ambient})
+    else:
+        say(*_table(rows), *_fitted(lines), "", *_words(ambient))
+    return 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """What is measured in turns, to be compared, and what marks its rows."""
+
+    plans: tuple[Plan, ...]
+    marks: Row = field(default_factory=dict)
+
+
+def _measured(runner: Runner, group: _Group) -> list[Row]:
+    """One round."""
+    return with_costs([row | group.marks for plan in group.plans for row in runner.measure(plan)])
+
+
+def _asked(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
+    """What is to be measured: passages of messages, and other work.  Raises ConfigError."""
+    names = list(dict.fromkeys([*options.case, *(TABLE_1 if options.table1 else ())]))
+    if unknown := [name for name in names if name not in CASES and name not in WORKS]:
+        raise ConfigError(f"--case: found {unknown[0]!r}, expected one of {', '.join([*CASES, *WORKS])}")
+    if not names and not options.sweep:
+        raise ConfigError(
+            "found nothing to measure, expected --case NAME, --sweep or --table1 (--list shows the cases)"
+        )
+    for name, value, most in (
+        ("--rate", options.rate, _MOST_HZ),
+        ("--duration", options.duration, _MOST_S),
+        ("--count", options.count, _MOST_COUNT),
+        ("--rounds", options.rounds, _MOST_ROUNDS),
+    ):
+        if value is not None and not 0 < value <= most:
+            raise ConfigError(f"{name}: found {value:g}, expected above 0 and at most {most:g}")
+    directions = tuple(one for one in Direction if options.direction in (one.value, _BOTH))
+    extent = Extent(options.duration, options.count or (_TABLE_COUNT if options.table1 else 0))
+    groups = [_group(_at_rate(CASES[name], options), directions, extent, options) for name in names if name in CASES]
+    for name in options.sweep:
+        plans = SWEEPS[name].plans(Extent(options.duration, options.count or 0), directions)
+        if not plans:
+            raise ConfigError(f"--direction: found {options.direction}, --sweep {name} goes the other way only")
+        groups += [_Group((plan,), {"sweep": name} | marks) for marks, plan in plans]
+    works = [name for name in names if name in WORKS]
+    if options.flame:
+        groups = _in_flames(groups, works, options)
+    return groups, works
+
+
+def _group(case: Case, directions: tuple[Direction, ...], extent: Extent, options: argparse.Namespace) -> _Group:
+    """One case, with what it is to be compared with."""
+    ways = tuple(way for way in directions if way in case.ways)
+    if not ways:
+        raise ConfigError(f"--direction: found {options.direction}, {case.name} goes {case.ways[0].value} only")
+    plan = Plan(case, ways, extent, options.floor)
+    recorded = [replace(plan, record=True, floor=False)] if options.record else []
+    return _Group((plan, *recorded, *(_with_peers(plan) if options.peers else ())))
+
+
+def _in_flames(groups: list[_Group], works: list[str], options: argparse.Namespace) -> list[_Group]:
+    """The one measurement that there is, with a picture of it."""
+    runs = sum(1 if plan.case.at_once else len(plan.directions) for group in groups for plan in group.plans)
+    found = len(works) + runs * options.rounds
+    if found != 1 or works:
+        raise ConfigError(f"--flame: found {found} measurements, expected one of messages: --case NAME --direction WAY")
+    if not flame.tool():
+        raise ConfigError("--flame: found no py-spy on the path, it is needed: pip install py-spy")
+    (group,) = groups
+    return [_Group((replace(group.plans[0], flame=options.flame.absolute()),), group.marks)]
+
+
+def _with_peers(plan: Plan) -> list[Plan]:
+    """The same with each peer that is there; of the others it is said why not."""
+    reasons = {peer: lacks(peer, plan.case) for peer in PEERS}
+    for reason in filter(None, reasons.values()):
+        _tell(f"left out: {reason}")
+    return [replace(plan, peer=peer) for peer, reason in reasons.items() if not reason]
+
+
+def _at_rate(case: Case, options: argparse.Namespace) -> Case:
+    if case.together and (options.rate or options.flood):
+        raise ConfigError(f"--rate, --flood: {case.name} has rates of its own")
+    if options.flood:
+        return case.at(FLOOD)
+    if options.rate or options.table1:
+        return case.at(options.rate or _TABLE_HZ)
+    return case
+
+
+def _table(rows: list[Row]) -> list[str]:
+    """The passages as a table; whatever else there is to say about a row stands below."""
+    passages = [row for row in rows if row.get("direction")]
+    lines = []
+    if passages:
+        cells = [list(_COLUMNS), *([_cell(row, *column) for column in _COLUMNS.values()] for row in passages)]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        lines += [
+            "  ".join(
+                text.ljust(width) if column in _LEFT_ALIGNED else text.rjust(width)
+                for column, text, width in zip(_COLUMNS, line, widths, strict=True)
+            ).rstrip()
+            for line in cells
+        ]
+    for row in rows:
+        if row not in passages:
+            told = ", ".join(
+                f"{name.replace('_', ' ')} {_shown(value)}"
+                for name, value in row.items()
+                if name not in ("case", "rounds")
+            )
+            lines.append(f"{row['case']}: {told}")
+        else:
+            lines += [f"{_name(row)}, {row['direction']}: {text}" for text in _remarks(row)]
+    return lines
+
+
+def _remarks(row: Row) -> list[str]:
+    """What has no column."""
+    told = []
+    if "recording_p50_ratio" in row:
+        times = " and ".join(f"{name} {row[f'recording_{name}_ratio']} times" for name in ("p50", "p99"))
+        told.append(f"{times} that without recording")
+    if "floor_dds_per_s" in row:
+        told.append(f"bare hops {row['floor_dds_per_s']:,.0f}/s (DDS) and {row['floor_tcp_per_s']:,.0f}/s (TCP)")
+    if "sent_after_resume" in row:
+        after = f"{row['delivered_after_resume']:,} of {row['sent_after_resume']:,} sent after it read again"
+        told.append(f"{after}, {row['gateway_dropped']:,} dropped by the gateway")
+    return told
+
+
+def _fitted(lines: list[dict[str, Any]]) -> list[str]:
+    return [
+        f"{line['sweep']}, {line['direction']}: {line['figure']} = {line['a']:g} + {line['b']:g} x, r2 {line['r2']}"
+        for line in lines
+    ]
+
+
+def _cell(row: Row, field: str, form: str) -> str:
+    if field == "case":
+        return _name(row)
+    if field == "rate_hz" and row[field] is None:
+        return "flood"
+    if field == "bounds":
+        return shown(row)
+    value = row.get(field)
+    return "" if value is None else format(value, form)
+
+
+def _name(row: Row) -> str:
+    clients = f"x{row['x']:g}" if row.get("sweep") == "clients" else ""
+    marks = (
+        row["case"],
+        row.get("stream"),
+        row.get("client"),
+        clients,
+        "+rec" if row.get("recording") else "",
+        row.get("peer"),
+    )
+    return " ".join(filter(None, marks))
+
+
+def _shown(value: Any) -> str:
+    return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
+
+
+def _ambient(clock: Clock) -> dict[str, Any]:
+    """What else there is to know: the machine, how busy it is, and versions."""
+    versions = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return {
+        "utc_ns": clock.utc_ns(),
+        "load": _load(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "igtl_gateway": __version__,
+        "packages": versions,
+    }
+
+
+def _load() -> list[float]:
+    return [round(load, 2) for load in os.getloadavg()]
+
+
+def _ticks() -> list[int]:
+    """What all cores did since the start of the machine: user, nice, system, idle, wait, irq, softirq, stolen."""
+    try:
+        first = Path("/proc/stat").read_text("ascii").splitlines()[0]
+    except (OSError, IndexError):
+        return []
+    return [int(word) for word in first.split()[1:9]]
+
+
+def _stolen_percent(before: list[int], after: list[int]) -> float | None:
+    """Of the time in which the cores had something to do: how long the neighbours of a virtual machine had them."""
+    spent = [late - early for early, late in zip(before, after, strict=True)]
+    busy = sum(spent[:3]) + sum(spent[5:]) if spent else 0
+    return round(100 * spent[7] / busy, 1) if busy else None
+
+
+def _words(ambient: dict[str, Any]) -> list[str]:
+    packages = ", ".join(f"{name} {version}" for name, version in ambient["packages"].items())
+    return [
+        f"load {ambient['load'][0]} before, {ambient['load_after'][0]} after, on {ambient['cores']} cores"
+        + (f"; neighbours took {stolen} % of the busy time" if (stolen := ambient["stolen_percent"]) else ""),
+        f"igtl-gateway {ambient['igtl_gateway']}, Python {ambient['python']}, {packages}",
+    ]
+
+
+def _tell(line: str) -> None:
+    say(line, error=True, flush=True)

@@ -1,0 +1,176 @@
+"""``igtl-gateway demo``: the main job in a minute, on real traffic.
+
+The bridge, a ROS 2 node and an OpenIGTLink client run as three programs; what they say is recorded, verified
+and replayed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from igtl_gateway.cli.common import count, size
+from igtl_gateway.cli.terminal import say
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.errors import ConfigError, GatewayError, Unavailable
+from igtl_gateway.extras import missing
+from igtl_gateway.stamp import NS_PER_S
+
+EXAMPLES = """\
+  igtl-gateway demo                      in a temporary folder
+  igtl-gateway demo --keep out           keep the recording: out/demo.mcap"""
+
+_PATIENCE_S = 60.0
+
+
+class DemoError(GatewayError):
+    """A part of the demo did not do its job."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seconds", type=float, default=8.0, help="how long the traffic runs (%(default)s)")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the recording in this folder")
+
+
+def run(options: argparse.Namespace) -> int:
+    for package in ("rclpy", "pyigtl"):
+        if importlib.util.find_spec(package) is None:
+            raise Unavailable(f"{missing(package)}; `make demo` installs what it needs")
+    if not 1 <= options.seconds <= 600:
+        raise ConfigError(f"--seconds: found {options.seconds}, expected 1 to 600")
+    # the demo must neither hear nor disturb other robots
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
+    if options.keep:
+        options.keep.mkdir(parents=True, exist_ok=True)
+        return _demo(options.keep / "demo.mcap", options.seconds)
+    with tempfile.TemporaryDirectory(prefix="igtl-gateway-demo-") as folder:
+        return _demo(Path(folder) / "demo.mcap", options.seconds)
+
+
+def _demo(recording: Path, seconds: float) -> int:
+    _title(1, "the bridge runs and records; a ROS 2 node and an OpenIGTLink client talk through it")
+    summaries = _traffic(recording, seconds)
+    for name, summary in summaries.items():
+        say("", f"{name} sent {count(sum(summary['sent'].values()), 'message')} and received:")
+        for stream, told in sorted(summary["received"].items()):
+            say(f"  {stream:<36} {told['messages']:>5}, last: {told['last']}")
+        if not summary["received"]:
+            raise DemoError(f"{name} received nothing")
+    _title(2, f"what was recorded ({size(recording.stat().st_size)})")
+    _gateway("info", str(recording))
+    _title(3, "verify: do the recorded outputs follow from the recorded inputs?")
+    _gateway("verify", str(recording))
+    _title(4, "replay to OpenIGTLink, twice: at 4 times the speed, and as fast as possible")
+    wanted = _recorded_outputs(recording)
+    digests = [_replayed(recording, pace) for pace in (("--rate", "4"), ("--as-fast-as-possible",))]
+    if any(digest != wanted for digest in digests):
+        raise DemoError(f"the replays differ from the recording: {digests}, expected {wanted}")
+    say(f"both replays delivered {count(wanted[1], 'byte')} with SHA-256 {wanted[0][:16]}…")
+    say("the bytes were identical to those that the bridge sent to the client.")
+    say("", "demo: all good")
+    return 0
+
+
+def _title(number: int, text: str) -> None:
+    say("", f"--- {number}/4  {text}", flush=True)
+
+
+def _traffic(recording: Path, seconds: float) -> dict[str, dict[str, Any]]:
+    """Run the three programs; what the node and the client say at the end."""
+    command = ["bridge", "--listen", "127.0.0.1:0", "--record", str(recording), "--overwrite", "--json"]
+    with _program("igtl_gateway", *command) as bridge:
+        started = _event(bridge, "started")
+        port = started["listen"][0]["port"]
+        say(f"bridge: OpenIGTLink server on 127.0.0.1:{port}, ROS 2 node /igtl_gateway", flush=True)
+        with _program("igtl_gateway_lab.demo.ros_node") as node:
+            _event(node, "ready")
+            say("ROS 2 node (rclpy): publishes and listens", flush=True)
+            with _program("igtl_gateway_lab.demo.igtl_client", str(port), str(seconds)) as client:
+                _event(client, "ready")
+                say(f"OpenIGTLink client (pyigtl): sends and listens for {seconds:g} s", flush=True)
+                client_said = _event(client, "summary")
+            _close_input(node)
+            node_said = _event(node, "summary")
+        bridge.send_signal(signal.SIGINT)
+        stopped = _event(bridge, "stopped")
+        recorded = stopped["recording"]
+        say(f"bridge: stopped, {count(recorded['entries'], 'entry', 'entries')} recorded, {recorded['dropped']} lost")
+    return {"ROS 2 node (rclpy)": node_said, "OpenIGTLink client (pyigtl)": client_said}
+
+
+@contextmanager
+def _program(module: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A Python program beside us, ended with us."""
+    command = [sys.executable, "-m", module, *arguments]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+            if process.wait(_PATIENCE_S):
+                raise DemoError(f"{module} ended with exit code {process.returncode}")
+        finally:
+            process.kill()
+
+
+def _event(program: subprocess.Popen[str], name: str) -> dict[str, Any]:
+    """The next line of a program that tells this event."""
+    output: IO[str] = program.stdout  # type: ignore[assignment]  # a pipe, see _program
+    for line in output:
+        told: dict[str, Any] = json.loads(line)
+        if told["event"] == name:
+            return told
+        if told.get("level") in ("WARN", "ERROR"):
+            say(f"  {told['text']}")
+    raise DemoError(f"{program.args!r} ended before it said {name!r}")
+
+
+def _close_input(program: subprocess.Popen[str]) -> None:
+    """Tell a program that it is time to end."""
+    if program.stdin:
+        program.stdin.close()
+
+
+def _gateway(*arguments: str) -> None:
+    """Another verb of this command line, as the user would call it."""
+    say(f"$ igtl-gateway {' '.join(arguments)}", flush=True)
+    code = subprocess.run([sys.executable, "-m", "igtl_gateway", *arguments], check=False).returncode
+    if code:
+        raise DemoError(f"igtl-gateway {arguments[0]} ended with exit code {code}")
+
+
+def _recorded_outputs(recording: Path) -> tuple[str, int]:
+    """SHA-256 and size of the bytes that the bridge sent, read from the file without the replay code."""
+    from igtl_gateway.session.entry import Kind
+    from igtl_gateway.sessionfile.reader import SessionFile
+
+    digest, total = hashlib.sha256(), 0
+    with SessionFile.open(recording) as file:
+        for entry in file.entries():
+            if entry.kind is Kind.IGTL_OUT:
+                digest.update(entry.data())
+                total += entry.size
+    return digest.hexdigest(), total
+
+
+def _replayed(recording: Path, pace: tuple[str, ...]) -> tuple[str, int]:
+    """SHA-256 and size of what a plain socket receives from a replay."""
+    clock = SystemClock()
+    with _program("igtl_gateway_lab.demo.collector") as collector:
+        target = f"127.0.0.1:{_event(collector, 'ready')['port']}"
+        begun_ns = clock.monotonic_ns()
+        with _program("igtl_gateway", "replay", str(recording), "--to", "igtl", "--connect", target, "--json", *pace):
+            told = _event(collector, "summary")
+        seconds = (clock.monotonic_ns() - begun_ns) / NS_PER_S
+    say(f"replay {' '.join(pace):<24} {count(told['bytes'], 'byte')} in {seconds:.1f} s", flush=True)
+    return told["sha256"], told["bytes"]

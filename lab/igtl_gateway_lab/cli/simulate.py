@@ -1,0 +1,168 @@
+"""``igtl-gateway simulate``: a scenario, live over real connections or as a recording."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from igtl_gateway import __version__
+from igtl_gateway.cli.common import address, count, size
+from igtl_gateway.cli.terminal import print_json, say, show
+from igtl_gateway.config import Config
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.gateway import Gateway
+from igtl_gateway.session.content import ContentDigest
+from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway_lab.cli import stage
+from igtl_gateway_lab.simulate.catalogue import SCENARIOS
+from igtl_gateway_lab.simulate.load import SENDERS, SIZES, Load
+from igtl_gateway_lab.simulate.scenario import SYNTHETIC, Scenario
+
+_WIDTH = max(map(len, SCENARIOS))
+_SCENARIOS = "\n".join(f"  {name:<{_WIDTH}}  {scenario.title}" for name, scenario in SCENARIOS.items())
+EXAMPLES = f"""\
+  igtl-gateway simulate acquisition                   live: a bridge, a ROS 2 node and an OpenIGTLink client
+  igtl-gateway simulate acquisition --record a.mcap   and keep what the bridge recorded
+  igtl-gateway simulate star --view                   and be seen in rerun's window as it happens
+  igtl-gateway simulate acquisition --out a.mcap      offline: no ROS, no network, always the same content
+  igtl-gateway simulate test-server --type IMAGE --size 640 --rate 30 --count 300
+  igtl-gateway simulate test-node --side ros          the ROS node alone, for a bridge of yours
+  igtl-gateway simulate test-server --side igtl --connect 127.0.0.1:18944
+  igtl-gateway simulate acquisition --side ros --listen :18944
+                                                      robot and bridge; 3D Slicer stands in for the planner
+
+scenarios:
+{_SCENARIOS}"""
+
+_MAX_S = 3600.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("name", choices=tuple(SCENARIOS), metavar="SCENARIO", help="one of those below")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="play offline and write this recording")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="live: keep the bridge's recording")
+    parser.add_argument("--view", action="store_true", help="live: show it in rerun's window, as `bridge --view` does")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
+    parser.add_argument("--duration", type=float, metavar="S", help="seconds of the session")
+    parser.add_argument(
+        "--timeout", type=float, metavar="S", help="live: longest time for the start, and for the story"
+    )
+    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+    alone = parser.add_argument_group("one side alone")
+    alone.add_argument(
+        "--side",
+        choices=("ros", "igtl"),
+        help="play only the actors of ROS 2, or of OpenIGTLink; the user runs the bridge and the other side",
+    )
+    where = alone.add_mutually_exclusive_group()
+    where.add_argument(
+        "--connect",
+        type=address,
+        metavar="HOST:PORT",
+        help="OpenIGTLink actors: the bridge's server (default 127.0.0.1:18944)",
+    )
+    where.add_argument(
+        "--listen",
+        type=address,
+        metavar="HOST:PORT",
+        help="OpenIGTLink actors: be the server, and the bridge the client; with --side ros: run a bridge that "
+        "listens here for the program that stands in",
+    )
+    alone.add_argument("--print-config", action="store_true", help="print the bridge's configuration, as TOML, and end")
+    load = parser.add_argument_group("load, of test-server")
+    load.add_argument("--type", choices=tuple(SIZES), help=f"type of the messages (default {Load().type})")
+    load.add_argument("--size", type=int, metavar="N", help="; ".join(_size_help()))
+    load.add_argument("--rate", type=float, metavar="HZ", help=f"messages a second (default {Load().rate_hz:g})")
+    load.add_argument("--count", type=int, metavar="N", help=f"messages (default {Load().count})")
+    load.add_argument("--sender", choices=SENDERS, help=f"which side sends (default {Load().sender})")
+    # of the programs that a live scenario starts
+    parser.add_argument("--actor", help=argparse.SUPPRESS)
+    parser.add_argument("--peers", type=int, default=1, help=argparse.SUPPRESS)
+
+
+def _size_help() -> list[str]:
+    return [f"{name}: {unit} (default {usual:,})" for name, (unit, _, usual, _) in SIZES.items() if unit]
+
+
+def run(options: argparse.Namespace) -> int:
+    for name in ("duration", "timeout"):
+        given = getattr(options, name)
+        if given is not None and not 0 < given < _MAX_S:
+            raise ConfigError(f"--{name}: found {given}, expected more than 0 and less than {_MAX_S:g} seconds")
+    scenario = _loaded(options)
+    if options.actor:
+        return stage.play_actor(options, scenario)
+    if options.print_config:
+        show(scenario.config.to_toml())
+        return 0
+    if not options.out:
+        return stage.play(options, scenario)
+    for name in ("record", "view", "side", "connect", "listen", "timeout"):
+        if getattr(options, name):
+            raise ConfigError(f"--{name} is for a live scenario: it cannot be used with --out")
+    return _write(options, scenario)
+
+
+def _loaded(options: argparse.Namespace) -> Scenario:
+    """The scenario, with the load that was asked for."""
+    scenario: Scenario = SCENARIOS[options.name]
+    given = {
+        field: getattr(options, option)
+        for option, field in stage.LOAD_OPTIONS.items()
+        if getattr(options, option) is not None
+    }
+    if not given:
+        return scenario
+    if not scenario.loaded:
+        raise ConfigError(
+            f"--{next(o for o, f in stage.LOAD_OPTIONS.items() if f in given)}: {options.name} has no load"
+        )
+    return scenario.loaded(Load(**given))
+
+
+def _write(options: argparse.Namespace, scenario: Scenario) -> int:
+    """Play offline into a file."""
+    cast = scenario.cast(options.duration)  # refuses what does not fit, before a file is replaced
+    gateway = Gateway(scenario.config)
+    writer = SessionWriter(
+        options.out,
+        facts(options.name, scenario.config),
+        qos_of=lambda topic, ros_type: gateway.qos(topic) or gateway.subscription(topic, ros_type),
+        compression="zstd",
+        overwrite=options.overwrite,
+    )
+    entries, content = 0, ContentDigest()
+    try:
+        for entry in scenario.entries(options.duration, gateway, cast):
+            writer.write(entry)
+            content.update(entry)
+            entries += 1
+        writer.close({"streams": gateway.ledger.to_dict()})
+    except BaseException:  # half a story (Ctrl-C, a full disk) is none: it can be told again
+        if options.out.is_file():
+            options.out.unlink()
+        raise
+    reports = {actor.name: (actor.done, actor.report()) for actor in cast}
+    good = all(done and report.good for done, report in reports.values())
+    length, sha256 = options.out.stat().st_size, content.hexdigest()
+    told = {"file": str(options.out), "entries": entries, "bytes": length, "sha256": sha256, "good": good}
+    if options.json:
+        actors = {name: stage.report_facts(done, report) for name, (done, report) in reports.items()}
+        print_json(told | ({"actors": actors} if actors else {}))
+    else:
+        say(scenario.title)
+        for name, (done, report) in reports.items():
+            say(*stage.report_lines(name, "", done, report))
+        say(f"{options.out}: {count(entries, 'entry', 'entries')}, {size(length)}", f"sha256 {sha256} of the content")
+    return 0 if good else 1
+
+
+def facts(name: str, config: Config) -> dict[str, str]:
+    """What the file says of itself: nothing of this machine or moment, so that equal sessions have equal contents."""
+    return {
+        "config": json.dumps(config.to_dict(), sort_keys=True),
+        "igtl_gateway_version": __version__,
+        "scenario": name,
+        "synthetic": SYNTHETIC,
+    }

@@ -1,0 +1,308 @@
+"""Everything that crosses the gateway, once: every row of the conversion table, every query, every kind of peer.
+
+What is said is in ``every_igtl`` and ``every_ros``; here is who says it and in which order.  The session is a list
+of steps at equal distances of time, so that paces and deadlines are met by counting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from igtl_gateway.buffers import join
+from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow
+from igtl_gateway.convert import igtl_msgs, rosmsg
+from igtl_gateway.convert.igtl_msgs import CommandReply, MetadataItem, Query
+from igtl_gateway.convert.names import short_device_name
+from igtl_gateway.convert.rosmsg import Header, RosMessage
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.wire import Item, Message, Raw, encode
+from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.query import QUERIES, Nothing, StartTracking
+from igtl_gateway.wire.text import Status, String
+from igtl_gateway.wire.transform import Transform
+from igtl_gateway_lab.simulate import every_igtl, every_ros
+from igtl_gateway_lab.simulate.every_ros import frames, tool_pose, topic, tracking
+from igtl_gateway_lab.simulate.scenario import Input, fact, from_peer, from_ros, link_down, link_up, stamped, tick
+
+START_NS = 1_767_225_600 * NS_PER_S
+_STEP_NS = 20 * NS_PER_MS
+
+#: Links: programs on old and new libraries, then those with a profile, then who comes to track, and who comes late.
+OLD, NEW, SLICER, PLUS, BRAINLAB, HOLOSCAN, TRACKER, LATE = range(1, 9)
+_CHOSEN = {OLD: "legacy-v1", BRAINLAB: "brainlab", HOLOSCAN: "holoscan"}
+
+
+def _address(link: int) -> str:
+    return f"127.0.0.1:{52000 + link}"
+
+
+CONFIG = Config(
+    command_timeout_s=1.0,
+    to_igtl=(
+        *every_ros.rows(),
+        ToIgtlRow(topic="/igtl/out/Surface/early_mesh", device="Surface"),
+        ToIgtlRow(topic="/told/*", device="Pose", stamp="now", metadata=(("site", "Zürich"),)),
+        ToIgtlRow(topic="/millimetres/*", device="Pose", ros_unit="mm"),
+    ),
+    to_ros=(
+        ToRosRow(device="Sliced*", kinds=("+slices",)),
+        ToRosRow(device="Metres", igtl_unit="m", topic="/metres/{kind}", frame_id="room", child_frame_id="probe"),
+    ),
+    tf_out=(
+        TfOutRow(frames=("Tool",), base="Base"),
+        TfOutRow(frames=("Marker",), base="Tool", device="MarkerInTool", type="POSITION"),
+        TfOutRow(frames=("Tool", "Marker", "Camera"), base="Base", device="Scene"),
+        TfOutRow(frames=("Camera",), base="Base", device="CameraPlace"),
+    ),
+    peers=tuple(PeerRow(_address(link), profile) for link, profile in _CHOSEN.items()),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Up:
+    link: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Down:
+    link: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
+    """A peer says something; ``data`` replaces what would be encoded."""
+
+    link: int
+    type: str
+    device: str
+    content: Body
+    metadata: tuple[Item, ...] = ()
+    version: int = 1
+    stamped: bool = True
+    data: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class _Published:
+    topic: str
+    message: RosMessage
+
+
+@dataclass(frozen=True, slots=True)
+class _Tick:
+    """The gateway is told the time after so many seconds in which nothing else happens."""
+
+    after_s: float
+
+
+_Step = _Up | _Down | _Said | _Published | _Tick
+
+
+def inputs() -> Iterator[Input]:
+    """The whole session, in order of time."""
+    time_ns = START_NS
+    yield fact(time_ns, "synthetic", "synthetic session: no robot, no patient, no camera; see simulate every-type")
+    for step in _steps():
+        time_ns += _STEP_NS
+        match step:
+            case _Up(link):
+                yield link_up(time_ns, link, _address(link))
+            case _Down(link):
+                yield link_down(time_ns, link, _address(link))
+            case _Tick(after_s):
+                time_ns += round(after_s * NS_PER_S)
+                yield tick(time_ns)
+            case _Published(name, message):
+                yield from_ros(time_ns, name, stamped(message, time_ns - 3 * NS_PER_MS), time_ns - 2 * NS_PER_MS)
+            case _Said():
+                yield _heard(step, time_ns)
+
+
+def _heard(said: _Said, time_ns: int) -> Input:
+    if said.data:
+        return Input(time_ns, Kind.IGTL_IN, said.data, link=said.link)
+    ticks = ns_to_ticks(time_ns - 5 * NS_PER_MS) if said.stamped else 0
+    return from_peer(
+        time_ns, said.link, Message(said.type, said.device, said.content, ticks, said.version, 0, said.metadata)
+    )
+
+
+def _steps() -> Iterator[_Step]:
+    yield from _without_peers()
+    yield from _greetings()
+    yield from _unanswered()
+    yield from _frames()
+    yield from _tracked()
+    yield from _contents()
+    yield from _metadata()
+    yield from _refused()
+    yield from (_Published(topic(device), message) for device, _, message in every_ros.messages())
+    yield from _settings()
+    yield from _queries()
+    yield from _streams()
+    yield from _commands()
+    yield from _raw()
+    yield from _ends()
+
+
+def _without_peers() -> Iterator[_Step]:
+    """A command that nobody is there for, and a plan for whoever comes later."""
+    yield _Published("/igtl/out/Robot/command", igtl_msgs.Command(Header(), "Robot", 5, "Start", 0, ""))
+    yield _Published("/igtl/out/Surface/early_mesh", rosmsg.Mesh(np.array([[0, 1, 2]], np.uint32), np.eye(3) / 64))
+
+
+def _greetings() -> Iterator[_Step]:
+    """Everyone comes; some show what they are."""
+    yield from map(_Up, (OLD, NEW, SLICER, PLUS, BRAINLAB, HOLOSCAN))
+    yield _Said(NEW, "STATUS", "New", Status(1), (Item.of("greeting", "hello"),), 2)
+    # what 3D Slicer says first
+    yield _Said(SLICER, "STATUS", "", Status(1), (Item.of("dummy", "dummy"),), 2, stamped=False)
+    valid = (Item.of("TransformValid", "true"), Item.of("TransformStatus", "OK"))
+    yield _Said(PLUS, "TRANSFORM", "StylusToRef", Transform((*every_igtl.TILTED, 1.0, 2.0, 3.0)), valid, 2)
+
+
+def _unanswered() -> Iterator[_Step]:
+    """What there is nothing of yet: each peer is told so in the way that it survives."""
+    for link, version in ((OLD, 1), (NEW, 2), (SLICER, 2), (BRAINLAB, 1)):
+        yield _Said(link, "GET_TRAJ", "", Nothing(), version=version)
+        yield _Said(link, "GET_TRANS", "", Nothing(), version=version)
+    yield _Said(NEW, "STT_TDATA", "", StartTracking(0, "NoSuchFrame"), version=2)
+    yield _Said(NEW, "GET_MYTYPE", "", Raw(b""), version=2)
+
+
+def _frames() -> Iterator[_Step]:
+    """A tree of frames from three sides: /tf_static, /tf, and a peer that sees a marker."""
+    yield _Published("/tf_static", frames(("Base", "Camera", (0.5, 0.0, 1.0, 0.6, 0.0, 0.0, 0.8))))
+    arm, tool = ("Base", "Arm", (0.0, 0.0, 0.25, *every_igtl.TURNED)), ("Arm", "Tool", (0.0, 0.125, 0.0, *_UPRIGHT))
+    yield _Published("/tf", frames(arm, tool))
+    yield _Said(OLD, "TRANSFORM", "MarkerToCamera", Transform((*every_igtl.QUARTER, 10.0, 20.0, 30.0)))
+    # of the two edges one is newer than the other: what goes out is between two samples
+    yield _Published("/tf", frames(("Base", "Arm", (0.0, 0.0, 0.5, *_UPRIGHT))))
+    yield _Published("/tf", frames(("Arm", "Tool", (0.25, 0.125, 0.0, *_UPRIGHT))))
+    yield _Published("/tf", frames(("Base", "Arm", (0.0, 0.0, 0.75, *every_igtl.TURNED))))
+
+
+_UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+def _tracked() -> Iterator[_Step]:
+    """Tracking data put together from single poses, for who asks for them, until it does no more."""
+    yield _Up(TRACKER)
+    yield _Published(topic("Pose"), tool_pose(0))
+    yield _Published(topic("Pose/as_position"), tool_pose(0))
+    yield _Said(TRACKER, "GET_QTDATA", "", Nothing())
+    yield _Said(TRACKER, "STT_QTDATA", "", StartTracking(50, ""))
+    for step in range(6):
+        yield _Published(topic("Pose/as_position"), tool_pose(step))
+    yield _Said(TRACKER, "STP_QTDATA", "", Nothing())
+    yield _Published(topic("Pose/as_position"), tool_pose(6))
+
+
+def _contents() -> Iterator[_Step]:
+    """Every type from a peer, in turn with header version 1 and 2."""
+    for index, (igtl_type, device, content) in enumerate(every_igtl.contents()):
+        link = (OLD, NEW)[index % 2]
+        # one of them unstamped, as everything from 3D Slicer is
+        yield _Said(link, igtl_type, device, content, version=link, stamped=igtl_type != "QTRANS")
+
+
+def _metadata() -> Iterator[_Step]:
+    """Metadata beside a standard message, beside one of ours, beside one without conversion."""
+    device = short_device_name(every_igtl.METADATA[0].text)
+    for igtl_type, content in (("TRANSFORM", Transform((*every_igtl.TILTED, 4.0, 5.0, 6.0))), ("MYTYPE", Raw(b"x"))):
+        yield _Said(NEW, igtl_type, device, content, every_igtl.METADATA, 2)
+    yield _Said(NEW, "GET_STATUS", device, Nothing(), every_igtl.METADATA, 2)
+    yield _Said(SLICER, "STRING", "Node", String.of("pushed"), (Item.of("MRMLNodeName", "Node"),), 2, stamped=False)
+
+
+def _refused() -> Iterator[_Step]:
+    """Messages that fail on their way and cost only themselves."""
+    good = join(encode(Message("STRING", "Greeting", String.of("intact"), ns_to_ticks(START_NS))))
+    yield _Said(OLD, "", "", Raw(b""), data=good[:-1] + b"?")
+    for content in (b"\x00\x03\xff\xff", b"\x00"):
+        yield _Said(OLD, "STRING", "Greeting", Raw(content))
+    yield _Published(topic("Surface/mesh"), rosmsg.Mesh(np.array([[0, 1, 2]], np.uint32), np.full((3, 3), np.nan)))
+    yield _Published("/igtl/out/Query/query", Query(Header(), 9, "TDATA"))
+
+
+def _settings() -> Iterator[_Step]:
+    """What rows of the configuration change."""
+    told = rosmsg.TransformStamped(Header(0, "Base"), "Told", (1.0, 2.0, 3.0), every_igtl.TURNED)
+    yield _Published("/told/pose", told)
+    yield _Published("/millimetres/pose", told)
+    yield _Said(OLD, "TRANSFORM", "Metres", Transform((*every_igtl.TILTED, 1.0, 2.0, 3.0)))
+
+
+def _queries() -> Iterator[_Step]:
+    """Every query from a peer and, to that peer, from ROS; then some by and for those that take few."""
+    for name in QUERIES:
+        yield _Said(NEW, name, "", every_igtl.query(name), version=2)
+    for query in every_ros.queries(TRACKER):
+        yield _Published("/igtl/out/Query/query", query)
+    for name in ("GET_STATUS", "GET_CAPABIL", "GET_TRANS", "GET_TDATA", "GET_POINT", "GET_IMGMETA"):
+        for link, version in ((OLD, 1), (SLICER, 2), (PLUS, 2), (HOLOSCAN, 2)):
+            yield _Said(link, name, "", Nothing(), version=version)
+    yield _Said(OLD, "GET_TRANS", "ToolToBase", Nothing())
+    yield _Published("/igtl/out/Query/query", Query(Header(0, "Base"), Query.GET, "STATUS"))
+
+
+def _streams() -> Iterator[_Step]:
+    """Tracking data at the pace and in the frame that a peer asked for, and none behind its STP_."""
+    yield _Said(TRACKER, "STT_TDATA", "Tools", StartTracking(50, "Base"))
+    for step in range(8):
+        yield _Published(topic("Tools"), tracking(step))
+    yield _Said(TRACKER, "STT_TDATA", "Tools", StartTracking(0, "Tool"))
+    yield _Published(topic("Tools"), tracking(8))
+    yield _Said(TRACKER, "STP_TDATA", "Tools", Nothing())
+    yield _Published(topic("Tools"), tracking(9))
+    yield _Said(TRACKER, "STT_TDATA", "Scene", StartTracking(0, "Camera"))
+    arm, tool = ("Base", "Arm", (0.0, 0.0, 1.0, *_UPRIGHT)), ("Arm", "Tool", (0.5, 0.0, 0.0, *_UPRIGHT))
+    yield _Published("/tf", frames(arm, tool))
+
+
+def _commands() -> Iterator[_Step]:
+    """Commands both ways: answered, refused, too late, and lost with their peer."""
+    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command(7, "Start"), (Item.of("who", "surgeon"),), 2)
+    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command(7, "Again"), version=2)
+    yield _Said(OLD, "COMMAND", "Robot", every_igtl.command(7, "Start"))
+    yield _Published("/igtl/out/Robot/command_reply", _reply(7, CommandReply.SUCCESS, NEW, content="done"))
+    yield _Published("/igtl/out/Robot/command_reply", _reply(7, CommandReply.FAIL, OLD, "arm is not homed"))
+    yield _Published("/igtl/out/Robot/command_reply", _reply(7, CommandReply.SUCCESS, OLD, content="again"))
+    order = igtl_msgs.Command(Header(), "Slicer", 0, "LoadScene", 106, "<Größe/>", (MetadataItem("who", 0, "robot"),))
+    yield _Published("/igtl/out/Slicer/command", replace(order, link=SLICER))
+    yield _Said(SLICER, "RTS_COMMAND", "Slicer", every_igtl.command(1, "LoadScene"), (Item.of("Status", "FAIL"),), 2)
+    yield _Published("/igtl/out/Slicer/command", replace(order, id=12, timeout=0.5))
+    for link, version in ((OLD, 1), (NEW, 2), (SLICER, 2), (PLUS, 2)):
+        yield _Said(link, "RTS_COMMAND", "Slicer", every_igtl.command(12, "LoadScene"), version=version)
+    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command(8, "Forgotten"), version=2)
+    yield from map(_Tick, (0.1, 0.5, 0.5))
+    yield _Published("/igtl/out/Slicer/command", replace(order, link=BRAINLAB, timeout=60.0))
+    yield _Down(BRAINLAB)
+
+
+def _reply(command_id: int, status: int, link: int, error: str = "", *, content: str = "") -> CommandReply:
+    return CommandReply(Header(), "", command_id, "", status, error, content=content, link=link)
+
+
+def _raw() -> Iterator[_Step]:
+    """Whole messages from ROS: to all, to one, in a header that not everyone reads, and one that is none."""
+    old = join(encode(Message("MYTYPE", "FromRos", Raw(b"\x01\x02\x03"), ns_to_ticks(START_NS))))
+    new = join(encode(Message("TRANSFORM", "FromRos", Transform((*every_igtl.QUARTER, 1.0, 2.0, 3.0)), 0, 2, 9)))
+    for data, links in ((old, ()), (old, (NEW,)), (new, ()), (old[:-1], ())):
+        yield _Published("/igtl/out/Raw/raw", _raw_message(data, links))
+
+
+def _raw_message(data: bytes, links: Iterable[int]) -> igtl_msgs.RawMessage:
+    return igtl_msgs.RawMessage(0, 0, 0, 1, np.array(list(links), np.uint32), "", "", data)
+
+
+def _ends() -> Iterator[_Step]:
+    """A silent peer is pinged; who comes late gets what was said once; all go."""
+    yield _Tick(0.3)
+    yield _Said(PLUS, "STATUS", "", Status(1), version=2)
+    yield _Up(LATE)
+    yield from map(_Down, (OLD, NEW, SLICER, PLUS, HOLOSCAN, TRACKER, LATE))

@@ -1,0 +1,1 @@
+"""Scenarios live: actors as programs of their own around a real bridge."""

@@ -1,0 +1,328 @@
+"""One actor of a scenario on real connections: a ROS 2 node, or an OpenIGTLink program; runs in a process of its own.
+
+The actor itself is pure.  One thread, that of ``ActorProgram.run``, calls it; the edges' threads only queue what they
+hear.  Before ``begin`` everybody has found everybody, so that no first message is lost:
+
+* a ROS actor subscribes at once, has its publishers matched with every reader that the scenario has (the gateway, the
+  other actors), and has heard from the gateway that its peers are connected, on a topic to which it subscribes last;
+* an OpenIGTLink actor is connected.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+from typing import Any, Protocol
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.clock import Clock
+from igtl_gateway.config import Config
+from igtl_gateway.convert.igtl_msgs import LinkStatusList
+from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.tcp import TcpEdge
+from igtl_gateway.errors import WireError
+from igtl_gateway.gateway import LINKS_TOPIC, Gateway
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.wire import Message, decode, encode
+from igtl_gateway_lab.simulate.actor import Actor, Heard, Prepares, RosHeard, RosSaid, Said, Side
+
+_LOOK_S = 0.25  # how soon an actor that waits for others sees that it is over
+_HEARS = Qos(depth=100)
+
+Address = tuple[str, int]
+Tell = Callable[[dict[str, Any]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """How an OpenIGTLink actor meets the gateway: as its client, or as the server that it connects to."""
+
+    address: Address
+    server: bool = False
+
+
+class Voice(Protocol):
+    """An actor's connection to the world."""
+
+    def open(self) -> dict[str, Any]:
+        """Open it; what is to be told of it.  Raises ConfigError or RosError."""
+
+    def missing(self, timeout_s: float) -> str:
+        """What it still waits for before the story can begin; waits for so long at most."""
+
+    def say(self, said: Said) -> str:
+        """Send it; the name of its stream."""
+
+    def close(self) -> None:
+        """Send what is left and go."""
+
+
+class ActorProgram:
+    """See the module.
+
+    Args:
+        actor: who plays.
+        others: all actors of the scenario that play.
+        config: the gateway's: what it subscribes to.
+        peers: how many OpenIGTLink programs have to be connected before it begins.
+        connection: of an OpenIGTLink actor.
+        clock: its time.
+        tell: where its events go: ``listening``, ``waiting``, ``ready``, ``done``, ``warning``, ``report``.
+    """
+
+    def __init__(
+        self,
+        actor: Actor,
+        others: Sequence[Actor],
+        config: Config,
+        peers: int,
+        connection: Connection,
+        clock: Clock,
+        tell: Tell,
+    ) -> None:
+        self._actor = actor
+        self._clock = clock
+        self._tell = tell
+        self._heard: SimpleQueue[Heard | None] = SimpleQueue()
+        self._begin, self._end = threading.Event(), threading.Event()
+        self._sent: Counter[str] = Counter()
+        self._received: Counter[str] = Counter()
+        if actor.side is Side.ROS:
+            self._voice: Voice = _RosVoice(actor, others, config, peers, self._heard.put, self._warn)
+        else:
+            self._voice = _IgtlVoice(actor, connection, clock, self._heard.put, self._warn)
+
+    def begin(self) -> None:
+        """Everybody is ready; from any thread."""
+        self._begin.set()
+        self._heard.put(None)
+
+    def end(self) -> None:
+        """It is over; from any thread."""
+        self._end.set()
+        self._heard.put(None)
+
+    def run(self) -> None:
+        """Connect, play until the end, report.  Raises ConfigError or RosError if it cannot connect."""
+        if isinstance(self._actor, Prepares):
+            self._actor.prepare()
+        if told := self._voice.open():
+            self._tell({"event": "listening", **told})
+        try:
+            if self._wait_for_others():
+                self._tell({"event": "ready"})
+                if self._wait_for_begin():
+                    self._play()
+        finally:
+            self._voice.close()
+        report = self._actor.report()
+        self._tell(
+            {
+                "event": "report",
+                "good": report.good,
+                "lines": report.lines,
+                "facts": report.facts,
+                "sent": dict(sorted(self._sent.items())),
+                "received": dict(sorted(self._received.items())),
+            }
+        )
+
+    def _wait_for_others(self) -> bool:
+        told = ""
+        while not self._end.is_set():
+            missing = self._voice.missing(_LOOK_S)
+            if not missing:
+                return True
+            if missing != told:
+                self._tell({"event": "waiting", "for": missing})
+                told = missing
+        return False
+
+    def _wait_for_begin(self) -> bool:
+        while not (self._begin.is_set() or self._end.is_set()):
+            self._begin.wait(_LOOK_S)
+        return not self._end.is_set()
+
+    def _play(self) -> None:
+        actor, done = self._actor, False
+        actor.begin(self._clock.utc_ns())
+        while not self._end.is_set():
+            # all that has come goes first, as offline: a slow act must not make an actor hear of ever older things
+            for _ in range(self._heard.qsize()):
+                self._hear(0)
+            now_ns, due_ns = self._clock.utc_ns(), actor.due_ns
+            if due_ns is not None and due_ns <= now_ns:
+                self._say(actor.act(now_ns))
+            if not done and actor.done:
+                done = True
+                self._tell({"event": "done"})
+            self._hear(actor.due_ns)
+
+    def _hear(self, due_ns: int | None) -> None:
+        """What came next; nothing if the actor is due before."""
+        left_ns = None if due_ns is None else max(0, due_ns - self._clock.utc_ns())
+        try:
+            heard = self._heard.get(timeout=None if left_ns is None else left_ns / NS_PER_S)
+        except Empty:
+            return
+        if heard is not None:
+            self._received[_stream(heard)] += 1
+            self._say(self._actor.hear(self._clock.utc_ns(), heard))
+
+    def _say(self, words: Any) -> None:
+        for said in words:
+            self._sent[self._voice.say(said)] += 1
+
+    def _warn(self, text: str) -> None:
+        self._tell({"event": "warning", "text": text})
+
+
+def _stream(one: Said | Heard) -> str:
+    return f"{one.type}/{one.device_name}" if isinstance(one, Message) else one.topic
+
+
+class _IgtlVoice:
+    """A TCP connection, as client or as server."""
+
+    def __init__(
+        self,
+        actor: Actor,
+        connection: Connection,
+        clock: Clock,
+        on_heard: Callable[[Heard], None],
+        warn: Callable[[str], None],
+    ) -> None:
+        self._name = actor.name
+        self._connection = connection
+        self._on_heard = on_heard
+        self._warn = warn
+        self._link = 0
+        self._edge = TcpEdge(
+            on_frame=self._on_frame, on_link=self._on_link, on_note=self._on_note, clock=clock, when_full="block"
+        )
+
+    def open(self) -> dict[str, Any]:
+        told: dict[str, Any] = {}
+        if self._connection.server:
+            host, port = self._edge.listen(*self._connection.address)
+            told = {"host": host, "port": port}
+        else:
+            self._edge.connect(*self._connection.address)
+        self._edge.start()
+        return told
+
+    def missing(self, timeout_s: float) -> str:
+        if self._edge.wait_links(1, timeout_s):
+            return ""
+        host, port = self._connection.address
+        return f"{'a client' if self._connection.server else 'a server'} at {host}:{port}"
+
+    def say(self, said: Said) -> str:
+        assert isinstance(said, Message)
+        stream = _stream(said)
+        self._edge.send((self._link,), encode(said), stream, keep=True)
+        return stream
+
+    def close(self) -> None:
+        self._edge.stop()
+
+    def _on_link(self, link: int, up: bool, _note: Note) -> None:
+        if up:
+            self._link = link
+
+    def _on_note(self, _link: int, note: Note) -> None:
+        # that the server is not there yet is what ``missing`` says
+        if note.level >= Level.WARN and note.code != "connect_failed":
+            self._warn(f"{self._name}: {note.text}")
+
+    def _on_frame(self, _link: int, frame: Buffer) -> None:
+        try:
+            self._on_heard(decode(frame))
+        except WireError as error:
+            self._warn(f"{self._name}: refused a message: {error}")
+
+
+class _RosVoice:
+    """A ROS 2 node."""
+
+    def __init__(
+        self,
+        actor: Actor,
+        others: Sequence[Actor],
+        config: Config,
+        peers: int,
+        on_heard: Callable[[Heard], None],
+        warn: Callable[[str], None],
+    ) -> None:
+        self._actor = actor
+        self._peers = peers
+        self._on_heard = on_heard
+        self._warn = warn
+        gateway = Gateway(config)
+        listeners = [other for other in others if other.side is Side.ROS and other is not actor]
+        self._qos: dict[str, Qos] = {}
+        self._readers: dict[str, int] = {}
+        for topic, says in actor.says.items():
+            bridged = gateway.subscription(topic, says.type)
+            self._qos[topic] = Qos(depth=bridged.depth if bridged else 10, latched=says.latched)
+            heard_by = sum(other.hears.get(topic) == says.type for other in listeners)
+            self._readers[topic] = int(bridged is not None) + heard_by
+        self._linked = threading.Condition()
+        self._links = 0
+        self._subscribed = threading.Event()
+        self._edge = RosEdge(
+            node_name=actor.name,
+            on_message=self._on_message,
+            wants=self._wants,
+            on_note=self._on_note,
+        )
+
+    def open(self) -> dict[str, Any]:
+        self._edge.start()
+        # Readers first.  The gateway's topic of links is found, and subscribed to, after all of them: once it has
+        # come through, the gateway knows of every one.
+        for topic, ros_type in self._actor.hears.items():
+            self._edge.subscribe(topic, ros_type, _HEARS)
+        self._subscribed.set()
+        for topic, says in self._actor.says.items():
+            self._edge.advertise(topic, says.type, self._qos[topic])
+        return {}
+
+    def missing(self, timeout_s: float) -> str:
+        with self._linked:
+            if not self._linked.wait_for(lambda: self._links >= self._peers, timeout_s):
+                return f"a gateway with {self._peers} OpenIGTLink peer{'s' * (self._peers > 1)} (it has {self._links})"
+        for topic, count in self._readers.items():
+            if not self._edge.wait_for_subscribers(topic, count, timeout_s):
+                return f"{count} subscriber{'s' * (count > 1)} of {topic}"
+        return ""
+
+    def say(self, said: Said) -> str:
+        assert isinstance(said, RosSaid)
+        message = said.message
+        self._edge.publish(said.topic, message.TYPE, message.pack(), self._qos[said.topic])
+        return said.topic
+
+    def close(self) -> None:
+        self._edge.stop()
+
+    def _wants(self, topic: str, ros_type: str) -> Qos | None:
+        links = (topic, ros_type) == (LINKS_TOPIC, LinkStatusList.TYPE)
+        return _HEARS if links and self._subscribed.is_set() else None
+
+    def _on_message(self, topic: str, ros_type: str, cdr: bytes, _source_ns: int) -> None:
+        if self._actor.hears.get(topic) == ros_type:
+            self._on_heard(RosHeard(topic, ros_type, cdr))
+        if topic == LINKS_TOPIC:
+            with self._linked:
+                self._links = len(LinkStatusList.unpack(cdr).links)
+                self._linked.notify_all()
+
+    def _on_note(self, note: Note) -> None:
+        if note.level >= Level.WARN:
+            self._warn(f"{self._actor.name}: {note.text}")

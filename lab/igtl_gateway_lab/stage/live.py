@@ -1,0 +1,372 @@
+"""Plays a scenario live: a real bridge, and each actor in a process of its own, told when to begin and when to end.
+
+The programs tell of themselves in JSON lines.  They have a process group of their own: a Ctrl-C on the terminal is the
+stage's, which ends them in order, actors before bridge, so that everything said is in the recording.  A stage that is
+killed takes them with it: actors end when their standard input does, and on Linux the kernel interrupts every program.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from queue import Empty, SimpleQueue
+from typing import IO, Any
+
+from igtl_gateway.clock import Clock
+from igtl_gateway.errors import GatewayError
+from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway_lab.simulate.actor import Actor, Report, Side
+
+_LOOK_S = 0.2  # how soon a Ctrl-C or a time-out is seen
+_END_S = 15.0  # for a program to end that was told to
+_BRIDGE = "bridge"
+
+Address = tuple[str, int]
+Event = dict[str, Any]
+
+
+class StageError(GatewayError):
+    """A program of the stage did not start, or died."""
+
+
+class End(Enum):
+    """How a story ended."""
+
+    OVER = "over"  #: every actor was done
+    TIMEOUT = "time-out"
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What an actor's program reported.
+
+    Attributes:
+        side: what it speaks.
+        done: whether its part was over.
+        report: how it went.
+        sent, received: messages by stream.
+    """
+
+    side: Side
+    done: bool
+    report: Report
+    sent: dict[str, int] = field(default_factory=dict)
+    received: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How it went.
+
+    Attributes:
+        end: why it ended.
+        waiting: what was still waited for, by program, when the time was over before it began.
+        parts: the actors' reports.
+        seconds: from begin to end.
+        warnings: what the programs complained of, each once.
+        recording: what the bridge recorded; None without a bridge of ours or before its end.
+    """
+
+    end: End
+    waiting: dict[str, str]
+    parts: dict[str, Part]
+    seconds: float
+    warnings: tuple[str, ...]
+    recording: Event | None
+
+    @property
+    def good(self) -> bool:
+        """Whether the story came to its end and every actor is content."""
+        reported = all(part.done and part.report.good for part in self.parts.values())
+        return self.end is End.OVER and bool(self.parts) and reported
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is played.
+
+    Attributes:
+        actors: those that play here.
+        command: the command line of an actor's program, given its name and, for OpenIGTLink, how to meet the gateway.
+        bridge: arguments of a bridge of our own (None: the user runs one) without its addresses.
+        connect: where the OpenIGTLink actors find the gateway; None: at the bridge of our own.
+        listen: where they wait for it, instead.
+        serve: where a bridge of our own waits for OpenIGTLink programs that are not ours.
+        start_s: how long it may take until everybody is ready.
+        limit_s: how long the story may take from there.
+    """
+
+    actors: Sequence[Actor]
+    command: Callable[[str, Sequence[str]], Sequence[str]]
+    bridge: Sequence[str] | None
+    start_s: float
+    limit_s: float
+    connect: Address | None = None
+    listen: Address | None = None
+    serve: Address = ("127.0.0.1", 0)
+
+
+class Stage:
+    """Runs the programs of a plan; every one has ended when ``run`` returns or raises.
+
+    Args:
+        plan: see there.
+        clock: for the time limit.
+        stop: set from outside to end early.
+        tell: called with ``(program, event)`` for everything worth showing as it happens.
+    """
+
+    def __init__(self, plan: Plan, clock: Clock, stop: threading.Event, tell: Callable[[str, Event], None]) -> None:
+        self._plan = plan
+        self._clock = clock
+        self._stop = stop
+        self._tell = tell
+        self._events: SimpleQueue[tuple[str, Event | None]] = SimpleQueue()
+        self._programs: dict[str, _Program] = {}
+        self._deadline_ns = clock.monotonic_ns() + round(plan.start_s * NS_PER_S)
+        self._state: dict[str, set[str]] = {"ready": set(), "done": set()}
+        self._waiting: dict[str, str] = {}
+        self._reports: dict[str, Event] = {}
+        self._warnings: dict[str, None] = {}
+        self._places: dict[str, Address] = {}
+        self._recording: Event | None = None
+        self._failed = ""
+        self._ending = False
+
+    def run(self) -> Outcome:
+        """Play it.  Raises StageError if a program cannot start or dies."""
+        seconds = 0.0
+        try:
+            end = self._start()
+            if end is None:
+                begun_ns = self._clock.monotonic_ns()
+                self._deadline_ns = begun_ns + round(self._plan.limit_s * NS_PER_S)
+                for actor in self._plan.actors:
+                    self._programs[actor.name].write("begin\n")
+                self._tell("", {"event": "begun"})
+                names = {actor.name for actor in self._plan.actors}
+                end = self._wait(lambda: names <= self._state["done"]) or End.OVER
+                seconds = (self._clock.monotonic_ns() - begun_ns) / NS_PER_S
+            self._end()
+        finally:
+            for program in self._programs.values():
+                program.kill()
+        waiting = {name: what for name, what in self._waiting.items() if name not in self._state["ready"]}
+        parts = {actor.name: self._part(actor) for actor in self._plan.actors if actor.name in self._reports}
+        return Outcome(end, waiting, parts, seconds, tuple(self._warnings), self._recording)
+
+    # -- the course ---------------------------------------------------------------------------------------------
+
+    def _start(self) -> End | None:
+        """Start everything; None when all are ready, else why it ended before."""
+        plan = self._plan
+        ours = [actor for actor in plan.actors if actor.side is Side.IGTL]
+        for actor in plan.actors:
+            if actor.side is Side.ROS:
+                self._run(actor.name, plan.command(actor.name, ()))
+        if plan.listen:
+            for actor in ours:
+                self._run(actor.name, plan.command(actor.name, ("--listen", _text(plan.listen))))
+        connect = plan.connect
+        if plan.bridge is not None:
+            if plan.listen:
+                if end := self._wait(lambda: len(self._places) == len(ours)):
+                    return end
+                where = [word for actor in ours for word in ("--connect", _text(self._places[actor.name]))]
+            else:
+                where = ["--listen", _text(plan.serve)]
+            self._run(_BRIDGE, (sys.executable, "-m", "igtl_gateway", "bridge", "--json", *plan.bridge, *where))
+            if end := self._wait(lambda: _BRIDGE in self._state["ready"]):
+                return end
+            connect = self._places.get(_BRIDGE)
+        if not plan.listen and connect:
+            for actor in ours:
+                self._run(actor.name, plan.command(actor.name, ("--connect", _text(connect))))
+        names = {actor.name for actor in plan.actors}
+        return self._wait(lambda: names <= self._state["ready"])
+
+    def _end(self) -> None:
+        """End the actors, take their reports, then end the bridge."""
+        self._ending = True  # that its peers go is no news any more
+        bridge = self._programs.get(_BRIDGE)
+        actors = {name: program for name, program in self._programs.items() if program is not bridge}
+        for program in actors.values():
+            program.close_input()
+        self._drain(actors)
+        if bridge:
+            bridge.interrupt()
+            self._drain({_BRIDGE: bridge})
+        if self._failed:
+            raise StageError(self._failed)
+
+    def _drain(self, programs: dict[str, _Program]) -> None:
+        """Take all that these programs still tell, until their ends."""
+        deadline_ns = self._clock.monotonic_ns() + round(_END_S * NS_PER_S)
+        while not all(program.ended for program in programs.values()):
+            if self._clock.monotonic_ns() > deadline_ns:
+                stuck = ", ".join(name for name, program in programs.items() if not program.ended)
+                self._failed = self._failed or f"{stuck}: did not end within {_END_S:g} s"
+                return
+            self._take(_LOOK_S)
+
+    def _wait(self, condition: Callable[[], bool]) -> End | None:
+        """Take events until the condition holds (None), or why it did not come to that."""
+        while not condition():
+            if self._failed:
+                self._end()
+            if self._stop.is_set():
+                return End.INTERRUPTED
+            if self._clock.monotonic_ns() > self._deadline_ns:
+                return End.TIMEOUT
+            self._take(_LOOK_S)
+        return None
+
+    # -- programs and what they tell ------------------------------------------------------------------------------
+
+    def _run(self, name: str, command: Sequence[str]) -> None:
+        self._programs[name] = _Program(name, command, self._events)
+
+    def _take(self, timeout_s: float) -> None:
+        """The next event, if one comes in time."""
+        try:
+            name, event = self._events.get(timeout=timeout_s)
+        except Empty:
+            return
+        if event is None:
+            program = self._programs[name]
+            program.ended = True
+            if not (name in self._reports or (name == _BRIDGE and self._recording is not None)):
+                self._failed = self._failed or f"{name}: {program.last_words()}"
+            return
+        match event.get("event"):
+            case "started":
+                listening = event["listen"]
+                if listening:
+                    self._places[name] = (listening[0]["host"], listening[0]["port"])
+                self._state["ready"].add(name)
+            case "listening":
+                self._places[name] = (event["host"], event["port"])
+            case "waiting":
+                self._waiting[name] = event["for"]
+            case "ready" | "done" as state:
+                self._state[state].add(name)
+            case "warning":
+                self._warnings[event["text"]] = None
+            case "report":
+                self._reports[name] = event
+            case "stopped":
+                self._recording = event.get("recording", {})
+            case _ if event.get("level") in ("WARN", "ERROR") and not self._ending:
+                self._warnings[f"{name}: {event['text']}"] = None
+            case _:
+                return
+        self._tell(name, event)
+
+    def _part(self, actor: Actor) -> Part:
+        told = self._reports[actor.name]
+        report = Report(told["good"], tuple(told["lines"]), told["facts"])
+        return Part(actor.side, actor.name in self._state["done"], report, told["sent"], told["received"])
+
+
+class _Program:
+    """A process whose JSON lines are put into a queue; ``None`` at its end."""
+
+    def __init__(self, name: str, command: Sequence[str], events: SimpleQueue[tuple[str, Event | None]]) -> None:
+        self.ended = False
+        self._name = name
+        self._events = events
+        self._said: list[str] = []
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+            preexec_fn=_die_with_parent if sys.platform == "linux" else None,  # noqa: PLW1509  # one call of the kernel
+        )
+        self._threads = [
+            threading.Thread(target=read, args=(stream,), name=f"igtl-{name}", daemon=True)
+            for read, stream in ((self._read_events, self._process.stdout), (self._read_words, self._process.stderr))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def write(self, text: str) -> None:
+        """To its standard input; nothing where it has gone."""
+        pipe: IO[str] = self._process.stdin  # type: ignore[assignment]  # a pipe, see above
+        try:
+            pipe.write(text)
+            pipe.flush()
+        except (BrokenPipeError, ValueError):
+            pass  # its end is an event
+
+    def close_input(self) -> None:
+        """Tell it to end."""
+        try:
+            if self._process.stdin:
+                self._process.stdin.close()
+        except BrokenPipeError:
+            pass  # its end is an event
+
+    def interrupt(self) -> None:
+        """Tell it to end, as Ctrl-C would."""
+        self._process.send_signal(signal.SIGINT)
+
+    def kill(self) -> None:
+        """End it by all means."""
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        for thread in self._threads:
+            thread.join()
+        self.close_input()
+
+    def last_words(self) -> str:
+        """Why it ended."""
+        self._threads[1].join()
+        code = self._process.wait()
+        said = [line for line in self._said if line.strip()]
+        if not said:
+            return f"ended unexpectedly with exit code {code}"
+        return said[-1].partition(": ")[2] if said[-1].startswith("igtl-gateway ") else said[-1]
+
+    def _read_events(self, stream: IO[str]) -> None:
+        with stream:
+            for line in stream:
+                try:
+                    event = json.loads(line)
+                except ValueError:
+                    continue  # a library that prints
+                if isinstance(event, dict):
+                    self._events.put((self._name, event))
+        self._events.put((self._name, None))
+
+    def _read_words(self, stream: IO[str]) -> None:
+        with stream:
+            self._said.extend(line.rstrip("\n") for line in stream)
+
+
+def _die_with_parent() -> None:
+    """In a program before it begins: be interrupted when the thread that started it ends, in whatever way."""
+    # ignored where a shell without job control has put us into the background; what we start would ignore it, too
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
+
+
+_LIBC = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1
+
+
+def _text(address: Address) -> str:
+    host, port = address
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -1,0 +1,178 @@
+"""The settings for large messages: applied where the user has none, kept where he has, and really in force."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from igtl_gateway.edges.ros import env
+
+CHOSEN_BY_USER = (
+    *env.PROFILE_VARIABLES,
+    "FASTDDS_BUILTIN_TRANSPORTS",
+    "RMW_IMPLEMENTATION",
+    "MALLOC_MMAP_THRESHOLD_",
+    "MALLOC_TRIM_THRESHOLD_",
+    "MALLOC_TOP_PAD_",
+    "GLIBC_TUNABLES",
+)
+
+
+@pytest.fixture(autouse=True)
+def _clean(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in CHOSEN_BY_USER:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+    # the package may be found by a path relative to the folder just left
+    monkeypatch.setenv("PYTHONPATH", str(Path(env.__file__).parents[3]))
+
+
+def prepare(**environ: str) -> tuple[list[str], dict[str, str], int]:
+    """The lines and the environment afterwards, and how many of eight freed 6 MB blocks came from the kernel anew.
+
+    In a process of its own: the allocator's settings cannot be taken back.
+    """
+    script = """
+import json, os, resource
+from igtl_gateway.edges.ros.env import prepare_environment
+lines = prepare_environment()
+bytearray(6 << 20)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(8):
+    bytes(bytearray(b"x") * (6 << 20))
+faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+print(json.dumps([lines, dict(os.environ), faults * os.sysconf("SC_PAGESIZE") // (6 << 20)]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env={**os.environ, **environ}, check=True
+    )
+    lines, environment, fresh = json.loads(done.stdout)
+    return lines, environment, fresh
+
+
+def on_glibc() -> bool:
+    return sys.platform.startswith("linux") and bool(os.confstr("CS_GNU_LIBC_VERSION"))
+
+
+def room_for_segments() -> bool:
+    shared_memory = Path("/dev/shm")
+    if not shared_memory.is_dir():
+        return False
+    free = os.statvfs(shared_memory)
+    return free.f_bavail * free.f_frsize >= 256 << 20
+
+
+@pytest.mark.skipif(not on_glibc(), reason="mallopt is glibc's")
+def test_allocator_keeps_large_blocks() -> None:
+    lines, _, fresh = prepare()
+    assert "M_MMAP_THRESHOLD=1073741824, M_TRIM_THRESHOLD=2147483647, M_TOP_PAD=67108864" in lines[1]
+    assert fresh <= 4
+    lines, _, fresh_before = prepare(MALLOC_TRIM_THRESHOLD_="131072", MALLOC_MMAP_THRESHOLD_="131072")
+    assert lines[1] == "malloc: kept the user's (MALLOC_MMAP_THRESHOLD_=131072)"
+    assert fresh_before >= 8
+
+
+@pytest.mark.skipif(not room_for_segments(), reason="needs 256 MiB of /dev/shm")
+def test_profile_is_set_for_us_and_our_children() -> None:
+    lines, environment, _ = prepare()
+    assert "shared memory" in lines[0]
+    assert {environment[name] for name in env.PROFILE_VARIABLES} == {str(env.PROFILE)}
+
+
+@pytest.mark.parametrize("name", env.PROFILE_VARIABLES)
+def test_profile_of_the_user_is_kept(name: str) -> None:
+    lines, environment, _ = prepare(**{name: "/mine.xml"})
+    assert lines[0] == f"Fast DDS profile: kept the user's ({name}=/mine.xml)"
+    assert {environment.get(other) for other in env.PROFILE_VARIABLES} == {"/mine.xml", None}
+
+
+def test_profile_file_in_the_working_directory_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_text("<profiles/>")
+    lines, environment, _ = prepare()
+    assert "kept the user's" in lines[0]
+    assert not set(env.PROFILE_VARIABLES) & set(environment)
+
+
+def test_chosen_transports_and_other_middleware_are_left_alone() -> None:
+    assert "kept the user's" in prepare(FASTDDS_BUILTIN_TRANSPORTS="UDPv4")[0][0]
+    assert prepare(RMW_IMPLEMENTATION="rmw_cyclonedds_cpp")[0][0] == "Fast DDS profile: not for rmw_cyclonedds_cpp"
+
+
+def test_tunables_of_the_user_are_kept() -> None:
+    assert "kept the user's" in prepare(GLIBC_TUNABLES="glibc.malloc.arena_max=2")[0][1]
+
+
+def test_no_profile_without_room_in_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container, whose /dev/shm has 64 MB by default: Fast DDS would go without shared memory altogether."""
+
+    def small(_path: Path) -> os.statvfs_result:
+        return os.statvfs_result((4096, 4096, 16384, 16384, 16384, 0, 0, 0, 0, 255))
+
+    monkeypatch.setenv("MALLOC_TOP_PAD_", "0")  # leaves the allocator of the test run alone
+    monkeypatch.setattr(env, "_SHARED_MEMORY", tmp_path)
+    monkeypatch.setattr(os, "statvfs", small)
+    line = env.prepare_environment()[0]
+    assert line.startswith("Fast DDS profile: not set, 64 MiB free in")
+    assert not set(env.PROFILE_VARIABLES) & set(os.environ)
+
+
+def test_packaged_profile_is_what_it_says() -> None:
+    names = {"dds": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
+    root = ElementTree.parse(env.PROFILE).getroot()
+    assert root.findtext(".//dds:segment_size", namespaces=names) == str(env._SEGMENT_BYTES)
+    defined = [node.text for node in root.findall(".//dds:transport_descriptor/dds:transport_id", names)]
+    used = [node.text for node in root.findall(".//dds:userTransports/dds:transport_id", names)]
+    assert defined == used
+
+
+def test_the_profile_for_lock_step_is_the_other_one_with_quick_acknowledgements(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    name = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}publisher"
+    usual, quick = (ElementTree.parse(path).getroot() for path in (env.PROFILE, env.LOCK_STEP_PROFILE))
+    (publisher,) = quick.findall(name)
+    assert publisher.get("is_default_profile") == "true"
+    assert [text.strip() for text in publisher.itertext() if text.strip()] == ["0", "2000000"]
+    quick.remove(publisher)
+    assert [element.tag for element in quick.iter()] == [element.tag for element in usual.iter()]
+    assert [element.text for element in quick.iter() if element.text and element.text.strip()] == [
+        element.text for element in usual.iter() if element.text and element.text.strip()
+    ]
+    if room_for_segments():
+        for variable in env.PROFILE_VARIABLES:
+            monkeypatch.setenv(variable, str(env.PROFILE))  # left to us by a parent of ours
+        env.prepare_environment(lock_step=True)
+        assert os.environ[env.PROFILE_VARIABLES[0]] == str(env.LOCK_STEP_PROFILE)
+
+
+def test_memory_of_processes_that_are_gone_is_freed(tmp_path: Path) -> None:
+    def segment(name: str, size: int = 8192) -> list[Path]:
+        paths = [tmp_path / name, tmp_path / f"{name}_el"]
+        paths[0].write_bytes(bytes(size))
+        paths[1].touch()
+        return paths
+
+    dead, alive = segment("fastrtps_00000000000000a1"), segment("fastrtps_00000000000000a2")
+    port, other = segment("fastrtps_port7400"), segment("somebody_else")
+    begun = tmp_path / "fastrtps_00000000000000a3_el"  # its process may be about to lock it
+    begun.touch()
+    script = (
+        "import fcntl, sys; f = open(sys.argv[1]); fcntl.flock(f, fcntl.LOCK_EX); print(flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", script, str(alive[1])]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stdin is not None
+        process.stdout.readline()
+        assert env.free_shared_memory(tmp_path) >= 8192
+        assert set(tmp_path.iterdir()) == {*alive, *port, *other, begun}
+        process.stdin.close()
+    assert env.free_shared_memory(tmp_path) >= 8192
+    assert set(tmp_path.iterdir()) == {*port, *other, begun}
+    assert not any(path.exists() for path in dead)
+    assert env.free_shared_memory(tmp_path / "no such folder") == 0

@@ -1,0 +1,47 @@
+"""Rounds become one row, and what must not happen is not averaged away."""
+
+from __future__ import annotations
+
+from igtl_gateway_lab.bench.rounds import merged, with_costs
+from igtl_gateway_lab.bench.runner import Row
+
+
+def row(p50: float, delivered: int = 10, recording: bool = False, **more: float) -> Row:
+    return {
+        "case": "transform",
+        "direction": "ros-to-igtl",
+        "rate_hz": 30.0,
+        "recording": recording,
+        "sent": 10,
+        "delivered": delivered,
+        "p50_ms": p50,
+        "p99_ms": 2 * p50,
+        "max_ms": 9 * p50,
+        **more,
+    }
+
+
+def test_one_round_stays_as_it_is() -> None:
+    rows = [row(1.0), row(2.0, recording=True)]
+    assert merged([rows]) == rows
+
+
+def test_medians_and_the_worst() -> None:
+    rounds = [[row(p50, delivered), row(10.0, recording=True)] for p50, delivered in ((3.0, 10), (1.0, 8), (2.0, 10))]
+    first, second = merged(rounds)
+    assert (first["p50_ms"], first["max_ms"]) == (2.0, 27.0)
+    assert (first["sent"], first["delivered"]) == (10, 8)
+    assert [one["p50_ms"] for one in first["rounds"]] == [3.0, 1.0, 2.0]
+    assert (first["case"], first["rate_hz"], second["recording"]) == ("transform", 30.0, True)
+
+
+def test_what_was_not_measured_in_one_round() -> None:
+    rounds = [[row(1.0) | {"ratio": value}] for value in (None, 1.5, 1.25)]
+    assert merged(rounds)[0]["ratio"] == 1.25
+    assert merged([[row(1.0) | {"ratio": None}]] * 2)[0]["ratio"] is None
+
+
+def test_what_a_recording_costs() -> None:
+    plain, recorded = with_costs([row(2.0), row(3.0, recording=True)])
+    assert "recording_p50_ratio" not in plain
+    assert (recorded["recording_p50_ratio"], recorded["recording_p99_ratio"]) == (1.5, 1.5)

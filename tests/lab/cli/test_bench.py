@@ -1,0 +1,126 @@
+"""``igtl-gateway bench``: options, the table, and one small real run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from igtl_gateway.cli import main
+from igtl_gateway_lab.bench.runner import Plan, Runner
+from igtl_gateway_lab.bench.sweeps import SWEEPS
+from igtl_gateway_lab.bench.works import WORKS
+
+FIGURES = {"p50_ms": 0.5, "p99_ms": 1.0, "mean_ms": 0.6, "sd_ms": 0.1, "max_ms": 2.0}
+
+
+@pytest.fixture
+def plans(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
+    """What would be measured; rows that are made up come of it."""
+    asked: list[Plan] = []
+
+    def measure(_runner: Runner, plan: Plan) -> list[dict[str, Any]]:
+        asked.append(plan)
+        slower = {"p50_ms": 0.55, "p99_ms": 1.5} if plan.record else {}
+        (stream, *_) = plan.case.streams
+        return [
+            {"case": plan.case.name, "direction": way.value, "rate_hz": stream.rate_hz or None}
+            | {"recording": plan.record, "sent": 1000, "delivered": 999, "received_per_s": 30.0}
+            | {**FIGURES, **slower}
+            for way in plan.directions
+        ]
+
+    monkeypatch.setattr(Runner, "measure", measure)
+    return asked
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        ([], "nothing to measure"),
+        (["--case", "nonsense"], "found 'nonsense', expected one of transform"),
+        (["--case", "transform", "--rate", "0"], "--rate: found 0"),
+        (["--case", "transform", "--count", "-1"], "--count: found -1"),
+        (["--case", "transform", "--duration", "inf"], "--duration: found inf"),
+        (["--case", "mixed", "--flood"], "mixed has rates of its own"),
+        (["--case", "transform", "--rounds", "0"], "--rounds: found 0"),
+        (["--case", "stalled-client", "--direction", "igtl-to-ros"], "stalled-client goes ros-to-igtl only"),
+        (["--sweep", "clients", "--direction", "igtl-to-ros"], "--sweep clients goes the other way only"),
+        (["--case", "transform", "--flame", "x.svg"], "--flame: found 2 measurements, expected one"),
+    ],
+)
+def test_what_is_refused(words: list[str], fault: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", *words]) == 2
+    assert fault in capsys.readouterr().err
+
+
+def test_the_cases_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "--list"]) == 0
+    told = capsys.readouterr().out
+    assert "image-fullhd" in told and "mixed" in told
+    assert all(name in told for name in (*WORKS, *SWEEPS))
+
+
+@pytest.mark.ros
+def test_the_papers_table(plans: list[Plan]) -> None:
+    assert main(["bench", "--table1", "--json"]) == 0
+    assert len(plans) == 11
+    assert {plan.extent.count for plan in plans} == {1000}
+    assert {stream.rate_hz for plan in plans for stream in plan.case.streams} == {30.0}
+
+
+@pytest.mark.ros
+def test_the_table(plans: list[Plan], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "--case", "transform", "--direction", "igtl-to-ros", "--flood", "--record"]) == 0
+    assert [(plan.record, plan.floor) for plan in plans] == [(False, True), (True, False)]
+    head, first, second, cost, *_, load, versions = capsys.readouterr().out.splitlines()
+    assert head.split()[:4] == ["case", "direction", "Hz", "sent"]
+    assert first.split()[:6] == ["transform", "igtl-to-ros", "flood", "1,000", "999", "30"]
+    assert first.endswith("not lost <= 0, received_per_s >= 20000")
+    assert second.startswith("transform +rec")
+    assert cost == "transform +rec, igtl-to-ros: p50 1.1 times and p99 1.5 times that without recording"
+    assert load.startswith("load ") and "Python" in versions
+
+
+@pytest.mark.ros
+def test_rounds_take_turns(plans: list[Plan], capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--case", "mixed", "--record", "--rounds", "3", "--direction", "ros-to-igtl", "--json"]
+    assert main(["bench", *words]) == 0
+    assert [plan.record for plan in plans] == [False, True] * 3
+    plain, recorded = json.loads(capsys.readouterr().out)["rows"]
+    assert len(plain["rounds"]) == len(recorded["rounds"]) == 3
+    assert (recorded["recording_p50_ratio"], recorded["recording_p99_ratio"]) == (1.1, 1.5)
+    assert (recorded["bounds"]["recording_p99_ratio <= 1.25"], recorded["bounds"]["lost <= 0"]) == (False, False)
+
+
+@pytest.mark.ros
+def test_a_sweep(plans: list[Plan], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "--sweep", "clients", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [row["x"] for row in told["rows"]] == [plan.clients for plan in plans]
+    (fit,) = told["fits"]
+    assert (fit["figure"], fit["r2"]) == ("p50_ms", 1.0)
+    assert fit["b"] == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.ros
+def test_pictures(plans: list[Plan], tmp_path: Path) -> None:
+    assert main(["bench", "--case", "transform", "--plot", str(tmp_path / "out"), "--json"]) == 0
+    assert plans
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["latency-igtl-to-ros.svg", "latency-ros-to-igtl.svg"]
+
+
+@pytest.mark.ros
+def test_a_real_run_both_ways(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "--case", "transform", "--count", "50", "--rate", "200", "--no-floor", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    rows = {row["direction"]: row for row in told["rows"]}
+    assert rows.keys() == {"ros-to-igtl", "igtl-to-ros"}
+    for row in rows.values():
+        assert (row["case"], row["sent"], row["delivered"]) == ("transform", 50, 50)
+        assert 0 < row["p50_ms"] <= row["p99_ms"] <= row["max_ms"]
+        assert row["received_per_s"] > 0 and row["gateway_rss_mb"] > 0
+    assert told["ambient"]["cores"] >= 1 and "load_after" in told["ambient"]

@@ -1,0 +1,225 @@
+"""The program of one actor, over a real TCP connection."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import pytest
+
+from igtl_gateway.buffers import join
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.config import Config
+from igtl_gateway.stamp import NS_PER_MS
+from igtl_gateway.wire import Message, decode, encode
+from igtl_gateway.wire.text import String
+from igtl_gateway_lab.simulate.actor import Heard, Report, Said, Says, Side
+from igtl_gateway_lab.stage.actor import ActorProgram, Connection
+
+TIMEOUT_S = 10.0
+
+
+class Echo:
+    """Says ``hello``, then answers whatever it hears, until that is ``bye``."""
+
+    name = "echo"
+    side = Side.IGTL
+
+    def __init__(self) -> None:
+        self.hears: dict[str, str] = {}
+        self.says: dict[str, Says] = {}
+        self.due_ns: int | None = None
+        self.done = False
+        self.began_ns = 0
+        self.prepared = False
+
+    def prepare(self) -> None:
+        self.prepared = True
+
+    def begin(self, now_ns: int) -> None:
+        assert self.prepared
+        self.began_ns = now_ns
+        self.due_ns = now_ns + 20 * NS_PER_MS
+
+    def act(self, now_ns: int) -> Iterable[Said]:
+        assert self.due_ns is not None and now_ns >= self.due_ns
+        self.due_ns = None
+        return [Message("STRING", "Echo", String.of("hello"))]
+
+    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+        assert isinstance(heard, Message) and isinstance(heard.content, String)
+        self.done = heard.content.text == "bye"
+        return [Message("STRING", "Echo", heard.content)]
+
+    def report(self) -> Report:
+        return Report(self.done, ("heard it all",))
+
+
+class Peer:
+    """A plain socket: whole messages in and out."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._socket = connection
+        self._socket.settimeout(TIMEOUT_S)
+
+    def say(self, text: str) -> None:
+        self._socket.sendall(join(encode(Message("STRING", "Peer", String.of(text)))))
+
+    def raw(self, data: bytes) -> None:
+        self._socket.sendall(data)
+
+    def hear(self) -> str:
+        header = self._exactly(58)
+        content = decode(header + self._exactly(int.from_bytes(header[42:50], "big"))).content
+        assert isinstance(content, String)
+        return content.text
+
+    def _exactly(self, size: int) -> bytes:
+        data = b""
+        while len(data) < size:
+            part = self._socket.recv(size - len(data))
+            assert part, "closed"
+            data += part
+        return data
+
+
+class Running:
+    """A program in a thread, and what it told."""
+
+    def __init__(self, connection: Connection, actor: Echo) -> None:
+        self.actor = actor
+        self.told: list[dict[str, Any]] = []
+        self._changed = threading.Condition()
+        self.program = ActorProgram(self.actor, (self.actor,), Config(), 1, connection, SystemClock(), self._tell)
+        self._thread = threading.Thread(target=self.program.run)
+        self._thread.start()
+
+    def _tell(self, event: dict[str, Any]) -> None:
+        with self._changed:
+            self.told.append(event)
+            self._changed.notify_all()
+
+    def wait(self, name: str) -> dict[str, Any]:
+        with self._changed:
+            assert self._changed.wait_for(lambda: name in self.names(), TIMEOUT_S), self.told
+        return next(event for event in self.told if event["event"] == name)
+
+    def names(self) -> list[str]:
+        return [event["event"] for event in self.told]
+
+    def end(self) -> dict[str, Any]:
+        self.program.end()
+        self._thread.join(TIMEOUT_S)
+        assert not self._thread.is_alive()
+        return self.told[-1]
+
+
+Run = Callable[..., Running]
+
+
+@pytest.fixture
+def running() -> Iterator[Run]:
+    started: list[Running] = []
+
+    def run(connection: Connection, actor: Echo | None = None) -> Running:
+        started.append(Running(connection, actor or Echo()))
+        return started[-1]
+
+    yield run
+    for one in started:
+        one.end()
+
+
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as sock:
+        sock.settimeout(TIMEOUT_S)
+        yield sock
+
+
+def test_it_says_nothing_before_it_begins_and_reports_at_the_end(running: Run, listener: socket.socket) -> None:
+    echo = running(Connection(listener.getsockname()))
+    with listener.accept()[0] as connection:
+        peer = Peer(connection)
+        echo.wait("ready")
+        peer.say("early")
+        assert echo.actor.began_ns == 0
+        echo.program.begin()
+        # what came before the beginning is heard behind it; what is due waits for its time
+        assert sorted((peer.hear(), peer.hear())) == ["early", "hello"]
+        peer.say("bye")
+        assert peer.hear() == "bye"
+        echo.wait("done")
+        assert echo.end() == {
+            "event": "report",
+            "good": True,
+            "lines": ("heard it all",),
+            "facts": {},
+            "sent": {"STRING/Echo": 3},
+            "received": {"STRING/Peer": 2},
+        }
+    assert echo.names() == ["ready", "done", "report"]
+
+
+def test_as_a_server_it_tells_its_port(running: Run) -> None:
+    echo = running(Connection(("127.0.0.1", 0), server=True))
+    port = echo.wait("listening")["port"]
+    with socket.create_connection(("127.0.0.1", port), TIMEOUT_S) as connection:
+        echo.wait("ready")
+        echo.program.begin()
+        assert Peer(connection).hear() == "hello"
+        report = echo.end()
+    assert not report["good"] and report["sent"] == {"STRING/Echo": 1}
+
+
+def test_it_says_for_whom_it_waits_and_ends_when_told(running: Run, listener: socket.socket) -> None:
+    address = listener.getsockname()
+    listener.close()
+    echo = running(Connection(address))
+    assert echo.wait("waiting")["for"] == f"a server at 127.0.0.1:{address[1]}"
+    assert echo.end()["event"] == "report"
+    assert "ready" not in echo.names()
+
+
+def test_a_message_that_cannot_be_read_is_told_of_and_costs_only_itself(running: Run, listener: socket.socket) -> None:
+    echo = running(Connection(listener.getsockname()))
+    with listener.accept()[0] as connection:
+        peer = Peer(connection)
+        echo.wait("ready")
+        echo.program.begin()
+        assert peer.hear() == "hello"
+        good = join(encode(Message("STRING", "Peer", String.of("good"))))
+        peer.raw(good[:-1] + b"?")
+        peer.raw(good)
+        assert peer.hear() == "good"
+        assert echo.wait("warning")["text"].startswith("echo: refused a message: ")
+
+
+class Slow(Echo):
+    """Always late: each act takes longer than until the next one is due; what it says is what it has heard."""
+
+    def act(self, now_ns: int) -> Iterable[Said]:
+        threading.Event().wait(0.03)
+        self.due_ns = now_ns + NS_PER_MS
+        return [Message("STRING", "Echo", String.of(str(self.heard)))]
+
+    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+        self.heard += 1
+        return ()
+
+    heard = 0
+
+
+def test_who_is_always_late_hears_everything_all_the_same(running: Run, listener: socket.socket) -> None:
+    slow = running(Connection(listener.getsockname()), Slow())
+    with listener.accept()[0] as connection:
+        peer = Peer(connection)
+        slow.wait("ready")
+        slow.program.begin()
+        assert peer.hear() == "0"
+        for _ in range(100):
+            peer.say("news")
+        # one by one it would take as many acts
+        assert any(peer.hear() == "100" for _ in range(50))

@@ -1,0 +1,237 @@
+"""The layout: text, topics, quality of service, metadata, and CDR that an independent library reads alike."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.rosbag2.metadata import parse_qos
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.layout import LayoutError, WireTopics
+from igtl_gateway.stamp import ns_to_ticks
+from tests.record import samples
+
+
+@pytest.fixture(scope="module")
+def store() -> Typestore:
+    """rosbags, knowing our types from their text."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in layout.OWN_TYPES.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+# --- text ------------------------------------------------------------------------------------------------------
+
+
+@given(st.text() | st.binary().map(lambda data: data.decode("utf-8", "surrogateescape")))
+def test_escaped_text_is_a_ros_string_and_comes_back(text: str) -> None:
+    escaped = layout.escape(text)
+    assert "\0" not in escaped
+    escaped.encode()  # no lone surrogates left
+    assert layout.unescape(escaped) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "escaped"),
+    [("Probe", "Probe"), ("Größe", "Größe"), ("a\0b", r"a\u0000b"), ("\udcff", r"\udcff"), ("a\\b", r"a\\b")],
+)
+def test_only_what_must_be_escaped_is(text: str, escaped: str) -> None:
+    assert layout.escape(text) == escaped
+
+
+# --- topics ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "token"),
+    [
+        ("ProbeToTracker", "ProbeToTracker"),
+        ("my probe #2", "my_probe_2"),
+        ("__probe__", "probe"),
+        ("2nd", "_2nd"),
+        ("", "unnamed"),
+        ("Größe", "Gr_e"),
+        ("///", "unnamed"),
+    ],
+)
+def test_tokens(name: str, token: str) -> None:
+    assert layout.topic_token(name) == token
+
+
+@given(st.lists(st.tuples(st.sampled_from([Kind.IGTL_IN, Kind.IGTL_OUT]), st.text(max_size=5), st.text(max_size=5))))
+def test_topics_are_valid_distinct_and_stable(streams: list[tuple[Kind, str, str]]) -> None:
+    topics, again = WireTopics(), WireTopics()
+    given_topics = [topics.topic(*stream) for stream in streams]
+    assert [again.topic(*stream) for stream in streams] == given_topics
+    assert len({topic.lower() for topic in given_topics}) == len({(k, f"{t}/{d}") for k, t, d in streams})
+    for topic, (kind, _, _) in zip(given_topics, streams, strict=True):
+        assert topic.startswith(layout.WIRE_TOPICS[kind] + "/")
+        assert all(topic_token_is_valid(token) for token in topic[1:].split("/"))
+
+
+def topic_token_is_valid(token: str) -> bool:
+    """ROS 2's rule for a token of a topic name."""
+    plain = token.replace("_", "")
+    return plain.isascii() and plain.isalnum() and not token[0].isdigit() and "__" not in token
+
+
+def test_names_that_meet_after_sanitising_get_numbers() -> None:
+    topics = WireTopics()
+    names = [topics.topic(Kind.IGTL_IN, "STRING", name).rpartition("/")[2] for name in ("a-b", "a b", "A_b", "a_b_2")]
+    assert names == ["a_b", "a_b_2", "A_b_3", "a_b_2_2"]
+
+
+def test_a_peer_that_invents_names_gets_one_shared_channel() -> None:
+    topics = WireTopics()
+    streams = layout.MAX_WIRE_STREAMS
+    for number in range(streams):
+        assert topics.topic(Kind.IGTL_IN, "STRING", f"n{number}") not in layout.SHARED_TOPICS
+    assert topics.topic(Kind.IGTL_IN, "STRING", "one more") == "/igtl_gateway/wire/in/other"
+    assert topics.topic(Kind.IGTL_IN, "STRING", "n0") == "/igtl_gateway/wire/in/string/n0"
+    assert topics.topic(Kind.IGTL_OUT, "STRING", "one more") == "/igtl_gateway/wire/out/string/one_more"
+
+
+# --- quality of service ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("latched", [False, True])
+@pytest.mark.parametrize("reliable", [False, True])
+def test_qos_round_trip_and_as_rosbags_reads_it(reliable: bool, latched: bool) -> None:
+    qos = Qos(depth=7, reliable=reliable, latched=latched)
+    text = layout.qos_yaml(qos)
+    assert layout.parse_qos_yaml(text) == qos
+    (parsed,) = parse_qos(text)
+    assert parsed.depth == 7
+    assert parsed.history.name == "KEEP_LAST"
+    assert parsed.reliability.name == ("RELIABLE" if reliable else "BEST_EFFORT")
+    assert parsed.durability.name == ("TRANSIENT_LOCAL" if latched else "VOLATILE")
+
+
+def test_qos_of_older_rosbag2_in_numbers() -> None:
+    text = "- history: 3\n  depth: 0\n  reliability: 2\n  durability: 1\n  deadline:\n    sec: 2147483647"
+    assert layout.parse_qos_yaml(text) == Qos(depth=Qos().depth, reliable=False, latched=True)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "- depth: 5", "nonsense"])
+def test_no_qos(text: str) -> None:
+    assert layout.parse_qos_yaml(text) is None
+
+
+# --- metadata --------------------------------------------------------------------------------------------------
+
+
+def test_sealed_metadata_opens_and_shows_damage() -> None:
+    sealed = layout.seal({"b": "2", "a": "ü"})
+    assert layout.unseal(sealed) == {"a": "ü", "b": "2"}
+    for key in sealed:
+        with pytest.raises(LayoutError, match="checksum"):
+            layout.unseal({**sealed, key: sealed[key] + "x"})
+        with pytest.raises(LayoutError, match="checksum"):
+            layout.unseal({name: value for name, value in sealed.items() if name != key})
+
+
+def test_a_command_line_with_undecodable_bytes_can_be_sealed() -> None:
+    sealed = layout.seal({"command": "bridge \udcff"})
+    assert layout.unseal(sealed)["command"].encode() == rb"bridge \udcff"
+
+
+# --- messages --------------------------------------------------------------------------------------------------
+
+
+@given(samples.sessions(max_size=4))
+def test_messages_come_back(entries: list[Entry]) -> None:
+    for entry in entries:
+        data = bytes(layout.pack_message(entry))
+        if entry.kind in layout.WIRE_TOPICS:
+            publish_ns = entry.source_ns or entry.stamp_ns
+            assert layout.unpack_raw(data, entry.seq, entry.stamp_ns, publish_ns) == samples.flat(entry)
+        elif entry.kind in layout.NOTE_KINDS:
+            assert layout.unpack_note(data, entry.seq, entry.stamp_ns) == samples.flat(entry)
+        else:
+            assert data == entry.data()
+
+
+def test_rosbags_reads_a_raw_message_alike(store: Typestore) -> None:
+    source_ns = 1_699_999_999_250_000_000
+    entry = samples.igtl(3, Kind.IGTL_OUT, device="Größe", links=(4, 5), source_ns=source_ns)
+    data = bytes(layout.pack_message(entry))
+    message = store.deserialize_cdr(data, layout.RAW_MESSAGE_TYPE)
+    assert (message.stamp.sec, message.stamp.nanosec) == (1_700_000_000, 3)  # type: ignore[attr-defined]
+    assert (message.source_stamp.sec, message.source_stamp.nanosec) == (1_699_999_999, 250_000_000)  # type: ignore[attr-defined]
+    assert message.source_ticks == ns_to_ticks(source_ns)  # type: ignore[attr-defined]
+    assert message.direction == message.DIRECTION_OUT  # type: ignore[attr-defined]
+    assert message.links.tolist() == [4, 5]  # type: ignore[attr-defined]
+    assert (message.type, message.device_name) == ("TRANSFORM", "Größe")  # type: ignore[attr-defined]
+    assert message.data.tobytes() == entry.data()  # type: ignore[attr-defined]
+    assert bytes(store.serialize_cdr(message, layout.RAW_MESSAGE_TYPE)) == data
+
+
+def test_rosbags_reads_a_note_alike(store: Typestore) -> None:
+    entry = samples.note(9, Kind.LINK, code="link_up", links=(7,))
+    data = bytes(layout.pack_message(entry))
+    message = store.deserialize_cdr(data, layout.NOTE_TYPE)
+    told = Note.unpack(entry.data())
+    assert (message.level, message.kind, message.code) == (Level.WARN, "link", "link_up")  # type: ignore[attr-defined]
+    assert (message.text, message.stream) == (told.text, told.stream)  # type: ignore[attr-defined]
+    assert message.links.tolist() == [7]  # type: ignore[attr-defined]
+    assert json.loads(message.data) == told.data  # type: ignore[attr-defined]
+    assert bytes(store.serialize_cdr(message, layout.NOTE_TYPE)) == data
+
+
+def test_an_unset_stamp_stays_unset() -> None:
+    entry = samples.igtl(1)
+    assert layout.unpack_raw(layout.pack_message(entry), 1, entry.stamp_ns, entry.stamp_ns).source_ns == 0
+
+
+def test_a_stamp_that_equals_ours_is_kept() -> None:
+    entry = Entry(1, 1_000_000_000, Kind.IGTL_IN, "STATUS/x", "STATUS", (b"",), source_ns=1_000_000_000)
+    again = layout.unpack_raw(layout.pack_message(entry), 1, entry.stamp_ns, entry.stamp_ns)
+    assert again.source_ns == 1_000_000_000
+
+
+def test_payload_is_a_view() -> None:
+    data = layout.pack_message(samples.igtl(1, body=b"body"))
+    (payload,) = layout.unpack_raw(data, 1, 1, 1).payload
+    assert isinstance(payload, memoryview)
+    assert payload.obj is data
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        (Entry(1, 1, Kind.IGTL_IN, "probe", "IMAGE"), "'probe'"),
+        (Entry(1, 1, Kind.IGTL_IN, "A/b", "A", links=(-1,)), "igtl_in"),
+        (Entry(1, 1, Kind.NOTE, "/topic"), "/topic"),
+        (Entry(1, 1, Kind.ROS_IN, "/a", "std_msgs/msg/String", links=(1,)), r"\(1,\)"),
+    ],
+    ids=["channel without its type", "link out of range", "note with a channel", "ROS with links"],
+)
+def test_what_the_format_cannot_hold_is_refused(entry: Entry, words: str) -> None:
+    with pytest.raises(LayoutError, match=words):
+        layout.pack_message(entry)
+
+
+@pytest.mark.parametrize("entry", [samples.igtl(1), samples.note(1)], ids=["raw", "note"])
+def test_damaged_messages_raise_only_layout_errors(entry: Entry) -> None:
+    data = bytes(layout.pack_message(entry))
+    refused = 0
+    broken = [data[:length] for length in range(len(data))]
+    broken += [data[:at] + bytes([data[at] ^ flip]) + data[at + 1 :] for at in range(len(data)) for flip in (1, 0xFF)]
+    for each in broken:
+        try:
+            if entry.kind is Kind.IGTL_IN:
+                layout.unpack_raw(each, 1, 1, 1)
+            else:
+                layout.unpack_note(each, 1, 1)
+        except LayoutError:
+            refused += 1
+    assert refused >= len(data)  # every cut one at least
