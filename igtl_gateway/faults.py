@@ -52,14 +52,22 @@ DELAY, JITTER, LOSS, REORDER, TRUNCATE, CORRUPT, DISCONNECT, CLOCK_STEP = (
 
 #: All faults there are.
 FAULTS = (
-    Fault(DELAY, Unit.TIME, "every message leaves so much later"),
-    Fault(JITTER, Unit.TIME, "and up to so much more, another time for each; their order stays"),
-    Fault(LOSS, Unit.SHARE, "so many messages are not sent at all"),
-    Fault(REORDER, Unit.SHARE, "so many change places with the message behind them"),
-    Fault(TRUNCATE, Unit.SHARE, "so many end in their middle, and the connection with them"),
-    Fault(CORRUPT, Unit.SHARE, "in so many one bit is flipped, in the body or its CRC, so that the CRC is wrong"),
-    Fault(DISCONNECT, Unit.SHARE, "behind so many the connection is closed"),
-    Fault(CLOCK_STEP, Unit.STEP, "the sender's clock jumps, all stamps are moved; @: so long after the first message"),
+    Fault(DELAY, Unit.TIME, "delay of every message"),
+    Fault(JITTER, Unit.TIME, "additional delay of each message, from 0 to TIME; the order is kept"),
+    Fault(LOSS, Unit.SHARE, "share of messages that are dropped"),
+    Fault(REORDER, Unit.SHARE, "share of messages that are swapped with the next message"),
+    Fault(TRUNCATE, Unit.SHARE, "share of messages that are cut in the middle; the connection then closes"),
+    Fault(
+        CORRUPT,
+        Unit.SHARE,
+        "share of messages with one flipped bit in the body or the CRC field, so that the CRC is wrong",
+    ),
+    Fault(DISCONNECT, Unit.SHARE, "share of messages after which the connection closes"),
+    Fault(
+        CLOCK_STEP,
+        Unit.STEP,
+        "step of the sender's clock: all stamps are shifted; @TIME: starting at this time after the first message",
+    ),
 )
 
 #: What a line does of its own accord, where it would hold too much.

@@ -128,32 +128,49 @@ def _recording(facts: Facts) -> Iterator[Line]:
         yield {"path": recorder["path"]}, float(not recorder["failure"] and not recorder["paused"])
 
 
-_LINK_0 = "link 0: all that are gone"
+_LINK_0 = "link 0: all closed links together"
 
 METRICS = (
-    Metric("uptime_seconds", "gauge", "since the bridge began", _one("uptime_s")),
-    Metric("entries_total", "counter", "lines of the session log by kind", _entries),
-    Metric("refused_total", "counter", "notes of errors, such as messages with a wrong CRC", _one("refused")),
-    Metric("stream_messages_total", "counter", "the loss ledger: what became of messages", _streams),
-    Metric("stream_dropped_total", "counter", "the loss ledger: messages dropped, and why", _stream_drops),
-    Metric("stream_rate", "gauge", "messages a second, over the last seconds", _rates),
-    Metric("peer_connected", "gauge", "1: connected; 0: being tried", _peers),
-    Metric("peers_refused_total", "counter", "who was not let in, and why", _refused),
-    Metric("link_faults_total", "counter", "links that a fault ended, or that ended inside a message", _link_faults),
-    Metric("link_sent_messages_total", "counter", f"handed to the kernel; {_LINK_0}", _of_links("sent_messages")),
-    Metric("link_sent_bytes_total", "counter", "the same in bytes", _of_links("sent_bytes")),
-    Metric("link_received_messages_total", "counter", f"whole messages; {_LINK_0}", _of_links("received_messages")),
-    Metric("link_received_bytes_total", "counter", "the same in bytes", _of_links("received_bytes")),
-    Metric("link_dropped_total", "counter", "dropped at a full queue, or ignored: the link was gone", _link_drops),
-    Metric("link_queue_messages", "gauge", "waiting to be sent", _queues("messages")),
-    Metric("link_queue_bytes", "gauge", "the same in bytes", _queues("bytes")),
-    Metric("ros_messages", "gauge", "what became of messages of a ROS topic, and how many are held", _ros),
+    Metric("uptime_seconds", "gauge", "time since the start of the bridge", _one("uptime_s")),
+    Metric("entries_total", "counter", "entries of the session log, by kind", _entries),
+    Metric("refused_total", "counter", "notes of level error, for example for a wrong CRC", _one("refused")),
+    Metric("stream_messages_total", "counter", "messages by stream and fate (loss ledger)", _streams),
+    Metric("stream_dropped_total", "counter", "dropped messages by stream and reason (loss ledger)", _stream_drops),
+    Metric("stream_rate", "gauge", "messages per second, mean of the last 5 s", _rates),
+    Metric("peer_connected", "gauge", "1: connected; 0: connection attempts", _peers),
+    Metric("peers_refused_total", "counter", "refused connections by reason", _refused),
+    Metric("link_faults_total", "counter", "links that ended with a fault or inside a message", _link_faults),
+    Metric(
+        "link_sent_messages_total", "counter", f"messages passed to the kernel; {_LINK_0}", _of_links("sent_messages")
+    ),
+    Metric("link_sent_bytes_total", "counter", f"bytes passed to the kernel; {_LINK_0}", _of_links("sent_bytes")),
+    Metric(
+        "link_received_messages_total",
+        "counter",
+        f"complete messages received; {_LINK_0}",
+        _of_links("received_messages"),
+    ),
+    Metric("link_received_bytes_total", "counter", f"bytes received; {_LINK_0}", _of_links("received_bytes")),
+    Metric(
+        "link_dropped_total",
+        "counter",
+        "messages dropped because the send queue was full, or ignored because the link was closed",
+        _link_drops,
+    ),
+    Metric("link_queue_messages", "gauge", "messages in the send queue", _queues("messages")),
+    Metric("link_queue_bytes", "gauge", "bytes in the send queue", _queues("bytes")),
+    Metric("ros_messages", "gauge", "messages of a ROS topic by fate, and number of held messages", _ros),
     Metric("recording", "gauge", "1: recording; 0: paused or failed", _recording),
-    Metric("recorder_entries_total", "counter", "written", _one("recorder", "written_entries")),
-    Metric("recorder_dropped_total", "counter", "lost by the recorder", _one("recorder", "dropped_entries")),
-    Metric("recorder_left_out_total", "counter", "left out as asked", _one("recorder", "left_out_entries")),
-    Metric("recorder_queue_entries", "gauge", "waiting to be written", _one("recorder", "queued_entries")),
-    Metric("recorder_queue_bytes", "gauge", "the same in bytes", _one("recorder", "queued_bytes")),
+    Metric("recorder_entries_total", "counter", "entries written", _one("recorder", "written_entries")),
+    Metric("recorder_dropped_total", "counter", "entries dropped by the recorder", _one("recorder", "dropped_entries")),
+    Metric(
+        "recorder_left_out_total",
+        "counter",
+        "entries not recorded because of the user's selection",
+        _one("recorder", "left_out_entries"),
+    ),
+    Metric("recorder_queue_entries", "gauge", "entries in the recorder's queue", _one("recorder", "queued_entries")),
+    Metric("recorder_queue_bytes", "gauge", "bytes in the recorder's queue", _one("recorder", "queued_bytes")),
 )
 
 PREFIX = "igtl_gateway_"
