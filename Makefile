@@ -3,17 +3,29 @@ BIN := .venv/bin
 READY := .venv/.ready
 # For the tests, on two cores: some of them only wait.
 WORKERS := 3
+PARALLEL := -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+# The folders whose branches `make coverage` holds to a floor, in per cent.
+COVERED := igtl_gateway/gateway/*,igtl_gateway/convert/*,igtl_gateway/sessionfile/*
+FLOOR := 98
 
-.PHONY: help demo test check static peers pictures fixtures clean
+# $(call run_tests,SELECTION): a failed test runs again alone.  Exit code 1 of pytest means that tests have failed.
+run_tests = $(BIN)/python -m pytest $(PARALLEL) --durations=10 $(1) || { \
+	[ $$? -eq 1 ] || exit 1; \
+	echo "The failed tests run again, alone."; $(BIN)/python -m pytest -q --last-failed --last-failed-no-failures none; }
+
+.PHONY: help demo test test-fast check static format lint types pins documents terms peers coverage hooks pictures fixtures clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo        bridge, record, verify and replay on this machine, with real ROS 2"
-	@echo "make test        all tests, after the checks of 'make check': the gate for every change"
 	@echo "make check       format, lint, types, pins, generated documents, terms, architecture"
-	@echo "make pictures    the pictures in docs/pictures anew, from the recordings in fixtures/"
-	@echo "make fixtures    the recordings in fixtures/ anew, by the commands of fixtures/README.md"
-	@echo "make clean       remove what make has made, .venv too"
+	@echo "make test-fast   the fast tests: at most three minutes on two cores"
+	@echo "make test        the gate for every change: the checks, the fast tests and the slow tests"
+	@echo "make coverage    branch coverage of the fast tests, as a table and in out/coverage/index.html"
+	@echo "make hooks       install the checks as git hooks of this checkout"
+	@echo "make pictures    write the pictures in docs/pictures again, from the recordings in fixtures/"
+	@echo "make fixtures    write the recordings in fixtures/ again, by the commands of fixtures/README.md"
+	@echo "make clean       remove everything that make has written, .venv too"
 	@echo
 	@echo "The first run installs what is missing (a few minutes); PYTHON=... chooses the interpreter."
 
@@ -21,20 +33,43 @@ demo: $(READY)
 	@$(BIN)/igtl-gateway demo
 
 test: static peers
-	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0 --durations=10 || { \
-		[ $$? -eq 1 ] || exit 1; \
-		echo "Once more, alone: what failed beside others."; $(BIN)/python -m pytest -q --last-failed --last-failed-no-failures none; }
+	@$(call run_tests,)
+
+test-fast: $(READY) peers
+	@$(call run_tests,-m "not slow")
 
 check: static
 	@$(BIN)/python -m pytest -q tests/test_architecture.py
 
-static: $(READY)
+# Each check has a target of its own: a git hook runs one (.pre-commit-config.yaml).
+static: format lint types pins documents terms
+
+format: $(READY)
 	@$(BIN)/ruff format --check --quiet --output-format concise . || { echo "To format: $(BIN)/ruff format"; exit 1; }
+
+lint: $(READY)
 	@$(BIN)/ruff check --quiet --output-format concise .
+
+types: $(READY)
 	@$(BIN)/mypy --no-error-summary
+
+pins: $(READY)
 	@$(BIN)/python tools/constraints.py --check
+
+documents: $(READY)
 	@$(BIN)/python tools/docs.py --check
+
+terms: $(READY)
 	@$(BIN)/python tools/terms.py
+
+coverage: $(READY) peers
+	@$(BIN)/python -m pytest $(PARALLEL) -m "not slow" --cov --cov-report=
+	@$(BIN)/coverage html --quiet
+	@$(BIN)/coverage report
+	@$(BIN)/coverage report --include "$(COVERED)" --fail-under $(FLOOR)
+
+hooks: $(READY)
+	@$(BIN)/pre-commit install
 
 peers:
 	@tools/setup.sh peers
@@ -51,5 +86,5 @@ $(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/__init_
 	@touch $@
 
 clean:
-	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage out/coverage
 	find igtl_gateway lab tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

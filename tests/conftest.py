@@ -44,27 +44,38 @@ settings.register_profile("deep", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 
 
+#: The second tier: files whose tests are all marked ``slow``, which ``make test-fast`` leaves out.  A slow test in any
+#: other file has the mark itself.
+SLOW = (
+    "integration/test_soak.py",
+    "integration/test_live_faults.py",
+    "integration/test_cli_bridge.py",
+    "integration/test_crash.py",
+    "integration/test_demo.py",
+    "integration/test_hostile_crowds.py",
+    "integration/test_hostile_files.py",
+    "integration/test_recording_faults.py",
+    "integration/test_relay.py",
+    "integration/test_replay_ros.py",
+    "integration/test_rosbag2_folder.py",
+    "integration/test_simulate.py",
+    "review/test_error.py",
+    "test_fixtures.py",
+    "view/test_shots.py",
+)
+
 #: Files that take longest, ten seconds or more each: where several workers take files in turn, none of these must be
 #: left for the end.  Beside the first two, which mostly wait, go some that only compute.
 LONGEST = (
-    "integration/test_soak.py",
-    "integration/test_live_faults.py",
+    *SLOW[:2],
     "exchange/test_targets.py",
     "sessionfile/test_salvage.py",
     "test_gateway_fuzz.py",
     "wire/test_bodies.py",
-    "integration/test_cli_bridge.py",
     "cli/test_replay.py",
-    "integration/test_crash.py",
-    "integration/test_simulate.py",
+    *SLOW[2:],
     "integration/test_hostile.py",
-    "integration/test_hostile_crowds.py",
-    "integration/test_recording_faults.py",
-    "integration/test_demo.py",
-    "integration/test_relay.py",
-    "test_fixtures.py",
     "edges/ros/test_edge.py",
-    "integration/test_replay_ros.py",
     "edges/tcp/test_edge.py",
     "record/test_recorder.py",
     "lab/cli/test_bench.py",
@@ -78,15 +89,19 @@ LONGEST = (
     "test_architecture.py",
     "review/test_assess.py",
     "lab/simulate/test_star.py",
-    "view/test_shots.py",
-    "integration/test_rosbag2_folder.py",
 )
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by -m
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Where several workers share the tests the longest files go first; ``ros`` is skipped without ROS 2."""
+    """Marks the second tier.  Several workers start with the longest files.  ``ros`` is skipped without ROS 2."""
+    here = Path(__file__).parent
+    slow = {here / name for name in SLOW}
+    for item in items:
+        if item.path in slow:
+            item.add_marker(pytest.mark.slow)
     if hasattr(config, "workerinput"):
-        rank = {Path(__file__).parent / name: number for number, name in enumerate(LONGEST)}
+        rank = {here / name: number for number, name in enumerate(LONGEST)}
         items.sort(key=lambda item: rank.get(item.path, len(rank)))
     if find_spec("rclpy") is not None:
         return

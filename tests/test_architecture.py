@@ -167,6 +167,8 @@ UNMIRRORED = (
     "cli/test_exit_codes.py",  # every verb's, docs/command-line.md
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
     "test_architecture.py",
+    "test_commit_message.py",  # tools/commit_message.py
+    "test_contributing.py",  # Makefile, git hooks, workflow
     "test_defects.py",  # docs/defects.md
     "test_docs.py",  # tools/docs.py
     "test_examples.py",  # examples/

@@ -1,0 +1,75 @@
+"""Links that come and go: the late joiner's latched messages, pings, and the account of a link that has closed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from igtl_gateway.config import Config
+from igtl_gateway.convert import rosmsg
+from igtl_gateway.gateway import LINK_DOWN
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.text import Status
+from tests.script import T0_NS, Script
+
+TOOL = rosmsg.TransformStamped(rosmsg.Header(T0_NS, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
+PLUS = Message("USMESSAGE", "", Status(1))
+
+
+def closed(script: Script, link: int, **counts: Any) -> list[str]:
+    """The link goes, with the counts that its edge kept."""
+    return script.feed(Kind.LINK, (Note(Level.INFO, LINK_DOWN, "down", data=counts).pack(),), link=link)
+
+
+def peers_of(script: Script) -> dict[str, Any]:
+    return dict(script.gateway.ledger.to_dict().get("peers", {}))
+
+
+@pytest.mark.parametrize("dropped", [1, {"TRANSFORM/Tool": 1}])
+def test_what_was_sent_to_a_link_is_accounted_for_when_it_closes(dropped: object) -> None:
+    script = Script()
+    script.up(1, peer="10.0.0.1:5")
+    for _ in range(5):
+        script.ros("/igtl/out/Tool", TOOL)
+    closed(script, 1, sent_messages=3, dropped=dropped)
+    assert peers_of(script) == {"1 10.0.0.1:5": {"sent": 5, "delivered": 3, "dropped": {"queue": 1, "link_closed": 1}}}
+
+
+def test_a_link_that_took_everything_has_no_losses() -> None:
+    script = Script()
+    script.up(1, peer="10.0.0.1:5")
+    script.ros("/igtl/out/Tool", TOOL)
+    closed(script, 1, sent_messages=1)
+    assert peers_of(script) == {"1 10.0.0.1:5": {"sent": 1, "delivered": 1}}
+
+
+def test_without_counts_there_is_no_account() -> None:
+    script = Script()
+    script.up(1, peer="10.0.0.1:5")
+    script.ros("/igtl/out/Tool", TOOL)
+    closed(script, 1)
+    closed(script, 2, sent_messages=3)
+    assert peers_of(script) == {}
+
+
+def test_no_ping_where_queries_of_the_status_are_denied() -> None:
+    for config, due in ((Config(), True), (Config(deny_out=("GET_STATUS",)), False)):
+        script = Script(config)
+        script.up(1)
+        script.igtl(PLUS)
+        assert (script.gateway.due_ns is not None) is due
+        assert bool(script.tick(60.0)) is due
+
+
+def test_only_the_peers_that_are_due_are_pinged() -> None:
+    script = Script()
+    for link in (1, 2):
+        script.up(link)
+        script.igtl(PLUS, link)
+    script.tick(0.3)
+    script.now_ns += 200_000_000
+    script.igtl(Message("GET_STATUS", "", Status(1)), link=2)  # answered, so that 2 is not silent
+    assert script.tick(0.06) == ["igtl GET_STATUS/ v2 to 1"]

@@ -1,0 +1,88 @@
+"""Content that a peer would misread is sent in a form that it reads; all other content is sent unchanged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from igtl_gateway.gateway.profiles import BY_NAME, shown_by
+from igtl_gateway.wire import Item, Message, Raw
+from igtl_gateway.wire.image import LPS, RAS, Image
+from igtl_gateway.wire.polydata import CELL, SCALAR, Attribute, Cells, PolyData
+from igtl_gateway.wire.text import Status, String
+
+SLICER, PLUS = BY_NAME["slicer"], BY_NAME["plus"]
+CELL_SCALAR = CELL | SCALAR  # of the kinds that the C++ reader takes nine components for
+
+
+def image(dtype: str, scalar_type: int, values: list[int], coordinate: int = RAS) -> Image:
+    return Image((len(values), 1, 1), scalar_type, np.array(values, dtype).tobytes(), 1, 2, coordinate)
+
+
+@pytest.mark.parametrize(("dtype", "scalar_type"), [("<i4", 6), ("<u4", 7)])
+def test_slicer_gets_whole_numbers_of_32_bits_as_float32(dtype: str, scalar_type: int) -> None:
+    adapt = SLICER.adapt[Image]
+    adapted, warning = adapt(image(dtype, scalar_type, [0, 1, 2**24]))
+    assert (adapted.scalar_type, adapted.array.ravel().tolist(), warning) == (10, [0.0, 1.0, 2.0**24], "")
+    adapted, warning = adapt(image(dtype, scalar_type, [2**24 + 1]))
+    assert adapted.array.ravel().tolist() == [2.0**24] and "rounded" in warning
+
+
+def test_slicer_gets_lps_as_ras() -> None:
+    adapted, warning = SLICER.adapt[Image](image("<u2", 5, [1, 2], LPS))
+    assert (adapted.coordinate, warning) == (RAS, "")
+    assert np.array_equal(adapted.array, image("<u2", 5, [1, 2]).array)
+    # x and y of every axis and of the origin change their sign
+    signs = np.array([-1, -1, 1] * 4)
+    assert np.array_equal(adapted.wire_matrix, signs * image("<u2", 5, [1, 2], LPS).wire_matrix)
+
+
+def test_slicer_gets_other_images_as_they_are() -> None:
+    same = image("<u2", 5, [1, 2])
+    adapted, warning = SLICER.adapt[Image](same)
+    assert adapted is same and not warning
+
+
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], ">f4")
+
+
+def surface(*attributes: Attribute) -> PolyData:
+    return PolyData(POINTS, polygons=Cells.of([[0, 1, 2]]), attributes=attributes)
+
+
+@pytest.mark.parametrize("profile", [SLICER, PLUS], ids=lambda profile: profile.name)
+def test_the_cpp_reader_gets_nine_components_where_it_takes_nine(profile: object) -> None:
+    adapt = profile.adapt[PolyData]  # type: ignore[attr-defined]
+    plain = surface(Attribute.of(SCALAR, "depth", np.array([[1.0], [2.0], [3.0]])))
+    assert adapt(plain) == (plain, "")
+    mixed = surface(*plain.attributes, Attribute.of(CELL_SCALAR, "label", np.array([[7.0]])))
+    adapted, warning = adapt(mixed)
+    assert not warning and adapted.attributes[0] == plain.attributes[0]
+    wide = adapted.attributes[1]
+    assert (wide.name, wide.type, wide.components, wide.data.tolist()) == ("label", CELL_SCALAR, 9, [7.0] + [0.0] * 8)
+    assert adapt(adapted)[0].attributes[1] == wide, "nine are nine"
+
+
+@pytest.mark.parametrize(
+    ("message", "name"),
+    [
+        (Message("STATUS", "", Status(1), 0, 2, 0, (Item("dummy", b"dummy"),)), "slicer"),
+        (Message("STATUS", "Tool", Status(1), 0, 2, 0, (Item("dummy", b"dummy"),)), None),
+        (Message("STRING", "A", String.of("b"), 0, 2, 0, (Item("MRMLNodeName", b"A"),)), "slicer"),
+        (Message("STRING", "A", String.of("b"), 0, 2, 0, (Item("TransformValid", b"1"),)), "plus"),
+        (Message("USMESSAGE", "A", Raw(b"")), "plus"),
+        (Message("STATUS", "", Status(1)), None),
+    ],
+)
+def test_what_a_message_shows_of_its_sender(message: Message, name: str | None) -> None:
+    shown = shown_by(message)
+    assert (shown.name if shown else None) == name
+
+
+def test_what_may_be_sent() -> None:
+    holoscan, default = BY_NAME["holoscan"], BY_NAME["default"]
+    assert [name for name in ("IMAGE", "TRANSFORM", "GET_IMAGE", "RTS_TDATA") if holoscan.may_send(name)] == ["IMAGE"]
+    assert SLICER.may_send("RTS_COMMAND") and SLICER.may_send("TRANSFORM") and SLICER.may_send("RTS_TDATA")
+    assert not SLICER.may_send("GET_IMAGE") and not SLICER.may_send("RTS_POLYDATA")
+    assert PLUS.may_send("GET_STATUS") and not PLUS.may_send("UNHEARDOF")
+    assert default.may_send("STT_ANYTHING")

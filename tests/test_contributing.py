@@ -1,0 +1,137 @@
+"""Makefile, CONTRIBUTING, git hooks and GitHub's workflow name the same commands, and the gate leaves no test out."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+from tests.conftest import SLOW
+
+ROOT = Path(__file__).parents[1]
+MAKEFILE = (ROOT / "Makefile").read_text("utf-8")
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+RULES = set(re.findall(r"^([\w-]+):", MAKEFILE, re.MULTILINE))
+#: What `make help` names: the targets for people.
+PUBLIC = set(re.findall(r'^\t@echo "make ([\w-]+)', MAKEFILE, re.MULTILINE))
+
+
+def targets_in(text: str) -> set[str]:
+    """Every target of a ``make TARGET …`` in code of ``text``: a line of a listing, or between backticks."""
+    code = re.findall(r"^    .*$|^\$.*$|`[^`]*`", text, re.MULTILINE)
+    calls = [re.search(r"^[\s$`]*make((?: [a-z][a-z-]*)+)", line) for line in code]
+    return {name for call in calls if call for name in re.split(r" {2,}", call[1].lstrip())[0].split()}
+
+
+@cache
+def recipe(target: str) -> list[list[str]]:
+    """The commands of a target as make prints them, word by word; nothing runs."""
+    make = shutil.which("make")
+    if make is None:
+        pytest.skip("no make here")
+    # -o: as if the environment were installed.
+    run = [make, "--dry-run", "--no-print-directory", "-o", ".venv/.ready", target]
+    printed = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    return [shlex.split(line) for line in printed.replace("\\\n", " ").splitlines()]
+
+
+def pytest_words(target: str) -> list[str]:
+    """The arguments of the first pytest that a target starts."""
+    words = next(command for command in recipe(target) if "pytest" in command)
+    return words[words.index("pytest") + 1 : words.index("||")]
+
+
+def yaml(name: str) -> Any:
+    return YAML(typ="safe", pure=True).load(ROOT / name)
+
+
+def hooks() -> dict[str, list[str]]:
+    """Git hook → the words of its command."""
+    (repository,) = yaml(".pre-commit-config.yaml")["repos"]
+    assert repository["repo"] == "local", "nothing is downloaded"
+    return {hook["id"]: hook["entry"].split() for hook in repository["hooks"]}
+
+
+def test_the_public_targets_are_rules_that_help_lists() -> None:
+    assert {"check", "test", "test-fast", "coverage", "hooks"} <= PUBLIC <= RULES
+    (phony,) = re.findall(r"^\.PHONY: (.*)$", MAKEFILE, re.MULTILINE)
+    assert set(phony.split()) == RULES
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_target_that_a_page_names_exists(page: Path) -> None:
+    assert targets_in(page.read_text("utf-8")) <= RULES
+
+
+def test_contributors_are_told_of_every_public_target() -> None:
+    assert targets_in((ROOT / "CONTRIBUTING.md").read_text("utf-8")) >= PUBLIC
+
+
+def test_targets_are_found_in_code_alone() -> None:
+    page = "    make check test-fast    both\nwords make sense\n`make test`; `PYTHON=x make no`\n$ make demo   # it\n"
+    assert targets_in(page) == {"check", "test-fast", "test", "demo"}
+
+
+def test_both_tiers_together_are_everything() -> None:
+    """The gate selects nothing; the fast tier leaves out what is marked slow and nothing else."""
+    gate, fast = pytest_words("test"), pytest_words("test-fast")
+    assert fast == [*gate, "-m", "not slow"]
+    everywhere = [*gate, *shlex.split(PYPROJECT["tool"]["pytest"]["ini_options"]["addopts"])]
+    selecting = ("-m", "-k", "--ignore", "--deselect", "--lf", "--last-failed")
+    assert [word for word in everywhere if word.startswith(selecting)] == []
+    assert [word for word in everywhere if (ROOT / word).exists()] == [], "a path leaves out what lies elsewhere"
+    assert PYPROJECT["tool"]["pytest"]["ini_options"]["testpaths"] == ["tests"]
+
+
+@pytest.mark.parametrize(("tier", "code"), [("slow", 0), ("not slow", 5)])
+def test_a_file_of_the_second_tier_has_no_fast_test(tier: str, code: int) -> None:
+    """5 is pytest's code for "no tests collected"."""
+    smallest = min((ROOT / "tests" / name for name in SLOW), key=lambda path: path.stat().st_size)
+    run = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", "-m", tier, str(smallest)]
+    assert subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=False).returncode == code
+
+
+def test_the_gate_begins_with_the_checks() -> None:
+    gate, checks = recipe("test"), recipe("static")
+    assert gate[: len(checks)] == recipe("check")[: len(checks)] == checks
+    assert (ROOT / ".ci" / "run").read_text("utf-8").count("make --no-print-directory test <") == 1
+
+
+def test_git_hooks_run_what_check_runs() -> None:
+    checks = recipe("static")
+    for name, command in hooks().items():
+        if command[0] == "make":
+            assert recipe(command[-1])[0] in checks, name
+        else:
+            assert (ROOT / command[-1]).is_file(), name
+
+
+def test_the_workflow_runs_commands_that_exist() -> None:
+    workflow = yaml(".github/workflows/ci.yml")
+    assert {"push", "pull_request"} <= workflow["on"].keys()
+    commands = [step["run"] for job in workflow["jobs"].values() for step in job["steps"] if "run" in step]
+    assert ".ci/run" in commands
+    for command in commands:
+        first, *rest = command.split()
+        assert (first == "make" and set(rest) <= PUBLIC) or (ROOT / first).is_file(), command
+
+
+def test_the_workflow_covers_the_pythons_that_we_promise() -> None:
+    jobs = yaml(".github/workflows/ci.yml")["jobs"]
+    gate = next(step["with"]["python-version"] for step in jobs["gate"]["steps"] if "with" in step)
+    pythons = [gate, *jobs["core"]["strategy"]["matrix"]["python"]]
+    assert PYPROJECT["project"]["requires-python"] == f">={pythons[0]}"
+    assert pythons == ["3.11", "3.12", "3.13"]
+    extras = PYPROJECT["project"]["optional-dependencies"].keys()
+    assert set(jobs["core"]["env"]["EXTRAS"].split(",")) == extras - {"ros"}
