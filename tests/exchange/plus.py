@@ -102,7 +102,7 @@ RULES: dict[str, Callable[[Read], bool]] = {
     ),
     "`BinaryData` is `True`": lambda found: found.fields["BinaryData"] == "True",
     "`ElementType` is one that it knows": lambda found: found.fields["ElementType"] in BYTES,
-    "pixels are little-endian, whatever `BinaryDataByteOrderMSB` says": lambda found: (
+    "pixels are little-endian, independent of `BinaryDataByteOrderMSB`": lambda found: (
         found.fields["BinaryDataByteOrderMSB"] == "False"
     ),
     "with `CompressedData = True`, `CompressedDataSize` bytes of zlib unpack to all frames exactly": lambda found: (
@@ -111,7 +111,7 @@ RULES: dict[str, Callable[[Read], bool]] = {
     "`Seq_FrameNNNN_` fields have the number of a frame, from 0": lambda found: (
         list(found.frames) == list(range(found.count))
     ),
-    "a frame whose `ImageStatus` is not `OK` has no image, though pixels for it": lambda found: all(
+    "a frame whose `ImageStatus` is not `OK` has no image, but has pixels": lambda found: all(
         fields["ImageStatus"] in {"OK", "INVALID"} for fields in found.frames.values()
     ),
     "each `XToYTransform` has 16 numbers, and a `XToYTransformStatus`": lambda found: all(
