@@ -102,7 +102,7 @@ GENERATORS = (
 HOMES: dict[str, tuple[str, ...]] = {
     # The live world
     "asyncio": (),
-    "select": ("edges.tcp.link",),
+    "select": ("edges.tcp.sender",),
     "selectors": ("edges.tcp.loop",),
     "socket": ("edges.tcp", "lab.bench.programs"),  # a measurement has a peer that costs nothing
     "socketserver": (),
@@ -354,7 +354,7 @@ def test_tests_mirror_the_package() -> None:
         ("config", "from igtl_gateway.convert.units import Lengths"),
         ("gateway", "from igtl_gateway import __version__, convert"),
         ("edges.tcp.loop", "import selectors, socket, threading"),
-        ("edges.tcp.link", "import select\nfrom igtl_gateway.edges.tcp.loop import Loop"),
+        ("edges.tcp.sender", "import select\nfrom igtl_gateway.edges.tcp.loop import Loop"),
         ("edges.ros.edge", "import rclpy.node\nfrom igtl_gateway.edges.ros import env"),
         ("edges.ros", "import importlib\nimportlib.import_module(name)"),
         ("sessionfile.writer", "from mcap.writer import Writer"),

@@ -80,7 +80,7 @@ class Dialer:
     def redial(self) -> None:
         """Its link has gone."""
         link, self.link = self.link, None
-        if link and link.lasted(_LIVED_S):
+        if link and link.liveness.was_established(_LIVED_S):
             self._delay_s = _RETRY_FIRST_S
             self._causes.clear()
         self._retry()

@@ -25,7 +25,7 @@ def test_client_finds_a_late_server_and_comes_back_when_it_goes(world: World, mo
     assert note.data == {"peer": f"{HERE}:{port}", "reason": "Connection refused"}
     (waiting,) = edge.links()
     assert (waiting.number, waiting.role, waiting.connected) == (0, "client", False)
-    until(lambda: edge._dialers[0]._delay_s == 0.016)  # it tried several times
+    until(lambda: edge._addresses._dialers[0]._delay_s == 0.016)  # it tried several times
 
     listener = world.listener(port)
     first = world.accepted(listener)
@@ -58,13 +58,13 @@ def test_a_server_of_another_protocol_is_tried_ever_more_rarely(world: World, mo
         world.accepted(listener).send(b"220 mail.clinic ESMTP ready, and what a server says that speaks first\r\n")
         seen.wait("too_large", attempt)
         seen.wait("down", attempt)
-    until(lambda: edge._dialers[0]._delay_s == 0.016)
+    until(lambda: edge._addresses._dialers[0]._delay_s == 0.016)
     peer = world.accepted(listener)
     peer.send(message(1))
     seen.wait("frame")
     peer.close()
     seen.wait("down", 6)
-    until(lambda: edge._dialers[0]._delay_s < 0.016)  # a real one is tried at once
+    until(lambda: edge._addresses._dialers[0]._delay_s < 0.016)  # a real one is tried at once
 
 
 def test_client_by_name_and_an_unknown_name(world: World) -> None:

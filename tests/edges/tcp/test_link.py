@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from igtl_gateway.clock import ManualClock
-from igtl_gateway.edges.tcp import Limits, link
+from igtl_gateway.edges.tcp import Limits, link, liveness
+from igtl_gateway.edges.tcp.receiver import Receiver
 from igtl_gateway.edges.tcp.sockets import UNANSWERED_S
 from igtl_gateway.wire.framer import Framer
 from tests.edges.tcp.world import BIG, DEADLINE_S, HERE, Seen, World, header, message, number_of, until
@@ -117,7 +118,7 @@ def test_who_cannot_be_reached_is_let_go_and_what_may_be_lost_is_told(
 ) -> None:
     """A line that is really cut is in ``tests/integration/test_live_faults.py``."""
     silent_s = 0.0
-    monkeypatch.setattr(link, "unanswered_s", lambda sock: silent_s)
+    monkeypatch.setattr(liveness, "unanswered_s", lambda sock: silent_s)
     monkeypatch.setattr(link, "unconfirmed_bytes", lambda sock: 1234)
     edge, seen, port = world.server(limits=Limits(stall_s=0.1))  # so often it is looked at
     world.peer(port)
@@ -459,15 +460,15 @@ def test_stop_while_a_peer_does_not_read(world: World, half_closed: bool) -> Non
 def failing(monkeypatch: pytest.MonkeyPatch, times: int) -> None:
     """Reading of link 1 raises so many times."""
     left = [times]
-    read = link.Link._read
+    read = Receiver.read
 
-    def fail(self: link.Link) -> None:
-        if self.number == 1 and left[0]:
+    def fail(self: Receiver) -> None:
+        if self._link.number == 1 and left[0]:
             left[0] -= 1
             raise ZeroDivisionError("our own fault")
         read(self)
 
-    monkeypatch.setattr(link.Link, "_read", fail)
+    monkeypatch.setattr(Receiver, "read", fail)
 
 
 def test_an_error_of_our_own_is_noted_and_things_go_on(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

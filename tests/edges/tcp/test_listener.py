@@ -11,8 +11,7 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from igtl_gateway.edges.tcp import Limits, listener
-from igtl_gateway.edges.tcp import edge as edge_module
+from igtl_gateway.edges.tcp import Limits, listener, registry
 from igtl_gateway.edges.tcp.sockets import tune
 from tests.edges.tcp.world import DEADLINE_S, HERE, World, message
 
@@ -116,7 +115,7 @@ def test_an_error_of_our_own_is_noted_and_the_next_peer_is_served(
             raise ZeroDivisionError("our own fault")
         tune(sock)
 
-    monkeypatch.setattr(edge_module, "tune", fail)
+    monkeypatch.setattr(registry, "tune", fail)
     monkeypatch.setattr(listener, "NOTE_EVERY_S", 0.01)
     _, seen, port = world.server()
     assert world.peer(port).receive() is None

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.edges.tcp import Limits, link, tls
+from igtl_gateway.edges.tcp import Limits, link, sender, tls
 from tests.edges.tcp.test_tls import SERVER, client
 from tests.edges.tcp.world import BIG, DEADLINE_S, HERE, Peer, World, message, number_of
 
@@ -21,7 +21,7 @@ SENDERS = 4
 
 
 def test_slow_reader_loses_old_transforms_and_no_string(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link, "NOTE_EVERY_S", 3600)
+    monkeypatch.setattr(sender, "NOTE_EVERY_S", 3600)
     edge, seen, port = world.server(limits=Limits(queue_messages=50))
     slow, fast = world.peer(port, 4096), world.peer(port)
     assert edge.wait_links(2, DEADLINE_S)

@@ -291,7 +291,7 @@ def test_one_that_gave_way_in_the_turn_in_which_it_spoke_is_over() -> None:
     handshake.begin(10)
     theirs.send(b"\x16\x03\x01")
     # both are ready: the listener, whose peer makes this one give way, and this one
-    loop.watch(theirs, WRITE, lambda _: handshake.give_way() if not told else None)
+    loop.watch(theirs, WRITE, lambda _: handshake.yield_to_newer() if not told else None)
     loop.turn(0)
     handshake._step(READ)
     assert told == ["no TLS handshake before others came"]

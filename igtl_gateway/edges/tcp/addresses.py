@@ -1,0 +1,154 @@
+"""The addresses of an edge: where it listens, relays and connects, and the TLS handshakes of its clients."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from functools import partial
+
+from igtl_gateway.edges.tcp.dialer import Dialer
+from igtl_gateway.edges.tcp.facts import Limits, LinkInfo
+from igtl_gateway.edges.tcp.link_parts import LinkContext
+from igtl_gateway.edges.tcp.listener import Listener
+from igtl_gateway.edges.tcp.registry import LinkRegistry
+from igtl_gateway.edges.tcp.relay import Relay
+from igtl_gateway.edges.tcp.sockets import PORT_MAX, AllowList, listening_socket, place_of, tune
+from igtl_gateway.edges.tcp.tls import Context, Handshake, TlsFiles, TlsSocket
+from igtl_gateway.errors import ConfigError
+
+#: Takes a connection and the address of its peer.
+Up = Callable[[socket.socket | TlsSocket, str], None]
+
+
+class Addresses:
+    """Listeners, relays and dialers; they hand their connections to the registry.
+
+    Args:
+        registry: of the links.
+        context: what the links share.
+        allow: which peers may connect.
+        tls: files for the connections with TLS.
+    """
+
+    def __init__(self, registry: LinkRegistry, context: LinkContext, allow: AllowList, tls: TlsFiles) -> None:
+        self._registry = registry
+        self._loop = context.loop
+        self._reporter = context.reporter
+        self._refusals = context.refusals
+        self._limits: Limits = context.limits
+        self._allow = allow
+        self._tls = tls
+        self._listeners: list[Listener] = []
+        self._dialers: list[Dialer] = []
+        self._relays: list[Relay] = []
+        self._handshakes: dict[TlsSocket, Handshake] = {}  # of clients that are not links yet
+
+    # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
+
+    def listen(self, host: str, port: int, tls: bool) -> tuple[str, int]:
+        """Accept peers at this address; see ``TcpEdge.listen``."""
+        return self._listen(host, port, self._registry.up, tls)
+
+    def relay(self, host: str, port: int, to: tuple[str, int], tls: bool, tls_to: bool) -> tuple[str, int]:
+        """Accept peers at this address, each with a connection to a server; see ``TcpEdge.relay``."""
+        _check_port(*to)
+        secure = self._securer(to[0]) if tls_to else None
+        relay = Relay(*to, self._registry.pair_up, self._loop, self._reporter, secure)
+        bound = self._listen(host, port, relay.take, tls)
+        self._relays.append(relay)
+        return bound
+
+    def connect(self, host: str, port: int, tls: bool) -> None:
+        """Stay connected to this server; see ``TcpEdge.connect``."""
+        _check_port(host, port)
+        secure = self._securer(host) if tls else None
+        dialer = Dialer(host, port, self._registry.up, self._loop, self._reporter, secure=secure)
+        with self._registry.changed:
+            if self._loop.stopping:
+                raise ConfigError(f"connect {dialer.target}: the edge was stopped; a new one is needed")
+            self._dialers.append(dialer)
+        self._loop.post(dialer.dial, dialer.failed)
+
+    def absent(self) -> list[LinkInfo]:
+        """The servers that are not connected."""
+        return [LinkInfo(0, dialer.target, "client", False) for dialer in self._dialers if not dialer.link]
+
+    def _listen(self, host: str, port: int, up: Up, tls: bool) -> tuple[str, int]:
+        context = self._tls.server() if tls else None
+        sock = listening_socket(host, port, self._allow)
+        bound: tuple[str, int] = sock.getsockname()[:2]
+        accepted = partial(self._start_tls, up, context) if context else up
+        listener = Listener(sock, self._allow, self._over_limit, accepted, self._loop, self._reporter, self._refusals)
+        with self._registry.changed:
+            if self._loop.stopping:
+                sock.close()
+                raise ConfigError(f"listen {place_of((host, port))}: the edge was stopped; a new one is needed")
+            self._listeners.append(listener)
+        self._loop.post(listener.open, listener.failed)
+        return bound
+
+    def _securer(self, host: str) -> Callable[[socket.socket], TlsSocket]:
+        """The function that puts TLS on a connection to that host.  Raises ConfigError."""
+        context = self._tls.client()
+
+        def secure(sock: socket.socket) -> TlsSocket:
+            tune(sock)
+            return TlsSocket(sock, context, server_side=False, host=host)
+
+        return secure
+
+    # ── for the I/O thread ────────────────────────────────────────────────────────────────────────────────────
+
+    def close(self) -> None:
+        """Accept no more, and give up the connections that are being made."""
+        for listener in self._listeners:
+            listener.close()
+        for dialer in self._dialers:
+            dialer.hang_up()
+        for relay in self._relays:
+            relay.close()
+        for handshake in self._handshakes.values():
+            handshake.cancel()
+
+    def _over_limit(self) -> str:
+        """Why no further peer may connect, or ``""``."""
+        most = self._limits.max_clients
+        clients = self._registry.clients() + sum(relay.waiting for relay in self._relays)
+        return f"{most} clients are connected already" if clients >= most else ""
+
+    def _start_tls(self, up: Up, context: Context, sock: socket.socket, peer: str) -> None:
+        """A client connected that has to complete a TLS handshake first.
+
+        Beside the connected clients the same number may be in the handshake.  One more takes the place of the one
+        that has been silent for longest: no certificate is needed to be silent, and a client that has one must be
+        able to connect.
+        """
+        tune(sock)
+        if len(self._handshakes) >= self._limits.max_clients:
+            waiting = self._handshakes.values()
+            next((one for one in waiting if not one.sock.begun), next(iter(waiting))).yield_to_newer()
+        secured = TlsSocket(sock, context, server_side=True)
+
+        def done() -> None:
+            del self._handshakes[secured]
+            if reason := self._over_limit():
+                self._refusals.refuse(secured, peer, reason)
+            else:
+                up(secured, peer)
+
+        def refused(reason: str, detail: str) -> None:
+            del self._handshakes[secured]
+            self._refusals.refuse(secured, peer, reason, detail)
+
+        def failed(exc: Exception) -> None:
+            self._reporter.note_error(exc)
+            if handshake := self._handshakes.pop(secured, None):
+                handshake.cancel()
+
+        self._handshakes[secured] = handshake = Handshake(secured, self._loop, done, refused, failed)
+        handshake.begin(self._limits.handshake_s)
+
+
+def _check_port(host: str, port: int) -> None:
+    if not 1 <= port <= PORT_MAX:
+        raise ConfigError(f"connect {host}: found port {port}, expected 1 to {PORT_MAX}")

@@ -1,0 +1,78 @@
+"""What the parts of a link (sender, receiver, liveness) share, and what they need of the link itself."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from igtl_gateway.buffers import Buffer
+from igtl_gateway.edges.tcp.facts import Limits
+from igtl_gateway.edges.tcp.loop import Loop
+from igtl_gateway.edges.tcp.refusals import Refusals
+from igtl_gateway.edges.tcp.reporter import Reporter
+from igtl_gateway.session.note import Level
+
+
+@dataclass(frozen=True, slots=True)
+class LinkContext:
+    """What all links of an edge share.
+
+    Attributes:
+        loop: the I/O thread.
+        reporter: calls back and notes.
+        refusals: counts refused connections.
+        limits: what a peer may cost.
+        bodies: maximum body sizes of single types, from the limits.
+        faults: number of links that a fault ended, or that ended inside a message, by the code of the note.
+        on_frame: the edge's callback for a message.
+        drained: called when a send queue has become empty.
+    """
+
+    loop: Loop
+    reporter: Reporter
+    refusals: Refusals
+    limits: Limits
+    bodies: Sequence[tuple[str, int]]
+    faults: Counter[str]
+    on_frame: Callable[[int, Buffer], None]
+    drained: Callable[[], None]
+
+
+class LinkLife(Protocol):
+    """The link as its parts see it; the methods are for the I/O thread alone.
+
+    Attributes:
+        number: the link number.
+        peer: ``host:port`` of the peer.
+        is_open: whether the socket is open.
+    """
+
+    number: int
+    peer: str
+    is_open: bool
+
+    def watch(self) -> None:
+        """Wait for the socket events that the sender and the receiver need."""
+        ...
+
+    def peer_ended(self) -> None:
+        """The peer has closed its direction."""
+        ...
+
+    def broken(self, cause: str) -> None:
+        """The connection broke: close for the reason that is already known, or for this one."""
+        ...
+
+    def fault(self, level: Level, code: str, text: str) -> None:
+        """Note a fault, and close."""
+        ...
+
+    def close(self, reason: str = "") -> None:
+        """Close for this reason, or for the one that is already known."""
+        ...
+
+    def failed(self, exc: Exception) -> None:
+        """Note an unexpected error of our own code."""
+        ...

@@ -1,0 +1,155 @@
+"""The incoming half of a link: the I/O thread reads from the socket, frames, and calls back."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from typing import Any
+
+from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife
+from igtl_gateway.edges.tcp.rate import RateLimit
+from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN, TlsError, TlsSocket
+from igtl_gateway.errors import MessageTooLarge
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.wire.framer import HEADER_SIZE, Framer
+
+_BODY_SIZE_AT = slice(42, 50)  # in the header, big-endian
+_TLS_HELLO, _TLS_ALERT = b"\x16\x03", b"\x15\x03"  # not a header version of OpenIGTLink
+
+
+class Receiver:
+    """Reads whole messages and hands them on; of the I/O thread alone, except the two counts.
+
+    Attributes:
+        messages, bytes: received so far.
+        heard_ns: when the last bytes came (monotonic).
+        is_foreign: the first bytes were not a header of OpenIGTLink.
+        is_inside_message: bytes are between socket and framer: an error here loses the place in the stream.
+        after_read: called after each reading, None for nothing; the link of a relay sets it.
+    """
+
+    def __init__(self, sock: socket.socket | TlsSocket, link: LinkLife, context: LinkContext) -> None:
+        self.messages = 0
+        self.bytes = 0
+        self.heard_ns = context.loop.now()
+        self.is_foreign = False
+        self.is_inside_message = False
+        self.after_read: Callable[[], None] | None = None
+        self._sock = sock
+        self._link = link
+        self._context = context
+        self._loop = context.loop
+        self._reporter = context.reporter
+        self._on_frame = context.on_frame
+        self._framer = Framer(context.limits.max_body, context.bodies)
+        self._room = self._framer.buffer()
+        self._rate = RateLimit(link, context, self.heard_ns)
+        self._is_stopped = False  # the partner's queue is in the way, or the peer has ended
+        self._message_since: tuple[int, int] = (-1, 0)  # see `message_ns`
+
+    @property
+    def is_reading(self) -> bool:
+        """Whether the link is read now."""
+        return not (self._is_stopped or self._rate.is_pausing)
+
+    @property
+    def pending(self) -> int:
+        """Bytes of the message that is not complete yet."""
+        return self._framer.pending
+
+    def read(self) -> None:
+        """Take what the socket has, once."""
+        try:
+            count = self._sock.recv_into(self._room)
+        except (BlockingIOError, InterruptedError):
+            return
+        except TlsError as exc:
+            self._link.fault(Level.WARN, "tls_failed", f"{self._link.peer} sent invalid TLS records: {exc}")
+            return
+        except OSError as exc:
+            self._link.broken(f"receiving failed: {exc.strerror or exc}")
+            return
+        if not count:
+            self._link.peer_ended()
+            return
+        self.is_inside_message = True
+        self.heard_ns = self._loop.looked_ns
+        self.bytes += count
+        try:
+            messages = self._framer.received(count)
+            for message in messages:
+                self.messages += 1
+                self._reporter.call("on_frame", self._on_frame, self._link.number, message)
+            self._room = self._framer.buffer()
+            if pause_s := self._rate.pause_s(len(messages), self.heard_ns):
+                self._link.watch()
+                self._loop.later(pause_s, self._end_rate_pause, self._link.failed)
+        except MessageTooLarge as exc:
+            self._refuse(exc)
+        except MemoryError:
+            self._link.fault(Level.ERROR, "out_of_memory", "not enough memory for the announced message")
+        self.is_inside_message = False
+        if self.after_read and self._link.is_open:
+            self.after_read()
+
+    def stop(self) -> None:
+        """Read no more, until `resume`."""
+        self._is_stopped = True
+        self._link.watch()
+
+    def resume(self) -> None:
+        """Read on."""
+        if self._is_stopped:
+            self._is_stopped = False
+            self._restart_body_timer()
+            self._link.watch()
+
+    def message_ns(self, step_ns: int) -> int:
+        """How long (ns) the incomplete message has been on its way, to be asked at each check of the link.
+
+        It is measured here alone, so that it costs the messages nothing: a message that is seen at two checks began
+        before the first of them.
+
+        Args:
+            step_ns: the time since the last check.
+        """
+        message = self.messages if self.is_reading and self.pending else -1
+        since, passed_ns = self._message_since
+        self._message_since = message, (passed_ns + step_ns if message == since else 0)
+        return self._message_since[1]
+
+    def unfinished(self) -> dict[str, Any]:
+        """Facts about the message that is not complete, for the data of a note."""
+        head = self._framer.pending_head()
+        expected = HEADER_SIZE + int.from_bytes(head[_BODY_SIZE_AT], "big") if len(head) == HEADER_SIZE else None
+        return {"received": self.pending, "expected": expected, "head": head.hex(), "peer": self._link.peer}
+
+    def note_truncated(self) -> None:
+        """Note that the link ends inside a message, if it does."""
+        if not self.pending:
+            return
+        self._context.faults["truncated"] += 1
+        data = self.unfinished()
+        text = f"{self._link.peer} went inside a message: {data['received']} of {data['expected'] or '?'} bytes"
+        if self._framer.pending_head().startswith(_TLS_ALERT) and not self.messages:
+            text += "; it speaks TLS"
+        self._reporter.note(self._link.number, Note(Level.WARN, "truncated", text, data=data))
+
+    def _refuse(self, exc: MessageTooLarge) -> None:
+        self.is_foreign = not self.messages
+        if self._framer.pending_head().startswith(_TLS_HELLO) and not self.messages:
+            self._context.refusals.counts[TLS_TO_PLAIN] += 1
+            self._link.fault(Level.WARN, "refused", f"connection of {self._link.peer} refused: {TLS_TO_PLAIN}")
+        else:
+            self._link.fault(Level.ERROR, "too_large", f"message too large: {exc}")
+
+    def _restart_body_timer(self) -> None:
+        """The link was not read for a while: that does not count for the message on its way."""
+        self.heard_ns = self._loop.now()
+        self._message_since = -1, 0
+
+    def _end_rate_pause(self) -> None:
+        self._rate.is_pausing = False
+        if self._link.is_open and not self._is_stopped:
+            self._restart_body_timer()
+            self._link.watch()
