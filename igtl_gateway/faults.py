@@ -20,6 +20,7 @@ from typing import Generic, TypeVar
 
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.wire.header import CRC_AT
 
 
 class Unit(Enum):
@@ -85,9 +86,6 @@ MAX_HELD_BYTES = 256 * 2**20
 _NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": NS_PER_S, "min": 60 * NS_PER_S, "h": 3600 * NS_PER_S}
 _TIME = re.compile(r"([+-]?)(\d+(?:\.\d+)?)(ns|us|ms|s|min|h)", re.ASCII)
 _SHARE = re.compile(r"(\d+(?:\.\d+)?)%", re.ASCII)
-
-#: In the header of OpenIGTLink: what comes before has the size of the body, and a flipped bit there loses all behind.
-_CRC_AT = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,9 +327,10 @@ class FaultLine(Generic[T]):
                 )
                 done.append((CLOCK_STEP, words))
                 self._stepped = True
-        if self._hits(CORRUPT, faults.corrupt) and len(new) > _CRC_AT:
-            at, bit = divmod(int(self._chance("bit") * 8 * (len(new) - _CRC_AT)), 8)
-            at += _CRC_AT
+        # in front of the CRC stands the size of the body: a wrong one loses all messages behind it
+        if self._hits(CORRUPT, faults.corrupt) and len(new) > CRC_AT:
+            at, bit = divmod(int(self._chance("bit") * 8 * (len(new) - CRC_AT)), 8)
+            at += CRC_AT
             new = b"".join((new[:at], bytes((new[at] ^ 1 << bit,)), new[at + 1 :]))
             done.append((CORRUPT, f"bit {bit} of byte {at} flipped"))
         disconnect = self._hits(DISCONNECT, faults.disconnect)

@@ -41,6 +41,7 @@ LEVELS = {
     "session": 1,
     "untrusted": 1,
     "wire": 1,
+    "wire.header": 1,  # where its fields are, for whoever needs no message as a whole
     "faults": 1,
     "config": 2,
     "convert": 2,
@@ -80,6 +81,8 @@ STRANGERS = ("lab.demo",)
 SIBLINGS = {
     "config": "convert",
     "session": "untrusted",
+    "faults": "wire.header",
+    "wire": "wire.header",
     "exchange": "sessionfile",
     "record": "sessionfile",
     "replay": "sessionfile",

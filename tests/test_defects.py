@@ -17,7 +17,7 @@ from igtl_gateway.convert.rosmsg import Header, Image, Mesh
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire import image as wire
-from igtl_gateway.wire.message import crc64
+from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway.wire.text import String

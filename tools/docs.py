@@ -34,8 +34,9 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.elements import Elements
+from igtl_gateway.wire.header import Header
 from igtl_gateway.wire.layout import Layout
-from igtl_gateway.wire.message import MAX_METADATA_ACCEPTED, MAX_METADATA_SENT, METADATA_LAYOUT, Extended, Header
+from igtl_gateway.wire.message import MAX_METADATA_ACCEPTED, MAX_METADATA_SENT, METADATA_LAYOUT, Extended
 from igtl_gateway.wire.query import PREFIXES, QUERIES, query_name, split_query
 from igtl_gateway.wire.registry import ALIASES, BODIES
 from igtl_gateway.wire.sensor import PREFIXES as UNIT_PREFIXES

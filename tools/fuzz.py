@@ -23,14 +23,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-import fastcrc
-
 from igtl_gateway.buffers import join
 from igtl_gateway.errors import MessageTooLarge, TruncatedMessage, WireError
-from igtl_gateway.wire import HEADER_SIZE, Message, decode, describe, encode
+from igtl_gateway.wire import Message, decode, describe, encode
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.header import BODY_SIZE_AT, HEADER_SIZE, TYPE, TYPE_AT, TYPE_SIZE, crc64
 from igtl_gateway.wire.registry import BODIES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -104,12 +103,11 @@ def splice(rng: Random, data: bytearray, other: bytes) -> None:
 
 def rename(rng: Random, data: bytearray, other: bytes) -> None:
     """The content of one type under the name of another."""
-    name = other[2:14] if rng.random() < 0.5 else rng.choice(list(BODIES)).encode().ljust(12, b"\0")
-    data[2:14] = name
+    data[TYPE] = other[TYPE] if rng.random() < 0.5 else rng.choice(list(BODIES)).encode().ljust(TYPE_SIZE, b"\0")
 
 
 def version(rng: Random, data: bytearray, _: bytes) -> None:
-    data[0:2] = rng.choice((1, 2, 2, 3, 0)).to_bytes(2, "big")
+    data[:TYPE_AT] = rng.choice((1, 2, 2, 3, 0)).to_bytes(2, "big")
 
 
 DAMAGE: tuple[Callable[[Random, bytearray, bytes], None], ...] = (
@@ -120,7 +118,7 @@ DAMAGE: tuple[Callable[[Random, bytearray, bytes], None], ...] = (
 def repaired(data: bytearray) -> bytes:
     """With the body size and the CRC that the bytes have."""
     body = bytes(data[HEADER_SIZE:])
-    return bytes(data[:42]) + struct.pack(">QQ", len(body), fastcrc.crc64.ecma_182(body)) + body
+    return bytes(data[:BODY_SIZE_AT]) + struct.pack(">QQ", len(body), crc64(body)) + body
 
 
 def damaged(rng: Random, pool: list[bytes]) -> bytes:

@@ -59,9 +59,10 @@ from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
-from igtl_gateway.wire import HEADER_SIZE, Item, Message, decode, encode
+from igtl_gateway.wire import Item, Message, decode, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.header import BODY_SIZE, HEADER_SIZE, NAMES, TICKS, TICKS_AT, TYPE_AT
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
@@ -217,7 +218,7 @@ def bent(rng: Random, data: bytes, pool: Sequence[bytes]) -> bytes:
     if len(damaged) < HEADER_SIZE or fate < 0.004:
         return bytes(damaged)  # the stream may lose its step here
     if fate < 0.05:
-        damaged[42:50] = (len(damaged) - HEADER_SIZE).to_bytes(8, "big")
+        damaged[BODY_SIZE] = (len(damaged) - HEADER_SIZE).to_bytes(8, "big")
         return bytes(damaged)  # wrong CRC, very likely
     return repaired(damaged)
 
@@ -231,11 +232,11 @@ def bent_express(rng: Random, data: bytes, other: bytes, now_ns: int) -> bytes:
         stamp_ns = rng.choice((0, 1, now_ns - NS_PER_S, now_ns - 40 * NS_PER_S, now_ns + NS_PER_S))
     elif fate < 0.1:
         rng.choice(DAMAGE)(rng, damaged, other)
-        damaged[0:34] = data[0:34]
+        damaged[NAMES] = data[NAMES]
         damaged = damaged.ljust(HEADER_SIZE, b"\0")
     else:  # the last bits of a number
         damaged[len(damaged) - 1 - (rng.getrandbits(3) >> 2)] ^= 1 << rng.getrandbits(3)
-    damaged[34:42] = ns_to_ticks(stamp_ns).to_bytes(8, "big")
+    damaged[TICKS] = ns_to_ticks(stamp_ns).to_bytes(8, "big")
     return repaired(damaged)
 
 
@@ -503,7 +504,7 @@ class Stage:
         """All messages as they are: so that those that follow meet what they are about."""
         number = next(iter(self.links))
         for data in self.seeds.igtl:
-            if len(data) >= HEADER_SIZE and len(data) == HEADER_SIZE + int.from_bytes(data[42:50], "big"):
+            if len(data) >= HEADER_SIZE and len(data) == HEADER_SIZE + int.from_bytes(data[BODY_SIZE], "big"):
                 self.figures.whole += 1
                 self.stream(number, [data])
                 number = number if number in self.links else self.last_link
@@ -706,7 +707,9 @@ def told(one: Input) -> str:
     """An input in a few words."""
     _, kind, data, channel, ros_type, _, _ = one
     name = (
-        data[2:34].replace(b"\0", b" ").decode("ascii", "replace") if kind is Kind.IGTL_IN else f"{channel} {ros_type}"
+        data[TYPE_AT:TICKS_AT].replace(b"\0", b" ").decode("ascii", "replace")
+        if kind is Kind.IGTL_IN
+        else f"{channel} {ros_type}"
     )
     return f"{kind.value} {' '.join(name.split())!r}, {len(data):,} bytes"
 

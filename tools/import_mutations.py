@@ -27,6 +27,7 @@ import zstandard
 from mcap.writer import CompressionType, Writer
 
 from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.header import BODY_SIZE, HEADER_SIZE, U64
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
 
@@ -402,7 +403,7 @@ def igtl_bytes(bend: Bend) -> bytes:
         )
         data = bytearray(b"".join(encode(message)))
         if bend.hit(2):
-            data[42:50] = struct.pack(">Q", bend.number(len(data) - 58, 64))
+            data[BODY_SIZE] = U64.pack(bend.number(len(data) - HEADER_SIZE, 64))
         out += bend.data(bytes(data))
     return out
 

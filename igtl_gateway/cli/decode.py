@@ -15,7 +15,7 @@ from igtl_gateway.errors import ConfigError, MessageTooLarge, RecordingError, Wi
 from igtl_gateway.untrusted.files import is_same, obstacle
 from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
-from igtl_gateway.wire.message import HEADER_VERSIONS
+from igtl_gateway.wire.header import HEADER_VERSIONS
 
 EXAMPLES = """\
   igtl-gateway decode capture.igtl                    one JSON object per message

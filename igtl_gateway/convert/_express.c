@@ -11,11 +11,13 @@
 #include <stdint.h>
 #include <string.h>
 
+/* Sizes and offsets of igtl_gateway/wire/header.py and message.py; tests/wire/test_header.py compares them. */
 #define HEADER_SIZE 58
 #define EXTENDED_SIZE 12
 #define TICKS_AT 34
-#define SIZE_AT 42
+#define BODY_SIZE_AT 42
 #define CRC_AT 50
+
 #define MATRIX_BYTES 48
 #define QUATERNION_BYTES 28
 #define POSE_BYTES 56
@@ -208,7 +210,7 @@ static int equal(const uint8_t *a, const uint8_t *b, Py_ssize_t begin, Py_ssize_
 static int numbers_of(const uint8_t *data, const uint8_t *sample, Py_ssize_t size, Py_ssize_t at, Py_ssize_t bytes,
                       int check_crc, double *numbers)
 {
-    if (!equal(data, sample, 0, TICKS_AT) || !equal(data, sample, SIZE_AT, CRC_AT))
+    if (!equal(data, sample, 0, TICKS_AT) || !equal(data, sample, BODY_SIZE_AT, CRC_AT))
         return 0;
     if (at > HEADER_SIZE && !equal(data, sample, HEADER_SIZE, at - 4)) /* the last 4 bytes there are the message id */
         return 0;
@@ -643,7 +645,7 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
     Py_ssize_t size = view.len;
     PyObject *result = NULL;
     uint64_t crc;
-    if (size < at + tail || !equal(data, sample, 0, TICKS_AT) || get_u64(data + SIZE_AT) != (uint64_t)(size - HEADER_SIZE))
+    if (size < at + tail || !equal(data, sample, 0, TICKS_AT) || get_u64(data + BODY_SIZE_AT) != (uint64_t)(size - HEADER_SIZE))
         goto general;
     Py_ssize_t extended = sample[1] == 2 ? EXTENDED_SIZE : 0; /* its last 4 bytes are the message id */
     if (extended && !equal(data, sample, HEADER_SIZE, HEADER_SIZE + EXTENDED_SIZE - 4))
@@ -893,7 +895,7 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
         uint8_t *end = out + at + content;
         memcpy(end, PyBytes_AS_STRING(tail), rest);
         put_u64(out + TICKS_AT, ns_to_ticks(stamp_ns));
-        put_u64(out + SIZE_AT, (uint64_t)(at + content + rest - HEADER_SIZE));
+        put_u64(out + BODY_SIZE_AT, (uint64_t)(at + content + rest - HEADER_SIZE));
         if (digits_at > 0)
             put_digits(end + digits_at, header_ns);
         uint64_t crc;

@@ -32,13 +32,13 @@ from igtl_gateway.convert.poses import (
 )
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.stamp import ns_to_ros, ns_to_ticks, ros_to_ns, ticks_to_ns
-from igtl_gateway.wire.message import crc64
+from igtl_gateway.wire.header import BODY_SIZE_AT, CRC_AT, HEADER_SIZE, TICKS_AT, U64, crc64
+from igtl_gateway.wire.message import MESSAGE_ID_AT
 
 #: Bytes of the numbers of TRANSFORM (a matrix) and of POSITION (position and quaternion), by which they are told apart.
 MATRIX, QUATERNION = 48, 28
 
-_HEADER_SIZE, _TICKS_AT, _SIZE_AT, _CRC_AT = 58, 34, 42, 50
-_U64 = struct.Struct(">Q")
+_ID_AT = HEADER_SIZE + MESSAGE_ID_AT
 _NUMBERS = {size: struct.Struct(f">{size // 4}f") for size in (MATRIX, QUATERNION)}
 _STAMP = struct.Struct("<iI")
 _NAMES_AT = 12  # in CDR: behind encapsulation and stamp
@@ -76,13 +76,13 @@ def pose_to_ros(
     if not isinstance(data, bytes) or len(data) != len(sample):
         return None
     end = at + size
-    if data[:_TICKS_AT] != sample[:_TICKS_AT] or data[_SIZE_AT:_CRC_AT] != sample[_SIZE_AT:_CRC_AT]:
+    if data[:TICKS_AT] != sample[:TICKS_AT] or data[BODY_SIZE_AT:CRC_AT] != sample[BODY_SIZE_AT:CRC_AT]:
         return None
-    if at > _HEADER_SIZE and data[_HEADER_SIZE : at - 4] != sample[_HEADER_SIZE : at - 4]:  # the id is not compared
+    if at > HEADER_SIZE and data[HEADER_SIZE:_ID_AT] != sample[HEADER_SIZE:_ID_AT]:  # the id is not compared
         return None
     if data[end:] != sample[end:]:
         return None
-    if check_crc and crc64(data[_HEADER_SIZE:]) != _U64.unpack_from(data, _CRC_AT)[0]:
+    if check_crc and crc64(data[HEADER_SIZE:]) != U64.unpack_from(data, CRC_AT)[0]:
         return None
     m = _NUMBERS[size].unpack_from(data, at)
     if not all(map(math.isfinite, m)):
@@ -99,7 +99,7 @@ def pose_to_ros(
             return None
     times, by = ratio
     pose = _POSE.pack(*[length * times / by for length in position], *rotation)
-    source_ns = ticks_to_ns(_U64.unpack_from(data, _TICKS_AT)[0])
+    source_ns = ticks_to_ns(U64.unpack_from(data, TICKS_AT)[0])
     stamp_ns = source_ns if own and source_ns > 0 else received_ns
     stamp = _STAMP.pack(*ns_to_ros(stamp_ns))
     made = [
@@ -167,11 +167,11 @@ def pose_to_igtl(
         if header_ns < _FIRST if digits_at > 0 else digits_at and header_ns:
             return None  # metadata of another size than in the template
         out = bytearray(template)
-        _U64.pack_into(out, _TICKS_AT, ns_to_ticks(stamp_ns))
+        U64.pack_into(out, TICKS_AT, ns_to_ticks(stamp_ns))
         out[at : at + size] = numbers
         if digits_at > 0:
             out[digits_at : digits_at + _DIGITS] = b"%d" % header_ns
-        _U64.pack_into(out, _CRC_AT, crc64(out[_HEADER_SIZE:]))
+        U64.pack_into(out, CRC_AT, crc64(out[HEADER_SIZE:]))
         made.append(bytes(out))
     return stamp_ns, *made
 

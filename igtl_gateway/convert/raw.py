@@ -11,8 +11,8 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.stamp import ticks_to_ns
+from igtl_gateway.wire import Header, decode
 from igtl_gateway.wire.fields import visible
-from igtl_gateway.wire.message import Header, decode
 
 
 def raw_message(data: Buffer, stamp_ns: int, link: int) -> RawMessage:

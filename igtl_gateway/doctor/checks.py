@@ -16,7 +16,7 @@ from igtl_gateway.doctor.protocols import is_openigtlink, protocol_of
 from igtl_gateway.session.note import Level
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.wire.fields import visible
-from igtl_gateway.wire.message import HEADER_VERSIONS
+from igtl_gateway.wire.header import HEADER_VERSIONS
 from igtl_gateway.wire.registry import BODIES
 
 #: A peer that goes within this time of a message went because of it.

@@ -25,7 +25,8 @@ from igtl_gateway.session.timing import Timing
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import HEADER_SIZE, Header, Message, decode
 from igtl_gateway.wire.fields import visible
-from igtl_gateway.wire.message import HEADER_VERSIONS, Extended
+from igtl_gateway.wire.header import HEADER_VERSIONS
+from igtl_gateway.wire.message import Extended
 from igtl_gateway.wire.registry import BODIES, read_content
 
 #: Streams, links and topics looked at one by one: sessions have dozens; a peer that invents names must not cost memory.

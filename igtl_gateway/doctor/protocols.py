@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
+from igtl_gateway.wire.header import DEVICE_NAME_AT, TYPE
+
 #: A type name in its 12 bytes: letters, digits and _, up to the first zero if there is one.
 _TYPE = re.compile(rb"[A-Za-z][A-Za-z0-9_]*(\x00.*)?", re.ASCII | re.DOTALL)
-_TYPE_AT, _TYPE_END = 2, 14
 _PRINTABLE = re.compile(rb"[\t\r\n -~]+")
 #: Bytes of text that are no accident.
 _TEXT = 8
@@ -49,10 +50,10 @@ def is_openigtlink(head: bytes) -> bool:
 
     Of less than a type name only the header version can be judged.
     """
-    if len(head) < _TYPE_END:
+    if len(head) < DEVICE_NAME_AT:
         return head[:1] in (b"", b"\0") and head[1:2] in (b"", b"\1", b"\2")
     # a version of two letters is the beginning of a text
-    return _TYPE.fullmatch(head[_TYPE_AT:_TYPE_END]) is not None and not _PRINTABLE.fullmatch(head[:_TYPE_END])
+    return _TYPE.fullmatch(head[TYPE]) is not None and not _PRINTABLE.fullmatch(head[:DEVICE_NAME_AT])
 
 
 def protocol_of(head: bytes) -> str:

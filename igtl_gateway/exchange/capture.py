@@ -7,7 +7,7 @@ the end of the file is missing in it.
 
 from __future__ import annotations
 
-import struct
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,15 +17,14 @@ from igtl_gateway.exchange.sequence import DEFAULT_EPOCH_NS
 from igtl_gateway.exchange.source import BYTES, Item, Row, Told, from_peer, link_down, link_up, reading
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.untrusted import files
-from igtl_gateway.wire import HEADER_SIZE
 from igtl_gateway.wire.framer import Framer
-from igtl_gateway.wire.message import HEADER_VERSIONS
+from igtl_gateway.wire.header import DEVICE_NAME_AT, HEADER_SIZE, HEADER_VERSIONS, Header
 
 #: Streams with a row of their own.
 MAX_STREAMS = 10_000
 _LINK = 1
 _READ = 1 << 16
-_START = struct.Struct(">H12s")
+_TYPE_NAME = re.compile("[!-~]+")
 
 
 class Capture(Told):
@@ -41,7 +40,8 @@ class Capture(Told):
             self._stream.seek(0)
         if not looks_like_igtl(start):
             self._stream.close()
-            raise UnsupportedRecording(f"{path}: found {start[:14]!r}, expected the header of an OpenIGTLink message")
+            found = start[:DEVICE_NAME_AT]
+            raise UnsupportedRecording(f"{path}: found {found!r}, expected the header of an OpenIGTLink message")
         self._row = Row("(all)", files.size_of(path), unit=BYTES)
         self.rows = [self._row]
 
@@ -86,9 +86,8 @@ def looks_like_igtl(start: bytes) -> bool:
     """Whether these bytes may begin an OpenIGTLink message: a known version, and a type name."""
     if len(start) < HEADER_SIZE:
         return False
-    version, name = _START.unpack_from(start)
-    name = name.rstrip(b"\0")
-    return version in HEADER_VERSIONS and bool(name) and all(0x20 < byte < 0x7F for byte in name)
+    header = Header.unpack(start)
+    return header.version in HEADER_VERSIONS and _TYPE_NAME.fullmatch(header.type) is not None
 
 
 def count(streams: dict[str, Row], rows: list[Row], item: Item) -> None:

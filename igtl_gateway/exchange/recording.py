@@ -11,7 +11,8 @@ from igtl_gateway.exchange.account import Account, Exported
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.wire.message import HEADER_SIZE, Extended, Header
+from igtl_gateway.wire.header import HEADER_SIZE, Header
+from igtl_gateway.wire.message import Extended
 
 IGTL_KINDS = (Kind.IGTL_IN, Kind.IGTL_OUT)
 ROS_KINDS = (Kind.ROS_IN, Kind.ROS_OUT)

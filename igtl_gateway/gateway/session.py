@@ -6,7 +6,6 @@ nothing else.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Protocol
@@ -14,7 +13,7 @@ from typing import Protocol
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.gateway.core import Gateway
-from igtl_gateway.gateway.fastpath import NAMES, Fast
+from igtl_gateway.gateway.fastpath import Fast
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.relay import RelayGateway
 from igtl_gateway.gateway.to_ros.subscribers import Ask
@@ -22,10 +21,8 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.stamp import ticks_to_ns
-from igtl_gateway.wire import HEADER_SIZE, Header
 from igtl_gateway.wire.fields import visible
-
-_TICKS, _TICKS_AT = struct.Struct(">Q"), 34
+from igtl_gateway.wire.header import HEADER_SIZE, NAMES, TICKS_AT, U64, Header
 
 
 class Core(Protocol):
@@ -113,7 +110,7 @@ def head_of(message: Buffer) -> tuple[str, str, int]:
     if len(message) < HEADER_SIZE:
         Header.unpack(message)  # which says what is wrong
     stream, igtl_type = _named(bytes(message[NAMES]))
-    (ticks,) = _TICKS.unpack_from(message, _TICKS_AT)
+    (ticks,) = U64.unpack_from(message, TICKS_AT)
     return stream, igtl_type, ticks_to_ns(ticks)
 
 

@@ -7,27 +7,24 @@ with the checksum of the body.
 from __future__ import annotations
 
 import dataclasses
-import struct
 from collections.abc import Callable
 
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.gateway.metadata import STAMP
 from igtl_gateway.stamp import ns_to_ticks, ticks_to_ns
 from igtl_gateway.wire import decode, encode
-from igtl_gateway.wire.message import HEADER_SIZE, Item
-
-_TICKS = struct.Struct(">Q")
-_TICKS_AT = 34
+from igtl_gateway.wire.header import BODY_SIZE_AT, HEADER_SIZE, TICKS_AT, U64
+from igtl_gateway.wire.message import Item
 
 
 def restamped(data: bytes, new: Callable[[int], int]) -> bytes:
     """The message with ``new`` of each stamp (UTC ns, 0: unset); what is shorter than a header stays as it is."""
     if len(data) < HEADER_SIZE:
         return data
-    (ticks,) = _TICKS.unpack_from(data, _TICKS_AT)
-    word = _TICKS.pack(ns_to_ticks(new(ticks_to_ns(ticks))))
+    (ticks,) = U64.unpack_from(data, TICKS_AT)
+    word = U64.pack(ns_to_ticks(new(ticks_to_ns(ticks))))
     body = _restamped_metadata(data, new) or data
-    return b"".join((body[:_TICKS_AT], word, body[_TICKS_AT + _TICKS.size :]))
+    return b"".join((body[:TICKS_AT], word, body[BODY_SIZE_AT:]))
 
 
 def moved(data: bytes, by_ns: int) -> bytes:

@@ -26,6 +26,7 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import UNREADABLE, Level, Note
 from igtl_gateway.stamp import NS_PER_S, ns_to_ros
 from igtl_gateway.untrusted.text import parse_json
+from igtl_gateway.wire.header import BODY_SIZE_AT, TICKS_AT, U64
 
 #: Version of ``docs/session-log.md``; a reader refuses a file with a newer one.
 FORMAT_VERSION = 1
@@ -118,9 +119,7 @@ _RAW_HEAD = struct.Struct("<4s iI iI Q B3x")  # stamp, source_stamp, source_tick
 _RAW_START = struct.Struct("<H10xiI8xB3x")  # the same: first half of the encapsulation, source_stamp, direction
 _NOTE_HEAD = struct.Struct("<4s iI B3x")  # stamp, level
 _U32 = struct.Struct("<I")
-_TICKS = struct.Struct(">Q")
 _MAX_SEC = (1 << 31) - 1
-_TICKS_AT = 34  # OpenIGTLink header: version 2, type 12, device name 20 bytes before its time stamp
 
 
 def type_of(kind: Kind) -> str:
@@ -415,7 +414,7 @@ class RawPacker:
         sec, nanosec = divmod(entry.stamp_ns, NS_PER_S)
         source_sec, source_nanosec = divmod(entry.source_ns, NS_PER_S)
         size = len(data)
-        ticks = _TICKS.unpack_from(data, _TICKS_AT)[0] if size >= _TICKS_AT + _TICKS.size else 0
+        ticks = U64.unpack_from(data, TICKS_AT)[0] if size >= BODY_SIZE_AT else 0
         try:
             return self._pack(
                 _CDR_LE,

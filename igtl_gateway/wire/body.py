@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
-import fastcrc
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
+from igtl_gateway.wire.header import crc64
 
 
 class Body(Protocol):
@@ -63,7 +63,7 @@ _SHOWN_VALUES = 256
 
 def shown_crc(data: Buffer) -> str:
     """CRC-64 of bytes, for ``describe``."""
-    return f"{fastcrc.crc64.ecma_182(data):016x}"
+    return f"{crc64(data):016x}"
 
 
 def shown_values(values: npt.NDArray[Any]) -> list[Any] | dict[str, Any]:

@@ -5,22 +5,19 @@ that need not be.  Small messages arrive many at a time in one 64 KiB chunk and 
 A message that does not fit the chunk gets storage of its own, as soon as its header is there, and the rest of
 it is received in place.  Storage above 16 MiB grows with the bytes that really arrive.
 
-Only the body size of the header (``u64`` big-endian at offset 42) is looked at, and the type where the size is above
-the least limit: version, type and CRC-64 are judged where the message is decoded, so that a corrupt message can be
-recorded as it came.
+The framer reads only the body size of the header, and the type if the size exceeds the least limit.  Version, type and
+CRC-64 are checked where the message is decoded, so that a corrupt message can be recorded as received.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from struct import Struct
 
 import numpy as np
 
 from igtl_gateway.errors import MessageTooLarge
 from igtl_gateway.globs import matches
-
-HEADER_SIZE = 58
+from igtl_gateway.wire.header import BODY_SIZE_AT, HEADER_SIZE, TYPE, U64
 
 #: Largest body accepted, in bytes.  The largest messages of the field are volumes: 512 x 512 x 500 voxels of
 #: 16 bits are 250 MiB.  A corrupt size field is above it with overwhelming probability.
@@ -31,10 +28,6 @@ _CHUNK = 64 * 2**10
 
 # What a peer can make us reserve by a header alone.  Images (6 MB in full HD) stay below and never move.
 _EAGER = 16 * 2**20
-
-_BODY_SIZE = Struct(">Q")
-_BODY_SIZE_AT = 42
-_TYPE = slice(2, 14)
 
 
 class Framer:
@@ -119,7 +112,7 @@ class Framer:
         whole = b""
         start, total = 0, HEADER_SIZE
         while filled - start >= HEADER_SIZE:
-            (body,) = _BODY_SIZE.unpack_from(chunk, start + _BODY_SIZE_AT)
+            (body,) = U64.unpack_from(chunk, start + BODY_SIZE_AT)
             if body > self._least and self._exceeds(body, bytes(chunk[start : start + HEADER_SIZE])):
                 break
             total = HEADER_SIZE + body
@@ -143,7 +136,7 @@ class Framer:
 
     def _exceeds(self, body: int, header: bytes) -> bool:
         """Whether a body is too long for its type: then there is nothing to be read any more."""
-        name = header[_TYPE].partition(b"\0")[0].decode("utf-8", "replace")
+        name = header[TYPE].partition(b"\0")[0].decode("utf-8", "replace")
         limit = next((size for glob, size in self._rows if matches(glob, name)), self._max_body)
         if body > limit:
             self._too_large = (f"header of {name!r}, body size", f"{body} bytes", f"at most {limit} bytes")

@@ -1,24 +1,11 @@
 """A whole OpenIGTLink message: header, extended header, content, metadata ⇄ bytes.
 
-Layouts follow the protocol's ``header.md`` and, where that contradicts itself, the reference library:
+Layouts follow the protocol's ``header.md`` and, where that contradicts itself, the reference library.  A body of
+version 1 is the content.  A body of version 2 is extended header, content, metadata header and metadata.  Their
+layouts are below; that of the header is in ``igtl_gateway.wire.header``.
 
-========  ====  ========================================================
-offset    size  header (58 bytes, big-endian)
-========  ====  ========================================================
-0         2     header version, 1 or 2
-2         12    type name
-14        20    device name
-34        8     time stamp (tick word, see ``igtl_gateway.stamp``)
-42        8     body size: all that follows the header
-50        8     CRC-64/ECMA-182 of the body
-========  ====  ========================================================
-
-Body of version 1: the content.  Body of version 2: extended header (12 bytes: u16 its size, u16 metadata
-header size, u32 metadata size, u32 message id), content, metadata header (u16 count, then per item u16 key
-size, u16 encoding, u32 value size), metadata (key, value, key, value … without separators).
-
-Decoding copies nothing: content and arrays are views on the received buffer.  Encoding gives a list of
-buffers for one scatter-gather send; a payload is never joined with its header.
+Decoding copies nothing: content and arrays are views on the received buffer.  Encoding returns a list of buffers for
+one scatter-gather send; a payload is never joined with its header.
 """
 
 from __future__ import annotations
@@ -28,30 +15,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import field
 from typing import Any, ClassVar
 
-import fastcrc
-
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import ChecksumMismatch, MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.stamp import fraction_to_ns
 from igtl_gateway.values import value
 from igtl_gateway.wire.body import Body
-from igtl_gateway.wire.fields import decode_text, encode_text, visible
-from igtl_gateway.wire.layout import Field
+from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.header import HEADER_SIZE, HEADER_VERSIONS, Header, crc64
+from igtl_gateway.wire.layout import Field, compile_struct, offset_of
 from igtl_gateway.wire.layout import Layout as Rows
 from igtl_gateway.wire.registry import read_content
-
-HEADER_SIZE = 58
-_HEADER = struct.Struct(">H12s20sQQQ")
-_EXTENDED = struct.Struct(">HHII")
-EXTENDED_SIZE = _EXTENDED.size
-
-#: CRC-64/ECMA-182 of bytes, as headers have it.
-crc64 = fastcrc.crc64.ecma_182
-_COUNT = struct.Struct(">H")
-_ITEM = struct.Struct(">HHI")
-
-#: Header versions that exist: 1 for protocol versions 1 and 2, 2 for protocol version 3.
-HEADER_VERSIONS = (1, 2)
 
 #: IANA MIBenum of text encodings.
 US_ASCII = 3
@@ -61,55 +34,6 @@ UTF_8 = 106
 MAX_METADATA_SENT = 65_535
 #: What we accept: far above any real use, far below what could hurt.
 MAX_METADATA_ACCEPTED = 1 << 20
-
-
-@value(frozen=True, slots=True)
-class Header:
-    """The 58 bytes before every body.
-
-    Attributes:
-        version: header version (1 or 2).
-        type: type name, at most 12 bytes.
-        device_name: at most 20 bytes of UTF-8; see ``igtl_gateway.wire.fields`` for odd bytes.
-        ticks: tick word of the time stamp; 0 = unset.
-        body_size: bytes that follow.
-        crc: CRC-64 of the body as announced.
-    """
-
-    LAYOUT: ClassVar[Rows] = (
-        Field("version", "u16"),
-        Field("type", "char", 12),
-        Field("device_name", "char", 20, "name of the stream; UTF-8"),
-        Field("ticks", "u64", 1, "time stamp, see below; 0 = unset"),
-        Field("body_size", "u64"),
-        Field("crc", "u64", 1, "CRC-64/ECMA-182 of the body"),
-    )
-
-    version: int
-    type: str
-    device_name: str
-    ticks: int
-    body_size: int
-    crc: int
-
-    @classmethod
-    def unpack(cls, data: Buffer) -> Header:
-        """The header at the start of ``data``.  Raises TruncatedMessage below 58 bytes."""
-        if len(data) < HEADER_SIZE:
-            raise TruncatedMessage("header", f"{len(data)} bytes", f"{HEADER_SIZE} bytes")
-        version, kind, device, ticks, size, crc = _HEADER.unpack_from(data)
-        return cls(version, decode_text(kind), decode_text(device), ticks, size, crc)
-
-    def pack(self) -> bytes:
-        """58 bytes.  Raises MalformedBody where a name does not fit its field."""
-        return _HEADER.pack(
-            self.version,
-            encode_text(self.type, 12, "header, type name"),
-            encode_text(self.device_name, 20, "header, device name"),
-            self.ticks,
-            self.body_size,
-            self.crc,
-        )
 
 
 @value(frozen=True, slots=True)
@@ -275,6 +199,11 @@ class Extended:
         return body[self.ext_header_size : head_at], body[head_at:data_at], body[data_at:]
 
 
+_EXTENDED = compile_struct(Extended.LAYOUT)
+EXTENDED_SIZE = _EXTENDED.size
+#: Offset of the message id in a body of version 2.
+MESSAGE_ID_AT = offset_of(Extended.LAYOUT, "message_id")
+
 #: Metadata header and metadata.
 METADATA_LAYOUT: Rows = (
     Field("count", "u16", 1, "number of items"),
@@ -284,6 +213,8 @@ METADATA_LAYOUT: Rows = (
     Field("key", "char", "key_size", per="item"),
     Field("value", "char", "value_size", per="item"),
 )
+_COUNT = compile_struct(METADATA_LAYOUT)
+_ITEM = compile_struct(METADATA_LAYOUT, "item")
 
 
 def _metadata(head: memoryview, data: memoryview) -> tuple[tuple[Item, ...], int]:

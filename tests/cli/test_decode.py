@@ -13,7 +13,7 @@ import pytest
 from igtl_gateway.buffers import join
 from igtl_gateway.cli import main
 from igtl_gateway.wire import Item, Message, Raw, encode
-from igtl_gateway.wire.message import crc64
+from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
 

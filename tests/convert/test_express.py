@@ -16,7 +16,8 @@ from igtl_gateway.convert.context import ToIgtl, ToRos
 from igtl_gateway.convert.express import MATRIX, QUATERNION
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, decode, encode
-from igtl_gateway.wire.message import EXTENDED_SIZE, crc64
+from igtl_gateway.wire.header import crc64
+from igtl_gateway.wire.message import EXTENDED_SIZE
 from igtl_gateway.wire.transform import Position, Transform
 
 Pair = tuple[Callable[..., Any], Callable[..., Any]]

@@ -24,7 +24,7 @@ from tempfile import TemporaryDirectory, gettempdir
 
 from igtl_gateway.cli import main
 from igtl_gateway.exchange.targets import TARGETS
-from igtl_gateway.wire.message import HEADER_SIZE, crc64
+from igtl_gateway.wire.header import HEADER_SIZE, crc64
 from tests.test_fixtures import FIXTURES
 from tools import mcap_build as build
 

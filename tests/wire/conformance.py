@@ -19,7 +19,7 @@ from typing import Any
 
 from igtl_gateway.cli import decode
 from igtl_gateway.stamp import fraction_to_ns
-from igtl_gateway.wire.message import HEADER_VERSIONS
+from igtl_gateway.wire.header import HEADER_VERSIONS
 from tests.files import write_anew
 
 OWN = Path(__file__).with_name("corpus")

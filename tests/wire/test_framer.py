@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from igtl_gateway.errors import MessageTooLarge
-from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, HEADER_SIZE, Framer
+from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
+from igtl_gateway.wire.header import HEADER_SIZE
 
 CHUNK = 64 * 2**10
 EAGER = 16 * 2**20

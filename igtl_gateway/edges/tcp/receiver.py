@@ -11,9 +11,9 @@ from igtl_gateway.edges.tcp.rate import RateLimit
 from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN, TlsError, TlsSocket
 from igtl_gateway.errors import MessageTooLarge
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.wire.framer import HEADER_SIZE, Framer
+from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.header import BODY_SIZE, HEADER_SIZE
 
-_BODY_SIZE_AT = slice(42, 50)  # in the header, big-endian
 _TLS_HELLO, _TLS_ALERT = b"\x16\x03", b"\x15\x03"  # not a header version of OpenIGTLink
 
 
@@ -121,7 +121,7 @@ class Receiver:
     def unfinished(self) -> dict[str, Any]:
         """Facts about the message that is not complete, for the data of a note."""
         head = self._framer.pending_head()
-        expected = HEADER_SIZE + int.from_bytes(head[_BODY_SIZE_AT], "big") if len(head) == HEADER_SIZE else None
+        expected = HEADER_SIZE + int.from_bytes(head[BODY_SIZE], "big") if len(head) == HEADER_SIZE else None
         return {"received": self.pending, "expected": expected, "head": head.hex(), "peer": self._link.peer}
 
     def note_truncated(self) -> None:

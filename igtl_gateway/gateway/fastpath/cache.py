@@ -21,12 +21,10 @@ from igtl_gateway.gateway.to_ros.volumes import Volumes
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
+from igtl_gateway.wire.header import NAMES
 
 #: Streams of each direction that are compiled; those beyond take the full path.
 MAX_STREAMS = 4_096
-
-#: Where the names of a stream end in the header of its messages: header version, type and device name.
-NAMES = slice(0, 34)
 
 #: How often a stream is compiled until the peers change: one whose messages never fit keeps to the full path.
 MAX_COMPILED = 8

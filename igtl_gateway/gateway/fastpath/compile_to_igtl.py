@@ -22,7 +22,7 @@ from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
 from igtl_gateway.gateway.to_igtl.sender import send
 from igtl_gateway.session.entry import Entry
-from igtl_gateway.wire import HEADER_SIZE
+from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.message import EXTENDED_SIZE
 

@@ -6,7 +6,6 @@ which the functions of `igtl_gateway.convert.express` fill.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -22,10 +21,10 @@ from igtl_gateway.gateway.fastpath.common import NAMES_AT, STAMP_AT, Common, beh
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Volume
 from igtl_gateway.gateway.to_ros.route import RosOrigin
 from igtl_gateway.session.entry import Entry
-from igtl_gateway.wire import HEADER_SIZE
+from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.image import Image
-from igtl_gateway.wire.message import EXTENDED_SIZE
+from igtl_gateway.wire.message import EXTENDED_SIZE, Extended
 
 #: How a row writes a pose → the offset of the stamp in its CDR, which ends with the pose.
 _TO_ROS: dict[Callable[..., Any], int] = {
@@ -50,7 +49,6 @@ _NEVER: frozenset[Callable[..., bool]] = frozenset(
 )
 #: Types whose streams can be compiled.
 TYPES = frozenset({*_POSES, "STRING", "POINT", "POLYDATA", "IMAGE"})
-_METADATA_SIZE = struct.Struct(">H")  # of the metadata's header
 #: Where the translation is among the numbers in OpenIGTLink.
 _PLACE_AT = {MATRIX: 36, QUATERNION: 0}
 
@@ -66,10 +64,12 @@ def compile_to_ros(
     message, stream, to, watched = origin
     to = replace(to, warnings=[], made={})
     data, size = entry.payload[0], _POSES.get(entry.type, 0)
-    at = HEADER_SIZE + (EXTENDED_SIZE if message.header_version > 1 else 0)
     if message.metadata or message.layout is not None:
         return None
-    tail = _METADATA_SIZE.unpack_from(data, HEADER_SIZE + 2)[0] if message.header_version > 1 else 0
+    at, tail = HEADER_SIZE, 0
+    if message.header_version > 1:
+        at += EXTENDED_SIZE
+        tail = Extended.unpack(memoryview(data)[HEADER_SIZE:]).metadata_header_size
     if size and (not isinstance(data, bytes) or at + size + tail != len(data)):
         return None
     volume: Volume | None = None

@@ -12,12 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.wire import HEADER_SIZE
+from igtl_gateway.wire.header import BODY_SIZE, BODY_SIZE_AT, CRC_AT, DEVICE_NAME_AT, HEADER_SIZE, NAMES, TICKS_AT
 from igtl_gateway_lab.bench.payloads import Form, Numbers
 from igtl_gateway_lab.bench.window import progress
 
 _BUFFER_BYTES = 1 << 20
-_STAMP, _SIZE, _CRC = 34, 42, 50  # where fields of the header begin
 _MANY = 8  # messages from which on an array is cheaper
 
 
@@ -72,12 +71,12 @@ class Cutter:
         self._filled += got
         view, filled, begin = self._view, self._filled, 0
         while filled - begin >= HEADER_SIZE:
-            size = HEADER_SIZE + int.from_bytes(view[begin + _SIZE : begin + _CRC], "big")
+            size = HEADER_SIZE + int.from_bytes(view[begin + BODY_SIZE_AT : begin + CRC_AT], "big")
             if size > filled - begin:
                 if size > len(view):
                     self._view = memoryview(bytearray(size))
                 break
-            reader = self._readers.get(bytes(view[begin + 14 : begin + _STAMP]))
+            reader = self._readers.get(bytes(view[begin + DEVICE_NAME_AT : begin + TICKS_AT]))
             if reader is None:
                 begin += size
                 continue
@@ -96,7 +95,7 @@ class Cutter:
         """Take all that are like the first, up to the next knock; how many."""
         count = (self._filled - begin) // size
         rows = np.frombuffer(self._view, np.uint8, count * size, begin).reshape(count, size)
-        like = (rows[:, :_STAMP] == rows[0, :_STAMP]).all(1) & (rows[:, _SIZE:_CRC] == rows[0, _SIZE:_CRC]).all(1)
+        like = (rows[:, NAMES] == rows[0, NAMES]).all(1) & (rows[:, BODY_SIZE] == rows[0, BODY_SIZE]).all(1)
         run = _leading(like)
         numbers = form.numbers(np.ascontiguousarray(rows[:run, form.at : form.at + form.size]))
         run = _leading(numbers != 0)

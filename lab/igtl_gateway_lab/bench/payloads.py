@@ -20,8 +20,9 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway.wire import HEADER_SIZE, Message, encode
+from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.header import HEADER_SIZE, TICKS_AT
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Cells, PolyData
@@ -33,7 +34,6 @@ EPOCH_S = 1_000_000_000
 
 _DIGITS = 10
 _CDR_AT = 4  # behind the encapsulation
-_STAMP_AT = 34  # in the OpenIGTLink header
 _MESH_HEAD = 40  # of POLYDATA, before its points
 
 #: So much is sent at once in a flood of small messages.
@@ -88,7 +88,7 @@ def _of_text(at: int) -> Form:
     )
 
 
-_STAMPS = (_of_struct(_CDR_AT, "<i", EPOCH_S), _of_struct(_STAMP_AT, ">I", EPOCH_S))
+_STAMPS = (_of_struct(_CDR_AT, "<i", EPOCH_S), _of_struct(TICKS_AT, ">I", EPOCH_S))
 # behind the length of the text; behind its encoding and length
 _TEXTS = (_of_text(_CDR_AT + 4), _of_text(HEADER_SIZE + 4))
 

@@ -21,8 +21,8 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, encode
+from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.image import SCALARS, Image
-from igtl_gateway.wire.message import crc64
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import NO_CELLS, SCALAR, Attribute, Cells, PolyData
 from igtl_gateway.wire.query import Nothing, StartTracking
