@@ -54,9 +54,9 @@ CONFORMANCE = ("<!-- conformance -->", "<!-- /conformance -->")
 
 #: Key of the metadata → its meaning; a test holds the keys against ``metadata.OURS``.
 KEYS = {
-    metadata.FULL_NAME: "device name, where it is longer than the 20 bytes of the header",
+    metadata.FULL_NAME: "device name, if it is longer than the 20 bytes of the header",
     metadata.STAMP: "stamp of the ROS header, UTC nanoseconds as a decimal number",
-    metadata.FRAME_ID: "`frame_id` of the ROS header; of a transform the parent",
+    metadata.FRAME_ID: "`frame_id` of the ROS header; for a transform the parent frame",
     metadata.CHILD_FRAME_ID: "`child_frame_id` of a transform",
 }
 
@@ -192,9 +192,9 @@ def messages() -> str:
         "# OpenIGTLink messages",
         GENERATED,
         prose(
-            """Every type that the gateway reads and writes: what stands where, in which unit, what it tolerates from
-            peers and what it sends.  What becomes of each in ROS is in [conversions.md](conversions.md).  A type that
-            is not here is carried, recorded and replayed byte for byte all the same."""
+            """All message types that the gateway reads and writes: their layout, units, the deviations that it accepts
+            and what it sends.  [conversions.md](conversions.md) describes their conversion to ROS.  Messages of other
+            types are forwarded, recorded and replayed with unchanged bytes."""
         ),
         _overview(),
         _frame(),
@@ -217,12 +217,12 @@ def _overview() -> str:
     return document(
         "## Overview",
         prose(
-            """*Since* is the version of the protocol that brought a type: 1 and 2 use header version 1, 3 uses header
-            version 2; every type travels with either.  Names in parentheses are accepted and never sent.  *out*: ROS
-            messages become it, or the gateway makes it; whole messages of any type can be sent as
-            `igtl_msgs/RawMessage`.  Queries are [below](#queries)."""
+            """*Since* is the protocol version that introduced a type: versions 1 and 2 use header version 1, version 3
+            uses header version 2; every type can be sent with either.  Names in parentheses are accepted but never
+            sent.  *out*: ROS messages are converted to it, or the gateway creates it; complete messages of any type
+            can be sent as `igtl_msgs/RawMessage`.  Queries are [below](#queries)."""
         ),
-        table(("type", "since", "way", "what it is"), rows),
+        table(("type", "since", "direction", "content"), rows),
     ).rstrip()
 
 
@@ -230,34 +230,34 @@ def _frame() -> str:
     return document(
         "## Around the content",
         prose(
-            f"""Numbers are big-endian, but for pixels and encoded frames, whose messages name their order.  Nothing is
-            aligned.  Lengths are millimetres.  Offsets of contents count from the end of the header (version 1) or of
-            the extended header (version 2).
+            f"""Numbers are big-endian, except pixels and encoded frames, whose messages declare their byte order.
+            There is no alignment.  Lengths are millimetres.  Offsets in a content count from the end of the header
+            (version 1) or of the extended header (version 2).
 
-            **Accepted:** text that is no UTF-8, and what a sender left behind the first NUL of a field (it is kept,
-            and not shown); an extended header of more than 12 bytes; a missing metadata header; up to
-            {MAX_METADATA_ACCEPTED:,} bytes of metadata; a message without content of a type that should have one.
-            All of it is encoded again as it came.  Sizes are checked before anything is allocated.  A wrong CRC costs
-            the message (`check_crc = false` turns that off), as does everything that is said to be refused below; a
-            note in the recording says why.
+            **Accepted:** text that is invalid UTF-8, and bytes after the first NUL of a field (they are kept, but not
+            shown); an extended header of more than 12 bytes; a missing metadata header; up to
+            {MAX_METADATA_ACCEPTED:,} bytes of metadata; a message without content of a type that should have one.  All
+            of these are encoded again as received.  Sizes are checked before memory is allocated.  A message with a
+            wrong CRC is rejected (`check_crc = false` disables the check), as is everything that is rejected below; a
+            note in the recording has the reason.
 
-            **Sent:** header version 1, until a peer has shown 2 or its [profile](#peer-profiles) says otherwise.  Text
-            is UTF-8, cut at the end of a character to one byte less than its field (C++ readers drop text that fills
-            it) and padded with zeros; device names may fill their 20 bytes.  At most {MAX_METADATA_SENT:,} bytes of
-            metadata, one value for each key, sorted by key; the metadata header is there even without any.  The CRC
-            is always right, message ids are 0."""
+            **Sent:** header version 1, until a peer has sent version 2 or its [profile](#peer-profiles) requires
+            another version.  Text is UTF-8, cut at a character boundary to one byte less than its field (C++ readers
+            drop text that fills it) and padded with zeros; device names can use all 20 bytes.  At most
+            {MAX_METADATA_SENT:,} bytes of metadata, one value for each key, sorted by key; the metadata header is
+            present even without metadata.  The CRC is always valid, message ids are 0."""
         ),
         "### Header",
         layout(Header.LAYOUT, attributes(Header)),
         prose(
-            """The time stamp is seconds since 1970 (UTC) in 32.32 fixed point; 0 means unset, never 1970.  It is
-            converted to nanoseconds and back as the reference library does it, without loss."""
+            """The time stamp is in seconds since 1970 (UTC) as 32.32 fixed point; 0 means unset, not 1970.  It is
+            converted to nanoseconds and back like in the reference library, without loss."""
         ),
         "### Extended header",
-        "Header version 2 only: the body begins with it.",
+        "Header version 2 only, at the beginning of the body.",
         layout(Extended.LAYOUT, attributes(Extended)),
         "### Metadata",
-        "Header version 2 only: the body ends with it.  The numbers of all items stand first, then all texts.",
+        "Header version 2 only, at the end of the body. The sizes of all items come first, then all strings.",
         layout(METADATA_LAYOUT, {}),
     ).rstrip()
 
@@ -266,17 +266,17 @@ def _type(title: str, kind: type[Body], types: list[str]) -> str:
     text, source = summary(kind)
     facts = [f"Protocol version {protocol_of(kind)}" + (f", [{source}]({DOCUMENTS}/{source})" if source else "")]
     if read_too := [name for name, meant in ALIASES.items() if meant in types]:
-        facts.append(f"Accepted and never sent: {code(read_too)}")
+        facts.append(f"Accepted, but never sent: {code(read_too)}")
     if asked := [name for base in types for name in queries_of(base)]:
         facts.append(f"[Queries](#queries): {code(asked)}")
     facts += _ros_facts(types)
     rows = layout_of(kind)
     size = ""
     if issubclass(kind, Elements):
-        size = f"Elements of {kind.DTYPE.itemsize} bytes, as many as the content has room for:"
+        size = f"Elements of {kind.DTYPE.itemsize} bytes; the size of the content determines their number:"
     elif len([row for row in rows if row.per]) > 1:
         per = next(row.per for row in rows if row.per)
-        size = f"Rows *per {per}* that follow each other stand together: those of the first {per}, of the second, …"
+        size = f"Adjacent rows *per {per}* form a group: the group of the first {per}, of the second, …"
     return document(
         f"### {title}",
         prose(text),
@@ -355,13 +355,13 @@ def _queries() -> str:
     return document(
         "## Queries",
         prose(
-            """`GET_` asks for one message, `STT_` begins a stream, `STP_` ends it, `RTS_` says what became of that.
-            The device name says of what; empty is of any.  `GET_TRANSFOR`, which part of the documents writes, is read
+            """`GET_` requests one message, `STT_` starts a stream, `STP_` stops it, `RTS_` is the reply.  The device
+            name selects the device; an empty name means any.  `GET_TRANSFOR`, which some of the documents have, is read
             as `GET_TRANS`, and so on."""
         ),
-        table(("of", *(f"`{prefix}_`" for prefix in PREFIXES)), rows),
+        table(("type", *(f"`{prefix}_`" for prefix in PREFIXES)), rows),
         told,
-        prose("In ROS all of them are [`igtl_msgs/Query`](../ros2/igtl_msgs/msg/Query.msg)."),
+        prose("In ROS all queries are [`igtl_msgs/Query`](../ros2/igtl_msgs/msg/Query.msg)."),
         *parts,
     ).rstrip()
 
@@ -371,10 +371,11 @@ def _metadata() -> str:
     return document(
         "## Metadata keys",
         prose(
-            f"""Ours, sent to every peer of header version 2 and taken back on the way to ROS; one that is not as we
-            write it is taken for the user's.  All other metadata belong to the users: they come with the messages of
-            `igtl_msgs`, or beside the standard ones as `igtl_msgs/Metadata`, and go out as they are.  In replies to a
-            COMMAND `{STATUS}` (`SUCCESS` or `FAIL`) and `{ERROR_MESSAGE}` say what became of it."""
+            f"""The gateway sends these keys to every peer with header version 2, and evaluates them in messages to ROS.
+            If a value does not have the format that the gateway writes, it is treated as the user's.  All other
+            metadata belongs to the user: it is part of the messages of `igtl_msgs`, or published beside standard
+            messages as `igtl_msgs/Metadata`, and it is sent unchanged.  In replies to a COMMAND, `{STATUS}`
+            (`SUCCESS` or `FAIL`) and `{ERROR_MESSAGE}` are the result."""
         ),
         table(("key", "value"), rows),
     ).rstrip()
@@ -400,13 +401,13 @@ def _profiles() -> str:
     return document(
         "## Peer profiles",
         prose(
-            """What the gateway knows of the programs on the other side.  The profile of a peer is chosen by option
-            (`profile`, `[[peers]]` in [the configuration](../igtl_gateway/config.py)), else by what it shows; until
-            then it is `default`.  *header version*: to begin with; it rises to what the peer has shown.  *types*,
-            *queries* and `RTS_`: what it may be sent.  *empty bodies*: whether it survives a version 1 message
-            without content, as answer to a query that cannot be answered.  *ping*: after that silence it is sent a
-            GET_STATUS.  In the sources § is a section of the project's notes on the protocol; *reproduced* was run
-            against the program or its library."""
+            """What the gateway knows about OpenIGTLink programs.  The profile of a peer is set by option (`profile`,
+            `[[peers]]` in [the configuration](../igtl_gateway/config.py)) or detected from its messages; until then
+            it is `default`.  *header version*: the initial version; it rises to the version that the peer has sent.
+            *types*, *queries* and `RTS_`: what the gateway may send to it.  *empty bodies*: whether it accepts a
+            version 1 message without content as the reply to a query that cannot be answered.  *ping*: after this
+            time without a message to it, the gateway sends a GET_STATUS.  In the sources, § is a section of the
+            project's notes on the protocol; *reproduced* was tested with the program or its library."""
         ),
         table(heads, rows),
         *map(_profile, PROFILES),
@@ -425,13 +426,13 @@ def _profile(profile: Profile) -> str:
     default = Profile.__dataclass_fields__["shows"].default
     parts = [
         f"### Profile {profile.name}",
-        "Told by what it sends." if profile.shows is not default else "",
-        table(("what is so", "known from"), profile.facts),
+        "Detected from its messages." if profile.shows is not default else "",
+        table(("fact", "source"), profile.facts),
     ]
     if profile.adapt:
         parts.append("\n".join(f"- {_sections_of(kind)}: {paragraphs(how)[0]}" for kind, how in profile.adapt.items()))
     if profile.reads is not None and profile.reads >= CPP_FACTORY:
-        parts.append(prose(f"Its factory's types: {code(sorted(profile.reads))}."))
+        parts.append(prose(f"The types of its factory: {code(sorted(profile.reads))}."))
     return document(*parts).rstrip()
 
 
@@ -447,11 +448,11 @@ def _conformance() -> str:
     return document(
         "## Conformance",
         prose(
-            """Messages written by other implementations: the corpus made with the C++ library, the test vectors of the
-            C library, and files made by hand for what neither has.  Each goes through `igtl-gateway decode
-            --reencode`; *decoded* has every value that its author wrote, *re-encoded* the same bytes.
-            `tests/wire/test_conformance.py` holds it.  `python tools/fuzz.py --seconds 600 --seed 1` bends these
-            messages for ten minutes: each must be refused, or be encoded to the bytes that were decoded."""
+            """Messages of other implementations: the corpus made with the C++ library, the test vectors of the
+            C library, and handmade files for cases that neither has.  Each passes through `igtl-gateway decode
+            --reencode`; *decoded* messages have every value that their author wrote, *re-encoded* ones the same bytes.
+            `tests/wire/test_conformance.py` tests it.  `python tools/fuzz.py --seconds 600 --seed 1` mutates these
+            messages for ten minutes: each must be rejected, or encoded to the decoded bytes."""
         ),
         begin,
         _results(),
@@ -504,9 +505,8 @@ def conversions() -> str:
         "# Conversions between OpenIGTLink and ROS 2",
         GENERATED,
         prose(
-            """What becomes of what, and what does not arrive.  A conversion for which nothing stands under *does not
-            arrive* is exact there and back; tests hold that.  The layouts of the OpenIGTLink messages are in
-            [messages.md](messages.md)."""
+            """All conversions, and what each of them loses.  If the column *lost* is empty (–), a round trip is
+            exact; tests check it.  [messages.md](messages.md) has the layouts of the OpenIGTLink messages."""
         ),
         _names(),
         _stamps(),
@@ -531,23 +531,23 @@ def _names() -> str:
     return document(
         "## Names, topics and frames",
         prose(
-            f"""What a device sends is published on `/igtl/in/<device>/<kind>`; `kind` is in the tables below, and rows
-            `[[to_ros]]` of [the configuration](../igtl_gateway/config.py) choose other topics, other frames, and which
-            kinds.  In the topic, characters other than letters, digits and `_` become `_`, a `_` stands before a
-            leading digit, and names above {MAX_TOKEN} characters are cut and get a hash; so does a device whose name
-            would give the topic of another.  A pose of a device called `AToB` is that of frame `A` in frame `B`, as
-            PLUS and others have it; every other name is a frame in the base frame `{base}`.  Frames that come as
-            [metadata](messages.md#metadata-keys) go before those of the name, frames of the configuration before
-            both.  Poses appear on `/tf` as well (`publish_tf`)."""
+            f"""Messages of a device are published on `/igtl/in/<device>/<kind>`; `kind` is in the tables below.  Rows
+            `[[to_ros]]` of [the configuration](../igtl_gateway/config.py) select other topics, other frames, and kinds.
+            In the topic, characters other than letters, digits and `_` become `_`; a leading digit gets the prefix
+            `_`; names of more than {MAX_TOKEN} characters are cut and get a hash.  If two devices would have the same
+            topic, the second one gets a hash too.  A pose of a device with the name `AToB` is the pose of frame `A` in
+            frame `B`, as in PLUS and other programs; every other name is a frame in the base frame `{base}`.  Frames
+            in the [metadata](messages.md#metadata-keys) override those of the name; frames in the configuration
+            override both.  Poses are also published on `/tf` (`publish_tf`)."""
         ),
         table(("device", "topic of a TRANSFORM", "parent frame", "child frame"), rows),
         prose(
-            f"""What is published below `/igtl/out/` goes out: `/igtl/out/Probe` and, where the last token is the kind
-            of the type, `/igtl/out/Probe/transform` both as device `Probe`.  Rows `[[to_igtl]]` take other topics,
-            name the device and choose the type.  A name above 20 bytes is cut and gets a hash
-            (`{long}` is sent as `{short_device_name(long)}`); the whole one travels as metadata.  Rows `[[tf_out]]` and
-            `--tf-out frame:base` send frames of `/tf` and `/tf_static`, chains composed, as TRANSFORM, POSITION, TDATA
-            or QTDATA."""
+            f"""Messages on topics below `/igtl/out/` are sent to the peers.  `/igtl/out/Probe` has the device name
+            `Probe`; so has `/igtl/out/Probe/transform`, because the last token is the kind of its type.  Rows
+            `[[to_igtl]]` select other topics, and set device name and type.  A name of more than 20 bytes is cut and
+            gets a hash (`{long}` is sent as `{short_device_name(long)}`); the full name is sent as metadata.  Rows
+            `[[tf_out]]` and `--tf-out frame:base` send frames of `/tf` and `/tf_static`, with chains composed, as
+            TRANSFORM, POSITION, TDATA or QTDATA."""
         ),
     ).rstrip()
 
@@ -557,19 +557,18 @@ def _stamps() -> str:
     return document(
         "## Stamps, units and metadata",
         prose(
-            f"""A ROS header has the sender's time stamp: the one that came as
-            [metadata](messages.md#metadata-keys), else that of the OpenIGTLink header, else (both unset, 0) the
-            gateway's time of receipt.  On the way out it is the stamp of the ROS header, else the gateway's time; it
-            travels as metadata besides, for programs that do not pass on the header's.  `stamp = "receive"` takes the
-            gateway's time always.
+            f"""A ROS header gets the sender's time stamp: the one in the [metadata](messages.md#metadata-keys),
+            otherwise that of the OpenIGTLink header, otherwise (both unset, 0) the gateway's time of receipt.  In the
+            other direction, the stamp is that of the ROS header, otherwise the gateway's time.  It is also sent as
+            metadata, for programs that do not pass on the header's.  `stamp = "receive"` always takes the gateway's.
 
-            Lengths are {config.ros_unit} in ROS and {config.igtl_unit} in OpenIGTLink (`ros_unit`, `igtl_unit`, for
-            each stream where needed).  Patient coordinates are RAS; what a peer marks as LPS is turned.  Values of
-            SENSOR keep their unit, names, texts and pixels are not touched.
+            Lengths are {config.ros_unit} in ROS and {config.igtl_unit} in OpenIGTLink (`ros_unit`, `igtl_unit`, also
+            for single streams).  Patient coordinates are RAS; LPS is converted.  Values of SENSOR keep their unit;
+            names, strings and pixels are not changed.
 
-            Metadata of the users come with the messages of `igtl_msgs`.  Where a message becomes
-            standard ones only, they are published beside those, on `/igtl/in/<device>/metadata` as
-            `igtl_msgs/Metadata`.  Rows `[[to_igtl]]` can add some."""
+            The users' metadata is part of the messages of `igtl_msgs`.  If a message is converted to standard
+            messages only, its metadata is published beside them, on `/igtl/in/<device>/metadata` as
+            `igtl_msgs/Metadata`.  Rows `[[to_igtl]]` can add metadata."""
         ),
     ).rstrip()
 
@@ -578,13 +577,13 @@ def _to_ros() -> str:
     return document(
         "## OpenIGTLink to ROS",
         prose(
-            """One message may become several.  *standard*: a message of ROS itself.  *full*: one of our own that holds
-            what those cannot.  *on request*: published where a row `[[to_ros]]` names its kind, as `kinds =
-            ["+slices"]`.  *keeps*: depth of the publisher's queue (reliable, volatile); *latched*: the last ones reach
-            later subscribers too (transient local).  A type without a conversion is published whole on
-            `/igtl/in/<device>/raw` as `igtl_msgs/RawMessage`; the children of a BIND besides as if each had come
-            alone; the parts of an IMAGE as the whole, once it is complete.  Peers that come and go are on
-            `/igtl/links` as `igtl_msgs/LinkStatusList`."""
+            """One message can be converted to several.  *standard*: a message type of ROS itself.  *full*: a type of
+            `igtl_msgs` for what the standard types cannot represent.  *on request*: published if a row `[[to_ros]]`
+            names its kind, as in `kinds = ["+slices"]`.  *depth*: of the publisher's queue (reliable, volatile);
+            *latched*: late joiners receive the last messages too (transient-local).  Messages of types without a
+            conversion are published on `/igtl/in/<device>/raw` as `igtl_msgs/RawMessage`.  The children of a BIND
+            are also converted as if each had been sent alone.  The parts of an IMAGE are converted as one image when it
+            is complete.  `/igtl/links` lists the connected peers as `igtl_msgs/LinkStatusList`."""
         ),
         *(f"### {title}\n\n{_ros_table(rows)}" for title, rows in ros_sections().items()),
     ).rstrip()
@@ -611,7 +610,7 @@ def _ros_table(rows: Sequence[RosRow]) -> str:
         )
     order = {role.value: number for number, role in enumerate(Role)}
     lines.sort(key=lambda line: order[line[2].partition(",")[0]])
-    return table(("kind", "ROS", "published", "keeps", "does not arrive"), lines)
+    return table(("kind", "ROS", "published", "depth", "lost"), lines)
 
 
 def _condition(row: RosRow) -> str:
@@ -622,7 +621,13 @@ def _condition(row: RosRow) -> str:
     outer, _, inner = applies.__qualname__.partition(".")
     told = inspect.getdoc(applies) or (inspect.getdoc(applies.__globals__.get(outer)) if inner else "") or ""
     if told:
-        first = " ".join(told.partition("\n\n")[0].split()).removeprefix("Whether ").rstrip(".").replace("``", "`")
+        first = (
+            " ".join(told.partition("\n\n")[0].split())
+            .removeprefix("Return whether ")
+            .removeprefix("Whether ")
+            .rstrip(".")
+            .replace("``", "`")
+        )
         return "if " + (first if first[1].isupper() else f"{first[0].lower()}{first[1:]}")
     return "in some cases" if "<" in outer else f"if it {outer.replace('_', ' ')}"
 
@@ -656,12 +661,12 @@ def _to_igtl() -> str:
     return document(
         "## ROS to OpenIGTLink",
         prose(
-            """*on request*: where a row `[[to_igtl]]` names that `type`, or a peer asks for it.  *keeps*: depth of the
-            subscription's queue; of *latched* topics the last message goes to every peer that comes later.  A whole
-            message of any type goes out unchanged as `igtl_msgs/RawMessage`.  A COMMAND is remembered until its reply
-            comes or its time is up."""
+            """*on request*: if a row `[[to_igtl]]` names this `type`, or a peer requests it.  *depth*: of the
+            subscription's queue; the last message of a *latched* topic is re-sent to late joiners.  A complete
+            message of any type is sent unchanged as `igtl_msgs/RawMessage`.  A COMMAND is stored until its reply
+            or its timeout."""
         ),
-        table(("ROS", "OpenIGTLink", "keeps", "does not arrive"), lines),
+        table(("ROS", "OpenIGTLink", "depth", "lost"), lines),
     ).rstrip()
 
 
@@ -672,12 +677,12 @@ def _definitions() -> str:
         place = path.relative_to(ROOT).as_posix()
         rows.append((f"[{path.stem}](../{place})" + (" (service)" if path.suffix == ".srv" else ""), first))
     return document(
-        "## Messages of our own",
+        "## igtl_msgs",
         prose(
-            """[igtl_msgs](../ros2/igtl_msgs/README.md) has what the standard packages have no place for.  The
-            definitions say what each field means."""
+            """[igtl_msgs](../ros2/igtl_msgs/README.md) has message types that the standard packages do not have.
+            The definitions describe each field."""
         ),
-        table(("definition", "what it is"), rows),
+        table(("definition", "content"), rows),
     ).rstrip()
 
 
@@ -697,92 +702,92 @@ GROUPS = {
 
 
 DOCTOR_EXAMPLES = """\
-igtl-gateway doctor 192.168.1.20:18944        # be a client of that server for 5 seconds
-igtl-gateway doctor --listen :18944           # be a server, and wait for a client
-igtl-gateway doctor --listen :18944 10.0.0.7  # the same, and see whether that one is a server itself
-igtl-gateway doctor tls://or1.clinic --tls-cert me.pem --tls-ca clinic.pem    # a server with TLS
-igtl-gateway doctor :18944 --ros              # look at the ROS graph, too
-igtl-gateway lint out.mcap                    # a recording"""
+igtl-gateway doctor 192.168.1.20:18944        # connect to that server for 5 seconds
+igtl-gateway doctor --listen :18944           # listen, and wait for a client
+igtl-gateway doctor --listen :18944 10.0.0.7  # the same; also check whether that host has a server
+igtl-gateway doctor tls://or1.clinic --tls-cert me.pem --tls-ca clinic.pem    # connect to a server with TLS
+igtl-gateway doctor :18944 --ros              # check the ROS graph too
+igtl-gateway lint out.mcap                    # check a recording"""
 
 
 def doctor() -> str:
     """docs/doctor.md."""
     return document(
-        "# `doctor` and `lint`: what is wrong, and what to do",
+        "# Diagnosis: `doctor` and `lint`",
         GENERATED,
         prose(
-            """`doctor` visits a peer, looks at what it sends and names the probable cause when nothing arrives; `lint`
-            judges a recording by the same rules."""
+            """`doctor` connects to a peer, observes its messages and reports the probable cause if nothing
+            arrives.  `lint` applies the same rules to a recording."""
         ),
         textwrap.indent(DOCTOR_EXAMPLES, "    "),
         prose(
-            """Told are the peers, each stream with its rate, CRC and stamps, the findings, and in the last line what
-            to look at first. `--json` gives all of it as one object: `cause`, `nothing_arrives`, `findings` (`id`,
-            `severity`, `where`, `text`, `advice`, `section`, `data`), `peers`, `streams`. Exit code 0: no finding
-            is an error; 1: one is; 2: usage. `--config FILE` takes the units, devices and topics of a bridge's
-            configuration, `--seconds` and `--messages` say how long to look. TLS is spoken as by a bridge, see
+            """Both print the peers, each stream with its rate, CRC and stamps, and the findings.  The last line is the
+            most important finding.  `--json` prints all of it as one object: `cause`, `nothing_arrives`, `findings`
+            (`id`, `severity`, `where`, `text`, `advice`, `section`, `data`), `peers`, `streams`.  Exit code 0: no
+            finding is an error; 1: at least one is; 2: wrong usage.  `--config FILE` reads units, devices and topics
+            from a bridge's configuration.  `--seconds` and `--messages` limit the observation.  For TLS, see
             [security.md](security.md)."""
         ),
         "## The rules",
         prose(
-            """The letter is the severity: E, messages do not get through or are wrong; W, they get through and may
-            mislead; I, good to know. A number keeps its meaning for ever."""
+            """The letter is the severity: E, messages are lost or wrong; W, messages arrive but might mislead; I,
+            information.  A number never changes its meaning."""
         ),
         *(
             f"### {title}\n\n{_rules([rule for rule in RULES if rule.id[6] == digit])}"
             for digit, title in GROUPS.items()
         ),
         prose(
-            """Where several apply, the first of this order is named as the cause, errors before warnings: """
+            """If several rules apply, the cause is the first one in this order, errors before warnings: """
             + ", ".join(rule.id.removeprefix("IGTL-") for rule in RULES)
             + "."
         ),
         "## Roles",
         prose(
-            """One side listens, the other connects. Where nobody is by half of the time, `doctor` takes the other
-            role: as a client that finds no server it listens at the same port, as a server that nobody visits it
-            connects to the address named behind the options, or to whoever has the port already. So it tells two
-            clients and two servers from a peer that is not there. It listens on loopback only, unless `--allow`
-            names a network."""
+            """One side must listen and the other must connect.  If there is no link after half of the time, `doctor`
+            takes the other role: as a client without a server it listens on the same port; as a server without a
+            client it connects to the address given after the options, or to the program that already uses the port.
+            So it distinguishes two clients and two servers from a missing peer.  It listens on loopback only, unless
+            `--allow` names a network."""
         ),
         "## Silence",
         prose(
-            """A peer that has sent nothing by half of the time is sent one STATUS (code 1, `doctor`), which every
-            program knows and none minds; it ends with an empty line, so that a web server answers, too. `--speak 2`
-            sends it with header version 2, `--speak 0` leaves it out. Nothing else is sent, no query in particular:
-            some crash 3D Slicer. Silence of a peer is no finding in a recording, where it may have been a display."""
+            """If a peer has sent nothing after half of the time, `doctor` sends one STATUS (code 1, `doctor`), which
+            every program accepts.  It ends with an empty line, so that a web server answers too.  `--speak 2` sends it
+            with header version 2, `--speak 0` disables it.  `doctor` sends nothing else, and never a query: some
+            queries crash 3D Slicer.  In a recording, a silent peer is not a finding, because it might be a display."""
         ),
         "## Other protocols",
         prose(
-            """Known by their first bytes: """
+            """Recognised by their first bytes: """
             + ", ".join(name for name, _ in PROTOCOLS)
-            + """. Bytes that are none of these and have no type name where a header has it are named as such. The same
-            is seen in the midst of a stream when a length before it was wrong."""
+            + """.  Other bytes without a type name in the header are reported as an unknown protocol.  The same
+            happens in the middle of a stream if an earlier size was wrong."""
         ),
         "## Units",
         prose(
-            f"""A tracker is no closer than some centimetres to what it sees. So poses that move and all stay within
-            {checks.SMALL_MM:g} mm of the origin are taken for metres, and those beyond {checks.LARGE_MM / 1000:g} m
-            for lengths that were multiplied twice. A guess: a small offset that moves is named, too. Where the
-            configuration says `igtl_unit = "m"` metres are metres."""
+            f"""A tracked object is at least some centimetres away from the tracker.  Therefore, if all poses of a
+            moving object are within {checks.SMALL_MM:g} mm of the origin, their unit is probably metres; beyond
+            {checks.LARGE_MM / 1000:g} m, a factor was probably applied twice.  This is a guess: a small moving offset
+            is reported too.  The rule does not apply if the configuration has `igtl_unit = "m"`."""
         ),
         "## ROS graph",
         prose(
-            """With `--ros` a node `igtl_doctor` joins the graph; it publishes nothing and subscribes to nothing. The
-            topics that the gateway would publish for what was seen, and those below `/igtl/in/` and `/igtl/out/`,
-            are compared with the publishers and subscriptions that are there, a running bridge among them: type,
-            reliability and durability. The bridge's own subscriptions adapt to the publishers."""
+            """With `--ros`, a node `igtl_doctor` joins the graph; it publishes nothing and subscribes to nothing.
+            `doctor` takes the topics that the gateway would publish for the observed messages, and those below
+            `/igtl/in/` and `/igtl/out/`.  It compares them with the existing publishers and subscribers, including
+            those of a running bridge: type, reliability and durability.  The bridge's own subscriptions adapt to the
+            publishers."""
         ),
         "## Rates",
         prose(
-            f"""A pause is one of more than {checks.GAP_FACTOR} mean intervals and more than a second, in streams of at
-            least {checks.RHYTHM} messages."""
+            f"""A pause is reported if it is longer than {checks.GAP_FACTOR} mean intervals and longer than a second, in
+            streams of at least {checks.RHYTHM} messages."""
         ),
         "## Limits",
         prose(
-            f"""{MAX_STREAMS:,} streams and as many links are looked at one by one. `doctor` decodes every
-            message and tries every conversion, so it can fall behind a peer that a bridge would keep up with; then
-            the peer waits."""
+            f"""At most {MAX_STREAMS:,} streams and {MAX_STREAMS:,} links are checked.  `doctor` decodes every
+            message and tries every conversion, so it can be slower than a bridge; then the peer has to wait."""
         ),
     )
 

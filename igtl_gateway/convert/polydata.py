@@ -42,7 +42,7 @@ _CLOUD_ATTRIBUTES = (SCALAR, NORMAL, RGBA)
 
 
 def exceeds_standard(content: PolyData) -> bool:
-    """Whether neither a cloud nor a mesh of ROS holds all of it.
+    """Whether neither a point cloud nor a mesh of ROS can represent it.
 
     A cloud holds points, each its own vertex or not, and attributes of every point; a mesh holds triangles alone.
     """

@@ -39,7 +39,7 @@ def has_lines(content: PolyData) -> bool:
 
 
 def is_cloud(content: PolyData) -> bool:
-    """Nothing but points, with or without vertex cells."""
+    """Whether there are only points, with or without vertex cells."""
     return not has_faces(content) and not has_lines(content)
 
 

@@ -129,29 +129,30 @@ class IgtlRow:
 
 
 _POINT_LOSS = "names, groups and owners"
-_TEXT_LOSS = "bytes that are no text, and what stands behind a NUL"
-_LONG_TEXTS = "texts longer than their field"
+_TEXT_LOSS = "bytes that are invalid text, bytes after a NUL"
+_LONG_TEXTS = "the end of strings that are longer than their field"
 #: The gateway refuses what would stop all other traffic, see ``columns.check_rows``.
-_LONG_LIST = f"lists above {columns.MAX_ROWS:,}"
+_LONG_LIST = f"lists of more than {columns.MAX_ROWS:,}"
 #: The library's nanoseconds, see ``stamp``: two fractions may be the same.
-_SCAN_LOSS = f"{_TEXT_LOSS}; up to 10 ns of scan times, where no library wrote them; {_LONG_LIST}"
+_SCAN_LOSS = f"{_TEXT_LOSS}; up to 10 ns of scan times that were not written by the library; {_LONG_LIST}"
 _LABEL_LOSS = f"{_TEXT_LOSS}; {_LONG_LIST}"
 _VIDEO_LOSS = (
-    f"{_TEXT_LOSS}; last bit of the focal length; matrices that are not finite, and signs of zeros in vectors "
-    f"without length; {_LONG_LIST}"
+    f"{_TEXT_LOSS}; last bit of the focal length; matrices with NaN or infinity, signs of zeros in vectors "
+    f"of zero length; {_LONG_LIST}"
 )
 #: Of every number of a rotation that goes through float32, as matrix or as quaternion.  Measured: 7e-8.
-_ROUNDED = "rotations within 2e-7"
+_ROUNDED = "rotations rounded by up to 2e-7"
 _TO_FLOAT32 = f"double precision (float32; {_ROUNDED})"
-_HEADER_1 = "frame ids and metadata toward peers of header version 1"
+_HEADER_1 = "frame ids and metadata for peers with header version 1"
 _TOOLS = (TrackingData, QuaternionTrackingData)
-_PLACE_LOSS = "versions of the header other than 1, matrices that are not finite, signs of zeros in the matrix"
-_FRAME_LOSS = "size, part, key frame or not but as the bit stream tells, grey, spacing, orientation and position"
-_FORMAT_LOSS = f"words of the format besides the codec, {_HEADER_1}; size 0 until a key frame has told it"
+_PLACE_LOSS = "content versions other than 1, matrices with NaN or infinity, signs of zeros in the matrix"
+_FRAME_LOSS = "size, sub-volume, key-frame flag (but see the bit stream), grey flag, spacing, orientation and position"
+_FORMAT_LOSS = f"words of the format other than the codec, {_HEADER_1}; size 0 until the first key frame"
 _POSES = (
-    f"scale and shear (warned of), length and sign of quaternions; {_ROUNDED}; more than {tracking.MAX_TOOLS:,} tools"
+    f"scale and shear (with a warning), length and sign of quaternions; {_ROUNDED}; "
+    f"more than {tracking.MAX_TOOLS:,} tools"
 )
-_NO_POSE = "tools that no pose can express (reflections, zeros) are"
+_NO_POSE = "tools with an invalid rotation (reflections, zeros) are"
 
 TO_ROS: tuple[RosRow, ...] = (
     RosRow(
@@ -161,7 +162,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "transform",
         poses.transform_to_ros,
         _STATES,
-        lossy=f"{_ROUNDED}; scale and shear of a matrix that is no rotation (warned of); a reflection is refused",
+        lossy=f"{_ROUNDED}; scale and shear if the matrix is not orthonormal (a warning); reflections are rejected",
     ),
     RosRow(
         ("POSITION", "QTRANS"),
@@ -170,7 +171,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "transform",
         poses.position_to_ros,
         _STATES,
-        lossy="length and sign of the quaternion, which form was sent",
+        lossy="length and sign of the quaternion, which form was used",
     ),
     RosRow(("STRING",), String, rosmsg.String, "string", texts.string_to_ros, _TEXTS, lossy="stamp, encoding (UTF-8)"),
     RosRow(
@@ -231,7 +232,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "marker",
         surfaces.polydata_to_marker,
         _SURFACES,
-        lossy="attributes but colour; polygons become triangles without shared points",
+        lossy="attributes other than colour; polygons become triangles without shared points",
         applies=surfaces.has_faces,
     ),
     RosRow(
@@ -241,7 +242,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "lines",
         surfaces.polydata_to_lines,
         _SURFACES,
-        lossy="attributes but colour; polylines become segments",
+        lossy="attributes other than colour; polylines become segments",
         applies=surfaces.has_lines,
     ),
     RosRow(("SENSOR",), Sensor, igtl_msgs.Sensor, "sensor", numbers.sensor_to_ros, _STATES, role=Role.FULL),
@@ -295,8 +296,8 @@ TO_ROS: tuple[RosRow, ...] = (
         "query",
         queries.query_to_ros,
         _TEXTS,
-        lossy="which messages of a BIND are wanted, intervals below a millisecond, content that no document knows, "
-        "whether a content that says nothing was there",
+        lossy="which messages of a BIND are requested, intervals below a millisecond, undocumented content, "
+        "whether an empty content was present",
         role=Role.FULL,
     ),
     RosRow(
@@ -306,7 +307,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "tracking",
         tracking.tracking_to_ros,
         _STATES,
-        lossy=f"which form was sent, reserved bytes, {_TEXT_LOSS}, {_POSES}; {_NO_POSE} left out",
+        lossy=f"which form was used, reserved bytes, {_TEXT_LOSS}, {_POSES}; {_NO_POSE} left out",
         role=Role.FULL,
     ),
     RosRow(
@@ -316,7 +317,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "poses",
         tracking.tracking_to_poses,
         _STATES,
-        lossy=f"names, types, {_POSES}; {_NO_POSE} not a number",
+        lossy=f"names, types, {_POSES}; {_NO_POSE} NaN",
     ),
     RosRow(
         ("TRANSFORM",),
@@ -365,7 +366,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "lines",
         plans.trajectories_to_lines,
         _SURFACES,
-        lossy=f"{_POINT_LOSS}, diameters, trajectories of one point; without a colour (all 0) a line is grey",
+        lossy=f"{_POINT_LOSS}, diameters, trajectories of one point; a line without a colour (all 0) is grey",
     ),
     RosRow(
         ("POINT",),
@@ -374,7 +375,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "landmarks",
         plans.points_to_ros,
         _SURFACES,
-        lossy=f"{_TEXT_LOSS}; lists above {plans.MAX_POINTS:,}",
+        lossy=f"{_TEXT_LOSS}; lists of more than {plans.MAX_POINTS:,}",
         applies=plans.is_labeled,
         role=Role.FULL,
     ),
@@ -408,7 +409,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "volume",
         volumes.image_to_volume,
         _VOLUMES,
-        lossy=f"{_PLACE_LOSS}; a centre 2^27 times nearer to the frame's origin than the image is large",
+        lossy=f"{_PLACE_LOSS}; a centre nearer to the frame's origin than the size of the image / 2^27",
         applies=volumes.exceeds_picture,
         role=Role.FULL,
     ),
@@ -430,7 +431,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "polydata",
         polydata.polydata_to_ros,
         _SURFACES,
-        lossy="names of attributes that are no text, coordinates that are not finite, padding",
+        lossy="names of attributes that are invalid text, NaN and infinite coordinates, padding",
         applies=polydata.exceeds_standard,
         role=Role.FULL,
     ),
@@ -441,7 +442,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "video_frame",
         videos.video_to_ros,
         _FRAMES,
-        lossy=f"{_PLACE_LOSS}; byte orders other than 1 (big) and 2, coordinate system 0, codecs that are no text",
+        lossy=f"{_PLACE_LOSS}; byte orders other than 1 (big) and 2, coordinate system 0, codecs that are invalid text",
         role=Role.FULL,
     ),
     RosRow(
@@ -475,8 +476,10 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         _STATES,
         f"double precision (float32), length of the quaternion, {_HEADER_1}",
     ),
-    IgtlRow(rosmsg.String, "STRING", texts.string_to_igtl, _TEXTS, "texts above 65,535 bytes are refused"),
-    IgtlRow(rosmsg.String, "CLIENTINFO", texts.string_to_igtl, _TEXTS, "texts above 65,535 bytes are refused"),
+    IgtlRow(rosmsg.String, "STRING", texts.string_to_igtl, _TEXTS, "strings of more than 65,535 bytes are rejected"),
+    IgtlRow(
+        rosmsg.String, "CLIENTINFO", texts.string_to_igtl, _TEXTS, "strings of more than 65,535 bytes are rejected"
+    ),
     IgtlRow(rosmsg.DiagnosticStatus, "STATUS", texts.status_to_igtl, _TEXTS, "name, hardware id, further values"),
     IgtlRow(rosmsg.Image, "IMAGE", images.image_to_igtl, _PICTURES, f"{_HEADER_1}; BGR is sent as RGB"),
     IgtlRow(rosmsg.PointStamped, "POINT", clouds.point_to_igtl, _STATES, f"double precision, {_HEADER_1}"),
@@ -485,14 +488,14 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         "POLYDATA",
         clouds.cloud_to_polydata,
         _CLOUDS,
-        f"rows and columns, points that are not finite, {_HEADER_1}; fields become float32",
+        f"rows and columns, NaN and infinite points, {_HEADER_1}; fields become float32",
     ),
     IgtlRow(
         rosmsg.PointCloud2,
         "POINT",
         clouds.cloud_to_points,
         _CLOUDS,
-        f"rows and columns, points that are not finite, fields but colour and diameter, {_HEADER_1}",
+        f"rows and columns, NaN and infinite points, fields other than colour and diameter, {_HEADER_1}",
     ),
     IgtlRow(rosmsg.Mesh, "POLYDATA", surfaces.mesh_to_igtl, _SURFACES, "double precision"),
     IgtlRow(
@@ -502,13 +505,13 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         _SURFACES,
         f"double precision, uniform colour, {_HEADER_1}",
     ),
-    IgtlRow(igtl_msgs.Sensor, "SENSOR", numbers.sensor_to_igtl, _STATES, "unit_text beside a unit"),
+    IgtlRow(igtl_msgs.Sensor, "SENSOR", numbers.sensor_to_igtl, _STATES, "unit_text if there is a unit"),
     IgtlRow(
         common_msgs.JointState,
         "SENSOR",
         numbers.joints_to_sensor,
         _STATES,
-        "names, velocity, effort; positions of prismatic joints are called radians too",
+        "names, velocity, effort; positions of prismatic joints get the unit radian too",
     ),
     IgtlRow(igtl_msgs.NdArray, "NDARRAY", numbers.array_to_igtl, _STATES, "byte order (big-endian)"),
     *(
@@ -516,35 +519,36 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         for message in common_msgs.MULTI_ARRAYS.values()
     ),
     IgtlRow(common_msgs.MULTI_ARRAYS["f8"], "SENSOR", numbers.values_to_sensor, _STATES, "layout"),
-    IgtlRow(igtl_msgs.Command, "COMMAND", commands.command_to_igtl, _TEXTS, "time-out, names above 127 bytes"),
+    IgtlRow(igtl_msgs.Command, "COMMAND", commands.command_to_igtl, _TEXTS, "timeout, names of more than 127 bytes"),
     IgtlRow(
         igtl_msgs.CommandReply,
         "RTS_COMMAND",
         commands.reply_to_igtl,
         _TEXTS,
-        "why there is no reply (TIMEOUT and NO_PEER are FAIL), error message of a success, names above 127 bytes",
+        "reason for a missing reply (TIMEOUT and NO_PEER become FAIL), error message of a success, "
+        "names of more than 127 bytes",
     ),
-    IgtlRow(igtl_msgs.Query, "GET_STATUS", queries.query_to_igtl, _TEXTS, "fields that the query has no place for"),
+    IgtlRow(igtl_msgs.Query, "GET_STATUS", queries.query_to_igtl, _TEXTS, "fields that the query does not have"),
     IgtlRow(
         igtl_msgs.TrackingData,
         "TDATA",
         tracking.tracking_to_tdata,
         _STATES,
-        f"{_TO_FLOAT32}, names above 19 bytes, {_HEADER_1}",
+        f"{_TO_FLOAT32}, names of more than 19 bytes, {_HEADER_1}",
     ),
     IgtlRow(
         igtl_msgs.TrackingData,
         "QTDATA",
         tracking.tracking_to_qtdata,
         _STATES,
-        f"double precision (float32), length of quaternions, names above 19 bytes, {_HEADER_1}",
+        f"double precision (float32), length of quaternions, names of more than 19 bytes, {_HEADER_1}",
     ),
     IgtlRow(
         common_msgs.PoseArray,
         "TDATA",
         tracking.poses_to_tdata,
         _STATES,
-        f"{_TO_FLOAT32}, {_HEADER_1}; the tools are called Tool1, Tool2, …",
+        f"{_TO_FLOAT32}, {_HEADER_1}; the tools get the names Tool1, Tool2, …",
     ),
     IgtlRow(common_msgs.PoseStamped, "TRANSFORM", poses.pose_to_transform, _STATES, f"{_TO_FLOAT32}, {_HEADER_1}"),
     IgtlRow(
@@ -559,14 +563,14 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         "TRAJ",
         plans.trajectories_to_igtl,
         _SURFACES,
-        f"double precision (float32), texts longer than their fields, {_HEADER_1}; only finite numbers are sent",
+        f"double precision (float32), {_LONG_TEXTS}, {_HEADER_1}; NaN and infinity are not sent",
     ),
     IgtlRow(
         igtl_msgs.PointList,
         "POINT",
         plans.points_to_igtl,
         _SURFACES,
-        f"double precision (float32), texts longer than their fields, {_HEADER_1}; only finite numbers are sent",
+        f"double precision (float32), {_LONG_TEXTS}, {_HEADER_1}; NaN and infinity are not sent",
     ),
     *(
         IgtlRow(message, igtl_type, convert, _SURFACES, lossy)
@@ -578,10 +582,10 @@ TO_IGTL: tuple[IgtlRow, ...] = (
                 f"{_LONG_TEXTS}; double precision of directions, spacing and centre",
             ),
             (igtl_msgs.ColorTable, "COLORT", lists.colors_to_igtl, "byte order (big-endian)"),
-            (igtl_msgs.Capability, "CAPABILITY", lists.capability_to_igtl, "names above 12 bytes are refused"),
+            (igtl_msgs.Capability, "CAPABILITY", lists.capability_to_igtl, "names of more than 12 bytes are rejected"),
         )
     ),
-    IgtlRow(igtl_msgs.Bind, "BIND", lists.bind_to_igtl, _TEXTS, "names above 20 bytes"),
+    IgtlRow(igtl_msgs.Bind, "BIND", lists.bind_to_igtl, _TEXTS, "names of more than 20 bytes"),
     IgtlRow(
         igtl_msgs.Volume,
         "IMAGE",
@@ -594,7 +598,8 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         "POLYDATA",
         polydata.polydata_to_igtl,
         _SURFACES,
-        f"double precision of points (float32), names above 255 bytes, {_HEADER_1}; only finite points are sent",
+        f"double precision of points (float32), names of more than 255 bytes, {_HEADER_1}; "
+        "NaN and infinite points are not sent",
     ),
     IgtlRow(
         igtl_msgs.VideoFrame,

@@ -34,7 +34,7 @@ _CODEC_BYTES = 4
 
 
 def is_compressed(content: Video) -> bool:
-    """Whether ROS has a name for the format: not for raw pictures (I420)."""
+    """Whether ROS has a name for the format; it has none for raw images (I420)."""
     return content.codec in FORMATS
 
 

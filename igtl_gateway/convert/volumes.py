@@ -31,7 +31,7 @@ def has_slices(content: Image) -> bool:
 
 
 def exceeds_picture(content: Image) -> bool:
-    """Whether sensor_msgs/Image does not hold all of it: slices, a place in the patient, a scalar type."""
+    """Whether sensor_msgs/Image cannot represent it: slices, position and orientation, scalar type."""
     return (
         not is_flat(content)
         or content.wire_matrix != Image.IDENTITY

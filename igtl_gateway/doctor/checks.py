@@ -71,9 +71,12 @@ def other_protocol(seen: Observer) -> Iterator[Hit]:
             continue
         shown = _shown(peer.head)
         if peer.messages:
-            text = f"after {peer.messages} messages came what is no header: {shown}; a length before it was wrong"
+            text = (
+                f"after {peer.messages} messages, the next bytes are not a header: {shown}; an earlier size was wrong"
+            )
         else:
-            text = f"{peer.name} speaks {stranger or 'something else'}: it begins with {shown}"
+            found = stranger or "an unknown protocol"
+            text = f"{peer.name} does not send OpenIGTLink but {found}: its first bytes are {shown}"
         yield Hit(peer.name, text, {"protocol": stranger, "head": peer.head.hex()})
 
 
@@ -84,7 +87,7 @@ def _shown(head: bytes) -> str:
 def both_clients(seen: Observer) -> Iterator[Hit]:
     if seen.intent and seen.intent.role == "client" and not _of_role(seen, "client"):
         for peer in _of_role(seen, "server"):
-            text = f"nobody listens at {seen.intent.place}, but {peer.name} connects to us: both sides are clients"
+            text = f"no server at {seen.intent.place}, but {peer.name} connects to this program: both sides are clients"
             yield Hit(seen.intent.place, text)
 
 
@@ -93,7 +96,7 @@ def both_servers(seen: Observer) -> Iterator[Hit]:
     if seen.intent and seen.intent.role == "server" and not _of_role(seen, "server"):
         for peer in _of_role(seen, "client"):
             if _stranger(peer) is None and (peer.messages or "listen_failed" not in seen.said):
-                text = f"nobody connects to {seen.intent.place}, but {peer.name} listens: both sides are servers"
+                text = f"no client connects to {seen.intent.place}, but {peer.name} is a server: both sides are servers"
                 yield Hit(seen.intent.place, text)
 
 
@@ -105,14 +108,14 @@ def no_listener(seen: Observer) -> Iterator[Hit]:
     said = seen.said.get("connect_failed")
     if said and not seen.peers and (seen.intent is None or seen.intent.role == "client") and not any(no_tls(seen)):
         data = said.first.data
-        yield Hit(str(data.get("peer", "")), f"nobody listens at {data.get('peer')}: {data.get('reason')}")
+        yield Hit(str(data.get("peer", "")), f"no server at {data.get('peer')}: {data.get('reason')}")
 
 
 def no_tls(seen: Observer) -> Iterator[Hit]:
     said = seen.said.get("connect_failed")
     if said and not seen.peers and _OF_TLS.search(reason := str(said.first.data.get("reason"))):
         peer = str(said.first.data.get("peer", ""))
-        yield Hit(peer, f"somebody listens at {peer}, but TLS does not come about: {reason}")
+        yield Hit(peer, f"{peer} accepts connections, but the TLS handshake fails: {reason}")
 
 
 def port_taken(seen: Observer) -> Iterator[Hit]:
@@ -123,7 +126,7 @@ def port_taken(seen: Observer) -> Iterator[Hit]:
 def nobody_connects(seen: Observer) -> Iterator[Hit]:
     waited = seen.intent and seen.intent.role == "server" and not seen.peers
     if seen.intent and waited and seen.said.keys().isdisjoint(("listen_failed", "refused")):
-        yield Hit(seen.intent.place, f"nobody connected to {seen.intent.place}")
+        yield Hit(seen.intent.place, f"no client connected to {seen.intent.place}")
 
 
 def refused(seen: Observer) -> Iterator[Hit]:
@@ -138,7 +141,7 @@ def silent(seen: Observer) -> Iterator[Hit]:
     for peer in _of_role(seen, seen.intent.role):
         if not peer.messages and not peer.head and not peer.received_bytes and peer.up_ns:
             lasted = ((peer.down_ns or seen.ended_ns) - peer.up_ns) / NS_PER_S
-            yield Hit(peer.name, f"{peer.name} is connected and sent nothing in {lasted:.1f} s")
+            yield Hit(peer.name, f"{peer.name} is connected, but sent nothing in {lasted:.1f} s")
 
 
 def leaves(seen: Observer) -> Iterator[Hit]:
@@ -150,9 +153,9 @@ def leaves(seen: Observer) -> Iterator[Hit]:
         for version, told_ns in peer.told.items():
             after_ns = peer.down_ns - told_ns
             if not peer.heard[version] and 0 <= after_ns <= AT_ONCE_NS:
-                text = f"{peer.name} went {ms(after_ns)} after its first message of header version {version}"
+                text = f"{peer.name} disconnected {ms(after_ns)} after its first message of header version {version}"
                 if peer.heard:
-                    text += f"; itself it sends version {min(peer.heard)}"
+                    text += f"; it sends version {min(peer.heard)}"
                 host = peer.address.rpartition(":")[0]
                 gone.setdefault((host, version), []).append(Hit(peer.name, text, {"version": version}))
     for hits in gone.values():
@@ -218,8 +221,8 @@ def mixed_versions(seen: Observer) -> Iterator[Hit]:
 
 def unknown_type(stream: Stream) -> str:
     if stream.type.upper() in BODIES:
-        return f"the type {stream.type!r} is not written in capitals: peers do not know it"
-    return f"the type {stream.type!r} is none of the protocol: it is passed on as it is, undecoded"
+        return f"the type {stream.type!r} is not in capital letters: peers do not recognise it"
+    return f"the type {stream.type!r} is not a type of the protocol: its messages are forwarded unchanged"
 
 
 # ── stamps ────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -256,9 +259,9 @@ def is_coarse(stream: Stream) -> int:
 def coarse(stream: Stream) -> str:
     timing = stream.timing
     if timing.repeated == timing.stamped - 1:
-        return f"all {timing.stamped} stamps are the same: the sender's clock stands still"
-    step = f"rounded to {ms(timing.step_ns)}" if timing.step_ns else "of a clock that steps seldom"
-    return f"stamps are {step}; {timing.repeated} of {timing.stamped} repeat the one before"
+        return f"all {timing.stamped} stamps are equal: the sender's clock does not advance"
+    step = f"rounded to {ms(timing.step_ns)}" if timing.step_ns else "from a clock of low resolution"
+    return f"stamps are {step}; {timing.repeated} of {timing.stamped} are equal to the previous one"
 
 
 # ── names ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -287,7 +290,7 @@ def same_names(seen: Observer) -> Iterator[Hit]:
     for name, numbers in links.items():
         there = [number for number in numbers if _together(seen, number, numbers)]
         if len(there) > 1:
-            yield Hit(name, f"{len(there)} peers send {name} at the same time; receivers take them for one stream")
+            yield Hit(name, f"{len(there)} peers send {name} at the same time; receivers treat them as one stream")
 
 
 def _together(seen: Observer, number: int, others: set[int]) -> bool:
@@ -305,8 +308,8 @@ def same_tokens(seen: Observer) -> Iterator[Hit]:
         devices.setdefault(topic_token(stream.device), set()).add(stream.device)
     for token, names in devices.items():
         if len(names) > 1:
-            text = f"{' and '.join(map(repr, sorted(names)))} differ only in what a ROS topic cannot hold"
-            yield Hit(token, f"{text}; the later one gets a hash")
+            text = f"{' and '.join(map(repr, sorted(names)))} differ only in characters that are invalid in a ROS topic"
+            yield Hit(token, f"{text}; the second one gets a hash")
 
 
 def odd_name(stream: Stream) -> int:
@@ -341,7 +344,7 @@ def has_gap(stream: Stream) -> int:
 
 def qos_clash(seen: Observer) -> Iterator[Hit]:
     for clash in seen.graph.clashes() if seen.graph else ():
-        text = f"nothing passes from {clash.publisher} to {clash.subscriber}: {clash.why}"
+        text = f"no messages from {clash.publisher} to {clash.subscriber}: {clash.why}"
         yield Hit(clash.topic, text, {"publisher": clash.publisher, "subscriber": clash.subscriber})
     if said := seen.said.get("ros_incompatible_qos"):
         yield Hit(said.first.stream, said.first.text, {"count": said.count})
@@ -349,7 +352,7 @@ def qos_clash(seen: Observer) -> Iterator[Hit]:
 
 def unconverted(seen: Observer) -> Iterator[Hit]:
     for topic, kind in sorted(seen.graph.unconverted.items()) if seen.graph else ():
-        yield Hit(topic, f"{topic} is to be sent to OpenIGTLink, but nothing converts {kind}")
+        yield Hit(topic, f"{topic} is configured to be sent to OpenIGTLink, but {kind} has no conversion")
     said = seen.said.get("no_conversion")
     if said and said.first.stream.startswith("/"):
         yield Hit(said.first.stream, said.first.text, {"count": said.count})
@@ -357,7 +360,7 @@ def unconverted(seen: Observer) -> Iterator[Hit]:
 
 def unheard(seen: Observer) -> Iterator[Hit]:
     for topic in seen.graph.unheard() if seen.graph else ():
-        yield Hit(topic, f"nobody in ROS subscribes to {topic}")
+        yield Hit(topic, f"{topic} has no subscriber in ROS")
 
 
 def nothing_out(seen: Observer) -> Iterator[Hit]:
@@ -386,12 +389,12 @@ def lost(seen: Observer) -> Iterator[Hit]:
 
 def crowded(seen: Observer) -> Iterator[Hit]:
     if seen.crowded:
-        yield Hit("streams", f"more than {MAX_STREAMS:,} streams or links: the rest was not looked at")
+        yield Hit("streams", f"more than {MAX_STREAMS:,} streams or links: the others were not checked")
 
 
 def no_messages(seen: Observer) -> Iterator[Hit]:
     if seen.intent is None and not seen.streams:
-        yield Hit("recording", "no OpenIGTLink message came in: there is little to judge")
+        yield Hit("recording", "the recording has no OpenIGTLink messages from peers: most rules do not apply")
 
 
 #: Codes of notes that a rule of their own tells of, or that say what the messages themselves show.

@@ -69,7 +69,7 @@ class Report:
     def lines(self) -> Iterator[str]:
         """For people."""
         for peer in self.seen.peers.values():
-            side = "connected to us" if peer.role == "server" else "we connected to it"
+            side = "client" if peer.role == "server" else "server"
             versions = ", ".join(f"header version {version}" for version in sorted(peer.heard))
             said = f"{peer.messages:,} message{'' if peer.messages == 1 else 's'}"
             yield f"  {peer.name}: {side}; {said}{', ' if versions else ''}{versions}"
@@ -93,10 +93,10 @@ class Report:
             last = rule.id
         cause = self.cause
         if cause:
-            why = "why nothing arrives" if not self.seen.good else "what to look at first"
+            why = "probable cause" if not self.seen.good else "most important finding"
             yield f"{why}: {cause.rule.title} ({cause.rule.id}): {cause.hit.text}"
         else:
-            yield "nothing found that is wrong"
+            yield "no problems found"
 
 
 def _stream(stream: Stream) -> dict[str, Any]:

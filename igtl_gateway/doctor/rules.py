@@ -77,7 +77,7 @@ DOCTOR = "docs/doctor.md"
 RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-E701", "the recording is damaged", "docs/session-log.md",
-        "`igtl-gateway recover FILE` saves what can be saved", checks.damaged,
+        "`igtl-gateway recover FILE` copies all readable data", checks.damaged,
     ),
     Rule(
         "IGTL-E102", "wrong role: both are clients", f"{DOCTOR}: Roles",
@@ -89,35 +89,35 @@ RULES: tuple[Rule, ...] = (
         checks.both_servers,
     ),
     Rule(
-        "IGTL-E115", "TLS does not come about", "docs/security.md",
-        "compare what both sides speak (`tls://`), their certificates and CAs, the name of the host, and the date",
+        "IGTL-E115", "the TLS handshake fails", "docs/security.md",
+        "check that both sides use TLS (`tls://`); check their certificates and CAs, the host name and the date",
         checks.no_tls,
     ),
     Rule(
-        "IGTL-E101", "no listener", f"{DOCTOR}: Roles",
-        "start the peer as a server there; compare host and port; look at firewalls if it timed out",
+        "IGTL-E101", "no server", f"{DOCTOR}: Roles",
+        "start the peer as a server at this address; check host and port; check firewalls if the connection timed out",
         checks.no_listener,
     ),
     Rule(
-        "IGTL-E104", "the port is taken", f"{DOCTOR}: Roles",
-        "stop the program that has the port (a gateway that runs already?), or choose another port", checks.port_taken,
+        "IGTL-E104", "the port is in use", f"{DOCTOR}: Roles",
+        "stop the program that uses the port (another gateway?), or choose another port", checks.port_taken,
     ),
     Rule(
         "IGTL-E108", "a peer was refused", f"{DOCTOR}: Roles",
-        "name the peer's network with `--allow`, or raise the limit that it met", checks.refused,
+        "add the peer's network to `--allow`, or raise the limit that it has reached", checks.refused,
     ),
     Rule(
-        "IGTL-E105", "nobody connects", f"{DOCTOR}: Roles",
-        "start the peer as a client of this address; behind a loopback address only this machine is served",
+        "IGTL-E105", "no client connects", f"{DOCTOR}: Roles",
+        "start the peer as a client of this address; a loopback address is reachable from this machine only",
         checks.nobody_connects,
     ),
     Rule(
-        "IGTL-E107", "another protocol, or the place in the stream was lost", HEADER,
-        "compare the port with the peer's settings; OpenIGTLink is 18944 by custom", checks.other_protocol,
+        "IGTL-E107", "another protocol, or message boundaries lost", HEADER,
+        "compare the port with the peer's settings; the usual port of OpenIGTLink is 18944", checks.other_protocol,
     ),
     Rule(
-        "IGTL-E201", "header version that does not exist", f"{HEADER}: Version number",
-        "1 is for protocols 1 and 2, 2 for protocol 3; the sender writes something else there",
+        "IGTL-E201", "invalid header version", f"{HEADER}: Version number",
+        "use 1 for protocol versions 1 and 2, and 2 for protocol version 3",
         each(
             lambda one: len(checks.wrong_versions(one)),
             lambda one: f"header version {', '.join(map(str, checks.wrong_versions(one)))}, expected 1 or 2",
@@ -125,15 +125,15 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-E202", "header version does not fit the body", f"{HEADER}: Extended header",
-        "the sender names one header version and writes the body of the other",
+        "the header has one version and the body the format of the other: correct the sender",
         each(
             lambda one: one.misfits,
-            lambda one: f"{one.misfits} messages say version {min(one.versions)}, with the body of the other one",
+            lambda one: f"{one.misfits} messages with header version {min(one.versions)} have the body of the other",
         ),
     ),
     Rule(
-        "IGTL-E203", "the peer leaves at a header version", f"{HEADER}: Version number",
-        "the peer reads the other version only: choose its `profile`, or set the version in its settings",
+        "IGTL-E203", "the peer disconnects at a header version", f"{HEADER}: Version number",
+        "the peer reads only the other version: choose its `profile`, or set the version in its settings",
         checks.leaves,
     ),
     Rule(
@@ -146,35 +146,35 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-E207", "CRC wrong", f"{HEADER}: CRC",
-        "the sender changes the body after computing it, or uses another CRC-64 than ECMA-182; "
-        "`check_crc = false` lets the messages through",
+        "the sender changes the body after computing the CRC, or uses another CRC-64 than ECMA-182; "
+        "`check_crc = false` accepts the messages",
         each(
             lambda one: one.bad_crc - one.no_crc,
-            lambda one: f"the CRC of {one.bad_crc - one.no_crc} of {one.messages} messages is not that of the body",
+            lambda one: f"the CRC of {one.bad_crc - one.no_crc} of {one.messages} messages does not match the body",
         ),
     ),
     Rule(
         "IGTL-E210", "malformed body", "docs/messages.md",
-        "the sender's encoding differs from the protocol; `igtl-gateway decode` shows the bytes",
-        each(lambda one: one.malformed, lambda one: f"{one.malformed} messages cannot be read: {one.error}"),
+        "correct the encoding of the sender; `igtl-gateway decode` shows the bytes",
+        each(lambda one: one.malformed, lambda one: f"{one.malformed} messages cannot be decoded: {one.error}"),
     ),
     Rule(
         "IGTL-E110", "message too large", f"{HEADER}: Body size",
-        "raise the limit if that size is meant; a corrupt header looks the same", checks.too_large,
+        "raise the limit if the size is correct; a corrupt header has the same effect", checks.too_large,
     ),
     Rule(
         "IGTL-E106", "connected, but silent", f"{DOCTOR}: Silence",
-        "tell the peer what to send (3D Slicer: outgoing nodes of the connector; PLUS: what clients are sent)",
+        "configure the peer to send data (3D Slicer: outgoing nodes of the connector; PLUS: data sent to clients)",
         checks.silent,
     ),
     Rule(
-        "IGTL-E601", "ROS: nothing passes between two that share a topic", f"{DOCTOR}: ROS graph",
-        "subscribe with the type and QoS that is published: best effort and volatile fit every publisher",
+        "IGTL-E601", "ROS: publisher and subscriber are not compatible", f"{DOCTOR}: ROS graph",
+        "subscribe with the published type and a compatible QoS: best effort and volatile match every publisher",
         checks.qos_clash,
     ),
     Rule(
-        "IGTL-W604", "ROS: nothing converts this type", "docs/conversions.md: ROS to OpenIGTLink",
-        "publish one of the types of the table, or igtl_msgs/RawMessage", checks.unconverted,
+        "IGTL-W604", "ROS: no conversion for this type", "docs/conversions.md: ROS to OpenIGTLink",
+        "publish one of the types in the table, or igtl_msgs/RawMessage", checks.unconverted,
     ),
     Rule(
         "IGTL-W606", "ROS: topic refused", f"{DOCTOR}: ROS graph",
@@ -186,144 +186,145 @@ RULES: tuple[Rule, ...] = (
         each(
             checks.is_small,
             lambda one: f"all {one.lengths.positions} positions are within {one.lengths.largest:.3g} mm of the origin, "
-            "as if they were metres",
+            "as if the unit were metres",
         ),
     ),
     Rule(
         "IGTL-W502", "lengths too large for millimetres", "Protocol/transform.md",
-        "a factor of 1000 was applied twice, or the sender counts in micrometres",
+        "the sender applies a factor of 1000 twice, or uses micrometres",
         each(
             lambda one: one.lengths.messages if one.lengths.largest > checks.LARGE_MM else 0,
             lambda one: f"positions up to {one.lengths.largest / 1000:,.0f} m from the origin",
         ),
     ),
     Rule(
-        "IGTL-E503", "numbers that are none", "Protocol/transform.md",
-        "stop sending a pose that is not known, or say so in the metadata (TransformStatus)",
+        "IGTL-E503", "NaN or infinity", "Protocol/transform.md",
+        "do not send unknown poses, or mark them in the metadata (TransformStatus)",
         each(lambda one: one.not_finite, lambda one: f"NaN or infinity in {one.not_finite} messages"),
     ),
     Rule(
-        "IGTL-W504", "rotation is none", "Protocol/transform.md",
-        "columns of the matrix are the axes, of length 1 and at right angles; a scale does not belong there",
+        "IGTL-W504", "rotation matrix is not orthonormal", "Protocol/transform.md",
+        "the columns of the matrix must be perpendicular and have length 1; remove scale and shear",
         each(
             lambda one: one.not_orthonormal,
-            lambda one: f"axes not of length 1 or not at right angles in {one.not_orthonormal} messages",
+            lambda one: f"columns not perpendicular or not of length 1 in {one.not_orthonormal} messages",
         ),
     ),
     Rule(
         "IGTL-W505", "left-handed axes", "Protocol/transform.md",
-        "RAS is right-handed: two axes are exchanged, or one is negated",
-        each(lambda one: one.mirrored, lambda one: f"axes of {one.mirrored} messages are a mirror image"),
+        "RAS is right-handed: check for two exchanged axes, or one negated axis",
+        each(lambda one: one.mirrored, lambda one: f"the rotation matrix of {one.mirrored} messages is a reflection"),
     ),
     Rule(
-        "IGTL-W506", "spacing of pixels", "Protocol/image.md",
-        "the directions of the matrix have the spacing in millimetres as their length; 2-D images need one, too",
+        "IGTL-W506", "implausible pixel spacing", "Protocol/image.md",
+        "the length of the matrix columns must be the spacing in millimetres, for 2-D images too",
         each(checks.is_fine, lambda one: f"spacing of {one.lengths.smallest_spacing:.3g} mm"),
     ),
     Rule(
         "IGTL-W402", "one name for two streams", NAMES,
-        "give each stream a device name of its own that differs within its first 20 bytes", checks.same_names,
+        "give each stream its own device name, different within the first 20 bytes", checks.same_names,
     ),
     Rule(
-        "IGTL-W401", "name of 20 bytes or more, perhaps cut off", f"{HEADER}: Device name",
-        "shorten the name; the gateway itself sends the whole one in the metadata of header version 2",
+        "IGTL-W401", "name of 20 bytes or more, possibly truncated", f"{HEADER}: Device name",
+        "shorten the name; the gateway itself sends the full name in the metadata of header version 2",
         each(
             checks.is_full,
-            lambda one: f"the device name {one.device!r} fills its 20 bytes: the rest may be cut off",
+            lambda one: f"the device name {one.device!r} fills its 20 bytes and might be truncated",
         ),
     ),
     Rule(
         "IGTL-W403", "no device name", f"{HEADER}: Device name",
-        "name the stream: all without a name become one",
+        "name the stream: all streams without a name share one topic",
         each(
             lambda one: 0 if one.device or checks.is_talk(one) else one.messages,
             lambda one: f"{one.type} without a device name",
         ),
     ),
     Rule(
-        "IGTL-W404", "odd bytes in a name", f"{HEADER}: Device name",
-        "fill names up with zeros, and use UTF-8",
+        "IGTL-W404", "invalid bytes in a name", f"{HEADER}: Device name",
+        "pad names with zeros, and use UTF-8",
         each(
             checks.odd_name,
-            lambda one: f"the name {one.raw_device!r} has bytes behind a zero, or that cannot be shown",
+            lambda one: f"the name {one.raw_device!r} has bytes after a NUL, or unprintable bytes",
         ),
     ),
     Rule(
         "IGTL-W405", "name in the body that fills its field", "docs/messages.md",
-        "at most 19 bytes: C++ readers drop a name without a zero at its end",
+        "use at most 19 bytes: C++ readers drop a name without a final NUL",
         each(
             lambda one: len(one.element_names),
-            lambda one: f"names of elements fill their field: {', '.join(map(repr, sorted(one.element_names)[:3]))}",
+            lambda one: f"element names fill their field: {', '.join(map(repr, sorted(one.element_names)[:3]))}",
         ),
     ),
     Rule(
         "IGTL-W406", "two devices, one ROS topic", NAMES,
-        "name devices with letters, digits and _ only", checks.same_tokens,
+        "use only letters, digits and _ in device names", checks.same_tokens,
     ),
     Rule(
         "IGTL-W305", "stamps of another epoch", "Protocol/timestamp.md",
-        'stamps are UTC since 1970: take the time of receipt (`stamp = "receive"`); or what comes is a replay',
+        'use UTC since 1970 in the sender, or the time of receipt (`stamp = "receive"`); a replay has old stamps too',
         each(
             checks.other_epoch,
-            lambda one: f"stamps are {abs(one.timing.most_ns) / checks.EPOCH_NS:,.0f} days away from now",
+            lambda one: f"stamps are {abs(one.timing.most_ns) / checks.EPOCH_NS:,.0f} days from the current time",
         ),
     ),
     Rule(
         "IGTL-W303", "stamps in the future", "Protocol/timestamp.md",
-        "the clocks of the two machines differ: synchronise them (NTP, PTP)",
+        "synchronise the clocks of the two machines (NTP, PTP)",
         each(checks.in_future, lambda one: f"stamps are up to {checks.ms(-one.timing.least_ns)} in the future"),
     ),
     Rule(
         "IGTL-W306", "stamps are old", "Protocol/timestamp.md",
-        "clocks differ, or messages wait before they are sent; the two cannot be told apart from here",
+        "synchronise the clocks; if they are correct, the messages wait before they are sent",
         each(checks.is_old, lambda one: f"messages are {checks.ms(one.timing.least_ns)} old on arrival, or more"),
     ),
     Rule(
-        "IGTL-W304", "stamps run backwards", "Protocol/timestamp.md",
-        "the sender's clock was set, or messages overtake each other",
+        "IGTL-W304", "stamps decrease", "Protocol/timestamp.md",
+        "check whether the sender's clock was set, or messages overtake each other",
         each(
             lambda one: one.timing.backwards,
-            lambda one: f"{one.timing.backwards} of {one.timing.stamped} stamps are earlier than the one before",
+            lambda one: f"{one.timing.backwards} of {one.timing.stamped} stamps are earlier than the previous one",
         ),
     ),
     Rule(
-        "IGTL-W302", "stamps quantised, or standing still", "Protocol/timestamp.md",
-        'stamp each message with a fine clock, or take the time of receipt (`stamp = "receive"`)',
+        "IGTL-W302", "stamps quantised or unchanged", "Protocol/timestamp.md",
+        'stamp each message with a clock of high resolution, or use the time of receipt (`stamp = "receive"`)',
         each(checks.is_coarse, checks.coarse),
     ),
     Rule(
         "IGTL-W301", "stamps unset", TIME,
-        "nothing, if the time of receipt is good enough: the gateway takes that; else let the sender set them",
+        "set stamps in the sender; without stamps the gateway uses the time of receipt",
         each(
             lambda one: one.timing.unset,
-            lambda one: f"{one.timing.unset} of {one.timing.messages} messages have the stamp 0, which is unset",
+            lambda one: f"{one.timing.unset} of {one.timing.messages} messages have the stamp 0 (unset)",
         ),
     ),
     Rule(
-        "IGTL-W109", "a message that was not finished", HEADER,
-        "the sender died or lost its connection inside a message, or announces more than it sends", checks.cut,
+        "IGTL-W109", "incomplete message", HEADER,
+        "check the sender: it stopped or lost its link inside a message, or announces a larger body than it sends",
+        checks.cut,
     ),
     Rule(
-        "IGTL-W112", "comes and goes", f"{DOCTOR}: Roles",
-        "look into the peer's log: it connects, and leaves at once", checks.comes_and_goes,
+        "IGTL-W112", "connects and disconnects repeatedly", f"{DOCTOR}: Roles",
+        "check the peer's log: it connects, and disconnects immediately", checks.comes_and_goes,
     ),
     Rule(
         "IGTL-W114", "the peer reads too slowly", "docs/performance.md",
-        "send less often, or let it read faster; poses and pictures are replaced by newer ones meanwhile", checks.slow,
+        "send less, or let the peer read faster; until then old poses and images are dropped", checks.slow,
     ),
     Rule(
         "IGTL-W204", "both header versions", f"{HEADER}: Version number",
-        "nothing, if all who read it know version 2; readers of protocol 1 and 2 lose the stream at it",
+        "no action if all readers support version 2; readers of protocol versions 1 and 2 lose the stream at it",
         checks.mixed_versions,
     ),
     Rule(
-        "IGTL-W208", "type that is not known", f"{HEADER}: Type name",
-        "nothing, if the reader knows it; PLUS and old readers lose the stream at unknown types",
+        "IGTL-W208", "unknown type", f"{HEADER}: Type name",
+        "no action if the readers support it; PLUS and old readers lose the stream at unknown types",
         each(lambda one: one.messages if one.unknown else 0, checks.unknown_type),
     ),
     Rule(
         "IGTL-W507", "pause in a stream", f"{DOCTOR}: Rates",
-        "a tool out of sight, a stalled sender or network",
+        "check the tracker's line of sight, the sender and the network",
         each(
             checks.has_gap,
             lambda one: f"a pause of {checks.ms(one.longest_pause_ns)} in a stream of {one.rate_hz:.1f} Hz",
@@ -331,26 +332,26 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-W703", "messages lost", "docs/session-log.md",
-        "see `igtl-gateway info FILE`: losses", checks.lost,
+        "see the losses in `igtl-gateway info FILE`", checks.lost,
     ),
     Rule(
-        "IGTL-W801", "something else that was noted", f"{DOCTOR}: Notes",
-        "see the text", checks.other_notes,
+        "IGTL-W801", "other note", f"{DOCTOR}: Notes",
+        "see the text of the note", checks.other_notes,
     ),
     Rule(
-        "IGTL-W702", "too many to look at", f"{DOCTOR}: Limits",
-        "a peer invents names: give its streams fixed ones", checks.crowded,
+        "IGTL-W702", "too many streams or links", f"{DOCTOR}: Limits",
+        "use fixed device names; a peer sends a new name for each message", checks.crowded,
     ),
     Rule(
-        "IGTL-I603", "ROS: nobody listens", f"{DOCTOR}: ROS graph",
-        "subscribe to the topic; `ros2 topic list` shows it once messages came", checks.unheard,
+        "IGTL-I603", "ROS: no subscriber", f"{DOCTOR}: ROS graph",
+        "subscribe to the topic; `ros2 topic list` shows it after the first message", checks.unheard,
     ),
     Rule(
         "IGTL-I605", "ROS: nothing to send", f"{DOCTOR}: ROS graph",
         "publish below /igtl/out/, or name topics with `--send`", checks.nothing_out,
     ),
     Rule(
-        "IGTL-I704", "no OpenIGTLink in it", "docs/session-log.md",
+        "IGTL-I704", "no OpenIGTLink messages", "docs/session-log.md",
         "record with peers connected", checks.no_messages,
     ),
 )  # fmt: skip

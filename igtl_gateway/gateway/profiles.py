@@ -34,7 +34,7 @@ Adapted = tuple[Any, str]
 
 
 def _readable_pixels(image: Image) -> Adapted:
-    """Slicer reads 32-bit integers as C ``long`` and takes all numbers as RAS."""
+    """Slicer reads 32-bit integers as C ``long`` and interprets all matrices as RAS."""
     warning = ""
     if image.scalar_type in (6, 7):
         values = image.array.astype("<f4")
@@ -47,7 +47,7 @@ def _readable_pixels(image: Image) -> Adapted:
 
 
 def _nine_components(content: PolyData) -> Adapted:
-    """The C++ reader takes nine components for every attribute but point scalars, vectors and normals (§6.15)."""
+    """The C++ reader expects nine components for every attribute except point scalars, vectors and normals (§6.15)."""
     if all(attribute.type <= NORMAL for attribute in content.attributes):
         return content, ""
     return replace(content, attributes=tuple(map(_widened, content.attributes))), ""
@@ -123,8 +123,8 @@ def _is_plus(message: Message) -> bool:
 DEFAULT = Profile(
     "default",
     facts=(
-        ("old readers take the extended header for content: wrong poses without an error", "§5, reproduced"),
-        ("programs on the C++ library wait for bytes of a message that has none", "reproduced with 1.11"),
+        ("old readers interpret the extended header as content: wrong poses without an error", "§5, reproduced"),
+        ("programs on the C++ library wait for the content of a message without content", "reproduced with 1.11"),
     ),
 )
 
@@ -133,8 +133,8 @@ PROFILES: tuple[Profile, ...] = (
     Profile(
         "slicer",
         facts=(
-            ("greets with a version 2 STATUS without name, metadata dummy=dummy", "§10.2; SlicerOpenIGTLink#110"),
-            ("pushed nodes carry the metadata MRMLNodeName", "§10.2"),
+            ("sends first a version 2 STATUS without name, metadata dummy=dummy", "§10.2; SlicerOpenIGTLink#110"),
+            ("pushed nodes have the metadata MRMLNodeName", "§10.2"),
             ("crashes on GET_, STT_, STP_ and on RTS_ other than of TDATA and COMMAND", "§10.1; OpenIGTLinkIO#94"),
             ("ignores an empty body: its query then expires", "§10.1, reproduced"),
             ("ignores the LPS flag; reads 32-bit integer pixels as C long", "§6.5, §10.1"),
@@ -149,8 +149,8 @@ PROFILES: tuple[Profile, ...] = (
     Profile(
         "plus",
         facts=(
-            ("loses the stream at a type that its factory does not name", "§10.4"),
-            ("drops a client that is silent; GET_STATUS is answered at once", "§10.4; PLUS documents"),
+            ("loses the stream at a type that its factory does not know", "§10.4"),
+            ("disconnects a silent client; answers GET_STATUS immediately", "§10.4; PLUS documents"),
             ("answers in the highest header version received", "§10.4; PlusLib#374"),
             ("sends TRANSFORM with the metadata TransformValid, custom types TRACKEDFRAME, USMESSAGE", "§10.4"),
             ("reads nine components for most POLYDATA attributes", "§6.15, reproduced"),
@@ -164,7 +164,7 @@ PROFILES: tuple[Profile, ...] = (
     Profile(
         "brainlab",
         facts=(
-            ("the operator has to approve every connection", "PLUS documents"),
+            ("the operator must approve every connection", "PLUS documents"),
             ('sends IMAGE with an empty body for "none"', "OpenIGTLink#268"),
             ("answers the end of a stream with RTS_TDATA", "PLUS documents"),
             ("protocol version 2", "PLUS documents"),
@@ -174,8 +174,8 @@ PROFILES: tuple[Profile, ...] = (
     Profile(
         "holoscan",
         facts=(
-            ("its receiver throws on header version 1", "holohub, openigtlink operator"),
-            ("IMAGE only; other types are skipped", "holohub, openigtlink operator"),
+            ("its receiver throws an exception on header version 1", "holohub, openigtlink operator"),
+            ("reads IMAGE only, skips other types", "holohub, openigtlink operator"),
         ),
         first_version=2,
         reads=frozenset({"IMAGE", "STATUS"}),
@@ -186,7 +186,7 @@ PROFILES: tuple[Profile, ...] = (
         "legacy-v1",
         facts=(
             ("libopenigtlink up to 2.x loses the stream at a version 2 header", "§5, §10.6, reproduced with 1.11"),
-            ("short forms of POSITION, COMMAND, VIDEO and metadata are unknown to it", "§10.6"),
+            ("does not know the short forms of POSITION, COMMAND, VIDEO and metadata", "§10.6"),
         ),
         max_version=1,
     ),

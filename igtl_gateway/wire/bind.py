@@ -5,8 +5,8 @@ the names, each ending in NUL, and one more NUL where that makes an odd size; th
 followed by one zero byte where its size is odd.
 
 Children are contents as of header version 1: they have no header, time stamp, id or metadata of their own.
-They are cut out of the received bytes and decoded only on demand, so that a child that nobody can read costs
-neither its siblings nor the message.
+They are cut out of the received bytes and decoded only on demand, so an invalid child affects neither its siblings
+nor the message.
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ class Bind:
 
     Children have no header, time stamp, id or metadata of their own.
 
-    Accepted: a table of names of odd size (``names_size`` is believed, and the contents follow at once: the C++ library
-    does not always pad the table), names without the last NUL, a missing last pad byte, BIND in BIND up to four
-    levels, 4,096 children on all of them together.
+    Accepted: a table of names of odd size (the contents follow after ``names_size`` bytes: the C++ library does not
+    always pad the table), names without the last NUL, a missing last pad byte, nested BIND up to four levels, 4,096
+    children on all levels together.
 
     Sent: names and contents padded to even sizes with zero.
 
@@ -93,9 +93,9 @@ class Bind:
         Field("type", "char", 12, "type name", per="child"),
         Field("size", "u64", 1, "bytes of the content, without the pad byte", per="child"),
         Field("names_size", "u16", 1, "bytes of the table of names"),
-        Field("names", "char", "names_size", "device names, each ending in NUL; one more NUL where that is odd"),
+        Field("names", "char", "names_size", "device names, each ending in NUL; one more NUL if their size is odd"),
         Field("content", "bytes", "size", "as after a header of version 1", per="child"),
-        Field("pad", "bytes", "0 or 1", "where the size of the content is odd", per="child"),
+        Field("pad", "bytes", "0 or 1", "present if the size of the content is odd", per="child"),
     )
 
     children: tuple[Child, ...]

@@ -10,9 +10,9 @@ from igtl_gateway.wire.text import String
 
 @dataclass(frozen=True, slots=True)
 class ClientInfo(String):
-    """CLIENTINFO: what a client of a PLUS server wants to be sent, as XML; laid out as STRING.
+    """CLIENTINFO: the data that a client requests from a PLUS server, as XML; same layout as STRING.
 
-    ``<ClientInfo …>`` replaces the whole subscription: types, names of transforms and images, TDATA resolution.
+    ``<ClientInfo …>`` replaces the complete subscription: types, names of transforms and images, TDATA resolution.
 
     Accepted: as STRING.
 

@@ -25,7 +25,7 @@ _HEAD_SIZE = 2
 
 @dataclass(frozen=True, slots=True)
 class ColorTable:
-    """COLORT: the grey values or colours that stand for the values of an image.
+    """COLORT: a colour table: the grey value or colour of each pixel value.
 
     Attributes:
         index_type: 3 u8 (256 entries), 5 u16 (65,536 entries).

@@ -1,4 +1,4 @@
-"""COMMAND and RTS_COMMAND: a named instruction with a text, mostly XML, and its reply (``Protocol/command.md``)."""
+"""COMMAND and RTS_COMMAND: a named instruction with text, mostly XML, and its reply (``Protocol/command.md``)."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _HEAD = struct.Struct(f">I{NAME_WIDTH}sHI")
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """COMMAND and RTS_COMMAND: a named instruction with a text, mostly XML, and its reply.
+    """COMMAND and RTS_COMMAND: a named instruction with text, mostly XML, and its reply.
 
-    Accepted: any encoding; what is no text in the one that is named is read as UTF-8.
+    Accepted: any encoding; text that is invalid in the declared encoding is read as UTF-8.
 
     Sent: names of at most 127 bytes.
 
     Attributes:
-        command_id: number of the command; its reply carries the same.
+        command_id: number of the command; its reply has the same number.
         name: at most 128 bytes (127 for C++ readers).
         data: the text.
         encoding: IANA MIBenum of the text, as in STRING.

@@ -35,10 +35,10 @@ Triple = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """IMAGE: a slice or a volume with its place in the patient.
+    """IMAGE: a slice or a volume with position and orientation.
 
-    Accepted: either byte order, either coordinate system, parts of images.  An empty body is a peer's way to say that
-    it has no image.
+    Accepted: either byte order, either coordinate system, parts of images.  An empty body means that
+    the peer has no image.
 
     Attributes:
         dimensions: full size of the volume: columns i, rows j, slices k.

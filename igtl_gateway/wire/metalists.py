@@ -66,7 +66,7 @@ def _show_ticks(ticks: int) -> dict[str, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageMetaList(Elements):
-    """IMGMETA: the images that can be asked for (``Protocol/imagemeta.md``).
+    """IMGMETA: the images that can be requested (``Protocol/imagemeta.md``).
 
     Attributes:
         elements: structured array of ``IMAGE_META_DTYPE``.
@@ -78,7 +78,7 @@ class ImageMetaList(Elements):
     LAYOUT: ClassVar[Layout] = of_dtype(
         IMAGE_META_DTYPE,
         name="for people",
-        device_name="to be named in GET_IMAGE and GET_COLORT",
+        device_name="for GET_IMAGE and GET_COLORT",
         modality="such as CT",
         ticks="time of the scan, as in the header; 0 = unset",
         size="columns, rows, slices",
@@ -90,7 +90,7 @@ class ImageMetaList(Elements):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelMetaList(Elements):
-    """LBMETA: the label maps that can be asked for (``Protocol/labelmeta.md``).
+    """LBMETA: the label maps that can be requested (``Protocol/labelmeta.md``).
 
     Attributes:
         elements: structured array of ``LABEL_META_DTYPE``.
@@ -102,7 +102,7 @@ class LabelMetaList(Elements):
     LAYOUT: ClassVar[Layout] = of_dtype(
         LABEL_META_DTYPE,
         name="for people",
-        device_name="to be named in GET_IMAGE",
+        device_name="for GET_IMAGE",
         label="value of its voxels; 0 is unused",
         reserved="0",
         rgba="all 0 = no colour",
@@ -113,7 +113,7 @@ class LabelMetaList(Elements):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VideoMetaList(Elements):
-    """VIDEOMETA: the videos that can be asked for (``Protocol/videometa.md``).
+    """VIDEOMETA: the videos that can be requested (``Protocol/videometa.md``).
 
     Attributes:
         elements: structured array of ``VIDEO_META_DTYPE``.
@@ -125,7 +125,7 @@ class VideoMetaList(Elements):
     LAYOUT: ClassVar[Layout] = of_dtype(
         VIDEO_META_DTYPE,
         name="for people",
-        device_name="to be named in STT_VIDEO",
+        device_name="for STT_VIDEO",
         focal_length="millimetres",
         size="columns, rows, slices",
         matrix="as in IMAGE",

@@ -203,16 +203,16 @@ class PolyData:
 
     Two are equal if their bytes on the wire are.
 
-    Accepted: attributes with nine components of which only the first are real, as the reference library writes them.
+    Accepted: attributes with nine components of which only the first are valid, as written by the reference library.
     Every count and index is checked.
 
-    Sent: attributes as the document has them, but to peers whose profile says that they read nine components.
+    Sent: attributes as in the document, except to peers whose profile requires nine components.
 
     Attributes:
-        points: (n, 3) float32.  The document names no unit; every peer uses millimetres.
+        points: (n, 3) float32.  The document has no unit; every peer uses millimetres.
         vertices, lines, polygons, triangle_strips: per cell the number of its points, then their indices (from 0).
         attributes: values of points and cells.
-        name_padding: the byte that makes the size of the attribute names even, where there is one.
+        name_padding: the byte that makes the size of the attribute names even, if present.
     """
 
     PROTOCOL: ClassVar[str] = "2"
@@ -231,7 +231,7 @@ class PolyData:
             "points",
             "f32",
             "3 · num_points",
-            "x, y, z in millimetres; the document names no unit, every peer uses them",
+            "x, y, z in millimetres; the document has no unit, every peer uses millimetres",
         ),
         Field("vertices", "u32", "vertices_size / 4"),
         Field("lines", "u32", "lines_size / 4"),

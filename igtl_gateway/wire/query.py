@@ -36,7 +36,7 @@ def _lengths(place: str, content: memoryview, *lengths: int) -> None:
 class Nothing:
     """A query without content.
 
-    Accepted: any content; it is kept and not looked at.
+    Accepted: any content; it is kept, but not evaluated.
 
     Attributes:
         data: empty by every document.
@@ -59,16 +59,16 @@ class Nothing:
 
 @dataclass(frozen=True, slots=True)
 class StartTracking:
-    """STT_TDATA and STT_QTDATA: begin a stream of tracking data.
+    """STT_TDATA and STT_QTDATA: start a stream of tracking data.
 
-    The document puts a status byte before these in STT_QTDATA; no program does.
+    In the document STT_QTDATA has a status byte before these fields; no program writes it.
 
-    Accepted: no content at all, which asks for the defaults.
+    Accepted: no content, which requests the defaults.
 
     Attributes:
-        resolution: least time between two messages, milliseconds; 0 = as fast as they come.
+        resolution: minimum interval between two messages, milliseconds; 0 = every message.
         coordinate_name: empty = the sender's default.
-        has_body: False for a query without content, which asks for the defaults.
+        has_body: False for a query without content, which requests the defaults.
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
@@ -98,13 +98,13 @@ class StartTracking:
 
 @dataclass(frozen=True, slots=True)
 class StartVideo:
-    """STT_VIDEO: begin a video.
+    """STT_VIDEO: start a video.
 
     Accepted: a ninth byte; the library declares nine for these eight.
 
     Attributes:
         codec: four letters as in VIDEO.
-        resolution: least time between two frames, milliseconds.
+        resolution: minimum interval between two frames, milliseconds.
         trailing: the ninth byte.
     """
 
@@ -129,14 +129,14 @@ class StartVideo:
 
 @dataclass(frozen=True, slots=True)
 class StartPolyData:
-    """STT_POLYDATA: begin a stream of surfaces; the interval may be left out.
+    """STT_POLYDATA: start a stream of surfaces; the interval is optional.
 
     Attributes:
-        resolution_ns: least time between two messages, nanoseconds; None = not said.
+        resolution_ns: minimum interval between two messages, nanoseconds; None = absent.
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
-    LAYOUT: ClassVar[Layout] = (Field("resolution_ns", "u64", 1, "least time between two messages, nanoseconds"),)
+    LAYOUT: ClassVar[Layout] = (Field("resolution_ns", "u64", 1, "minimum interval between two messages, nanoseconds"),)
 
     resolution_ns: int | None = None
 
@@ -154,13 +154,13 @@ class StartPolyData:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """RTS_…: what became of a query.
+    """RTS_…: the result of a query.
 
-    Accepted: a missing byte, as the document has it for RTS_BIND.
+    Accepted: a missing byte, as in the document for RTS_BIND.
 
     Attributes:
-        status: 0 success, 1 error; the library's RTS_POLYDATA has it the other way round.
-        has_body: False where the byte is missing.
+        status: 0 success, 1 error; the library's RTS_POLYDATA has the opposite values.
+        has_body: False if the byte is missing.
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
@@ -189,7 +189,7 @@ Wanted = tuple[str, str]
 _UNINITIALISED = 4
 
 _CHILDREN = (
-    Field("count", "u16", 1, "number of contents wanted"),
+    Field("count", "u16", 1, "number of requested contents"),
     Field("type", "char", 12, "type name", per="content"),
     Field("names_size", "u16", 1, "bytes of the table of names"),
     Field("names", "char", "names_size", "device names, as in BIND"),
@@ -198,12 +198,12 @@ _CHILDREN = (
 
 @dataclass(frozen=True, slots=True)
 class GetBind:
-    """GET_BIND: which contents are wanted; without content all of them.
+    """GET_BIND: the requested contents; without content all of them.
 
-    Accepted: any 4 bytes, which ask for all: the C++ library reserves them for the two sizes and leaves them
-    uninitialised.  A table of names of odd size (the library does not pad it), with or without a pad byte behind it.
+    Accepted: any 4 bytes, which request all: the C++ library reserves them for the two sizes and leaves them
+    uninitialised.  A table of names of odd size (the library does not pad it), with or without a pad byte after it.
 
-    Sent: no content to ask for all; the table of names padded to an even size.
+    Sent: no content to request all; the table of names padded to an even size.
 
     Attributes:
         children: type and name of each; none = everything, which is a query without content.
@@ -232,14 +232,14 @@ class GetBind:
 
 @dataclass(frozen=True, slots=True)
 class StartBind:
-    """STT_BIND: begin a stream; the interval, then as GET_BIND.
+    """STT_BIND: start a stream; the interval, then as GET_BIND.
 
-    The library's writer leaves the interval undefined: above an hour it is taken for 0.
+    The library's writer leaves the interval uninitialised; more than an hour is treated as 0.
 
-    Accepted: no content at all; behind the interval what GET_BIND accepts.
+    Accepted: no content; after the interval, everything that GET_BIND accepts.
 
     Attributes:
-        resolution_ns: least time between two messages, nanoseconds.
+        resolution_ns: minimum interval between two messages, nanoseconds.
         children, kept: as in ``GetBind``.
     """
 

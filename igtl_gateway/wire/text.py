@@ -38,15 +38,15 @@ def mib_of(text: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class String:
-    """STRING: a text (``Protocol/string.md``).
+    """STRING: one string (``Protocol/string.md``).
 
-    Accepted: any encoding; what is no text in the one that is named is read as UTF-8.
+    Accepted: any encoding; text that is invalid in the declared encoding is read as UTF-8.
 
-    Sent: UTF-8, named US-ASCII (3) where that is true and UTF-8 (106) where not.
+    Sent: UTF-8, declared as US-ASCII (3) if that is correct, otherwise as UTF-8 (106).
 
     Attributes:
         data: the text, without NUL.
-        encoding: IANA MIBenum; 3 (US-ASCII) is what peers send whatever they mean, 106 is UTF-8.
+        encoding: IANA MIBenum; 106 is UTF-8; most peers declare 3 (US-ASCII) for every encoding.
     """
 
     PROTOCOL: ClassVar[str] = "2"
@@ -88,11 +88,11 @@ class String:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """STATUS: how the sender is doing (``Protocol/status.md``).
+    """STATUS: state of the sender (``Protocol/status.md``).
 
     Accepted: a message without the final NUL, which the document omits.
 
-    Sent: with it; the reference reader drops the message where it is missing.
+    Sent: with the final NUL; the reference reader drops the message without it.
 
     Attributes:
         code: 1 = OK; see ``CODES``.

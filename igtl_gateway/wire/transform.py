@@ -56,7 +56,7 @@ class Transform:
 class Position:
     """POSITION: a pose as position and quaternion (``Protocol/position.md``).
 
-    Accepted: three lengths.  28 bytes hold all; 24 leave out w, which is √(1 − x² − y² − z²); 12 leave out the
+    Accepted: three lengths.  28 bytes contain all values; 24 omit w, which is √(1 − x² − y² − z²); 12 omit the
     rotation.  The short forms are in the code of the reference library, not in the document.
 
     Sent: all 28 bytes.

@@ -32,20 +32,20 @@ _COLOUR_TYPES = 0xFF
 
 @dataclass(frozen=True, slots=True)
 class Video:
-    """VIDEO: one encoded frame with its place in the patient.
+    """VIDEO: one encoded frame with position and orientation.
 
-    Accepted: whatever the fields about the pixels say.  The frame can be carried, and mostly decoded, all the same,
-    and the library's own writer fills some of them wrongly.
+    Accepted: any values in the fields about the pixels.  The library's own writer fills some of them wrongly, and the
+    frame can be forwarded, and usually decoded, without them.
 
     Attributes:
         codec: four letters: ``I420`` (raw), ``H264``, ``VP90``, ``X265``, ``O265``, ``AV10``.
-        size: columns i, rows j, slices k of the picture.
+        size: columns i, rows j, slices k of the image.
         data: one encoded frame.
         frame_type: 1 key frame, others need the frames before them; above 255 a grey image, its type in the upper byte.
         endian: 1 big, 2 little: of raw pixels.
         coordinate: 1 RAS, 2 LPS: of the matrix.
         wire_matrix: as in IMAGE, in millimetres.
-        subvol_offset: first pixel of the part that the frame shows.
+        subvol_offset: first pixel of the sub-volume in the frame.
         subvol_size: its size; None stands for ``size``.
         video_version: 1.
     """
@@ -60,7 +60,7 @@ class Video:
         Field("size", "u16", 3),
         Field("wire_matrix", "f32", 12),
         Field("subvol_offset", "u16", 3),
-        Field("subvol_size", "u16", 3, "its size; as ``size`` for a whole picture"),
+        Field("subvol_size", "u16", 3, "its size; ``size`` for a complete image"),
         Field("data", "bytes", "the rest"),
     )
 

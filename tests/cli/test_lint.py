@@ -24,7 +24,7 @@ def test_a_recording_without_fault(capsys: pytest.CaptureFixture[str]) -> None:
     assert {stream["stream"] for stream in told["streams"]} >= {"STRING/Navigation", "POINT/PlanPoints"}
     assert main(["lint", str(FIXTURES / "star.mcap")]) == 0
     out = capsys.readouterr().out
-    assert "star.mcap: 3 OpenIGTLink streams\n" in out and out.endswith("nothing found that is wrong\n")
+    assert "star.mcap: 3 OpenIGTLink streams\n" in out and out.endswith("no problems found\n")
 
 
 def test_errors_are_found_and_told(capsys: pytest.CaptureFixture[str]) -> None:

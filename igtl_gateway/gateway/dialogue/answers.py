@@ -1,8 +1,8 @@
 """Answers to queries: GET_ is answered from the latest messages, STT_ and STP_ start and stop streams to the peer.
 
-A query that cannot be answered gets a message of the asked type without content: ``query.md`` wants that, and
-3D Slicer survives it, while an RTS_ of a type that it knows crashes it.  Other programs on the C++ library wait for
-the bytes of a version 1 message that has none: they get a STATUS.
+The reply to a query that cannot be answered is a message of the requested type without content.  ``query.md`` requires
+it, and 3D Slicer accepts it, while an RTS_ of a known type crashes 3D Slicer.  Other programs on the C++ library wait
+for the content of a version 1 message without content; they get a STATUS.
 """
 
 from __future__ import annotations
