@@ -111,7 +111,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "socketserver": (),
     "ssl": ("edges.tcp.tls",),
     "http": ("app.metrics",),
-    "rclpy": ("edges.ros",),
+    "rclpy": ("edges.ros.middleware",),
     # Time and chance: the core is a pure function of its inputs
     "time": ("clock",),
     "random": ("lab.simulate",),
@@ -153,7 +153,7 @@ IMPURE = frozenset({"ctypes", "multiprocessing", "os", "signal", "subprocess", "
 HIGHEST_PURE_LEVEL = 3
 
 #: Who may choose a module's name at run time: message types from the graph, verbs from the command line.
-DYNAMIC_IMPORTERS = ("edges.ros", "cli")
+DYNAMIC_IMPORTERS = ("edges.ros.middleware", "cli")
 
 #: Who may print or write to the standard streams: whatever else prints does it by ``cli.terminal``, which escapes.
 PRINTERS = ("cli.terminal",)
@@ -358,8 +358,8 @@ def test_tests_mirror_the_package() -> None:
         ("gateway", "from igtl_gateway import __version__, convert"),
         ("edges.tcp.loop", "import selectors, socket, threading"),
         ("edges.tcp.sender", "import select\nfrom igtl_gateway.edges.tcp.loop import Loop"),
-        ("edges.ros.edge", "import rclpy.node\nfrom igtl_gateway.edges.ros import env"),
-        ("edges.ros", "import importlib\nimportlib.import_module(name)"),
+        ("edges.ros.middleware", "import rclpy.node\nfrom igtl_gateway.edges.ros import env"),
+        ("edges.ros.middleware", "import importlib\nimportlib.import_module(name)"),
         ("sessionfile.writer", "from mcap.writer import Writer"),
         ("replay.verify", "from igtl_gateway.gateway import Gateway\nfrom rosbags.typesys import Stores"),
         ("lab.simulate.star", "import random"),
@@ -413,7 +413,7 @@ def test_what_is_allowed(module: str, source: str) -> None:
         ("view.log", "from importlib import import_module\nimport_module('mcap.reader')", "imports mcap"),
         ("view.log", "import importlib\nimportlib.import_module(name)", "chosen at run time"),
         # Homes
-        ("app", "import rclpy", "imports rclpy, whose home is edges.ros"),
+        ("app", "import rclpy", "imports rclpy, whose home is edges.ros.middleware"),
         ("edges.video", "from rclpy.node import Node", "imports rclpy"),
         ("app", "import rerun as rr", "imports rerun"),
         ("record.recorder", "from mcap.writer import Writer", "imports mcap"),

@@ -1,1 +1,1 @@
-"""The ROS 2 edge: rclpy's node on the DDS graph.  Nothing else imports rclpy."""
+"""The ROS 2 edge: a node on the DDS graph.  ``edge`` is its interface; ``middleware`` alone imports rclpy."""

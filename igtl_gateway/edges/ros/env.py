@@ -1,6 +1,6 @@
-"""What has to be set in the process before ROS 2 starts, so that large messages are fast.
+"""Settings of the process that must precede the start of ROS 2, so that large messages are fast.
 
-Two settings, each only where the user has not chosen himself.  Measured with raw bytes from process to
+There are two, each applied only if the user has not chosen another.  Measured with raw bytes from process to
 process, one Full HD RGB image took 59 ms with the defaults, 27 ms with the shared-memory profile and
 14 ms with the allocator settings on top (28, 74 and 137 images a second):
 
@@ -8,10 +8,10 @@ process, one Full HD RGB image took 59 ms with the defaults, 27 ms with the shar
 * glibc's allocator keeps big blocks instead of giving them back to the kernel after every message: the
   page faults of fresh blocks were half of the cost.
 
-And one thing has to be cleared away first: the shared memory of ROS processes that were killed.  Nobody else does, and
-each of ours is 134 MiB that the machine, and the next process, do without.
+And the shared memory of ROS processes that were killed is freed first.  No other program does that, and each segment of
+ours takes 134 MiB from the machine and from the next process.
 
-No rclpy here: this runs before it is imported, and also where it is not installed.
+This module does not import rclpy: it runs before the import, and also where rclpy is not installed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 PROFILE = Path(__file__).with_name("fastdds_profile.xml")
-#: The same with quick acknowledgements, for whoever waits for each.
+#: The same with quick acknowledgements, for a program that waits for each.
 LOCK_STEP_PROFILE = Path(__file__).with_name("fastdds_profile_lock_step.xml")
 
 #: Fast DDS 2 reads the first name, Fast DDS 3 the second.
@@ -35,11 +35,11 @@ _PROFILES_IN_CWD = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.x
 
 _SHARED_MEMORY = Path("/dev/shm")
 
-#: Memory that one participant owns; beside them there are ports, which all share and the next one takes over.
+#: Memory that one participant owns.  (Ports, which all participants share, have other names.)
 _SEGMENT = re.compile("fastrtps_[0-9a-f]{16}")
 
 # Every participant makes a segment of 128 MiB (see the profile).  Where that does not fit, as with the
-# 64 MB that containers get by default, Fast DDS cannot send large messages: better its own small default.
+# 64 MB that containers get by default, Fast DDS cannot send large messages, and its own small default is better.
 _SEGMENT_BYTES = 128 << 20
 
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
@@ -59,24 +59,22 @@ def prepare_environment(lock_step: bool = False) -> list[str]:
     Changes ``os.environ`` (child processes inherit the profile) and this process's allocator.
 
     Args:
-        lock_step: acknowledgements of messages will be waited for.
+        lock_step: the program waits for the acknowledgement of each message.
 
     Returns:
-        One line for people for each setting: what was applied, or what was kept and why; one more where memory of
-        processes that are gone was freed.
+        One line of text for each setting: what was applied, or what was kept and why; one more if memory of killed
+        processes was freed.
     """
     freed = free_shared_memory(_SHARED_MEMORY)
     lines = [_set_profile(LOCK_STEP_PROFILE if lock_step else PROFILE), keep_large_blocks()]
-    return (
-        [*lines, f"shared memory: {freed >> 20} MiB of processes that were killed are free again"] if freed else lines
-    )
+    return [*lines, f"shared memory: freed {freed >> 20} MiB of killed processes"] if freed else lines
 
 
 def free_shared_memory(folder: Path) -> int:
-    """Remove the segments of Fast DDS whose processes are gone, as ``fastdds shm clean`` does; the bytes freed.
+    """Remove the segments of Fast DDS whose processes have ended, as ``fastdds shm clean`` does; return the bytes.
 
-    Each has a file beside it that its process holds locked, and made and locked before the segment: where both are
-    there and nobody holds the lock, the process is gone.
+    Each segment has a lock file beside it, which its process created and locked before the segment.  If both exist and
+    no process holds the lock, the process has ended.
     """
     freed = 0
     for lock in folder.glob("fastrtps_*_el"):
@@ -84,19 +82,19 @@ def free_shared_memory(folder: Path) -> int:
         if not _SEGMENT.fullmatch(segment.name):
             continue
         try:
-            told = segment.stat()
-            if told.st_uid != os.getuid() or not _is_free(lock):
+            status = segment.stat()
+            if status.st_uid != os.getuid() or not _is_free(lock):
                 continue
             segment.unlink()
-            freed += told.st_blocks * 512
+            freed += status.st_blocks * 512
             lock.unlink()
-        except OSError:  # it has just gone, or is not ours to remove
+        except OSError:  # it has just been removed, or belongs to another user
             continue
     return freed
 
 
 def _is_free(lock: Path) -> bool:
-    """Whether nobody holds the lock."""
+    """Whether no process holds the lock."""
     import fcntl  # not on Windows, where there is no such folder
 
     with lock.open("rb") as file:
@@ -117,10 +115,10 @@ def _set_profile(profile: Path) -> str:
 
 
 def _profile_kept(environ: Mapping[str, str], cwd: Path, shared_memory: Path) -> str:
-    """Why the profile is not to be touched; ``""`` if it may be set."""
+    """Return why the profile must not be changed; ``""`` if it may be."""
     # FASTDDS_BUILTIN_TRANSPORTS is a choice of transports too, which a profile of ours would override
     for name in (*PROFILE_VARIABLES, "FASTDDS_BUILTIN_TRANSPORTS"):
-        # one of ours is what a program of ours left to its children
+        # a child inherits ours from a program of this package
         if environ.get(name, "") not in ("", str(PROFILE), str(LOCK_STEP_PROFILE)):
             return f"kept the user's ({name}={environ[name]})"
     for name in _PROFILES_IN_CWD:
@@ -139,9 +137,9 @@ def _profile_kept(environ: Mapping[str, str], cwd: Path, shared_memory: Path) ->
 
 
 def keep_large_blocks() -> str:
-    """Tell malloc to keep the blocks of pictures, where the user has set nothing; one line for people.
+    """Have malloc keep the blocks of pictures, unless the user has set its options; return one line of text.
 
-    It halves what the recorder costs, too, so it is of use without ROS.
+    It also halves the cost of the recorder, so it is useful without ROS.
     """
     kept = _malloc_kept(os.environ)
     if kept:
@@ -155,7 +153,7 @@ def keep_large_blocks() -> str:
 
 
 def _malloc_kept(environ: Mapping[str, str]) -> str:
-    """Why the allocator is not to be touched; ``""`` if it may be set."""
+    """Return why the allocator must not be changed; ``""`` if it may be."""
     for name in _MALLOC_VARIABLES:
         if environ.get(name):
             return f"kept the user's ({name}={environ[name]})"

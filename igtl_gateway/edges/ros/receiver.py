@@ -1,9 +1,9 @@
-"""Who takes the messages of our subscriptions out of the middleware: two ways behind one interface.
+"""Taking the messages of our subscriptions from the middleware: two ways behind one interface.
 
 Measured with TransformStamped at full speed on two busy cores: rclpy's executor, which builds a new wait set for
 every message, took 2,400 a second at 370 µs of CPU each (333 a second in an earlier trial elsewhere); one wait
 set kept by a thread of our own took 11,300 at 56 µs.  At 1 kHz and at 30 Hz the median latency was about equal.
-rclpy is handed in, not imported (`igtl_gateway.edges.ros.edge` alone imports it).
+rclpy is handed in, not imported (`igtl_gateway.edges.ros.middleware` alone imports it).
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import threading
 from collections.abc import Callable
 from typing import Any, Protocol
 
-#: Fields of the events of rclpy that say how much is new; an event that is polled without news has zeros.
+#: Fields of the events of rclpy with the number of changes; an event without any has zeros.
 _CHANGES = ("total_count_change", "current_count_change")
-# One topic before the next has its turn: so many messages, or one that is as large as a picture.
+# Bounds for the messages of one topic before the next one has its turn; one as large as a picture reaches the second.
 _TAKE_AT_MOST = 32
 _TAKE_BYTES = 256 * 2**10
 
@@ -51,7 +51,7 @@ class ExecutorReceiver:
         """The executor thread is the edge's."""
 
     def add(self, subscription: Any) -> None:
-        """The node has told its executor already."""
+        """The node has added it to its executor already."""
 
     def poll_events(self) -> None:
         """The executor does it."""
@@ -60,7 +60,7 @@ class ExecutorReceiver:
         """The executor thread is the edge's."""
 
 
-class _HandsOff:
+class _UnmanagedCallbackGroup:
     """A callback group (duck-typed, see `rclpy.callback_groups`) whose entities no executor waits for.
 
     Subscriptions and their events: waiting for an event wakes the executor at every message too (Fast DDS has one
@@ -83,11 +83,11 @@ class _HandsOff:
 class DirectReceiver:
     """A thread around one wait set of our own.
 
-    Stands on internals of rclpy: `available` says whether they are there.
+    It uses internals of rclpy: `available` checks for them.
     """
 
     def __init__(self, rclpy: Any, context: Any, on_error: OnError) -> None:
-        self.group = _HandsOff()
+        self.group = _UnmanagedCallbackGroup()
         self._implementation = rclpy.impl.implementation_singleton.rclpy_implementation
         self._context = context
         self._on_error = on_error
@@ -99,7 +99,7 @@ class DirectReceiver:
 
     @staticmethod
     def available(rclpy: Any) -> bool:
-        """Whether this rclpy has what the class needs."""
+        """Whether this rclpy has the internals that the class needs."""
         implementation = rclpy.impl.implementation_singleton.rclpy_implementation
         needed = {
             "WaitSet": ("clear_entities", "add_subscription", "add_guard_condition", "wait", "get_ready_entities"),
@@ -122,7 +122,7 @@ class DirectReceiver:
 
     def poll_events(self) -> None:
         for handler in list(self._events):
-            # what EventHandler.is_ready sets when a wait set says so; we ask without waiting
+            # EventHandler.is_ready sets it when a wait set reports an event; we take it without waiting
             handler._ready_to_take_data = True
             event = handler.take_data()
             if event is not None and any(getattr(event, name, 0) for name in _CHANGES):
@@ -147,7 +147,7 @@ class DirectReceiver:
             wait_set.add_guard_condition(self._wake.handle)
             for handle, _, _ in sources:
                 wait_set.add_subscription(handle)
-            wait_set.wait(-1)  # lets go of the GIL
+            wait_set.wait(-1)  # releases the GIL
             for pointer in wait_set.get_ready_entities("subscription"):
                 try:
                     self._take(*by_pointer[pointer])
@@ -155,7 +155,7 @@ class DirectReceiver:
                     self._on_error(error)
 
     def _take(self, handle: Any, message_type: Any, callback: Callable[..., None]) -> None:
-        # What is left after a turn makes the next wait return at once, so every topic comes to its turn.
+        # Messages left after a turn make the next wait return at once, so every topic has its turn.
         size = 0
         for _ in range(_TAKE_AT_MOST):
             taken = handle.take_message(message_type, True)

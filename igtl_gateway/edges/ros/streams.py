@@ -1,4 +1,4 @@
-"""The state of one topic at the ROS edge: what is held back, what came back, what is missing.
+"""The state of one topic at the ROS edge: messages held for subscribers, our own that come back, and losses.
 
 Nothing here needs rclpy: publishers are anything with ``publish(bytes)``, times are arguments or a clock.
 """
@@ -8,11 +8,12 @@ from __future__ import annotations
 import threading
 from bisect import bisect_right
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from igtl_gateway.clock import Clock
-from igtl_gateway.edges.ros.direct import Publisher, gone
+from igtl_gateway.edges.ros.direct import RclPublisher, closed_publisher
+from igtl_gateway.edges.ros.middleware import first_line
 from igtl_gateway.qos import Qos
 
 #: Messages held for one topic until its subscribers are matched: 2 s of a 1 kHz stream.
@@ -27,16 +28,17 @@ _DDS_STAMP_NS = 1  # DDS stamps are 32.32 fixed point: a nanosecond is lost at m
 
 
 @dataclass(slots=True)
-class Counts:
+class TopicCounts:
     """Of one topic, in messages.
 
     Attributes:
-        received: handed on to the gateway.
-        published: handed over to the middleware.  With ``held``, ``unheard`` and ``failed`` all that we were asked for.
+        received: passed to the gateway.
+        published: passed to the middleware.  ``published``, ``held``, ``unheard`` and ``failed`` add up to all messages
+            that were to be published.
         held: waiting for subscribers now.
         lost: sent by others but never received.
-        failed: refused by the middleware, or by a fault of ours.
-        unheard: not handed over, for nobody was there to hear it, now or later.
+        failed: refused by the middleware, or by a defect of our own.
+        unheard: not passed to the middleware, because there was no subscriber, and a later one would not get them.
     """
 
     received: int = 0
@@ -47,21 +49,21 @@ class Counts:
     unheard: int = 0
 
 
-class Echo:
-    """Recognises our own messages among those of a topic that others publish as well.
+class EchoFilter:
+    """Recognises our own messages on a topic that others publish as well.
 
-    rclpy hides which publisher a message came from.  But DDS stamps it within our call of publish, and in that
-    time on that topic nobody else sends a message that begins with the same bytes.  (Begins: DDS may pad it.)
+    rclpy hides the publisher of a message.  But DDS stamps the message within our call of publish, and in that time no
+    other publisher of the topic sends a message that begins with the same bytes.  (Begins: DDS might pad it.)
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._begun_ns: list[int] = []
         self._sent: list[tuple[int, bytes]] = []  # (end of the call, how the message begins)
-        # the same of before the host's clock was set back: what was on its way then has stamps of then
+        # both, from before the host's clock was set back: messages on their way at that time have the old stamps
         self._before: tuple[list[int], list[tuple[int, bytes]]] = [], []
 
-    def publish(self, publisher: Publisher, cdr: bytes, clock: Clock) -> None:
+    def publish(self, publisher: RclPublisher, cdr: bytes, clock: Clock) -> None:
         """Send, and remember; the lock makes the receiver wait until the end of the call is known."""
         with self._lock:
             begun_ns = clock.utc_ns()
@@ -76,10 +78,10 @@ class Echo:
 
     def is_own(self, cdr: bytes, source_ns: int) -> bool:
         with self._lock:
-            return _came_back(self._begun_ns, self._sent, cdr, source_ns) or _came_back(*self._before, cdr, source_ns)
+            return _is_echo(self._begun_ns, self._sent, cdr, source_ns) or _is_echo(*self._before, cdr, source_ns)
 
 
-def _came_back(begun_ns: list[int], sent: list[tuple[int, bytes]], cdr: bytes, source_ns: int) -> bool:
+def _is_echo(begun_ns: list[int], sent: list[tuple[int, bytes]], cdr: bytes, source_ns: int) -> bool:
     """Whether a message is one of those that were sent."""
     index = bisect_right(begun_ns, source_ns + _DDS_STAMP_NS) - 1
     if index < 0:
@@ -87,20 +89,20 @@ def _came_back(begun_ns: list[int], sent: list[tuple[int, bytes]], cdr: bytes, s
     ended_ns, prefix = sent[index]
     own = source_ns <= ended_ns + _DDS_STAMP_NS and cdr.startswith(prefix)
     if own:
-        # Each comes back once: should somebody send the very same at this moment, that one is let through.
+        # Each comes back once: should another node send the same bytes at this moment, its message passes.
         sent[index] = _CAME_BACK
     return own
 
 
-class Reader:
-    """One subscription: what arrived on it, and what did not.
+class TopicSubscription:
+    """One subscription: what was received, and what was lost.
 
-    While one publisher alone is matched, its sequence numbers show every loss.  With several, rclpy does not say
-    whose number it is; then only the losses count that the middleware reports (those on the way, not those of an
-    overflowing queue).
+    While only one publisher is matched, its sequence numbers show every loss.  With several, rclpy hides whose number
+    it is; then only the losses count that the middleware reports (those on the network, not those of an overflowing
+    queue).
     """
 
-    def __init__(self, topic: str, type_name: str, counts: Counts, echo: Echo | None) -> None:
+    def __init__(self, topic: str, type_name: str, counts: TopicCounts, echo: EchoFilter | None) -> None:
         self.topic = topic
         self.type_name = type_name
         self.counts = counts
@@ -112,7 +114,7 @@ class Reader:
         self._unconfirmed = 0
 
     def matched(self, publishers: int) -> None:
-        """So many publishers are matched now.  Comes by another thread, perhaps after the first messages."""
+        """The number of matched publishers has changed.  Called by another thread, perhaps after the first messages."""
         if self._publishers == 0 and publishers == 1:
             self.counts.lost += self._unconfirmed
         else:
@@ -139,20 +141,20 @@ class Reader:
                 self._unconfirmed += missing
 
 
-class Writer:
+class TopicPublisher:
     """One publisher, with the messages that wait for its subscribers.
 
-    ``ready`` once they need not wait: from then on `RosEdge.publish` sends in the caller's thread.  All but
-    ``ready`` is guarded by ``lock``, which outside the seconds after its creation nobody else holds.
+    ``ready`` once they need not wait: from then on `Publishing.publish` sends in the caller's thread.  All attributes
+    but ``ready`` are guarded by ``lock``, for which no other thread competes after the first seconds.
     """
 
-    def __init__(self, topic: str, type_name: str, publisher: Publisher, qos: Qos, counts: Counts) -> None:
+    def __init__(self, topic: str, type_name: str, publisher: RclPublisher, qos: Qos, counts: TopicCounts) -> None:
         self.topic = topic
         self.type_name = type_name
         self.publisher = publisher
         self.qos = qos
         self.counts = counts
-        self.echo: Echo | None = None
+        self.echo: EchoFilter | None = None
         self.lock = threading.Lock()
         self.held: deque[bytes] = deque()
         self.held_bytes = 0
@@ -162,11 +164,11 @@ class Writer:
 
     @property
     def heard(self) -> bool:
-        """Whether a message might reach anybody: now, or, where it waits, later."""
+        """Whether a message might reach a subscriber: now, or, where it is held, later."""
         return not self.ready or self.publisher.get_subscription_count() > 0
 
     def send(self, cdr: bytes, clock: Clock) -> str:
-        """Hand over to the middleware; returns what went wrong, or ``""``."""
+        """Pass a message to the middleware; returns the cause of a failure, or ``""``."""
         try:
             if self.echo is not None:
                 self.echo.publish(self.publisher, cdr, clock)
@@ -179,32 +181,32 @@ class Writer:
         return ""
 
     def close(self) -> None:
-        """The publisher is about to be destroyed: what is sent from now on fails."""
+        """The publisher is about to be destroyed: all further messages fail."""
         with self.lock:
-            self.publisher = gone()
+            self.publisher = closed_publisher()
 
     def hold(self, cdr: bytes) -> None:
-        """Keep for later (with ``lock`` held).  `overflows` tells when the oldest has to go first."""
+        """Keep a message for later (with ``lock`` held).  If it then `overflows`, the oldest must be sent."""
         self.held.append(cdr)
         self.held_bytes += len(cdr)
         self.counts.held = len(self.held)
 
     @property
     def overflows(self) -> bool:
-        """Whether more is held than may be."""
+        """Whether more messages or bytes are held than the bounds allow."""
         return len(self.held) > HOLD_MESSAGES or (self.held_bytes > HOLD_BYTES and len(self.held) > 1)
 
     def send_oldest(self, clock: Clock) -> str:
-        """Send the oldest held message (with ``lock`` held); returns what went wrong, or ``""``."""
+        """Send the oldest held message (with ``lock`` held); returns the cause of a failure, or ``""``."""
         cdr = self.held.popleft()
         self.held_bytes -= len(cdr)
         self.counts.held = len(self.held)
         return self.send(cdr, clock)
 
     def release(self, clock: Clock, at_most: int) -> str:
-        """Send held messages in order; ready when none is left.  Returns what went wrong last, or ``""``.
+        """Send held messages in order; ready when none is left.  Returns the cause of the last failure, or ``""``.
 
-        The lock is taken for each message anew: a caller of publish waits for one message, not for all.
+        The lock is released after each message: a caller of publish waits for one message, not for all.
         """
         failure = ""
         for _ in range(at_most):
@@ -216,6 +218,14 @@ class Writer:
         return failure
 
 
-def first_line(error: BaseException) -> str:
-    """The first line of an error's text: rclpy puts whole paragraphs into some."""
-    return (str(error).strip() or type(error).__name__).splitlines()[0]
+@dataclass(slots=True)
+class Topics:
+    """The publishers and subscriptions of our node.
+
+    Attributes:
+        publishers: by the name as given and by the full name.
+        subscriptions: by the full name.
+    """
+
+    publishers: dict[str, TopicPublisher] = field(default_factory=dict)
+    subscriptions: dict[str, TopicSubscription] = field(default_factory=dict)

@@ -7,7 +7,8 @@ from typing import Any
 
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
-from igtl_gateway.edges.ros.streams import Reader
+from igtl_gateway.edges.ros.streams import TopicSubscription
+from igtl_gateway.edges.ros.subscribing import Callback
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.note import Note
@@ -32,12 +33,17 @@ class _Node(RosEdge):
 
     def raw_publisher(self, topic: str) -> Callable[[bytes], None]:
         """What hands bytes to the middleware."""
-        return self._writers[topic].publisher.publish
+        return self._topics.publishers[topic].publisher.publish
 
-    def _receive(self, reader: Reader, cdr: bytes, info: dict[str, Any]) -> None:
-        at_ns = self._now()
-        number, heard = self._heard[reader.topic]
-        heard.take(number(cdr), at_ns, cdr)
+    def _callback(self, subscription: TopicSubscription) -> Callback:
+        now = self._now
+        number, heard = self._heard[subscription.topic]
+
+        def receive(cdr: bytes, _info: dict[str, Any]) -> None:
+            at_ns = now()
+            heard.take(number(cdr), at_ns, cdr)
+
+        return receive
 
 
 class RosSide:

@@ -112,7 +112,7 @@ class Heard:
 def wait_known(edge: RosEdge, topic: str) -> None:
     """Wait until discovery has told the edge of a subscriber: what is published before that is nobody's."""
     pause, deadline = threading.Event(), time.monotonic() + TIMEOUT_S
-    while not edge._running.node.count_subscribers(topic):  # type: ignore[union-attr]  # running
+    while not edge._node.handle.count_subscribers(topic):
         assert time.monotonic() < deadline, f"no subscriber of {topic} was discovered"
         pause.wait(0.01)
 
@@ -222,7 +222,7 @@ def test_messages_do_not_wake_the_executor(peer: Peer, edge: RosEdge, heard: Hea
     heard.wanted[topic] = DEEP
     peer.publisher(topic, TRANSFORM, {"depth": DEEP.depth})
     assert peer.readers(topic, 1)
-    executor = edge._running.executor  # type: ignore[union-attr]  # running
+    executor = edge._node.executor
     turns, spin_once = [0], executor.spin_once
 
     def counted() -> None:

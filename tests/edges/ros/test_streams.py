@@ -8,7 +8,7 @@ import pytest
 
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.edges.ros import streams
-from igtl_gateway.edges.ros.streams import Counts, Echo, Reader, Writer
+from igtl_gateway.edges.ros.streams import EchoFilter, TopicCounts, TopicPublisher, TopicSubscription
 from igtl_gateway.qos import Qos
 
 QUICK_NS = 1000  # what a call of publish takes here
@@ -37,23 +37,23 @@ class Publisher:
         return True
 
 
-def writer_and_publisher() -> tuple[Writer, Publisher, ManualClock]:
+def writer_and_publisher() -> tuple[TopicPublisher, Publisher, ManualClock]:
     clock = ManualClock(10**18)
     publisher = Publisher(clock)
-    return Writer("/t", "std_msgs/msg/String", publisher, Qos(), Counts()), publisher, clock
+    return TopicPublisher("/t", "std_msgs/msg/String", publisher, Qos(), TopicCounts()), publisher, clock
 
 
 def test_held_messages_go_in_order_and_then_the_writer_is_ready() -> None:
     writer, publisher, clock = writer_and_publisher()
     for number in range(5):
         writer.hold(bytes([number]))
-    assert writer.counts == Counts(held=5)
+    assert writer.counts == TopicCounts(held=5)
     assert writer.release(clock, at_most=3) == ""
     assert (publisher.sent, writer.ready) == ([b"\0", b"\1", b"\2"], False)
-    assert writer.counts == Counts(held=2, published=3)
+    assert writer.counts == TopicCounts(held=2, published=3)
     writer.release(clock, at_most=3)
     assert (publisher.sent[3:], writer.ready) == ([b"\3", b"\4"], True)
-    assert (writer.counts, writer.held_bytes) == (Counts(published=5), 0)
+    assert (writer.counts, writer.held_bytes) == (TopicCounts(published=5), 0)
 
 
 def test_refused_message_is_counted_and_told_in_one_line() -> None:
@@ -61,7 +61,7 @@ def test_refused_message_is_counted_and_told_in_one_line() -> None:
     for cdr in (b"refused", b"good"):
         writer.hold(cdr)
     assert writer.release(clock, at_most=9) == "no"
-    assert (publisher.sent, writer.counts) == ([b"good"], Counts(published=1, failed=1))
+    assert (publisher.sent, writer.counts) == ([b"good"], TopicCounts(published=1, failed=1))
 
 
 def test_hold_is_bounded_by_messages_and_by_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,7 +76,7 @@ def test_hold_is_bounded_by_messages_and_by_bytes(monkeypatch: pytest.MonkeyPatc
 
 def test_echo_knows_own_messages_by_time_and_bytes() -> None:
     _, publisher, clock = writer_and_publisher()
-    echo = Echo()
+    echo = EchoFilter()
     assert not echo.is_own(b"x", clock.utc_ns())
     for cdr in (b"first", b"second", b"second"):
         echo.publish(publisher, cdr, clock)
@@ -94,7 +94,7 @@ def test_echo_knows_own_messages_by_time_and_bytes() -> None:
 
 def test_echo_knows_own_messages_also_when_the_clock_was_set_back() -> None:
     _, publisher, clock = writer_and_publisher()
-    echo = Echo()
+    echo = EchoFilter()
     for _ in range(20):
         echo.publish(publisher, b"before", clock)
     later = ManualClock(clock.utc_ns() - 3600 * 10**9)
@@ -109,15 +109,15 @@ def test_echo_knows_own_messages_also_when_the_clock_was_set_back() -> None:
 def test_echo_forgets_the_oldest(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, "_ECHO_MEMORY", 2)
     _, publisher, clock = writer_and_publisher()
-    echo = Echo()
+    echo = EchoFilter()
     for _ in range(5):
         echo.publish(publisher, b"x", clock)
     assert [echo.is_own(b"x", stamp) for stamp in publisher.stamps] == [False, False, True, True, True]
 
 
-def counted(*events: int | str | None) -> Counts:
-    """Counts of a reader after sequence numbers, ``"+N"`` (N publishers matched) and ``"-N"`` (N reported lost)."""
-    reader = Reader("/t", "std_msgs/msg/String", Counts(), None)
+def counted(*events: int | str | None) -> TopicCounts:
+    """Counts after sequence numbers, ``"+N"`` (N publishers matched) and ``"-N"`` (N reported lost)."""
+    reader = TopicSubscription("/t", "std_msgs/msg/String", TopicCounts(), None)
     for event in events:
         if isinstance(event, str):
             (reader.matched if event[0] == "+" else reader.lost)(int(event[1:]))
@@ -127,18 +127,18 @@ def counted(*events: int | str | None) -> Counts:
 
 
 def test_gaps_in_the_numbers_of_a_single_publisher_are_losses() -> None:
-    assert counted("+1", 7, 8, 9) == Counts(received=3)
-    assert counted("+1", 7, 10, 11, 13) == Counts(received=4, lost=3)
-    assert counted("+1", 7, "+0", "+1", 90, 91) == Counts(received=3)
-    assert counted("+1", 7, "+2", 90, 8, "+1", 9, 10) == Counts(received=5)
-    assert counted("+1", 7, "-2", 10) == Counts(received=2, lost=2)
+    assert counted("+1", 7, 8, 9) == TopicCounts(received=3)
+    assert counted("+1", 7, 10, 11, 13) == TopicCounts(received=4, lost=3)
+    assert counted("+1", 7, "+0", "+1", 90, 91) == TopicCounts(received=3)
+    assert counted("+1", 7, "+2", 90, 8, "+1", 9, 10) == TopicCounts(received=5)
+    assert counted("+1", 7, "-2", 10) == TopicCounts(received=2, lost=2)
 
 
 def test_gaps_before_the_publishers_are_known_count_if_it_was_one() -> None:
-    assert counted(7, 10, "+1", 11, 13) == Counts(received=4, lost=3)
-    assert counted(7, 10, "+2", 11, 13) == Counts(received=4)
+    assert counted(7, 10, "+1", 11, 13) == TopicCounts(received=4, lost=3)
+    assert counted(7, 10, "+2", 11, 13) == TopicCounts(received=4)
 
 
 def test_without_usable_numbers_only_reported_losses_count() -> None:
-    assert counted("+2", 7, 100, 8, "-3") == Counts(received=3, lost=3)
-    assert counted("+1", None, None, 0, 0) == Counts(received=4)
+    assert counted("+2", 7, 100, 8, "-3") == TopicCounts(received=3, lost=3)
+    assert counted("+1", None, None, 0, 0) == TopicCounts(received=4)

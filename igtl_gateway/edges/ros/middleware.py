@@ -1,0 +1,103 @@
+"""rclpy itself, imported when a node starts, and what is made of its types: message classes and profiles of QoS."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import subprocess
+import sys
+from typing import Any
+
+from igtl_gateway.errors import RosError
+from igtl_gateway.extras import missing
+from igtl_gateway.qos import Qos
+
+_TYPE = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv)/([A-Z][A-Za-z0-9]*)")
+_RMW_CHECK_S = 60
+_SUBMODULES = (
+    "callback_groups",
+    "context",
+    "duration",
+    "event_handler",
+    "executors",
+    "guard_condition",
+    "node",
+    "qos",
+    "subscription",
+    "impl.implementation_singleton",
+)
+
+
+class UnknownTypeError(RosError):
+    """The Python package of a message type is not installed here."""
+
+
+def import_rclpy() -> Any:
+    """Return rclpy with the submodules that we use.  Raises RosError if it is missing, or its middleware is."""
+    wanted = os.environ.get("RMW_IMPLEMENTATION")
+    if wanted and "rclpy" not in sys.modules:
+        _check_rmw(wanted)
+    try:
+        rclpy = importlib.import_module("rclpy")
+        for name in _SUBMODULES:
+            importlib.import_module(f"rclpy.{name}")
+    except ImportError as error:
+        raise RosError(missing("rclpy", error)) from error
+    return rclpy
+
+
+def _check_rmw(wanted: str) -> None:
+    """Try the import in another process: with a middleware that is not installed it ends the whole process."""
+    tried = subprocess.run(
+        [sys.executable, "-c", "import rclpy.impl.implementation_singleton"],
+        capture_output=True,
+        text=True,
+        errors="replace",
+        timeout=_RMW_CHECK_S,
+        check=False,
+    )
+    if tried.returncode and "ImportError" not in tried.stderr and "ModuleNotFoundError" not in tried.stderr:
+        lines = tried.stderr.strip().splitlines() or [f"exit code {tried.returncode}"]
+        raise RosError(f"RMW_IMPLEMENTATION={wanted} does not work here ({lines[-1]}); unset it or install it")
+
+
+def interface_class(type_name: str) -> Any:
+    """Return the Python class of ``"pkg/msg/Name"`` or ``"pkg/srv/Name"``.
+
+    Raises UnknownTypeError if it is not installed here.
+    """
+    match = _TYPE.fullmatch(type_name)
+    if not match:
+        raise UnknownTypeError(f'unknown type, found {type_name!r}, expected "package/msg/Name"')
+    package, kind, name = match.groups()
+    try:
+        return getattr(importlib.import_module(f"{package}.{kind}"), name)
+    except (ImportError, AttributeError) as error:
+        raise UnknownTypeError(f"unknown type, {first_line(error)} (install the package {package} for it)") from error
+
+
+def profile_of(rclpy: Any, qos: Qos) -> Any:
+    """Return the rclpy profile of ``qos``."""
+    policies = rclpy.qos
+    return policies.QoSProfile(
+        history=policies.HistoryPolicy.KEEP_LAST,
+        depth=qos.depth,
+        reliability=policies.ReliabilityPolicy.RELIABLE if qos.reliable else policies.ReliabilityPolicy.BEST_EFFORT,
+        durability=policies.DurabilityPolicy.TRANSIENT_LOCAL if qos.latched else policies.DurabilityPolicy.VOLATILE,
+    )
+
+
+def qos_of(rclpy: Any, profile: Any) -> Qos:
+    """Return depth, reliability and durability of an rclpy profile."""
+    policies = rclpy.qos
+    return Qos(
+        profile.depth,
+        profile.reliability == policies.ReliabilityPolicy.RELIABLE,
+        profile.durability == policies.DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error's text: that of rclpy might have several paragraphs."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0]

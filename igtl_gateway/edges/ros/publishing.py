@@ -1,0 +1,240 @@
+"""Publishers: made on first use, holding their first messages until the subscribers are matched."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from igtl_gateway.edges.ros.direct import direct_publisher
+from igtl_gateway.edges.ros.graph import Graph
+from igtl_gateway.edges.ros.middleware import interface_class, profile_of
+from igtl_gateway.edges.ros.node import RosNode
+from igtl_gateway.edges.ros.reports import Reports
+from igtl_gateway.edges.ros.streams import HOLD_MESSAGES, EchoFilter, TopicPublisher, Topics
+from igtl_gateway.errors import RosError
+from igtl_gateway.qos import Qos
+from igtl_gateway.stamp import NS_PER_S
+
+#: Subscriptions that the graph knows are matched well within this time, or never (incompatible QoS).
+HOLD_NS = 2_000_000_000
+#: Within this time after the start a graph without subscribers might only mean that discovery is not complete.
+DISCOVERY_NS = 3_000_000_000
+
+_LINGER_NS = 500_000_000  # for acknowledgements at the end; a subscriber that hangs must not delay us
+_CDR_HEADER = 4
+_MATCHES_MAX = 10_000  # matches not reported yet: at most those of a quarter of a second
+
+
+class Publishing:
+    """The publishers of a node; see ``RosEdge`` for what each public method does."""
+
+    def __init__(
+        self,
+        node: RosNode,
+        topics: Topics,
+        graph: Graph,
+        reports: Reports,
+        on_listener: Callable[[str], None] | None,
+    ) -> None:
+        self._node = node
+        self._clock = node.clock
+        self._topics = topics
+        self._publishers = topics.publishers
+        self._graph = graph
+        self._reports = reports
+        self._on_listener = on_listener
+        self._listened: deque[str] = deque(maxlen=_MATCHES_MAX)  # topics with a new subscriber, not reported yet
+
+    # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
+
+    def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos) -> str:
+        """Send CDR bytes (with encapsulation); from any thread.
+
+        The publisher is created on first use, and ``qos`` counts then.  Never raises for a bad topic or type, nor
+        before start or after stop: a note reports that once, and the message counts as failed.
+
+        Returns:
+            Why the message is not published, or ``""``.  One that is held for its subscribers might still fail later,
+            which `counters` show.
+        """
+        publisher = self._publishers.get(topic)
+        if publisher is None or publisher.type_name != type_name:
+            publisher = self.advertise(topic, type_name, qos)
+            if publisher is None:
+                self._reports.counts(topic).failed += 1
+                return self._reports.refusal("publish", topic, type_name) or "the node is not running"
+        if len(cdr) < _CDR_HEADER:
+            # DDS would carry it, and each subscriber would fail over it
+            with publisher.lock:
+                publisher.counts.failed += 1
+            found = f"{len(cdr)} bytes, expected CDR with {_CDR_HEADER} bytes of encapsulation"
+            self._reports.publish_failed(publisher.topic, found)
+            return found
+        overflown, failure = False, ""
+        with publisher.lock:
+            if publisher.ready:
+                failure = publisher.send(cdr, self._clock)
+            else:
+                publisher.hold(cdr)
+                # not dropped: the subscribers that are matched by now get it
+                while publisher.overflows:
+                    overflown, failure = True, publisher.send_oldest(self._clock)
+        if failure:
+            self._reports.publish_failed(publisher.topic, failure)
+        if overflown:
+            self._reports.hold_overflowed(publisher.topic)
+            return ""  # the failure is of an older message, and counted
+        return failure
+
+    def heard(self, topic: str) -> bool:
+        """Whether a message published now might reach a subscriber: cheap, and exact once discovery is complete.
+
+        True, too, while a publisher waits for subscribers.  ``on_listener`` reports those that come later.
+        """
+        publisher = self._publishers.get(topic)
+        return publisher is None or publisher.heard
+
+    def pass_over(self, topic: str) -> bool:
+        """Whether a message of a topic need not be published for want of a subscriber, which is counted then.
+
+        A message that is neither latched nor subscribed to goes nowhere in DDS either, only more slowly (6 µs, after a
+        pause 100).
+        """
+        publisher = self._publishers.get(topic)
+        if publisher is None or publisher.qos.latched or publisher.heard:
+            return False
+        publisher.counts.unheard += 1
+        return True
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> TopicPublisher | None:
+        """The publisher of the topic, made if there is none; None (and a note) if that is impossible."""
+        if self._reports.refusal("publish", topic, type_name):
+            return None
+        try:
+            with self._node.lock:
+                full = self._node.handle.resolve_topic_name(topic)
+                publisher = self._publishers.get(full)
+                if publisher is None:
+                    publisher = self._make(full, type_name, qos)
+                if publisher.type_name != type_name:
+                    raise RosError(f"the topic has the type {publisher.type_name}")
+                self._publishers[topic] = self._publishers[full] = publisher
+                return publisher
+        except Exception as error:  # rclpy raises a dozen unrelated classes here
+            self._reports.refuse("publish", topic, type_name, error)
+            return None
+
+    def subscriber_count(self, topic: str) -> int:
+        """The number of matched subscriptions, without our own."""
+        with self._node.lock:
+            publisher = self._publishers.get(topic)
+            if publisher is None or not self._node.is_running:
+                return 0
+            own = int(publisher.topic in self._topics.subscriptions)
+            return max(0, int(publisher.publisher.get_subscription_count()) - own)
+
+    def wait_for_subscribers(self, topic: str, count: int, timeout_s: float) -> bool:
+        """Wait until ``count`` subscriptions are matched; False if that took too long, or at stop."""
+        self._node.wait(lambda: self.subscriber_count(topic) >= count, timeout_s)
+        return self.subscriber_count(topic) >= count
+
+    def wait_ready(self, timeout_s: float) -> bool:
+        """Wait until no publisher holds messages; False if that took too long, or at stop."""
+        self._node.wait(lambda: not self.is_holding(), timeout_s)
+        return not self.is_holding()
+
+    def wait_acked(self, topic: str, timeout_s: float) -> bool:
+        """Wait for the acknowledgements of a topic; False if that took too long."""
+        publisher = self._publishers.get(topic)
+        if publisher is None or not publisher.qos.reliable:
+            return True
+        if not self._node.wait(lambda: publisher.ready, timeout_s):
+            return False
+        if not self._node.is_running:
+            return True
+        timeout = self._node.rclpy.duration.Duration(nanoseconds=int(timeout_s * NS_PER_S))
+        return bool(publisher.publisher.wait_for_all_acked(timeout))
+
+    def is_holding(self) -> bool:
+        """Whether any publisher holds messages for subscribers that are not matched yet."""
+        return any(not publisher.ready for publisher in self._all())
+
+    # ── for the keeper's thread ───────────────────────────────────────────────────────────────────────────────
+
+    def send_held(self) -> bool:
+        """Send a burst of the held messages whose subscribers are matched; returns whether there were any."""
+        bursting = False
+        for publisher in self._all():
+            if publisher.ready or not self._can_send(publisher):
+                continue
+            # Each burst is longer than the last, so that we catch up with any publisher in the end.
+            self._reports.publish_failed(publisher.topic, publisher.release(self._clock, publisher.burst + 1))
+            publisher.burst *= 2
+            bursting = True
+        return bursting
+
+    def notify_first_subscribers(self) -> None:
+        """Report the new subscribers, not under our lock, which another thread of the callee might need."""
+        while self._on_listener and self._listened:
+            self._on_listener(self._listened.popleft())
+
+    def close(self) -> None:
+        """At stop: send what is held, wait a moment for the acknowledgements, and refuse all further messages."""
+        deadline_ns = self._clock.monotonic_ns() + _LINGER_NS
+        publishers = self._all()
+        for publisher in publishers:
+            self._reports.publish_failed(publisher.topic, publisher.release(self._clock, HOLD_MESSAGES + 1))
+        for publisher in publishers:
+            left_ns = deadline_ns - self._clock.monotonic_ns()
+            if left_ns > 0 and publisher.qos.reliable:
+                publisher.publisher.wait_for_all_acked(self._node.rclpy.duration.Duration(nanoseconds=left_ns))
+        for publisher in publishers:
+            publisher.close()
+
+    def _all(self) -> list[TopicPublisher]:
+        with self._node.lock:
+            return list({id(publisher): publisher for publisher in self._publishers.values()}.values())
+
+    def _can_send(self, publisher: TopicPublisher) -> bool:
+        if not self._node.is_running or self._clock.monotonic_ns() >= publisher.deadline_ns:
+            return True
+        known = self._graph.subscriptions_of(publisher.topic)
+        return 0 < known <= self.subscriber_count(publisher.topic)
+
+    def _make(self, topic: str, type_name: str, qos: Qos) -> TopicPublisher:
+        """A new publisher, by its full name; the caller has the lock."""
+        rclpy = self._node.rclpy
+        events = rclpy.event_handler.PublisherEventCallbacks(
+            incompatible_qos=lambda event: self._note_incompatible(topic, event),
+            matched=lambda event: self._on_matched(topic, event.current_count_change),
+            use_default_callbacks=False,
+        )
+        made = self._node.handle.create_publisher(
+            interface_class(type_name), topic, profile_of(rclpy, qos), event_callbacks=events
+        )
+        publisher = TopicPublisher(topic, type_name, direct_publisher(made), qos, self._reports.counts(topic))
+        subscription = self._topics.subscriptions.get(topic)
+        # a latched message might also reach a subscription that we make later
+        if subscription is not None or qos.latched:
+            publisher.echo = EchoFilter()
+        if subscription is not None:
+            subscription.echo = publisher.echo
+        now_ns = self._clock.monotonic_ns()
+        publisher.deadline_ns = now_ns + HOLD_NS
+        discovered_ns = self._node.started_ns + DISCOVERY_NS
+        if not self._graph.subscriptions_of(topic):
+            publisher.deadline_ns = discovered_ns
+            publisher.ready = now_ns >= discovered_ns
+        self._node.wake.set()
+        return publisher
+
+    def _on_matched(self, topic: str, change: int) -> None:
+        if change > 0 and self._on_listener:
+            self._listened.append(topic)
+        self._node.wake.set()
+        self._node.notify()
+
+    def _note_incompatible(self, topic: str, event: Any) -> None:
+        policy = self._node.rclpy.qos.qos_policy_name_from_kind(event.last_policy_kind)
+        self._reports.incompatible_qos(topic, "a subscriber", policy)

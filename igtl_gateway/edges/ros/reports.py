@@ -1,0 +1,81 @@
+"""What the ROS edge reports: notes, causes of refusals, and counts of each topic."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+from igtl_gateway.edges.ros.middleware import UnknownTypeError, first_line
+from igtl_gateway.edges.ros.streams import HOLD_BYTES, HOLD_MESSAGES, TopicCounts
+from igtl_gateway.session.note import Level, Note
+
+OnNote = Callable[[Note], None]
+
+
+class Reports:
+    """Notes go to ``on_note``, from any thread and under no lock of the edge."""
+
+    def __init__(self, on_note: OnNote) -> None:
+        self._on_note = on_note
+        self._lock = threading.Lock()
+        self._counts: dict[str, TopicCounts] = {}
+        self._noted: set[tuple[str, str]] = set()
+        self._refusals: dict[tuple[str, str, str], str] = {}  # action, topic, type → cause
+
+    def counters(self) -> dict[str, dict[str, int]]:
+        """Counts of each topic, as ``TopicCounts`` names them."""
+        with self._lock:
+            return {topic: asdict(counts) for topic, counts in sorted(self._counts.items())}
+
+    def counts(self, topic: str) -> TopicCounts:
+        """The counts of a topic, to be continued."""
+        with self._lock:
+            return self._counts.setdefault(topic, TopicCounts())
+
+    def note(self, level: Level, code: str, text: str, topic: str = "", data: dict[str, Any] | None = None) -> None:
+        """Note a fact."""
+        self._on_note(Note(level, code, text, topic, data or {}))
+
+    def note_once(self, level: Level, code: str, text: str, topic: str = "") -> None:
+        """Note a fact, unless there was one of this code for the topic."""
+        with self._lock:
+            if (code, topic) in self._noted:
+                return
+            self._noted.add((code, topic))
+        self.note(level, code, text, topic)
+
+    def refuse(self, action: str, topic: str, type_name: str, error: Exception) -> None:
+        """Note once that an action (publish, subscribe, serve) is impossible, and keep the cause."""
+        cause = f"cannot {action} {type_name}: {first_line(error)}"
+        with self._lock:
+            if (action, topic, type_name) in self._refusals:
+                return
+            self._refusals[action, topic, type_name] = cause
+        code = "ros_unknown_type" if isinstance(error, UnknownTypeError) else "ros_refused"
+        self.note(Level.WARN, code, f"{topic}: {cause}", topic, {"action": action, "type": type_name})
+
+    def refusal(self, action: str, topic: str, type_name: str) -> str:
+        """Why the action is impossible, or ``""``."""
+        return self._refusals.get((action, topic, type_name), "")
+
+    def publish_failed(self, topic: str, failure: str) -> None:
+        """Note, once for each topic, that a message was not published; nothing for ``""``."""
+        if failure:
+            self.note_once(Level.ERROR, "ros_publish_failed", f"{topic}: not published: {failure}", topic)
+
+    def callback_failed(self, what: str, error: Exception, topic: str = "") -> None:
+        """Note, once for each topic, that a callback raised."""
+        self.note_once(Level.ERROR, "ros_callback_failed", f"{what}: {first_line(error)}", topic)
+
+    def hold_overflowed(self, topic: str) -> None:
+        """Note, once for each topic, that more messages were held than there may be."""
+        limit = f"{HOLD_MESSAGES} messages or {HOLD_BYTES >> 20} MiB"
+        text = f"{topic}: more than {limit} before all subscribers were matched; the matched ones got the oldest"
+        self.note_once(Level.INFO, "ros_hold_overflow", text, topic)
+
+    def incompatible_qos(self, topic: str, peer: str, policy: str) -> None:
+        """Note that nothing passes between us and a publisher or subscriber."""
+        text = f"{topic}: {peer} has an incompatible {policy}, nothing passes between it and us"
+        self.note(Level.WARN, "ros_incompatible_qos", text, topic, {"policy": policy, "peer": peer})
