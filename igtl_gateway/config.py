@@ -64,9 +64,9 @@ from typing import Any, TypeVar
 
 from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_IGTL
-from igtl_gateway.convert.units import UNITS, Lengths
+from igtl_gateway.convert.units import UNITS, LengthUnits
 from igtl_gateway.errors import ConfigError, DamagedRecording, UnsupportedRecording
-from igtl_gateway.faults import BothWays
+from igtl_gateway.faults import RelayFaults
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 from igtl_gateway.untrusted.files import read_bytes
@@ -189,7 +189,7 @@ class Config:
         if not 0 < self.command_timeout_s < MAX_TIMEOUT_S:
             found = f"{self.command_timeout_s:g}"
             raise ConfigError(f"gateway.command_timeout_s: found {found}, expected above 0 and below {MAX_TIMEOUT_S:g}")
-        if BothWays.parse(self.faults, "gateway.faults") and not self.relay:
+        if RelayFaults.parse(self.faults, "gateway.faults") and not self.relay:
             raise ConfigError(f"gateway.faults: found {self.faults!r}, expected it with relay = true only")
         for name in ("deny_in", "deny_out"):
             for glob in getattr(self, name):
@@ -240,9 +240,9 @@ class Config:
                 return row
         return _DEFAULT_TO_ROS
 
-    def lengths(self, row: _Row) -> Lengths:
+    def lengths(self, row: _Row) -> LengthUnits:
         """Units of a row."""
-        return Lengths(row.ros_unit or self.ros_unit, row.igtl_unit or self.igtl_unit)
+        return LengthUnits(row.ros_unit or self.ros_unit, row.igtl_unit or self.igtl_unit)
 
     def pick_stamp(self, row: _Row, source_ns: int, received_ns: int) -> int:
         """The stamp of an outgoing message: never 0."""

@@ -137,7 +137,7 @@ _NONE = Faults()
 
 
 @dataclass(frozen=True, slots=True)
-class BothWays:
+class RelayFaults:
     """The faults of a relay.
 
     Attributes:
@@ -149,7 +149,7 @@ class BothWays:
     outward: Faults
 
     @classmethod
-    def parse(cls, text: str, place: str = "--fault") -> BothWays:
+    def parse(cls, text: str, place: str = "--fault") -> RelayFaults:
         """As ``Faults.parse``; a fault with ``in:`` or ``out:`` before its name is of one way only."""
         ways: dict[str, list[str]] = {"in": [], "out": []}
         for part in text.split(",") if text.strip() else []:
@@ -211,7 +211,7 @@ class Fate(Generic[T]):
     done: tuple[tuple[str, str], ...] = ()
 
     @property
-    def news(self) -> dict[str, str]:
+    def reportable(self) -> dict[str, str]:
         """Of ``done`` what is worth telling."""
         return {name: words for name, words in self.done if words}
 
@@ -264,9 +264,9 @@ class FaultLine(Generic[T]):
         now_ns = self._now_ns
         self._number += 1
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
-        if self._hits(LOSS, self._faults.loss):
+        if self._is_hit(LOSS, self._faults.loss):
             return [*left, Fate(message, now_ns, lost=True, done=((LOSS, f"{len(data)} bytes not sent"),))]
-        fate = self._spoilt(message, data, now_ns)
+        fate = self._apply_faults(message, data, now_ns)
         self._last_ns = fate.at_ns
         held = (fate, len(data))
         self._held_bytes += len(data)
@@ -274,38 +274,38 @@ class FaultLine(Generic[T]):
             (behind, size), self._overtaken = self._overtaken, None
             words = (REORDER, "sent behind the message that came after it")
             self._waiting += (held, (self._at(behind, fate.at_ns, words), size))
-        elif not fate.disconnect and self._hits(REORDER, self._faults.reorder):
+        elif not fate.disconnect and self._is_hit(REORDER, self._faults.reorder):
             self._overtaken = held
         else:
             self._waiting.append(held)
         left += self.due(now_ns)
         while self._waiting and self._held_bytes > self._most_bytes:
             words = (EARLY, f"more than {self._most_bytes} bytes were held back")
-            left.append(self._at(self._leave(), now_ns, words))
+            left.append(self._at(self._release(), now_ns, words))
         return left
 
     def due(self, now_ns: int) -> list[Fate[T]]:
         """What leaves up to now."""
         self._now_ns = now_ns = max(now_ns, self._now_ns)
         if self._overtaken and self._overtaken[0].at_ns + OVERTAKEN_WITHIN_NS <= now_ns:
-            self._nobody_overtook()
+            self._release_held()
         left = []
         while self._waiting and self._waiting[0][0].at_ns <= now_ns:
-            left.append(self._leave())
+            left.append(self._release())
         return left
 
     def rest(self) -> list[Fate[T]]:
         """No more comes: all that is left, each to leave at its moment."""
         if self._overtaken:
-            self._nobody_overtook()
-        return [self._leave() for _ in range(len(self._waiting))]
+            self._release_held()
+        return [self._release() for _ in range(len(self._waiting))]
 
-    def _leave(self) -> Fate[T]:
+    def _release(self) -> Fate[T]:
         fate, size = self._waiting.popleft()
         self._held_bytes -= size
         return fate
 
-    def _nobody_overtook(self) -> None:
+    def _release_held(self) -> None:
         assert self._overtaken
         (fate, size), self._overtaken = self._overtaken, None
         self._waiting.append((self._at(fate, fate.at_ns + OVERTAKEN_WITHIN_NS), size))
@@ -315,7 +315,7 @@ class FaultLine(Generic[T]):
     def _at(fate: Fate[T], at_ns: int, *done: tuple[str, str]) -> Fate[T]:
         return replace(fate, at_ns=at_ns, late_ns=fate.late_ns + at_ns - fate.at_ns, done=(*fate.done, *done))
 
-    def _spoilt(self, message: T, data: bytes, now_ns: int) -> Fate[T]:
+    def _apply_faults(self, message: T, data: bytes, now_ns: int) -> Fate[T]:
         """The message as it will leave, and when."""
         faults, done, new = self._faults, [], data
         if faults.clock_step_ns and now_ns - (self._first_ns or 0) >= faults.clock_step_at_ns:
@@ -328,13 +328,13 @@ class FaultLine(Generic[T]):
                 done.append((CLOCK_STEP, words))
                 self._stepped = True
         # in front of the CRC stands the size of the body: a wrong one loses all messages behind it
-        if self._hits(CORRUPT, faults.corrupt) and len(new) > CRC_AT:
+        if self._is_hit(CORRUPT, faults.corrupt) and len(new) > CRC_AT:
             at, bit = divmod(int(self._chance("bit") * 8 * (len(new) - CRC_AT)), 8)
             at += CRC_AT
             new = b"".join((new[:at], bytes((new[at] ^ 1 << bit,)), new[at + 1 :]))
             done.append((CORRUPT, f"bit {bit} of byte {at} flipped"))
-        disconnect = self._hits(DISCONNECT, faults.disconnect)
-        if self._hits(TRUNCATE, faults.truncate) and len(new) > 1:
+        disconnect = self._is_hit(DISCONNECT, faults.disconnect)
+        if self._is_hit(TRUNCATE, faults.truncate) and len(new) > 1:
             cut = 1 + int(self._chance("cut") * (len(new) - 1))
             done.append((TRUNCATE, f"cut off behind byte {cut} of {len(new)}, connection closed"))
             new, disconnect = new[:cut], True
@@ -346,7 +346,7 @@ class FaultLine(Generic[T]):
         at_ns = max(now_ns + late_ns, self._last_ns)
         return Fate(message, at_ns, at_ns - now_ns, None if new is data else new, False, disconnect, tuple(done))
 
-    def _hits(self, fault: str, share: float) -> bool:
+    def _is_hit(self, fault: str, share: float) -> bool:
         return share > 0 and self._chance(fault) < share
 
     def _chance(self, of: str) -> float:

@@ -18,7 +18,7 @@ from igtl_gateway.buffers import join
 from igtl_gateway.convert import common_msgs, igtl_msgs, rosmsg
 from igtl_gateway.convert.structs import OCTETS, Struct
 from igtl_gateway.wire import Item, Message, Raw, encode
-from igtl_gateway.wire.bind import Bind, Child
+from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.client_info import ClientInfo
@@ -32,9 +32,9 @@ from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Attribute, Cells, PolyData
 from igtl_gateway.wire.query import (
     QUERIES,
+    EmptyQuery,
     GetBind,
-    Nothing,
-    Reply,
+    QueryReply,
     StartBind,
     StartPolyData,
     StartTracking,
@@ -242,7 +242,7 @@ def binds(table: dict[str, st.SearchStrategy[Body]], depth: int = 3) -> st.Searc
     known = st.sampled_from(sorted(table)).flatmap(lambda kind: st.tuples(st.just(kind), table[kind].map(_content)))
     garbage = st.tuples(st.sampled_from([*table, "CUSTOM"]), st.binary(max_size=30))
     inner = st.tuples(st.just("BIND"), binds(table, depth - 1).map(_content)) if depth else st.nothing()
-    child = st.builds(lambda pair, name: Child(pair[0], name, pair[1]), known | garbage | inner, child_names)
+    child = st.builds(lambda pair, name: BindChild(pair[0], name, pair[1]), known | garbage | inner, child_names)
     return st.lists(child, max_size=3).map(lambda children: Bind(tuple(children)))
 
 
@@ -252,8 +252,8 @@ def _content(body: Body) -> bytes:
 
 wanted = st.lists(st.tuples(fixed_text(12), child_names), max_size=3).map(tuple)
 QUERY_BODIES: dict[type[Body], st.SearchStrategy[Body]] = {
-    Nothing: st.builds(Nothing, st.just(b"") | st.binary(max_size=4)),
-    Reply: st.builds(Reply, u8) | st.just(Reply(has_body=False)),
+    EmptyQuery: st.builds(EmptyQuery, st.just(b"") | st.binary(max_size=4)),
+    QueryReply: st.builds(QueryReply, u8) | st.just(QueryReply(has_body=False)),
     StartTracking: st.builds(StartTracking, st.integers(-(2**31), 2**31 - 1), fixed_text(32))
     | st.just(StartTracking(has_body=False)),
     StartVideo: st.builds(StartVideo, fixed_text(4), u32, st.binary(max_size=1)),

@@ -22,10 +22,10 @@ from igtl_gateway.faults import (
     OVERTAKEN_WITHIN_NS,
     REORDER,
     TRUNCATE,
-    BothWays,
     Fate,
     FaultLine,
     Faults,
+    RelayFaults,
     Unit,
 )
 from igtl_gateway.gateway.stamps import moved
@@ -177,7 +177,7 @@ def test_a_clock_steps_from_a_moment_on_in_header_and_metadata() -> None:
         (fate,) = one.take(T0_NS + round(seconds * NS_PER_S), 0, join(encode(message)))
         new = decode(fate.data or join(encode(message)))  # the CRC is right
         assert new.metadata[1:] == metadata[1:]
-        told.append((ticks_to_ns(new.ticks), int(new.metadata[0].text), bool(fate.news)))
+        told.append((ticks_to_ns(new.ticks), int(new.metadata[0].text), bool(fate.reportable)))
     seven, five = 7 * NS_PER_S, 5 * NS_PER_S
     assert told == [(seven, seven, False), (seven, seven, False), (five, five, True), (five, five, False)]
     unset = join(encode(Message("STRING", "Probe", String.of("hi"))))
@@ -203,9 +203,11 @@ def test_all_values_are_read() -> None:
 
 
 def test_faults_of_one_way_only() -> None:
-    both = BothWays.parse("delay=5ms, in:loss=1%,out: clock-step=-1h@10s")
-    assert both == BothWays(Faults.parse("delay=5ms,loss=1%"), Faults.parse("delay=5ms,clock-step=-1h@10s"))
-    assert both and BothWays.parse("out:loss=1%") and not BothWays.parse("") and not BothWays.parse("in:loss=0%")
+    both = RelayFaults.parse("delay=5ms, in:loss=1%,out: clock-step=-1h@10s")
+    assert both == RelayFaults(Faults.parse("delay=5ms,loss=1%"), Faults.parse("delay=5ms,clock-step=-1h@10s"))
+    assert (
+        both and RelayFaults.parse("out:loss=1%") and not RelayFaults.parse("") and not RelayFaults.parse("in:loss=0%")
+    )
     for told, wrong in (
         ("in:los=1%", "--fault: found 'los', expected NAME=VALUE"),
         ("inn:loss=1%", "--fault: found 'inn:loss', expected NAME=VALUE"),
@@ -213,7 +215,7 @@ def test_faults_of_one_way_only() -> None:
         ("in:", "--fault: found 'in:', expected NAME=VALUE"),
     ):
         with pytest.raises(ConfigError) as caught:
-            BothWays.parse(told)
+            RelayFaults.parse(told)
         assert str(caught.value).startswith(wrong)
 
 

@@ -15,7 +15,7 @@ from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.convert.express import COMPILED
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.rosmsg import RosMessage
-from igtl_gateway.convert.table import TO_IGTL, TO_ROS, IgtlRow
+from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToIgtl
 from igtl_gateway.gateway import LINK_UP, Gateway, Session
 from igtl_gateway.gateway.dialogue import answers
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
@@ -68,7 +68,7 @@ def test_igtl_in(inputs: list[bytes], check_crc: bool) -> None:
 
 
 @pytest.mark.parametrize("row", TO_IGTL, ids=lambda row: f"{row.message.__name__}-{row.igtl_type}")
-def test_ros_in(row: IgtlRow) -> None:
+def test_ros_in(row: ConversionToIgtl) -> None:
     kind = row.message.TYPE
     config = Config(to_igtl=(ToIgtlRow(topic="/t", device="Name with a length above 20", type=row.igtl_type),))
 
@@ -128,7 +128,7 @@ def crash(*_: object) -> None:
 
 
 def test_a_defect_is_noticed_and_can_be_repeated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(answers, "start", crash)
+    monkeypatch.setattr(answers, "start_stream", crash)
     figures = fuzz_gateway.run(1, 2_000)
     assert "IndexError: crashed" in figures.broken and figures.culprit
     fuzz_gateway.write_culprit(tmp_path / "culprit", figures.culprit)
@@ -143,7 +143,7 @@ def test_what_never_ends_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
             pass
 
     monkeypatch.setattr(fuzz_gateway, "HANG_S", 0.3)
-    monkeypatch.setattr(answers, "start", endless)
+    monkeypatch.setattr(answers, "start_stream", endless)
     assert "Hang" in broken()
 
 

@@ -22,21 +22,21 @@ from typing import Any
 from igtl_gateway.config import Config
 from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
-from igtl_gateway.convert.table import TO_IGTL, TO_ROS, IgtlRow, Role, RosRow
+from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToIgtl, ConversionToRos, Role
 from igtl_gateway.doctor import checks
 from igtl_gateway.doctor.observer import MAX_STREAMS
 from igtl_gateway.doctor.protocols import PROTOCOLS
 from igtl_gateway.doctor.rules import RULES, Rule
 from igtl_gateway.gateway import metadata
 from igtl_gateway.gateway.dialogue import answers
-from igtl_gateway.gateway.profiles import CPP_FACTORY, PROFILES, Profile
+from igtl_gateway.gateway.profiles import CPP_FACTORY, PROFILES, PeerProfile
 from igtl_gateway.qos import Qos
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.header import Header
 from igtl_gateway.wire.layout import Layout
-from igtl_gateway.wire.message import MAX_METADATA_ACCEPTED, MAX_METADATA_SENT, METADATA_LAYOUT, Extended
+from igtl_gateway.wire.message import MAX_METADATA_ACCEPTED, MAX_METADATA_SENT, METADATA_LAYOUT, ExtendedHeader
 from igtl_gateway.wire.query import PREFIXES, QUERIES, query_name, split_query
 from igtl_gateway.wire.registry import ALIASES, BODIES
 from igtl_gateway.wire.sensor import PREFIXES as UNIT_PREFIXES
@@ -255,7 +255,7 @@ def _frame() -> str:
         ),
         "### Extended header",
         "Header version 2 only, at the beginning of the body.",
-        layout(Extended.LAYOUT, attributes(Extended)),
+        layout(ExtendedHeader.LAYOUT, attributes(ExtendedHeader)),
         "### Metadata",
         "Header version 2 only, at the end of the body. The sizes of all items come first, then all strings.",
         layout(METADATA_LAYOUT, {}),
@@ -422,8 +422,8 @@ def _types(names: frozenset[str] | None, everything: str = "all") -> str:
     return code(sorted(names)) or "none"
 
 
-def _profile(profile: Profile) -> str:
-    default = Profile.__dataclass_fields__["shows"].default
+def _profile(profile: PeerProfile) -> str:
+    default = PeerProfile.__dataclass_fields__["shows"].default
     parts = [
         f"### Profile {profile.name}",
         "Detected from its messages." if profile.shows is not default else "",
@@ -490,9 +490,9 @@ def ros_name(ros_type: str) -> str:
 
 
 @cache
-def ros_sections() -> dict[str, tuple[RosRow, ...]]:
+def ros_sections() -> dict[str, tuple[ConversionToRos, ...]]:
     """Title → rows of OpenIGTLink types, by title; the queries last."""
-    found: dict[str, list[RosRow]] = {}
+    found: dict[str, list[ConversionToRos]] = {}
     for row in TO_ROS:
         names = [name for name in row.igtl_types if name not in ALIASES]
         found.setdefault("Queries" if names[0] in QUERIES else ", ".join(names), []).append(row)
@@ -589,9 +589,9 @@ def _to_ros() -> str:
     ).rstrip()
 
 
-def _ros_table(rows: Sequence[RosRow]) -> str:
+def _ros_table(rows: Sequence[ConversionToRos]) -> str:
     """Rows that differ in nothing but kind and type of numbers share a line."""
-    groups: dict[tuple[object, ...], list[RosRow]] = {}
+    groups: dict[tuple[object, ...], list[ConversionToRos]] = {}
     for row in rows:
         key = (row.convert, row.qos, row.lossy, row.role, _condition(row))
         groups.setdefault(key, []).append(row)
@@ -613,10 +613,10 @@ def _ros_table(rows: Sequence[RosRow]) -> str:
     return table(("kind", "ROS", "published", "depth", "lost"), lines)
 
 
-def _condition(row: RosRow) -> str:
+def _condition(row: ConversionToRos) -> str:
     """When a row applies, by the docstring of the function that knows."""
     applies = row.applies
-    if applies is RosRow.__dataclass_fields__["applies"].default:
+    if applies is ConversionToRos.__dataclass_fields__["applies"].default:
         return ""
     outer, _, inner = applies.__qualname__.partition(".")
     told = inspect.getdoc(applies) or (inspect.getdoc(applies.__globals__.get(outer)) if inner else "") or ""
@@ -639,7 +639,7 @@ def _keeps(qos: Qos) -> str:
 
 def _to_igtl() -> str:
     defaults = {row.message: row for row in reversed(TO_IGTL)}
-    groups: dict[tuple[object, ...], list[IgtlRow]] = {}
+    groups: dict[tuple[object, ...], list[ConversionToIgtl]] = {}
     for row in TO_IGTL:
         is_default = defaults[row.message] is row
         groups.setdefault((row.convert, row.qos, row.lossy, is_default), []).append(row)

@@ -31,7 +31,7 @@ from random import Random
 from types import FrameType
 
 from igtl_gateway.cli import main as command_line
-from igtl_gateway.cli.common import recorded_config
+from igtl_gateway.cli.common import config_to_run
 from igtl_gateway.cli.edge_file import EdgeFile
 from igtl_gateway.config import Config
 from igtl_gateway.errors import GatewayError
@@ -102,7 +102,7 @@ def read_mcap(path: Path, rng: Random) -> str:
         with SessionFile.open(path) as file:
             for entry in islice(file.entries(), _MOST):
                 entry.data()
-            recorded_config(file.session)
+            config_to_run(file.session)
             gaps(file.ledger or {})
         return "read"
     if chance < 0.6:

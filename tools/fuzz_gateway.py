@@ -45,7 +45,7 @@ from igtl_gateway.config import Config, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import express
 from igtl_gateway.convert.clouds import polydata_to_cloud
 from igtl_gateway.convert.common_msgs import PoseStamped, TFMessage
-from igtl_gateway.convert.context import ToRos
+from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.rosmsg import Header as RosHeader
 from igtl_gateway.convert.rosmsg import Image as RosImage
@@ -66,7 +66,7 @@ from igtl_gateway.wire.header import BODY_SIZE, HEADER_SIZE, NAMES, TICKS, TICKS
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
-from igtl_gateway.wire.query import Nothing
+from igtl_gateway.wire.query import EmptyQuery
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Position, Transform
 from tools.fuzz import DAMAGE, EDGES, MAX_FILE, ROOT, Broken, corpus, repaired
@@ -199,7 +199,7 @@ def express_seeds() -> list[bytes]:
 def ros_express_seeds(ros: Sequence[tuple[str, bytes]]) -> list[tuple[str, bytes]]:
     """The same from ROS: poses as they were recorded, texts, clouds of x, y and z."""
     found = [(ros_type, cdr) for ros_type, cdr in ros if ros_type in (TransformStamped.TYPE, PoseStamped.TYPE)]
-    cloud = polydata_to_cloud(_CLOUD, ToRos("d", T0_NS, "frame", ""))
+    cloud = polydata_to_cloud(_CLOUD, ToRosContext("d", T0_NS, "frame", ""))
     picture = RosImage(RosHeader(T0_NS, "camera"), 3, 4, "bgr8", 0, 12, bytes(range(36)))
     bulk = (cloud, picture, replace(picture, encoding="mono8", step=4, data=bytes(12)), RosString("a text"))
     return [*found, *[(message.TYPE, message.pack()) for message in bulk] * 3]
@@ -737,7 +737,7 @@ class Seeds:
             for kind in {seed[0] for seed in ros}:
                 if row.topic.endswith(kind[-9:]):
                     topics.setdefault(kind, []).append(row.topic)
-        hello = join(encode(Message("GET_STATUS", "", Nothing(), header_version=2)))
+        hello = join(encode(Message("GET_STATUS", "", EmptyQuery(), header_version=2)))
         return cls(igtl_seeds(), ros, express_seeds(), ros_express_seeds(ros), topics, hello)
 
 

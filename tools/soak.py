@@ -38,8 +38,8 @@ import numpy as np
 
 from igtl_gateway_lab.bench import programs
 from igtl_gateway_lab.bench.cases import Direction, payload
-from igtl_gateway_lab.bench.figures import Passage, latency
-from igtl_gateway_lab.bench.jobs import Job, Part
+from igtl_gateway_lab.bench.figures import Transmission, latency
+from igtl_gateway_lab.bench.jobs import Job, JobStream
 from igtl_gateway_lab.bench.processes import BenchError, Event, Program, ours
 from tools.soak_findings import Found, Sample, Settings, say
 from tools.soak_guests import Guests
@@ -53,8 +53,8 @@ _RECORDER_RESTS_S = 2.0
 _LOOKS = 4
 
 
-def _parts(settings: Settings, direction: Direction) -> tuple[Part, ...]:
-    return tuple(Part(stream, direction, stream.topic(direction)) for stream in streams(settings.scale))
+def _parts(settings: Settings, direction: Direction) -> tuple[JobStream, ...]:
+    return tuple(JobStream(stream, direction, stream.topic(direction)) for stream in streams(settings.scale))
 
 
 def _program(stack: ExitStack, job: Job) -> Program:
@@ -234,7 +234,7 @@ def _passages(settings: Settings, steady: Sequence[tuple[Job, Program]]) -> list
         for kind in dict.fromkeys(stream.kind for stream in streams(settings.scale)):
             devices = [stream.device(direction) for stream in streams(settings.scale) if stream.kind == kind]
             passages = [
-                Passage(columns[f"sent {device}"], columns[f"numbers {device}"], columns[f"received {device}"])
+                Transmission(columns[f"sent {device}"], columns[f"numbers {device}"], columns[f"received {device}"])
                 for device in devices
             ]
             last = min(float(one.numbers.max(initial=0)) / max(1, len(one.sent)) for one in passages)

@@ -11,7 +11,7 @@ from igtl_gateway.convert import rosmsg
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway_lab.bench import cases, payloads
-from igtl_gateway_lab.bench.cases import CASES, Stream
+from igtl_gateway_lab.bench.cases import CASES, BenchStream
 
 PICTURE, _CLOUD = "scan-vga", "grid-30k"
 
@@ -47,7 +47,7 @@ def know_payloads() -> None:
     cases.PAYLOADS |= {PICTURE: partial(_scan, 640, 480), _CLOUD: partial(_grid, 30_000)}
 
 
-def streams(scale: float) -> tuple[Stream, ...]:
+def streams(scale: float) -> tuple[BenchStream, ...]:
     """The mixed load, at ``scale`` times its rates."""
     kinds = {"image-vga": PICTURE, "cloud-30k": _CLOUD}
     return tuple(

@@ -19,24 +19,24 @@ from typing import Any
 from igtl_gateway import __version__
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
 from igtl_gateway.app.hub import Hub, Sink
-from igtl_gateway.app.recording import offer
-from igtl_gateway.app.video import Video
+from igtl_gateway.app.recording import serve_recording
+from igtl_gateway.app.video import VideoCodecs
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import CompressedImage, DiagnosticArray, TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList, MetadataItem
 from igtl_gateway.edges.ros.edge import RosEdge
-from igtl_gateway.edges.tcp import Limits, TcpEdge, TlsFiles
+from igtl_gateway.edges.tcp import PeerLimits, TcpEdge, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError
-from igtl_gateway.gateway import CUT, LINKS_TOPIC, LISTENED, Session, gateway_of
+from igtl_gateway.gateway import CUT, LINKS_TOPIC, LISTENED, Session, make_core
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, PERIOD_NS, Diagnostics, PeerFacts
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.record.selection import StateRule
+from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.worker import RecordingSummary
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
@@ -89,7 +89,7 @@ class BridgeOptions:
     record: Path | None = None
     record_topics: tuple[str, ...] = ()
     allow: tuple[str, ...] = ()
-    limits: Limits = field(default_factory=Limits)
+    limits: PeerLimits = field(default_factory=PeerLimits)
     tls: TlsFiles = field(default_factory=TlsFiles)
     tls_listen: frozenset[Address] = frozenset()
     tls_connect: frozenset[Address] = frozenset()
@@ -119,7 +119,7 @@ class Bridge:
         viewer: OnEntry | None = None,
     ) -> None:
         self.options = options
-        self.gateway = gateway_of(config)
+        self.gateway = make_core(config)
         self.addresses: list[Address] = []
         self.recorder: Recorder | None = None
         self.summary: RecordingSummary | None = None
@@ -128,7 +128,7 @@ class Bridge:
         self._stopping = threading.Event()
         self._timer = threading.Thread(target=self._tick, name="igtl-timer", daemon=True)
         self.commands: CommandService | None = None
-        self.video: Video | None = None
+        self.video: VideoCodecs | None = None
         self.losses: dict[str, Any] = {}
         self._diagnostics: Diagnostics | None = None
         self._diagnostics_due_ns = 0
@@ -154,14 +154,14 @@ class Bridge:
                 on_message=self._from_ros,
                 wants=self.wanted,
                 on_note=self._on_edge_note,
-                on_listener=self._on_listener,
+                on_listener=self._on_first_subscriber,
             )
             if not self._all_built:
                 self.gateway.has_subscriber = self._has_subscriber
             if options.diagnostics:
                 self._diagnostics = Diagnostics(platform.node())
             if options.video:
-                self.video = Video(options.video, config, self.hub, self.ros)
+                self.video = VideoCodecs(options.video, config, self.hub, self.ros)
 
     def start(self) -> None:
         """Open both sides and the recording, or leave nothing: ConfigError, RecordingError or RosError."""
@@ -191,7 +191,7 @@ class Bridge:
                 )
             if self.ros:
                 self.ros.start()
-                self._offer(self.ros)
+                self._publish_initial_state(self.ros)
         except Exception:
             self.stop()
             # a file about nothing would only be in the way of the next attempt
@@ -201,7 +201,7 @@ class Bridge:
         self._timer.start()
         self.tcp.start()
 
-    def _offer(self, ros: RosEdge) -> None:
+    def _publish_initial_state(self, ros: RosEdge) -> None:
         """What is there for ROS from the beginning: who is connected, the frames, the command service."""
         ros.advertise(LINKS_TOPIC, LinkStatusList.TYPE, self.gateway.qos(LINKS_TOPIC) or _RECORDED)
         if self.gateway.config.publish_tf:
@@ -209,7 +209,7 @@ class Bridge:
         if self._diagnostics:
             ros.advertise(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, _DIAGNOSTICS)
         if self.recorder:
-            offer(ros, self.recorder)
+            serve_recording(ros, self.recorder)
         try:
             item = ros.message_class(MetadataItem.TYPE)
         except RosError as error:
@@ -267,14 +267,14 @@ class Bridge:
 
     def _from_ros(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> None:
         """A message that the ROS edge received: pictures for a video are encoded first."""
-        if not (self.video and self.video.take(topic, ros_type, cdr, source_ns)):
+        if not (self.video and self.video.encode(topic, ros_type, cdr, source_ns)):
             self.hub.ros(topic, ros_type, cdr, source_ns)
 
     def _has_subscriber(self, topic: str, ros_type: str) -> bool:
         """Whether a message to ROS has a subscriber, the bridge itself included."""
-        return ros_type in _OWN_USE or self.ros is None or self.ros.heard(topic)
+        return ros_type in _OWN_USE or self.ros is None or self.ros.has_subscriber(topic)
 
-    def _on_listener(self, topic: str) -> None:
+    def _on_first_subscriber(self, topic: str) -> None:
         """A first subscriber: the latched message that waits for it is built."""
         if self.gateway.has_subscriber:
             self.hub.note(Note(Level.INFO, LISTENED, f"somebody listens to {topic}", topic))
@@ -284,12 +284,12 @@ class Bridge:
         while not self._stopping.wait(_FAULTY_TICK_S if self.gateway.config.faults else _TICK_S):
             self.hub.tick()
             if self._diagnostics and self._clock.monotonic_ns() >= self._diagnostics_due_ns:
-                self._diagnose(self._diagnostics)
+                self._publish_diagnostics(self._diagnostics)
 
-    def _diagnose(self, diagnostics: Diagnostics) -> None:
+    def _publish_diagnostics(self, diagnostics: Diagnostics) -> None:
         """Publish on /diagnostics, beside the log; in the timer's thread, under no lock that messages wait for."""
         self._diagnostics_due_ns = self._clock.monotonic_ns() + PERIOD_NS
-        if not self.ros or not self.ros.heard(DIAGNOSTICS_TOPIC):
+        if not self.ros or not self.ros.has_subscriber(DIAGNOSTICS_TOPIC):
             return
         counters = self.tcp.counters()
         peers = [
@@ -326,13 +326,13 @@ class Bridge:
         if entry.kind is Kind.IGTL_OUT:
             self.tcp.send(entry.links, entry.payload, entry.channel, self.gateway.keep(entry))
         elif entry.kind is Kind.ROS_OUT and self.ros:
-            if not (self._all_built and self.ros.pass_over(entry.channel)):
+            if not (self._all_built and self.ros.count_if_unsubscribed(entry.channel)):
                 qos = self.gateway.qos(entry.channel) or _RECORDED
                 self.ros.publish(entry.channel, entry.type, entry.data(), qos)
             if self.commands:
-                self.commands.watch(entry)
+                self.commands.on_entry(entry)
             if self.video:
-                self.video.show(entry)
+                self.video.decode(entry)
         elif entry.kind is Kind.NOTE and self.gateway.config.faults:
             note = Note.unpack(entry.data())
             if note.code == CUT:
@@ -360,16 +360,16 @@ class Bridge:
         self.hub.note(note)
 
     @property
-    def over(self) -> bool:
+    def has_failed(self) -> bool:
         """Whether the recording has failed, and the bridge is to end with it."""
         failed = self.recorder is not None and bool(self.recorder.failure)
         return failed and self.options.recording.stop_on_failure
 
 
-def state_rule(config: Config) -> StateRule:
+def state_rule(config: Config) -> StateInputRule:
     """What a recording needs of streams that it leaves out: see ``record.selection``."""
     commands = frozenset({"COMMAND", "RTS_COMMAND", Command.TYPE, CommandReply.TYPE})
-    return StateRule(frozenset({LINKS_TOPIC}), commands, frozenset(TF_QOS) if config.tf_out else frozenset())
+    return StateInputRule(frozenset({LINKS_TOPIC}), commands, frozenset(TF_QOS) if config.tf_out else frozenset())
 
 
 def session_facts(config: Config) -> dict[str, str]:

@@ -29,7 +29,7 @@ Publish = Callable[[str, str, bytes], None]
 
 
 class CommandService:
-    """Answers the calls; ``watch`` has to be shown every entry.
+    """Answers the calls; ``on_entry`` has to be shown every entry.
 
     Args:
         publish: brings a ROS message to the gateway.
@@ -50,7 +50,7 @@ class CommandService:
     def call(self, request: Any, response: Any) -> Any:
         """One call, in a thread of its own."""
         timeout_s = float(request.timeout) if 0 < request.timeout < float("inf") else self._timeout_s
-        reply = self.ask(
+        reply = self.send_and_wait(
             Command(
                 Header(),
                 request.device_name,
@@ -72,7 +72,7 @@ class CommandService:
         ]
         return response
 
-    def ask(self, command: Command) -> CommandReply:
+    def send_and_wait(self, command: Command) -> CommandReply:
         """Send a command, and wait for what becomes of it."""
         topic = f"{OUT_PREFIX}{topic_token(command.device_name or 'command')}/command"
         with self._lock:
@@ -92,7 +92,7 @@ class CommandService:
             Header(), command.device_name, command.id, command.name, CommandReply.TIMEOUT, text
         )
 
-    def watch(self, entry: Entry) -> None:
+    def on_entry(self, entry: Entry) -> None:
         """Pick the replies to our calls out of the log."""
         if entry.kind is not Kind.ROS_OUT or entry.type != CommandReply.TYPE or not self._replies:
             return

@@ -14,7 +14,7 @@ from igtl_gateway.app.hub import Hub
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
 from igtl_gateway.doctor.graph import Graph
-from igtl_gateway.doctor.observer import Intent, Observer
+from igtl_gateway.doctor.observer import ExpectedLinks, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
@@ -75,8 +75,12 @@ def examine(config: Config, options: ExamineOptions, clock: Clock, stop: threadi
 
     Raises ConfigError for an address that cannot be used, RosError where ROS is wanted and not there.
     """
-    intent = Intent("server", _place(options.listen)) if options.listen else Intent("client", _place(options.connect))
-    visit = _Visit(config, options, clock, stop, Observer(config, intent))
+    intent = (
+        ExpectedLinks("server", _address_text(options.listen))
+        if options.listen
+        else ExpectedLinks("client", _address_text(options.connect))
+    )
+    visit = _Examination(config, options, clock, stop, Observer(config, intent))
     ros = _graph_edge() if options.ros else None
     try:
         if ros:
@@ -93,7 +97,7 @@ def examine(config: Config, options: ExamineOptions, clock: Clock, stop: threadi
     return visit.seen
 
 
-def _place(address: Address | None) -> str:
+def _address_text(address: Address | None) -> str:
     host, port = address or ("", 0)
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
@@ -108,7 +112,7 @@ def _graph_edge() -> RosEdge:
     )
 
 
-class _Visit:
+class _Examination:
     def __init__(
         self, config: Config, options: ExamineOptions, clock: Clock, stop: threading.Event, seen: Observer
     ) -> None:
@@ -118,7 +122,7 @@ class _Visit:
         self._clock = clock
         self._stop = stop
         self._lock = threading.Lock()  # guards ``seen``
-        self._hub = Hub(Session(self.gateway), clock, [self._see])
+        self._hub = Hub(Session(self.gateway), clock, [self._on_entry])
 
     def run(self) -> None:
         """Look in the role that is wanted; if nobody is there by half of the time, in the other one."""
@@ -131,7 +135,7 @@ class _Visit:
             else:
                 free = self._serve(edge, listen)
             if free:
-                self._look(edge, self._options.seconds, for_company=True)
+                self._observe(edge, self._options.seconds, for_company=True)
         finally:
             edge.stop(0)
         if self.seen.peers or self._stop.is_set():
@@ -139,14 +143,14 @@ class _Visit:
         edge = self._edge()
         try:
             if listen is None:
-                there = self._await(edge, connect)
+                there = self._listen_for(edge, connect)
             else:
                 # who has our port may be the one that we wait for
                 there = self._dial(
                     edge, *((connect, self._options.tls_connect) if free else (listen, self._options.tls_listen))
                 )
             if there:
-                self._look(edge, self._options.seconds * PATIENCE)
+                self._observe(edge, self._options.seconds * PATIENCE)
         finally:
             edge.stop(0)
 
@@ -162,12 +166,12 @@ class _Visit:
         try:
             edge.listen(*listen, tls=self._options.tls_listen)
         except Unavailable as error:
-            self._hub.note(Note(Level.ERROR, "listen_failed", str(error), _place(listen)))
+            self._hub.note(Note(Level.ERROR, "listen_failed", str(error), _address_text(listen)))
             return False
         edge.start()
         return True
 
-    def _await(self, edge: TcpEdge, target: Address | None) -> bool:
+    def _listen_for(self, edge: TcpEdge, target: Address | None) -> bool:
         """Be the server that the absent one might be looking for, at its port."""
         if target is None:
             return False
@@ -180,7 +184,7 @@ class _Visit:
         edge.start()
         return True
 
-    def _look(self, edge: TcpEdge, seconds: float, *, for_company: bool = False) -> None:
+    def _observe(self, edge: TcpEdge, seconds: float, *, for_company: bool = False) -> None:
         """Until the time is over or there is nothing more to learn; for company: or nobody is there at half of it."""
         begun_ns = self._clock.monotonic_ns()
         for part in (PATIENCE, 1.0):
@@ -188,9 +192,9 @@ class _Visit:
             if self._stop.wait(max(0.0, left_s)) or (for_company and not self.seen.peers):
                 return
             if part < 1.0:
-                self._speak(edge)
+                self._send_status(edge)
 
-    def _speak(self, edge: TcpEdge) -> None:
+    def _send_status(self, edge: TcpEdge) -> None:
         """Say one thing to those that are silent."""
         version = self._options.speak
         for link in edge.links():
@@ -200,7 +204,9 @@ class _Visit:
                 content = Status(_OK, 0, "", "igtl-gateway doctor is listening\r\n\r\n")
                 data = b"".join(bytes(part) for part in encode(Message("STATUS", "doctor", content, 0, version)))
                 edge.send((link.number,), (data,), _STREAM, True)
-                self._see(Entry(0, self._clock.utc_ns(), Kind.IGTL_OUT, _STREAM, "STATUS", (data,), (link.number,)))
+                self._on_entry(
+                    Entry(0, self._clock.utc_ns(), Kind.IGTL_OUT, _STREAM, "STATUS", (data,), (link.number,))
+                )
 
     # ── from the edge ─────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -214,7 +220,7 @@ class _Visit:
             tls=self._options.tls,
         )
 
-    def _see(self, entry: Entry) -> None:
+    def _on_entry(self, entry: Entry) -> None:
         with self._lock:
             # what the gateway would answer is not sent; of us there is the word to the silent alone
             if entry.kind is not Kind.IGTL_OUT or not entry.seq:

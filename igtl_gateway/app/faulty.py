@@ -18,10 +18,10 @@ from igtl_gateway.gateway.stamps import moved
 from igtl_gateway.session.entry import Entry, Kind
 
 #: The links of an entry behind which the connections are closed: no link has this number.
-CUT = (0,)
+DISCONNECT = (0,)
 
 #: How long a replay waits for peers whose connection it has closed; gateways are back within five seconds.
-BACK_WITHIN_S = 10.0
+RECONNECT_TIMEOUT_S = 10.0
 
 _LOOK_S = 0.2
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
@@ -50,22 +50,22 @@ class FaultyFeed:
         for entry in entries:
             if entry.kind in _IGTL:
                 fates = line.take(entry.stamp_ns, entry, entry.data())
-                yield from self._left(fates)
+                yield from self._delivered(fates)
             else:
-                yield from self._left(line.due(entry.stamp_ns))
+                yield from self._delivered(line.due(entry.stamp_ns))
                 yield entry
-        yield from self._left(line.rest())
+        yield from self._delivered(line.rest())
 
-    def _left(self, fates: list[Fate[Entry]]) -> Iterator[Entry]:
+    def _delivered(self, fates: list[Fate[Entry]]) -> Iterator[Entry]:
         for fate in fates:
             self.counts["messages"] += 1
             self.counts.update([name for name, _ in fate.done])
             self.counts[DELAY] += fate.late_ns > 0
-            if fate.news:
+            if fate.reportable:
                 self._on_fault(fate)
             if not fate.lost:
                 payload = fate.message.payload if fate.data is None else (fate.data,)
-                links = CUT if fate.disconnect else fate.message.links
+                links = DISCONNECT if fate.disconnect else fate.message.links
                 yield replace(fate.message, stamp_ns=fate.at_ns, payload=payload, links=links)
 
 
@@ -76,33 +76,33 @@ def disconnector(edge: TcpEdge, stop: Event) -> Callable[[], None]:
         links = [link.number for link in edge.links() if link.connected]
         while links and not edge.disconnect(links, "fault: disconnect", _LOOK_S) and not stop.is_set():
             pass
-        for _ in range(round(BACK_WITHIN_S / _LOOK_S)):
+        for _ in range(round(RECONNECT_TIMEOUT_S / _LOOK_S)):
             if stop.is_set() or edge.wait_links(len(links), _LOOK_S):
                 return
 
     return disconnect
 
 
-def with_cuts(send: Send, disconnect: Callable[[], None]) -> Send:
+def with_disconnects(send: Send, disconnect: Callable[[], None]) -> Send:
     """``send``, and the end of the connections where an entry says so."""
 
     def send_and_cut(entry: Entry) -> bool:
         heard = send(entry)
-        if entry.links == CUT:
+        if entry.links == DISCONNECT:
             disconnect()
         return heard
 
     return send_and_cut
 
 
-def all_with_cuts(send_all: SendAll, disconnect: Callable[[], None]) -> SendAll:
+def all_with_disconnects(send_all: SendAll, disconnect: Callable[[], None]) -> SendAll:
     """The same of several."""
 
     def send_and_cut(entries: Sequence[Entry]) -> bool:
         heard, run = True, list[Entry]()
         for entry in entries:
             run.append(entry)
-            if entry.links == CUT:
+            if entry.links == DISCONNECT:
                 heard = send_all(run) and heard
                 disconnect()
                 run = []

@@ -49,38 +49,38 @@ class Hub:
         self._complained: set[Sink] = set()
         # inputs that a sink brought while the lock was ours: they follow the entries being handed on
         self._waiting: deque[_Input] = deque()
-        self._look_at_clock()
+        self._check_clock()
 
     def igtl(self, link: int, message: Buffer) -> None:
         """One whole OpenIGTLink message from a link."""
-        self._bring(Kind.IGTL_IN, message, "", "", (link,))
+        self._submit(Kind.IGTL_IN, message, "", "", (link,))
 
     def ros(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> None:
         """One message of a ROS topic."""
-        self._bring(Kind.ROS_IN, cdr, topic, ros_type, (), source_ns)
+        self._submit(Kind.ROS_IN, cdr, topic, ros_type, (), source_ns)
 
     def link(self, link: int, note: Note) -> None:
         """A link came up or went down."""
-        self._bring(Kind.LINK, note.pack(), "", "", (link,))
+        self._submit(Kind.LINK, note.pack(), "", "", (link,))
 
     def note(self, note: Note, link: int = 0) -> None:
         """A fact that an edge or the recorder reports."""
-        self._bring(Kind.EDGE_NOTE, note.pack(), "", "", (link,) if link else ())
+        self._submit(Kind.EDGE_NOTE, note.pack(), "", "", (link,) if link else ())
 
     def tick(self) -> None:
         """Tell the gateway when a time has come that it waits for, and when the host's clock was set."""
         with self._lock:  # its peers and commands come and go under this lock
             self._owner = threading.get_ident()
             try:
-                self._look_at_clock()
-                self._take_waiting()
+                self._check_clock()
+                self._process_waiting()
             finally:
                 self._owner = 0
             due_ns = self._session.gateway.due_ns
         if due_ns is not None and due_ns <= self._utc_ns() + self._ahead_ns:
             self.note(Note(Level.INFO, TICK, "a deadline has come"))
 
-    def _look_at_clock(self) -> None:
+    def _check_clock(self) -> None:
         """Note it when the host's clock was set, and keep gateway time from standing long; the caller has the lock."""
         begun_ns = self._clock.monotonic_ns()
         utc_ns = self._utc_ns()
@@ -94,9 +94,9 @@ class Hub:
         if abs(step_ns) >= LEAST_NS:
             step = ClockStep.after(step_ns, self._ahead_ns)
             self._ahead_ns = step.ahead_ns
-            self._take(Kind.EDGE_NOTE, step.note().pack(), "", "", (), 0)
+            self._process(Kind.EDGE_NOTE, step.note().pack(), "", "", (), 0)
 
-    def _bring(
+    def _submit(
         self,
         kind: Kind,
         payload: Buffer,
@@ -112,21 +112,21 @@ class Hub:
         with self._lock:
             self._owner = me
             try:
-                self._take(kind, payload, channel, type_name, links, source_ns)
-                self._take_waiting()
+                self._process(kind, payload, channel, type_name, links, source_ns)
+                self._process_waiting()
             finally:
                 self._owner = 0
 
-    def _take_waiting(self) -> None:
+    def _process_waiting(self) -> None:
         while self._waiting:
-            self._take(*self._waiting.popleft())
+            self._process(*self._waiting.popleft())
 
-    def _take(
+    def _process(
         self, kind: Kind, payload: Buffer, channel: str, type_name: str, links: tuple[int, ...], source_ns: int
     ) -> None:
         now_ns = self._utc_ns() + self._ahead_ns
         if now_ns < self._last_ns:
-            self._look_at_clock()
+            self._check_clock()
             now_ns = self._utc_ns() + self._ahead_ns
         self._last_ns = now_ns
         entries = self._session.input(
@@ -143,9 +143,9 @@ class Hub:
                 try:
                     sink(entry)
                 except Exception as error:  # a defect of ours: the other sinks, and the session, go on
-                    self._complain(sink, error)
+                    self._note_sink_failure(sink, error)
 
-    def _complain(self, sink: Sink, error: Exception) -> None:
+    def _note_sink_failure(self, sink: Sink, error: Exception) -> None:
         """Note that a sink raised; once, for it will again, and be it over this note."""
         if sink not in self._complained:
             self._complained.add(sink)

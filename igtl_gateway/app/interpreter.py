@@ -9,7 +9,7 @@ import sys
 _SWITCH_S = 0.0005
 
 
-def calm_the_interpreter() -> None:
+def tune_interpreter() -> None:
     """For a program that has started and now serves: no pause of the garbage collector over what stays anyway (tens
     of milliseconds with rclpy and numpy loaded), and no thread for long."""
     gc.collect()

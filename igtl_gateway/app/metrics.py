@@ -14,8 +14,8 @@ from functools import partial
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
-from igtl_gateway.app.status import Status
-from igtl_gateway.edges.tcp.sockets import AllowList, listening_socket, place_of
+from igtl_gateway.app.status import BridgeStatus
+from igtl_gateway.edges.tcp.sockets import AllowList, address_text, listening_socket
 
 #: Longest that one question may take from its first byte to the last of the answer: others wait for it.
 DEADLINE_S = 5.0
@@ -199,7 +199,7 @@ def _escaped(text: str) -> str:
 
 
 class MetricsServer:
-    """Serves a `Status` until closed.
+    """Serves a `BridgeStatus` until closed.
 
     Attributes:
         url: of the metrics.
@@ -214,10 +214,10 @@ class MetricsServer:
     """
 
     def __init__(
-        self, host: str, port: int, status: Status, allow: Sequence[str] = (), deadline_s: float = DEADLINE_S
+        self, host: str, port: int, status: BridgeStatus, allow: Sequence[str] = (), deadline_s: float = DEADLINE_S
     ) -> None:
         self._server = _Server(host, port, status, AllowList(allow), deadline_s)
-        self.url = f"http://{place_of(self._server.server_address)}/metrics"
+        self.url = f"http://{address_text(self._server.server_address)}/metrics"
         serve = partial(self._server.serve_forever, _LOOK_S)
         self._thread = threading.Thread(target=serve, name="igtl-metrics", daemon=True)
         self._thread.start()
@@ -230,7 +230,7 @@ class MetricsServer:
 
 
 class _Server(HTTPServer):
-    def __init__(self, host: str, port: int, status: Status, allow: AllowList, deadline_s: float) -> None:
+    def __init__(self, host: str, port: int, status: BridgeStatus, allow: AllowList, deadline_s: float) -> None:
         listener = listening_socket(host, port, allow)
         super().__init__(listener.getsockname()[:2], _Handler, bind_and_activate=False)
         self.socket.close()  # that of the library: ours says what is wrong where it cannot be bound

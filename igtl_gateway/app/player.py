@@ -15,10 +15,10 @@ from igtl_gateway.app.digest import Digest
 from igtl_gateway.buffers import total_size
 from igtl_gateway.clock import Clock
 from igtl_gateway.errors import ConfigError, RosError
-from igtl_gateway.replay.pace import Pace
 from igtl_gateway.replay.playback import PlaybackClock, checked_rate
 from igtl_gateway.replay.restamp import Restamper
 from igtl_gateway.replay.simclock import is_tick
+from igtl_gateway.replay.timeline import SessionTimeline
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.stamp import NS_PER_S
 
@@ -37,7 +37,7 @@ Feed = Callable[[int | None], Iterable[Entry]]
 
 
 @dataclass(slots=True)
-class Played:
+class PlaybackCounts:
     """What was sent so far."""
 
     messages: int = 0
@@ -57,10 +57,12 @@ class Played:
         if self._digest:
             self._digest.update(parts, size)
 
-    def copy(self) -> Played:
+    def copy(self) -> PlaybackCounts:
         """The same, to go on by itself."""
         digest = self._digest.copy() if self._digest else None
-        return Played(self.messages, self.bytes, self.unheard, Counter(self.by_stream), Counter(self.refused), digest)
+        return PlaybackCounts(
+            self.messages, self.bytes, self.unheard, Counter(self.by_stream), Counter(self.refused), digest
+        )
 
     @property
     def digest(self) -> str | None:
@@ -83,7 +85,7 @@ class Jump:
     to_ns: int | None
 
 
-class _Turn(Enum):
+class _NextAction(Enum):
     SEND = auto()
     JUMP = auto()
     END = auto()
@@ -108,7 +110,7 @@ class Player:
         restamp: gives new stamps; None: all stay as they are.
         on_jump: told of every jump, in the thread of `run`.
         send_all: as ``send`` for several entries of one side, in order: for those between which there is no pause.
-        digest: whether to compute what `Played.digest` tells, which takes longer than all else.
+        digest: whether to compute what `PlaybackCounts.digest` tells, which takes longer than all else.
         pace: of the session.
     """
 
@@ -128,11 +130,11 @@ class Player:
         on_jump: Callable[[Jump], None] = lambda jump: None,
         send_all: Callable[[Sequence[Entry]], bool] | None = None,
         digest: bool = True,
-        pace: Pace | None = None,
+        pace: SessionTimeline | None = None,
     ) -> None:
-        self.played = Played() if digest else Played(_digest=None)
+        self.played = PlaybackCounts() if digest else PlaybackCounts(_digest=None)
         # while there is one side only, it is the whole
-        self.sides: dict[str, Played] = {}
+        self.sides: dict[str, PlaybackCounts] = {}
         self._feed = feed
         self._send = send
         self._clock = clock
@@ -232,7 +234,7 @@ class Player:
 
     # -- the playback ---------------------------------------------------------------------------------------------
 
-    def run(self) -> Played:
+    def run(self) -> PlaybackCounts:
         """Play to the end, or until stopped.  What the feed raises comes out here."""
         try:
             self._run()
@@ -246,18 +248,18 @@ class Player:
         self._begin(self._start_ns)
         while True:
             entry = self._next()
-            turn = self._turn(entry)
-            if turn is _Turn.END:
+            turn = self._await_turn(entry)
+            if turn is _NextAction.END:
                 return
-            if turn is _Turn.JUMP:
+            if turn is _NextAction.JUMP:
                 jump, self._jump = self._jump, None
                 if jump:
                     self._on_jump(jump)
                     self._begin(jump.to_ns)
             elif entry and self._send_all:
-                self._deliver_several(entry, self._send_all)
+                self._send_batch(entry, self._send_all)
             elif entry:
-                self._deliver(entry)
+                self._send_entry(entry)
 
     def _begin(self, start_ns: int | None) -> None:
         with self._changed:
@@ -276,10 +278,10 @@ class Player:
             raise self._damage
         return next(self._entries, None)
 
-    def _deliver_several(self, entry: Entry, send_all: Callable[[Sequence[Entry]], bool]) -> None:
+    def _send_batch(self, entry: Entry, send_all: Callable[[Sequence[Entry]], bool]) -> None:
         """Send an entry, and those that are due with it where there are no pauses."""
         begun_ns = self._clock.monotonic_ns()
-        self._collect(entry, begun_ns)
+        self._collect_batch(entry, begun_ns)
         with self._changed:
             unlimited = self._playback.rate is None and not self._playback.paused
             if unlimited and not self._jump:
@@ -293,7 +295,7 @@ class Player:
             else:
                 batch = []
         if not batch:
-            self._deliver(entry)
+            self._send_entry(entry)
             return
         if self._restamp:
             batch = [self._restamped(each, self._restamp) for each in batch]
@@ -301,7 +303,7 @@ class Player:
         quick = self._clock.monotonic_ns() - begun_ns < _TOGETHER_NS
         self._together = min(2 * self._together, _TOGETHER) if quick else max(self._together // 2, 1)
 
-    def _collect(self, entry: Entry, begun_ns: int) -> None:
+    def _collect_batch(self, entry: Entry, begun_ns: int) -> None:
         """Take more from the feed, if it gives them soon."""
         if self._playback.rate is not None or self._playback.paused or self._damage:
             return
@@ -319,14 +321,14 @@ class Player:
         except Exception as error:  # what came before it is sent first
             self._damage = error
 
-    def _turn(self, entry: Entry | None) -> _Turn:
+    def _await_turn(self, entry: Entry | None) -> _NextAction:
         """Wait until it is clear what comes next; ``entry`` is None at the end."""
         with self._changed:
             while True:
                 if self._stop.is_set():
-                    return _Turn.END
+                    return _NextAction.END
                 if self._jump:
-                    return _Turn.JUMP
+                    return _NextAction.JUMP
                 now_ns = self._clock.monotonic_ns()
                 if entry is None:
                     position_ns = self._playback.position_ns(now_ns)
@@ -336,14 +338,14 @@ class Player:
                         continue
                     # a pass without messages would be followed by the same at once, for ever
                     if not (self._loop and self._in_pass):
-                        return _Turn.END
+                        return _NextAction.END
                     if self._to_step > _ALL // 2:  # "all that are left": none is
                         self._no_more_steps()
                     self._jump = Jump("loop", position_ns, self._start_ns)
-                    return _Turn.JUMP
+                    return _NextAction.JUMP
                 left_ns = 0 if self._is_state(entry) else self._playback.wait_ns(entry.stamp_ns, now_ns)
                 if left_ns == 0 or (left_ns is None and self._to_step):
-                    return _Turn.SEND
+                    return _NextAction.SEND
                 if left_ns is None and self._tick:
                     with suppress(RosError):
                         self._send(self._tick)  # nodes that come while it is paused want to know the time, too
@@ -357,7 +359,7 @@ class Player:
         """Whether it is sent at once after a jump; the tick that tells the jump's target is."""
         return self._playback.is_state(entry.stamp_ns - is_tick(entry))
 
-    def _deliver(self, entry: Entry) -> None:
+    def _send_entry(self, entry: Entry) -> None:
         sent = self._restamped(entry, self._restamp) if self._restamp else entry
         try:
             heard = self._send(sent)
@@ -390,7 +392,9 @@ class Player:
         if side not in self.sides:
             for other in self.sides:
                 self.sides[other] = self.played.copy()
-            self.sides[side] = Played(_digest=Digest() if self.played.digest else None) if self.sides else self.played
+            self.sides[side] = (
+                PlaybackCounts(_digest=Digest() if self.played.digest else None) if self.sides else self.played
+            )
         self.played.add(entries, heard)
         if len(self.sides) > 1:
             self.sides[side].add(entries, heard)

@@ -21,7 +21,7 @@ class PlayerServices:
         self._offering = threading.Lock()
         self._closed = False
 
-    def offer(self, edge: RosEdge) -> str:
+    def serve(self, edge: RosEdge) -> str:
         """Offer all; gives the reason why that is not possible, or ``""``.
 
         May take a while, where the service types have to be compiled first: for a thread of its own.

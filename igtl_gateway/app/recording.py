@@ -16,7 +16,7 @@ PAUSE, RESUME, SNAPSHOT = "~/pause_recording", "~/resume_recording", "~/snapshot
 _SNAPSHOT_S = 60.0
 
 
-def offer(ros: RosEdge, recorder: Recorder) -> None:
+def serve_recording(ros: RosEdge, recorder: Recorder) -> None:
     """Offer those that make sense for this recording."""
     if recorder.options.snapshot_s:
         ros.serve(SNAPSHOT, TYPE, lambda _request, response: _answer(response, lambda: snapshot(recorder)))

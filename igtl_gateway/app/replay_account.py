@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.app.player import Played
-from igtl_gateway.app.replay_plan import Plan
+from igtl_gateway.app.player import PlaybackCounts
+from igtl_gateway.app.replay_plan import ReplayPlan
 from igtl_gateway.replay.source import FORMS, MADE_ANEW, RELAY, STREAMS
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.layout import NOTE_KINDS
@@ -47,7 +47,7 @@ REASONS: Mapping[str, str] = {
 
 
 @dataclass(slots=True)
-class Account:
+class ReplayAccount:
     """Counts what a replay passes over.
 
     Attributes:
@@ -65,7 +65,7 @@ class Account:
     _kinds: frozenset[Kind] = frozenset()
 
     @classmethod
-    def of(cls, file: SessionFile, how: Plan) -> Account:
+    def of(cls, file: SessionFile, how: ReplayPlan) -> ReplayAccount:
         """The account of a file and a plan, before the first message."""
         fixed: Counter[str] = Counter()
         for channel in file.channels:
@@ -86,7 +86,7 @@ class Account:
         self.made.clear()
 
     def facts(
-        self, played: Played, *, failed: int, left: int, lost: int, partial: bool, stopped: bool
+        self, played: PlaybackCounts, *, failed: int, left: int, lost: int, partial: bool, stopped: bool
     ) -> dict[str, Any]:
         """The account for JSON; ``recorded`` + ``made`` = ``sent`` + all of ``not_sent``.
 
@@ -114,7 +114,7 @@ class Account:
         }
 
 
-def lines(account: dict[str, Any]) -> list[str]:
+def account_lines(account: dict[str, Any]) -> list[str]:
     """The account for people; empty where all was sent."""
     not_sent: dict[str, int] = account["not_sent"]
     if not not_sent:

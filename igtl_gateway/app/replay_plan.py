@@ -13,8 +13,8 @@ from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.errors import RosError
 from igtl_gateway.qos import Qos
-from igtl_gateway.replay.latched import part, rule
-from igtl_gateway.replay.source import once, select, spoken_to, through_gateway
+from igtl_gateway.replay.latched import latched_state_rule, part_of_session
+from igtl_gateway.replay.source import first_form_only, one_side_of_relay, select_entries, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 
@@ -36,7 +36,7 @@ SendAll = Callable[[Sequence[Entry]], bool]
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ReplayPlan:
     """What a replay sends, and why.
 
     Attributes:
@@ -50,13 +50,13 @@ class Plan:
     why: str
 
 
-def plan(file: SessionFile, side: str, recompute: bool) -> Plan:
+def plan_replay(file: SessionFile, side: str, recompute: bool) -> ReplayPlan:
     """How to drive a side (``igtl``, ``ros``, ``both``): as it was, through the gateway, or by what it said itself."""
     if side == "both":
-        igtl, ros = plan(file, "igtl", recompute), plan(file, "ros", recompute)
+        igtl, ros = plan_replay(file, "igtl", recompute), plan_replay(file, "ros", recompute)
         # one log for both: what one side needs computed, the other gets computed as well
         why = f"to OpenIGTLink {igtl.why}; to ROS {ros.why}"
-        return Plan(igtl.kinds | ros.kinds, igtl.recompute or ros.recompute, why)
+        return ReplayPlan(igtl.kinds | ros.kinds, igtl.recompute or ros.recompute, why)
     present = {channel.kind for channel in file.channels if channel.count}
     output, own = _OUTPUTS[side], _SIDES_INPUTS[side]
     feeding = Kind.ROS_IN if side == "igtl" else Kind.IGTL_IN
@@ -64,19 +64,19 @@ def plan(file: SessionFile, side: str, recompute: bool) -> Plan:
         # what ROS nodes said themselves is part of what a ROS graph heard that day, as in `ros2 bag play`
         kinds = frozenset({output, own})
         if recompute or (feeding in present and output not in present):
-            return Plan(kinds, True, "recorded inputs through today's gateway, and what ROS nodes published")
-        return Plan(kinds, False, "what was published that day")
+            return ReplayPlan(kinds, True, "recorded inputs through today's gateway, and what ROS nodes published")
+        return ReplayPlan(kinds, False, "what was published that day")
     if recompute or (feeding in present and output not in present):
-        return Plan(frozenset({output}), True, "recorded inputs through today's gateway")
+        return ReplayPlan(frozenset({output}), True, "recorded inputs through today's gateway")
     if output in present:
-        return Plan(frozenset({output}), False, "the bytes that were sent that day")
-    return Plan(frozenset({own}), False, "what the peers sent that day (nothing was sent to them)")
+        return ReplayPlan(frozenset({output}), False, "the bytes that were sent that day")
+    return ReplayPlan(frozenset({own}), False, "what the peers sent that day (nothing was sent to them)")
 
 
-def planned(
+def planned_entries(
     file: SessionFile,
     config: Config,
-    how: Plan,
+    how: ReplayPlan,
     streams: Iterable[str],
     start_ns: int | None = None,
     end_ns: int | None = None,
@@ -104,15 +104,15 @@ def planned(
     elif start_ns is None:
         found = file.entries_of(how.kinds)
     else:
-        found = file.entries_from(start_ns, rule(is_latched))
+        found = file.entries_from(start_ns, latched_state_rule(is_latched))
     entries: Iterable[Entry] = chain(file.prologue(), found)
     if how.recompute:
         has_links = any(c.kind is Kind.LINK for c in file.channels if c.count)
         entries = through_gateway(entries, config, has_links=has_links, made=made)
     # a relay sends in one form only, and with faults several messages of a stream behind one input
     mine = passed_over if Kind.IGTL_OUT in how.kinds else None
-    entries = spoken_to(role, entries, mine) if config.relay else once(entries, mine)
-    return select(part(entries, start_ns, end_ns, is_latched), how.kinds, streams, passed_over)
+    entries = one_side_of_relay(role, entries, mine) if config.relay else first_form_only(entries, mine)
+    return select_entries(part_of_session(entries, start_ns, end_ns, is_latched), how.kinds, streams, passed_over)
 
 
 def igtl_sender_of_many(edge: TcpEdge, stop: threading.Event) -> SendAll:

@@ -26,7 +26,7 @@ _CAME = ("received", "sent", "published")
 _Totals = dict[tuple[str, str], int]
 
 
-class Watcher(Protocol):
+class EntryCounter(Protocol):
     """Whoever counts the entries of a session."""
 
     @property
@@ -35,7 +35,7 @@ class Watcher(Protocol):
     def refused(self) -> int: ...
 
 
-class Status:
+class BridgeStatus:
     """The last sample of a bridge.
 
     Attributes:
@@ -43,7 +43,7 @@ class Status:
         failure: why the last sample could not be taken, or ``""``; ``facts`` are those of the one before.
     """
 
-    def __init__(self, bridge: Bridge, watcher: Watcher, clock: Clock) -> None:
+    def __init__(self, bridge: Bridge, watcher: EntryCounter, clock: Clock) -> None:
         self.facts: Mapping[str, Any] = {}
         self.failure = ""
         self._bridge = bridge

@@ -23,7 +23,7 @@ _ENCODED = "compressed_image"
 _TYPES = ("", "VIDEO")
 
 
-class Video:
+class VideoCodecs:
     """The encoder and the decoder of a bridge.
 
     Args:
@@ -44,14 +44,14 @@ class Video:
         row = self._config.row_to_igtl(topic) if ros_type == Image.TYPE else None
         return (row.qos or _PICTURES) if row and row.type in _TYPES else None
 
-    def take(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> bool:
+    def encode(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> bool:
         """A message of ROS; whether it was for the encoder."""
         if self.subscription(topic, ros_type) is None:
             return False
         self._encoder.submit(topic, cdr, source_ns)
         return True
 
-    def show(self, entry: Entry) -> None:
+    def decode(self, entry: Entry) -> None:
         """Decode what goes to ROS as an encoded frame."""
         if entry.kind is Kind.ROS_OUT and entry.type == CompressedImage.TYPE:
             self._decoder.submit(entry.channel, entry.payload[0])

@@ -17,7 +17,7 @@ import sys
 from collections.abc import Sequence
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.terminal import Parser, abandon, finish, open_outputs, say
+from igtl_gateway.cli.terminal import Parser, discard_outputs, flush_outputs, open_outputs, print_line
 from igtl_gateway.cli.verbs import LABORATORY, WITHOUT_LABORATORY, available
 from igtl_gateway.errors import ConfigError, GatewayError, OutputError, UnsupportedRecording
 from igtl_gateway.untrusted import limits
@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     asked = next((word for word in given if not word.startswith("-")), "")
     known = available()
     if asked in LABORATORY and asked not in known:
-        return _say(asked, WITHOUT_LABORATORY, USAGE)
+        return _print_error(asked, WITHOUT_LABORATORY, USAGE)
     for name, verb in known.items():
         made = verbs.add_parser(
             name,
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         if name == asked:
             if not verb.module:
-                return _say(asked, verb.help, FAILURE)
+                return _print_error(asked, verb.help, FAILURE)
             module = importlib.import_module(verb.module)
             module.add_arguments(made)
             if verb.reads_files:
@@ -62,33 +62,35 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return USAGE
     try:
-        with limits.use(limits.parse(getattr(options, "limit", []))):
+        with limits.limits_in_force(limits.parse_limits(getattr(options, "limit", []))):
             code = int(options.run(options))
-        finish()
+        flush_outputs()
         return code
     except (ConfigError, UnsupportedRecording) as error:
-        return _say(options.verb, error, USAGE)
+        return _print_error(options.verb, error, USAGE)
     except GatewayError as error:
         if isinstance(error, OutputError):
-            abandon()
-        return _say(options.verb, error, FAILURE)
+            discard_outputs()
+        return _print_error(options.verb, error, FAILURE)
     except BrokenPipeError:
         # whoever read our output has seen enough; nothing more can be printed
-        abandon()
+        discard_outputs()
         return FAILURE
     except OSError as error:  # of a path that no reader asked for in vain: a name that is too long, a folder of others
-        return _say(options.verb, f"{error.filename}: {error.strerror}" if error.filename else error, USAGE)
+        return _print_error(options.verb, f"{error.filename}: {error.strerror}" if error.filename else error, USAGE)
     except MemoryError:
-        return _say(options.verb, "found no memory for this file, expected more of it (or a lower --limit)", FAILURE)
+        return _print_error(
+            options.verb, "found no memory for this file, expected more of it (or a lower --limit)", FAILURE
+        )
     except KeyboardInterrupt:
-        say(error=True)
-        return _say(options.verb, "interrupted", FAILURE)
+        print_line(error=True)
+        return _print_error(options.verb, "interrupted", FAILURE)
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:
     """``--limit``, any number of times."""
     names = "; ".join(
-        f"{name}: {meaning} ({getattr(limits.Limits(), name)})" for name, meaning in limits.MEANINGS.items()
+        f"{name}: {meaning} ({getattr(limits.FileLimits(), name)})" for name, meaning in limits.MEANINGS.items()
     )
     parser.add_argument(
         "--limit",
@@ -99,6 +101,6 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _say(verb: str, error: object, code: int) -> int:
-    say(f"igtl-gateway {verb}: {error}", error=True)
+def _print_error(verb: str, error: object, code: int) -> int:
+    print_line(f"igtl-gateway {verb}: {error}", error=True)
     return code

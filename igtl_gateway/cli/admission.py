@@ -8,27 +8,27 @@ from pathlib import Path
 
 from igtl_gateway.cli.common import address
 from igtl_gateway.config import Config
-from igtl_gateway.edges.tcp import Limits, TlsFiles
+from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.wire.registry import BODIES
 
-_USUAL = Limits()
+_USUAL = PeerLimits()
 _NEVER = TlsFiles()
 
 
-class Place(tuple[str, int]):
+class PeerAddress(tuple[str, int]):
     """Host and port; ``scheme`` is ``"tls"``, ``"tcp"`` or ``""``."""
 
     scheme = ""
 
 
-def place(text: str) -> Place:
+def peer_address(text: str) -> PeerAddress:
     """``[tls://|tcp://]HOST:PORT``, the rest as ``common.address``."""
     scheme, found, rest = text.partition("://")
     if found and scheme not in ("tls", "tcp"):
         raise argparse.ArgumentTypeError(f"found {text!r}, expected tls://HOST:PORT, tcp://HOST:PORT or HOST:PORT")
-    made = Place(address(rest if found else text))
+    made = PeerAddress(address(rest if found else text))
     made.scheme = scheme if found else ""
     return made
 
@@ -96,9 +96,9 @@ def size_by_type(text: str) -> tuple[str, int]:
     raise argparse.ArgumentTypeError(f"found {text!r}, expected TYPE=MIB such as STRING=4")
 
 
-def limits(options: argparse.Namespace) -> Limits:
+def limits(options: argparse.Namespace) -> PeerLimits:
     """What a peer may cost.  Raises ConfigError."""
-    return Limits(
+    return PeerLimits(
         max_clients=options.max_clients,
         queue_bytes=options.queue_mib << 20,
         queue_messages=options.queue_messages,

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway import __version__
 from igtl_gateway.app.bridge import Address, Bridge, BridgeOptions
-from igtl_gateway.app.interpreter import calm_the_interpreter
-from igtl_gateway.app.status import Status
+from igtl_gateway.app.interpreter import tune_interpreter
+from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.cli import admission, recording
 from igtl_gateway.cli.common import (
     DEFAULT_HOST,
@@ -23,24 +23,24 @@ from igtl_gateway.cli.common import (
     add_routes,
     address,
     addresses,
-    count,
+    count_text,
     load_config,
-    size,
+    size_text,
     stop_event,
     with_routes,
 )
 from igtl_gateway.cli.edge_file import completed
 from igtl_gateway.cli.losses import losses
-from igtl_gateway.cli.terminal import clear, is_terminal, live, print_json, say
+from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.config import AUTO, Config
 from igtl_gateway.convert.igtl_msgs import Query
-from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role, RosRow
-from igtl_gateway.edges.ros.env import keep_large_blocks, prepare_environment
+from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToRos, Role
+from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
 from igtl_gateway.edges.video import CODECS, VideoOptions
 from igtl_gateway.errors import ConfigError, ViewerError
 from igtl_gateway.extras import missing
-from igtl_gateway.faults import BothWays
+from igtl_gateway.faults import RelayFaults
 from igtl_gateway.gateway import FAULT
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
@@ -48,7 +48,7 @@ from igtl_gateway.stamp import NS_PER_S, utc_text
 
 if TYPE_CHECKING:
     from igtl_gateway.app.metrics import MetricsServer
-    from igtl_gateway.view.live import Window
+    from igtl_gateway.view.live import LiveWindow
 
 EXAMPLES = """\
   igtl-gateway bridge                                    server on 127.0.0.1:18944, ROS 2 node /igtl_gateway
@@ -80,7 +80,7 @@ _MAX_CAUSES = 1000  # causes of notes told one by one: a peer that invents devic
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_addresses(parser, admission.place, "[tls://]HOST:PORT")
+    add_addresses(parser, admission.peer_address, "[tls://]HOST:PORT")
     admission.add_tls(parser)
     admission.add_limits(parser)
     parser.add_argument("--record", type=Path, metavar="FILE", help="record everything into this MCAP file")
@@ -125,7 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     if options.types:
-        say(*types())
+        print_line(*types())
         return 0
     how = recording.record_options(options)
     if options.duration is not None and not 0 < options.duration < float("inf"):
@@ -140,10 +140,10 @@ def run(options: argparse.Namespace) -> int:
     elif options.fault:
         raise ConfigError("--fault: found no --relay, expected it: faults are of a line between two programs")
     tls_listen, tls_connect = admission.secured(options, listen, connect)
-    watch = _Watch()
+    watch = _EntryWatch()
     clock = SystemClock()
     with stop_event() as stop:
-        notes = [keep_large_blocks()] if options.no_ros else prepare_environment()
+        notes = [tune_malloc()] if options.no_ros else prepare_environment()
         window = _window(config) if options.view else None
         bridge = Bridge(
             config,
@@ -167,7 +167,7 @@ def run(options: argparse.Namespace) -> int:
             watch,
             window,
         )
-        status = Status(bridge, watch, clock)
+        status = BridgeStatus(bridge, watch, clock)
         metrics: MetricsServer | None = None
         try:
             if options.metrics:  # before the recording: a port that is taken must not cost that of yesterday
@@ -181,19 +181,19 @@ def run(options: argparse.Namespace) -> int:
             if window:
                 window.close()
             raise
-        out: _Output = _JsonOutput(clock) if options.log_format == "json" else _TextOutput(is_terminal())
+        out: _BridgeOutput = _JsonOutput(clock) if options.log_format == "json" else _TextOutput(is_terminal())
         started_ns = clock.monotonic_ns()
         try:
-            with recording.steering(bridge.recorder) as keys:
+            with recording.recording_controls(bridge.recorder) as keys:
                 out.started(bridge, config, [*notes, keys] if keys else notes, metrics)
-                calm_the_interpreter()
+                tune_interpreter()
                 while not stop.wait(_STATUS_EVERY_S):
                     out.events(watch.take())
                     seconds = (clock.monotonic_ns() - started_ns) / NS_PER_S
                     out.status(bridge, watch, seconds)
                     if metrics:
                         status.sample()
-                    if bridge.over or (options.duration and seconds >= options.duration):
+                    if bridge.has_failed or (options.duration and seconds >= options.duration):
                         break
         finally:
             if metrics:
@@ -203,7 +203,7 @@ def run(options: argparse.Namespace) -> int:
         out.events(watch.take())
         out.stopped(bridge, watch)
         if unseen:
-            say(f"igtl-gateway bridge: --view: {unseen}", error=True)
+            print_line(f"igtl-gateway bridge: --view: {unseen}", error=True)
     return 1 if bridge.summary and bridge.summary.failure else 0
 
 
@@ -213,7 +213,7 @@ def _relayed(
     """Configuration and addresses to listen at of a relay."""
     if len(connect) != 1:
         raise ConfigError(f"--relay: found {len(connect)} servers, expected one: --connect HOST:PORT")
-    if BothWays.parse(options.fault):
+    if RelayFaults.parse(options.fault):
         config = replace(config, relay=True, faults=options.fault, fault_seed=options.seed)
     return replace(config, relay=True), listen or ((DEFAULT_HOST, DEFAULT_PORT),)
 
@@ -226,7 +226,7 @@ def _video(options: argparse.Namespace) -> VideoOptions | None:
     return VideoOptions(options.video_codec, options.video_bit_rate * 1000, options.video_key_interval)
 
 
-def _metrics(options: argparse.Namespace, status: Status) -> MetricsServer:
+def _metrics(options: argparse.Namespace, status: BridgeStatus) -> MetricsServer:
     from igtl_gateway.app.metrics import MetricsServer
 
     host, port = options.metrics
@@ -234,12 +234,12 @@ def _metrics(options: argparse.Namespace, status: Status) -> MetricsServer:
     return MetricsServer(host, port, status, tuple(options.allow))
 
 
-def _window(config: Config) -> Window:
+def _window(config: Config) -> LiveWindow:
     if find_spec("rerun") is None:
         raise ViewerError(missing("rerun"))
-    from igtl_gateway.view.live import Window
+    from igtl_gateway.view.live import LiveWindow
 
-    return Window(config)
+    return LiveWindow(config)
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,7 +252,7 @@ class _Event:
     links: tuple[int, ...]
 
 
-class _Watch:
+class _EntryWatch:
     """Counts entries and keeps the notes among them until they are printed; called under the hub's lock."""
 
     def __init__(self) -> None:
@@ -278,13 +278,13 @@ class _Watch:
 _NOTES = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})
 
 
-class _Output(Protocol):
+class _BridgeOutput(Protocol):
     """How a bridge tells what it does."""
 
     def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None: ...
     def events(self, events: list[_Event]) -> None: ...
-    def status(self, bridge: Bridge, watch: _Watch, seconds: float) -> None: ...
-    def stopped(self, bridge: Bridge, watch: _Watch) -> None: ...
+    def status(self, bridge: Bridge, watch: _EntryWatch, seconds: float) -> None: ...
+    def stopped(self, bridge: Bridge, watch: _EntryWatch) -> None: ...
 
 
 class _TextOutput:
@@ -303,34 +303,34 @@ class _TextOutput:
 
     def _print(self, text: str) -> None:
         if self._terminal:
-            clear()
-        say(text, flush=True)
+            clear_live_line()
+        print_line(text, flush=True)
         if self._terminal and self._status:
-            live(self._status)
+            live_line(self._status)
 
     def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None:
-        say(f"igtl-gateway {__version__}")
+        print_line(f"igtl-gateway {__version__}")
         for (host, port), asked in zip(bridge.addresses, bridge.options.listen, strict=True):
-            say(f"OpenIGTLink  server on {host}:{port}{', TLS' if asked in bridge.options.tls_listen else ''}")
+            print_line(f"OpenIGTLink  server on {host}:{port}{', TLS' if asked in bridge.options.tls_listen else ''}")
         how = "a connection for each client (--relay)" if config.relay else "reconnecting"
         for host, port in bridge.options.connect:
             tls = ", TLS" if (host, port) in bridge.options.tls_connect else ""
-            say(f"OpenIGTLink  client of {host}:{port}{tls}, {how}")
+            print_line(f"OpenIGTLink  client of {host}:{port}{tls}, {how}")
         off = "--relay" if config.relay else "--no-ros"
-        say(f"ROS 2        node /{bridge.options.node_name}" if bridge.ros else f"ROS 2        off ({off})")
+        print_line(f"ROS 2        node /{bridge.options.node_name}" if bridge.ros else f"ROS 2        off ({off})")
         for note in notes:
-            say(f"             {note.partition(' (')[0]}")
-        say(f"recording    {bridge.options.record or 'off (--record FILE)'}")
+            print_line(f"             {note.partition(' (')[0]}")
+        print_line(f"recording    {bridge.options.record or 'off (--record FILE)'}")
         if metrics:
-            say(f"metrics      {metrics.url}")
+            print_line(f"metrics      {metrics.url}")
         if config.faults:
-            say(f"faults       {config.faults}, seed {config.fault_seed}: messages are spoilt on purpose")
+            print_line(f"faults       {config.faults}, seed {config.fault_seed}: messages are spoilt on purpose")
         for line in (*admission.denials(config), *profiles(config)):
-            say(line)
+            print_line(line)
         if bridge.ros:
             for line in mapping(config):
-                say(line)
-        say("Ctrl-C stops.", flush=True)
+                print_line(line)
+        print_line("Ctrl-C stops.", flush=True)
 
     def events(self, events: list[_Event]) -> None:
         for event in events:
@@ -344,7 +344,7 @@ class _TextOutput:
                 link = f" [link {', '.join(map(str, links))}]" if links else ""
                 self._print(f"{self._MARKS[note.level]} {note.text}{link}")
 
-    def status(self, bridge: Bridge, watch: _Watch, seconds: float) -> None:
+    def status(self, bridge: Bridge, watch: _EntryWatch, seconds: float) -> None:
         if not self._terminal:
             return
         before_s, before = self._last
@@ -359,41 +359,41 @@ class _TextOutput:
                 f" LOST {told['dropped_entries']:,}" if told["dropped_entries"] else ""
             )
         self._status = (
-            f"{seconds:6.0f} s | {count(peers, 'peer')} | OpenIGTLink < {rates[Kind.IGTL_IN]:.0f}/s "
+            f"{seconds:6.0f} s | {count_text(peers, 'peer')} | OpenIGTLink < {rates[Kind.IGTL_IN]:.0f}/s "
             f"> {rates[Kind.IGTL_OUT]:.0f}/s | ROS < {rates[Kind.ROS_IN]:.0f}/s > {rates[Kind.ROS_OUT]:.0f}/s | "
             f"dropped {dropped:,} refused {watch.refused:,}{recorded}"
         )
-        live(self._status)
+        live_line(self._status)
 
-    def stopped(self, bridge: Bridge, watch: _Watch) -> None:
+    def stopped(self, bridge: Bridge, watch: _EntryWatch) -> None:
         if self._terminal:
-            clear()
+            clear_live_line()
         counts = watch.counts
-        say(
+        print_line(
             f"stopped.  OpenIGTLink: {counts[Kind.IGTL_IN]:,} in, {counts[Kind.IGTL_OUT]:,} out.  "
             f"ROS: {counts[Kind.ROS_IN]:,} in, {counts[Kind.ROS_OUT]:,} out.  refused: {watch.refused:,}"
         )
         for reason, number in bridge.tcp.refused().items():
-            say(f"  connections refused, {reason}: {number:,}")
+            print_line(f"  connections refused, {reason}: {number:,}")
         for cause, number in sorted(self._repeats.items()):
             if number > 1 and cause[0] not in ("stream",):
-                say(f"  {' '.join(filter(None, cause))}: {number:,} times")
+                print_line(f"  {' '.join(filter(None, cause))}: {number:,} times")
         if bridge.summary:
             summary = bridge.summary
             lost, left_out = sum(summary.dropped.values()), sum(summary.left_out.values())
-            files = f"{count(len(summary.files), 'snapshot')} of " if bridge.options.recording.snapshot_s else ""
-            say(
-                f"recorded {count(summary.entries, 'entry', 'entries')} into {files}{summary.path} "
-                f"({size(summary.size)})"
+            files = f"{count_text(len(summary.files), 'snapshot')} of " if bridge.options.recording.snapshot_s else ""
+            print_line(
+                f"recorded {count_text(summary.entries, 'entry', 'entries')} into {files}{summary.path} "
+                f"({size_text(summary.size)})"
                 + (f", left out {left_out:,}" if left_out else "")
                 + (f", LOST {lost:,}" if lost else "")
                 + (f": {summary.failure}" if summary.failure else "")
             )
         lines = losses(bridge.losses)
         for line in lines[:_MAX_LOSSES]:
-            say(f"  {line}")
+            print_line(f"  {line}")
         if len(lines) > _MAX_LOSSES:
-            say(f"  … and {len(lines) - _MAX_LOSSES:,} more kinds of losses")
+            print_line(f"  … and {len(lines) - _MAX_LOSSES:,} more kinds of losses")
 
 
 class _JsonOutput:
@@ -432,10 +432,10 @@ class _JsonOutput:
                 data=note.data,
             )
 
-    def status(self, bridge: Bridge, watch: _Watch, seconds: float) -> None:
+    def status(self, bridge: Bridge, watch: _EntryWatch, seconds: float) -> None:
         """Programs count for themselves, or ask ``--metrics``."""
 
-    def stopped(self, bridge: Bridge, watch: _Watch) -> None:
+    def stopped(self, bridge: Bridge, watch: _EntryWatch) -> None:
         told: dict[str, Any] = {"counts": {kind.value: watch.counts[kind] for kind in Kind}}
         if bridge.summary:
             told["recording"] = {
@@ -497,7 +497,7 @@ def _names(igtl_types: tuple[str, ...]) -> str:
     return "/".join(igtl_types) if len(igtl_types) < _MANY else "GET_, STT_, STP_, RTS_"
 
 
-def _role(row: RosRow) -> str:
+def _role(row: ConversionToRos) -> str:
     return "on request (--kinds)" if row.role is Role.ON_REQUEST else ""
 
 

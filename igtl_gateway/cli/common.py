@@ -191,7 +191,7 @@ def load_config(path: Path | None) -> Config:
     return Config.from_toml(path) if path else Config()
 
 
-def recorded_config(session: dict[str, str], path: Path | None = None) -> Config:
+def config_to_run(session: dict[str, str], path: Path | None = None) -> Config:
     """The configuration to run a recording with: of the file ``path`` if given, else the recorded one."""
     given = Config.from_toml(path) if path else None
     try:
@@ -239,12 +239,12 @@ def stop_event() -> Iterator[threading.Event]:
         os.close(reader)
 
 
-def count(number: int, thing: str, things: str = "") -> str:
+def count_text(number: int, thing: str, things: str = "") -> str:
     """``1 message``, ``1,234 messages``."""
     return f"{number:,} {thing if number == 1 else things or thing + 's'}"
 
 
-def size(number: float) -> str:
+def size_text(number: float) -> str:
     """Bytes for people: ``812 B``, ``9.6 MB``."""
     for unit in ("B", "kB", "MB", "GB"):
         if number < 1000 or unit == "GB":

@@ -10,7 +10,7 @@ from io import BufferedReader, BufferedWriter, FileIO
 from pathlib import Path
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.cli.terminal import print_json, say
+from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.errors import ConfigError, MessageTooLarge, RecordingError, WireError
 from igtl_gateway.untrusted.files import is_same, obstacle
 from igtl_gateway.wire import decode, describe, encode
@@ -98,7 +98,7 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
 
 def _lost(offset: int, found: object) -> int:
     """Say why it goes no further."""
-    say(f"igtl-gateway decode: offset {offset}: {found}", error=True)
+    print_line(f"igtl-gateway decode: offset {offset}: {found}", error=True)
     return 1
 
 

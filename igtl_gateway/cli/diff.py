@@ -9,12 +9,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import count, recorded_config
-from igtl_gateway.cli.terminal import cell, print_json, say, width
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.cli.common import config_to_run, count_text
+from igtl_gateway.cli.terminal import cell, print_json, print_line, width
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.replay.compare import Decoder, Tolerance
-from igtl_gateway.replay.diff import DiffReport, Side, StreamDiff, diff
+from igtl_gateway.replay.compare import LeafDecoder, Tolerance
+from igtl_gateway.replay.diff import DiffInput, DiffReport, StreamDiff, diff
 from igtl_gateway.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
@@ -70,9 +70,9 @@ def run(options: argparse.Namespace) -> int:
     return 0 if report.equal else 1
 
 
-def _side(file: SessionFile) -> Side:
-    config = recorded_config(file.session)
-    return Side(file.entries(), Decoder(file.definitions, Lengths(config.ros_unit, config.igtl_unit)))
+def _side(file: SessionFile) -> DiffInput:
+    config = config_to_run(file.session)
+    return DiffInput(file.entries(), LeafDecoder(file.definitions, LengthUnits(config.ros_unit, config.igtl_unit)))
 
 
 def _plain(value: Any) -> Any:
@@ -91,22 +91,24 @@ def _plain(value: Any) -> Any:
 def _print(options: argparse.Namespace, report: DiffReport) -> None:
     messages = sum(stream.messages for stream in report.streams)
     others = sum(stream.other_messages for stream in report.streams)
-    say(f"A {options.one}: {count(messages, 'message')}")
-    say(f"B {options.other}: {count(others, 'message')}")
-    say(f"  by gateway time B is {_signed(report.offset_ns)} later" if report.offset_ns else "  at the same times")
+    print_line(f"A {options.one}: {count_text(messages, 'message')}")
+    print_line(f"B {options.other}: {count_text(others, 'message')}")
+    print_line(
+        f"  by gateway time B is {_signed(report.offset_ns)} later" if report.offset_ns else "  at the same times"
+    )
     if report.stamp_offset_ns:
-        say(f"  stamps in messages of B are {_signed(report.stamp_offset_ns)} later")
+        print_line(f"  stamps in messages of B are {_signed(report.stamp_offset_ns)} later")
     title = ("stream", "A", "B", "missing", "extra", "different", "mm", "deg", "offset", "jitter")
     rows = [title, *(_row(stream, report) for stream in report.streams)]
     widths = [width(row[column] for row in rows) for column in range(len(title))]
     for row in rows:
         cells = [text.rjust(columns) for text, columns in zip(row[1:], widths[1:], strict=True)]
-        say(f"  {cell(row[0], widths[0])}  {'  '.join(cells)}".rstrip())
+        print_line(f"  {cell(row[0], widths[0])}  {'  '.join(cells)}".rstrip())
     for stream in report.streams:
         for line in _places(stream):
-            say(f"{stream.kind} {stream.stream}".rstrip() + f": {line}")
+            print_line(f"{stream.kind} {stream.stream}".rstrip() + f": {line}")
     wrong = sum(not stream.equal for stream in report.streams)
-    say("equal" if report.equal else f"DIFFERENT: {count(wrong, 'stream')} of {len(report.streams)}")
+    print_line("equal" if report.equal else f"DIFFERENT: {count_text(wrong, 'stream')} of {len(report.streams)}")
 
 
 def _row(stream: StreamDiff, report: DiffReport) -> tuple[str, ...]:

@@ -8,9 +8,9 @@ from pathlib import Path
 from igtl_gateway.app.examine import ExamineOptions, examine
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import DEFAULT_HOST, DEFAULT_PORT, load_config, stop_event
-from igtl_gateway.cli.terminal import print_json, say
+from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.clock import SystemClock
-from igtl_gateway.doctor.report import Report
+from igtl_gateway.doctor.report import DoctorReport
 from igtl_gateway.errors import ConfigError
 
 EXAMPLES = """\
@@ -25,10 +25,12 @@ _SECONDS = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("peer", metavar="[tls://]HOST:PORT", type=admission.place, nargs="?", help="the peer's address")
+    parser.add_argument(
+        "peer", metavar="[tls://]HOST:PORT", type=admission.peer_address, nargs="?", help="the peer's address"
+    )
     parser.add_argument(
         "--listen",
-        type=admission.place,
+        type=admission.peer_address,
         nargs="?",
         const=(DEFAULT_HOST, DEFAULT_PORT),
         metavar="[tls://]HOST:PORT",
@@ -79,10 +81,10 @@ def run(options: argparse.Namespace) -> int:
         bool(tls_connect),
     )
     with stop_event() as stop:
-        report = Report.of(examine(load_config(options.config), how, SystemClock(), stop))
+        report = DoctorReport.of(examine(load_config(options.config), how, SystemClock(), stop))
     if options.json:
         print_json(report.to_dict())
     else:
         for line in report.lines():
-            say(line)
+            print_line(line)
     return int(report.failed)

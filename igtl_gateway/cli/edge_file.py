@@ -32,12 +32,12 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.admission import limits, place, size_by_type
+from igtl_gateway.cli.admission import limits, peer_address, size_by_type
 from igtl_gateway.config import EDGE_TABLE, from_values, read_toml
-from igtl_gateway.edges.tcp import Limits
+from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.errors import ConfigError
 
-_USUAL = Limits()
+_USUAL = PeerLimits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class EdgeFile:
         """As the options have them, with files as seen from a folder.  Raises ConfigError."""
         made = {each.name: getattr(self, each.name) for each in fields(self)}
         for name in ("listen", "connect"):
-            made[name] = [_parsed(f"{name}[{index}]", place, text) for index, text in enumerate(made[name])]
+            made[name] = [_parsed(f"{name}[{index}]", peer_address, text) for index, text in enumerate(made[name])]
         made["allow"] = list(self.allow)
         made["max_body"] = [_parsed("max_body", size_by_type, text) for text in self.max_body]
         return made | {name: folder / file if (file := getattr(self, name)) else None for name in _FILES}

@@ -6,10 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import count
-from igtl_gateway.cli.terminal import cell, print_json, say, width
+from igtl_gateway.cli.common import count_text
+from igtl_gateway.cli.terminal import cell, print_json, print_line, width
 from igtl_gateway.errors import GatewayError
-from igtl_gateway.exchange.account import Account, Exported
+from igtl_gateway.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.exchange.source import MESSAGES
 from igtl_gateway.exchange.targets import TARGETS, export_to
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -64,11 +64,11 @@ def run(options: argparse.Namespace) -> int:
         print_json({**told, **more, "notes": account.notes})
     else:
         _print(account, options)
-        say(f"{options.out}: {count(written, 'message')} in {count(account.files, 'file')}")
+        print_line(f"{options.out}: {count_text(written, 'message')} in {count_text(account.files, 'file')}")
     return 0 if good else 1
 
 
-def _print(account: Account, options: argparse.Namespace) -> None:
+def _print(account: ExportAccount, options: argparse.Namespace) -> None:
     rows = [*account.rows, *(part for part in account.parts if part.left_out)]
     streams = width(row.stream for row in rows)
     kinds = width(row.type for row in rows)
@@ -76,12 +76,12 @@ def _print(account: Account, options: argparse.Namespace) -> None:
         mark = " " if row.good else "!"
         numbers = f"{row.declared:>10,} {row.taken:>10,} {row.left_out:>10,}"
         why = row.why if row.unit == MESSAGES else f"{row.unit}: {row.why}"
-        say(f"{mark} {cell(row.stream, streams)}  {cell(row.type, kinds)} {numbers}  {why}".rstrip())
+        print_line(f"{mark} {cell(row.stream, streams)}  {cell(row.type, kinds)} {numbers}  {why}".rstrip())
     if account.others:
-        others = count(sum(account.others.values()), "message")
-        say(f"note: {others} of other types are not for {options.to}: {_some(sorted(account.others), 20)}")
+        others = count_text(sum(account.others.values()), "message")
+        print_line(f"note: {others} of other types are not for {options.to}: {_some(sorted(account.others), 20)}")
     for note in account.notes:
-        say(f"note: {note}")
+        print_line(f"note: {note}")
 
 
 def _some(texts: list[str], most: int, separator: str = ", ") -> str:
@@ -90,7 +90,7 @@ def _some(texts: list[str], most: int, separator: str = ", ") -> str:
     return separator.join([*texts[:most], *more])
 
 
-def _as_json(row: Exported) -> dict[str, Any]:
+def _as_json(row: ExportedStream) -> dict[str, Any]:
     return {
         "stream": row.stream,
         "type": row.type,

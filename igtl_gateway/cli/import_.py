@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import count, size
-from igtl_gateway.cli.terminal import cell, print_json, say, width
+from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.terminal import cell, print_json, print_line, width
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, DamagedRecording, WireError
 from igtl_gateway.exchange.formats import open_source
-from igtl_gateway.exchange.source import Row, Source, numbered
+from igtl_gateway.exchange.source import ImportedStream, Source, numbered
 from igtl_gateway.sessionfile.layout import LayoutError
 from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import NS_PER_S
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     with closing(open_source(options.source, options.epoch)) as source:
         writer = SessionWriter(
             options.out,
-            facts(options.source, source),
+            import_facts(options.source, source),
             qos_of=source.qos_of,
             definition_of=source.definition_of,
             overwrite=options.overwrite,
@@ -100,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
     return 0 if good else 1
 
 
-def facts(path: Path, source: Source) -> dict[str, str]:
+def import_facts(path: Path, source: Source) -> dict[str, str]:
     """What the session says of itself: nothing of this machine or moment, so that equal sources give equal files."""
     return {
         "config": json.dumps(Config().to_dict(), sort_keys=True),
@@ -110,7 +110,7 @@ def facts(path: Path, source: Source) -> dict[str, str]:
     }
 
 
-def _told(row: Row) -> dict[str, Any]:
+def _told(row: ImportedStream) -> dict[str, Any]:
     return {
         "stream": row.stream,
         "type": row.type,
@@ -124,17 +124,19 @@ def _told(row: Row) -> dict[str, Any]:
 
 
 def _print(source: Source, told: dict[str, Any]) -> None:
-    say(f"{source.title}: {len(source.rows)} rows; found, imported, left out")
+    print_line(f"{source.title}: {len(source.rows)} rows; found, imported, left out")
     streams = width(row.stream for row in source.rows)
     kinds = width(row.type or row.unit for row in source.rows)
     for row in source.rows:
         mark = " " if row.good else "!"
         numbers = f"{row.declared:>12,} {row.taken:>12,} {row.left_out:>12,}"
-        say(f"{mark} {cell(row.stream, streams)}  {cell(row.type or row.unit, kinds)} {numbers}  {row.why}".rstrip())
+        print_line(
+            f"{mark} {cell(row.stream, streams)}  {cell(row.type or row.unit, kinds)} {numbers}  {row.why}".rstrip()
+        )
     for note in told["notes"]:
-        say(f"note: {note}")
+        print_line(f"note: {note}")
     if told["failure"]:
-        say(f"FAILED: {told['failure']}")
+        print_line(f"FAILED: {told['failure']}")
     elif not told["good"]:
-        say("DIFFERENT: the rows marked ! have not all that the source declares")
-    say(f"{told['file']}: {count(told['entries'], 'entry', 'entries')}, {size(told['bytes'])}")
+        print_line("DIFFERENT: the rows marked ! have not all that the source declares")
+    print_line(f"{told['file']}: {count_text(told['entries'], 'entry', 'entries')}, {size_text(told['bytes'])}")

@@ -10,16 +10,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import count, size
+from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.recover import print_losses
-from igtl_gateway.cli.terminal import cell, print_json, say, width
+from igtl_gateway.cli.terminal import cell, print_json, print_line, width
 from igtl_gateway.errors import BeingRecorded, DamagedRecording, LimitExceeded
 from igtl_gateway.session.clocksteps import ClockStep, without_jump
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.session.timing import Timing, best
+from igtl_gateway.session.timing import StampTiming, best
 from igtl_gateway.sessionfile import facts, layout
 from igtl_gateway.sessionfile.index import recover_hint
 from igtl_gateway.sessionfile.reader import PartSummary, SessionFile
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @dataclass(slots=True)
-class Stream:
+class StreamSummary:
     """What is told of one stream; times in UTC ns of the gateway."""
 
     kind: Kind
@@ -130,13 +130,13 @@ class Stream:
 
 
 @dataclass(slots=True)
-class Content:
+class ContentSummary:
     """What is told of the entries."""
 
-    streams: dict[tuple[Kind, str, str], Stream] = field(default_factory=dict)
+    streams: dict[tuple[Kind, str, str], StreamSummary] = field(default_factory=dict)
     notes: list[tuple[int, Kind, Note]] = field(default_factory=list)
     problems: Counter[str] = field(default_factory=Counter)
-    clocks: dict[int, dict[str, Timing]] = field(default_factory=dict)  # link (0: ROS) → stream → its stamps
+    clocks: dict[int, dict[str, StampTiming]] = field(default_factory=dict)  # link (0: ROS) → stream → its stamps
     addresses: dict[int, str] = field(default_factory=dict)
     entries: int = 0
     steps: list[ClockStep] = field(default_factory=list)
@@ -147,7 +147,7 @@ class Content:
         return self.steps[-1].ahead_ns if self.steps else 0
 
     @classmethod
-    def of(cls, entries: Iterable[Entry]) -> Content:
+    def of(cls, entries: Iterable[Entry]) -> ContentSummary:
         """Read all entries."""
         content = cls()
         for entry in entries:
@@ -156,10 +156,10 @@ class Content:
                 key = (entry.kind, entry.channel, entry.type)
                 stream = content.streams.get(key)
                 if stream is None:
-                    stream = content.streams[key] = Stream(*key)
+                    stream = content.streams[key] = StreamSummary(*key)
                 stream.add(entry, content.ahead_ns)
                 if entry.kind.is_input:
-                    content.time(entry)
+                    content.add_stamp(entry)
             else:
                 note = Note.of(entry.data())
                 if entry.kind is Kind.LINK and "peer" in note.data:
@@ -168,27 +168,27 @@ class Content:
                     content.problems[note.code] += 1
                 content.notes.append((entry.stamp_ns, entry.kind, note))
                 if step := ClockStep.of(entry):
-                    content.step(step)
+                    content.apply_clock_step(step)
         return content
 
-    def step(self, step: ClockStep) -> None:
+    def apply_clock_step(self, step: ClockStep) -> None:
         """The host's clock was set: that is no pause, and what was known of other clocks is known no more."""
         self.steps.append(step)
         for stream in self.streams.values():
             without_jump(stream, step)
         for streams in self.clocks.values():
             for timing in streams.values():
-                timing.begin_again()
+                timing.reset()
 
-    def time(self, entry: Entry) -> None:
+    def add_stamp(self, entry: Entry) -> None:
         """Take the stamp of an input for what it tells of its sender's clock."""
         streams = self.clocks.setdefault(entry.links[0] if entry.links else 0, {})
         timing = streams.get(entry.channel)
         if timing is None:
-            timing = streams[entry.channel] = Timing()
+            timing = streams[entry.channel] = StampTiming()
         timing.add(entry.source_ns, entry.stamp_ns - self.ahead_ns)
 
-    def told_clocks(self) -> list[dict[str, Any]]:
+    def clock_summaries(self) -> list[dict[str, Any]]:
         """For each peer what the best of its streams tells; ROS is one."""
         told = []
         for link, streams in sorted(self.clocks.items()):
@@ -203,7 +203,7 @@ class Content:
 def run(options: argparse.Namespace) -> int:
     try:
         with SessionFile.open(options.file) as file:
-            content = Content.of(file.entries())
+            content = ContentSummary.of(file.entries())
             told = _told(options.file, file, content, file.start_ns, file.end_ns)
             told["skipped"] = [asdict(skipped) for skipped in file.skipped]
             if file.parts:
@@ -226,7 +226,7 @@ def _run_damaged(options: argparse.Namespace, error: DamagedRecording) -> int:
     """The same of whatever can be read: a finding, unless the recording has not ended yet."""
     growing = isinstance(error, BeingRecorded)
     with Salvage.open(options.file) as file:
-        content = Content.of(file.entries())
+        content = ContentSummary.of(file.entries())
         report = file.report
         told = _told(options.file, file, content, report.start_ns, report.end_ns) | {"skipped": []}
     told |= {"being_recorded": True} if growing else {"damaged": {"why": str(error), **asdict(report)}}
@@ -236,14 +236,16 @@ def _run_damaged(options: argparse.Namespace, error: DamagedRecording) -> int:
     _print(told, content.notes, report.start_ns)
     if growing:
         return 0
-    say("  DAMAGED")
+    print_line("  DAMAGED")
     print_losses(report)
     hint = recover_hint(options.file)
-    say(f"igtl-gateway info: {str(error).removesuffix(hint)}{hint}", error=True)
+    print_line(f"igtl-gateway info: {str(error).removesuffix(hint)}{hint}", error=True)
     return 1
 
 
-def _told(path: Path, file: SessionFile | Salvage, content: Content, start_ns: int, end_ns: int) -> dict[str, Any]:
+def _told(
+    path: Path, file: SessionFile | Salvage, content: ContentSummary, start_ns: int, end_ns: int
+) -> dict[str, Any]:
     return {
         "file": str(path),
         "bytes": path.stat().st_size,
@@ -259,7 +261,7 @@ def _told(path: Path, file: SessionFile | Salvage, content: Content, start_ns: i
             for stamp_ns, kind, note in content.notes
             if kind is Kind.LINK
         ],
-        "clocks": content.told_clocks(),
+        "clocks": content.clock_summaries(),
         "clock_steps": [
             {
                 "at": _utc(step.at_ns),
@@ -286,7 +288,7 @@ def _part(part: PartSummary) -> dict[str, Any]:
     }
 
 
-def _order(item: tuple[tuple[Kind, str, str], Stream]) -> tuple[int, str, str]:
+def _order(item: tuple[tuple[Kind, str, str], StreamSummary]) -> tuple[int, str, str]:
     kind, channel, type_name = item[0]
     return list(DIRECTIONS).index(kind), channel, type_name
 
@@ -300,38 +302,40 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
     session = told["session"]
     kind = "a foreign MCAP file" if told["foreign"] else f"session log version {told['format_version']}"
     parts = told.get("parts", [])
-    number = f"{count(len(parts), 'part')}, " if parts else ""
-    say(f"{told['file']}: {kind}, {number}{size(told['bytes'])}")
+    number = f"{count_text(len(parts), 'part')}, " if parts else ""
+    print_line(f"{told['file']}: {kind}, {number}{size_text(told['bytes'])}")
     if "being_recorded" in told:
-        say("  BEING RECORDED: what is there so far, up to the last flush")
+        print_line("  BEING RECORDED: what is there so far, up to the last flush")
     if told["entries"]:
         jumped_s = sum(step["jump_s"] for step in told["clock_steps"])
         jumps = f" ({jumped_s:,.3f} s of them jumps of the clock)" if jumped_s else ""
-        number = count(told["entries"], "entry", "entries")
-        say(f"  start     {told['start']}, {told['duration_s']:.3f} s{jumps}, {number}")
+        number = count_text(told["entries"], "entry", "entries")
+        print_line(f"  start     {told['start']}, {told['duration_s']:.3f} s{jumps}, {number}")
     else:
-        say("  no entries")
+        print_line("  no entries")
     made = session.get("igtl_gateway_version")
     if made:
-        say(f"  made by   igtl-gateway {made}" + (f" ({session['scenario']})" if "scenario" in session else ""))
+        print_line(f"  made by   igtl-gateway {made}" + (f" ({session['scenario']})" if "scenario" in session else ""))
     if "synthetic" in session:
-        say(f"  synthetic {session['synthetic']}")
+        print_line(f"  synthetic {session['synthetic']}")
     for key, value in parse_json(session.get(layout.CUSTOM_KEY, "{}"), layout.CUSTOM_KEY).items():
-        say(f"  {key:<9} {value}")
+        print_line(f"  {key:<9} {value}")
     for line in _origin(session):
-        say(f"  {line}")
+        print_line(f"  {line}")
     config = facts.configuration(session)
     if config:
         igtl_unit, ros_unit, stamp, base_frame = (
             config.get(key, "unknown") for key in ("igtl_unit", "ros_unit", "stamp", "base_frame")
         )
-        say(f"  units     {igtl_unit} in OpenIGTLink, {ros_unit} in ROS; stamps: {stamp}; base frame {base_frame!r}")
+        print_line(
+            f"  units     {igtl_unit} in OpenIGTLink, {ros_unit} in ROS; stamps: {stamp}; base frame {base_frame!r}"
+        )
     if parts:
-        say("  parts")
+        print_line("  parts")
         columns = width(part["file"] for part in parts)
         for part in parts:
             span = f"from {part['start']}, {part['duration_s']:.3f} s" if part["entries"] else "no entries"
-            say(f"    {cell(part['file'], columns)} {part['entries']:>7,} {size(part['bytes']):>9}  {span}")
+            print_line(f"    {cell(part['file'], columns)} {part['entries']:>7,} {size_text(part['bytes']):>9}  {span}")
     _print_streams(told["streams"])
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
@@ -342,13 +346,13 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
         ("losses", [_NOT_YET] if "being_recorded" in told else losses(told["ledger"]) or ["   none"]),
         (
             "skipped",
-            [f"{each['topic']} ({count(each['count'], 'message')}): {each['why']}" for each in told["skipped"]],
+            [f"{each['topic']} ({count_text(each['count'], 'message')}): {each['why']}" for each in told["skipped"]],
         ),
     ):
         if lines:
-            say(f"  {title}")
+            print_line(f"  {title}")
             for line in lines:
-                say(f"    {line}")
+                print_line(f"    {line}")
 
 
 def _origin(session: dict[str, str]) -> list[str]:
@@ -381,13 +385,13 @@ def _print_streams(streams: list[dict[str, Any]]) -> None:
     for stream in streams:
         if stream["direction"] != direction:
             direction = stream["direction"]
-            say(f"  {DIRECTIONS[Kind(direction)]}")
+            print_line(f"  {DIRECTIONS[Kind(direction)]}")
         rate = f"{stream['rate_hz']:.1f} Hz" if stream["rate_hz"] else ""
         gap = f"GAP of {stream['longest_pause_s']:.1f} s" if stream["gap"] else ""
         ros_type = stream["type"] if "/" in stream["type"] else ""
         facts = ", ".join(fact for fact in (ros_type, stream["stamps"], gap) if fact)
-        counts = f"{stream['messages']:>7,} {rate:>10} {size(stream['bytes']):>9}"
-        say(f"    {cell(stream['stream'], columns)} {counts}  {facts}".rstrip())
+        counts = f"{stream['messages']:>7,} {rate:>10} {size_text(stream['bytes']):>9}"
+        print_line(f"    {cell(stream['stream'], columns)} {counts}  {facts}".rstrip())
 
 
 def _peer(clock: dict[str, Any]) -> str:

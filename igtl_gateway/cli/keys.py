@@ -34,7 +34,7 @@ _POLL_DS = 1  # tenths of a second that a read waits for a key, so that the thre
 HELP = "keys: space pause or go on, → next message while paused, ↑ ↓ rate, q end"
 
 
-def commands(typed: bytes) -> tuple[list[str], bytes]:
+def parse_keys(typed: bytes) -> tuple[list[str], bytes]:
     """What was asked for, and the beginning of a key that is not complete."""
     found = []
     while typed:
@@ -50,7 +50,7 @@ def commands(typed: bytes) -> tuple[list[str], bytes]:
     return found, typed
 
 
-def is_ours(stream: IO[Any] | None = None) -> bool:
+def can_read_keys(stream: IO[Any] | None = None) -> bool:
     """Whether keys can be read: a terminal, and we are in its foreground."""
     stream = stream or sys.stdin
     try:
@@ -74,7 +74,7 @@ def keyboard(on_command: Callable[[str], None], stream: IO[Any] | None = None) -
         while not over.is_set():
             typed = os.read(descriptor, 64)
             # nothing more came: what waited for more was a key by itself
-            found, rest = commands(rest + typed) if typed else ([], b"")
+            found, rest = parse_keys(rest + typed) if typed else ([], b"")
             for command in found:
                 on_command(command)
 

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import count, recorded_config
-from igtl_gateway.cli.terminal import print_json, say
+from igtl_gateway.cli.common import config_to_run, count_text
+from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.doctor.observer import Observer
-from igtl_gateway.doctor.report import Report
+from igtl_gateway.doctor.report import DoctorReport
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.salvage import Salvage
@@ -37,18 +37,18 @@ def run(options: argparse.Namespace) -> int:
         with Salvage.open(options.file) as salvage:
             seen = _seen(salvage, options.config)
         seen.damage = str(error)
-    report = Report.of(seen)
+    report = DoctorReport.of(seen)
     if options.json:
         print_json({"file": str(options.file)} | report.to_dict())
     else:
-        say(f"{options.file}: {count(len(seen.streams), 'OpenIGTLink stream')}")
+        print_line(f"{options.file}: {count_text(len(seen.streams), 'OpenIGTLink stream')}")
         for line in report.lines():
-            say(line)
+            print_line(line)
     return int(report.failed)
 
 
 def _seen(file: SessionFile | Salvage, config: Path | None) -> Observer:
-    seen = Observer(recorded_config(file.session, config))
+    seen = Observer(config_to_run(file.session, config))
     for entry in file.entries():
         seen.add(entry)
     seen.losses = dict(_losses(file.ledger or {}))

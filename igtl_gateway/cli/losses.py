@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.cli.common import count
+from igtl_gateway.cli.common import count_text
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.ledger import PEERS, gaps
 from igtl_gateway.sessionfile import layout
@@ -58,7 +58,7 @@ def losses(ledger: dict[str, Any] | None) -> list[str]:
         places = len(recovered["lost"]) + recovered["more_lost"]
         lines.append(
             f"recovered from {recovered['from']} by {recovered['by']}: "
-            + ("nothing was lost" if recovered["whole"] else f"lost in {count(places, 'place')}, see --json")
+            + ("nothing was lost" if recovered["whole"] else f"lost in {count_text(places, 'place')}, see --json")
         )
         if "streams" not in ledger:
             lines.append("   unknown: the recording was not closed, so it has no counts")

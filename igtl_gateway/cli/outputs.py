@@ -20,7 +20,7 @@ def check_target(path: Path, *, overwrite: bool) -> None:
             raise GatewayError(f"cannot write to {path}: there is no folder {path.parent}") from None
         return
     except (OSError, ValueError) as error:
-        raise refused(path, error) from None
+        raise write_error(path, error) from None
     if not overwrite:
         raise ConfigError(f"{path}: exists already, expected a new file or --overwrite")
     if not stat.S_ISREG(found.st_mode):
@@ -37,18 +37,18 @@ def written(path: Path) -> Iterator[Path]:
     try:
         partial.open("xb").close()
     except OSError as error:
-        raise refused(path, error) from None
+        raise write_error(path, error) from None
     try:
         yield partial
         try:
             os.replace(partial, path)
         except OSError as error:
-            raise refused(path, error) from None
+            raise write_error(path, error) from None
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
 
 
-def refused(path: Path, error: Exception) -> GatewayError:
+def write_error(path: Path, error: Exception) -> GatewayError:
     """What to raise where ``path`` cannot be written."""
     return GatewayError(f"cannot write to {path}: {getattr(error, 'strerror', None) or error}")

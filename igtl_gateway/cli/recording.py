@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from igtl_gateway.app.recording import pause, resume, snapshot
-from igtl_gateway.cli.keys import NEXT, PAUSE, is_ours, keyboard
+from igtl_gateway.cli.keys import NEXT, PAUSE, can_read_keys, keyboard
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
@@ -138,7 +138,7 @@ def record_options(options: argparse.Namespace) -> RecordOptions:
 
 
 @contextmanager
-def steering(recorder: Recorder | None) -> Iterator[str]:
+def recording_controls(recorder: Recorder | None) -> Iterator[str]:
     """While inside, keys and signals reach the recorder; gives a line that says which, or nothing."""
     with ExitStack() as stack:
         if recorder is None:
@@ -155,7 +155,7 @@ def steering(recorder: Recorder | None) -> Iterator[str]:
 
         actions = {signal.SIGUSR1: save} if snapshots else {signal.SIGUSR2: toggle}
         stack.enter_context(_signals(actions))
-        keys = is_ours()
+        keys = can_read_keys()
         if keys:
             # the s of a replay steps
             bound = {NEXT: save} if snapshots else {PAUSE: toggle}

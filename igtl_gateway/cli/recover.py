@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import count, size
-from igtl_gateway.cli.terminal import clear, is_terminal, live, print_json, say
+from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
 from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
-from igtl_gateway.record.parts import SIDE_FILE, Part, write_side_file
+from igtl_gateway.record.parts import SIDE_FILE, RecordingPart, write_side_file
 from igtl_gateway.sessionfile.copying import CopyWriter
-from igtl_gateway.sessionfile.salvage import Loss, Report, Salvage
-from igtl_gateway.sessionfile.writer import reason
+from igtl_gateway.sessionfile.salvage import Loss, Salvage, SalvageReport
+from igtl_gateway.sessionfile.writer import os_error_text
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.files import is_same
 
@@ -74,7 +74,7 @@ def _run_parts(options: argparse.Namespace) -> int:
         except UnsupportedRecording as error:
             told = {"file": str(part), "whole": False, "why": str(error)}
             if not options.json:
-                say(f"LOST {error}")
+                print_line(f"LOST {error}")
         else:
             written.append(copy)
             if not options.json:
@@ -85,16 +85,18 @@ def _run_parts(options: argparse.Namespace) -> int:
     try:
         write_side_file(output, written)
     except OSError as error:
-        raise RecordingError(f"cannot write {output / SIDE_FILE}: {reason(error)}") from error
+        raise RecordingError(f"cannot write {output / SIDE_FILE}: {os_error_text(error)}") from error
     whole = all(told["whole"] for told in everything)
     if options.json:
         print_json({"file": str(source), "output": str(output), "whole": whole, "parts": everything})
     else:
-        say(f"{output / SIDE_FILE}: written")
+        print_line(f"{output / SIDE_FILE}: written")
     return 0 if whole else 1
 
 
-def _recover(source: Path, output: Path, options: argparse.Namespace) -> tuple[dict[str, Any], Report, Part]:
+def _recover(
+    source: Path, output: Path, options: argparse.Namespace
+) -> tuple[dict[str, Any], SalvageReport, RecordingPart]:
     """One file.  Gives what is told of it, and what the side file of a split recording has to tell of the new one."""
     if is_same(output, source):
         raise ConfigError(f"{output}: is the damaged file itself; expected another name for the recovered one")
@@ -114,7 +116,7 @@ def _recover(source: Path, output: Path, options: argparse.Namespace) -> tuple[d
                 facts["earlier"] = ledger["recovered"]
             written = writer.close({**ledger, "recovered": facts})
         told = {"file": str(source), "output": str(output), "output_bytes": written, **facts}
-        part = Part(output, writer.start_ns, writer.end_ns, writer.messages, tuple(writer.topics()), written)
+        part = RecordingPart(output, writer.start_ns, writer.end_ns, writer.messages, tuple(writer.topics()), written)
         return told, file.report, part
 
 
@@ -127,10 +129,10 @@ def _copy(file: Salvage, writer: CopyWriter, *, progress: bool) -> None:
     for each in file.read():
         writer.write(each.schema, each.channel, each.message)
         if progress and file.position >= next_word:
-            live(f"{100 * file.position // file.report.size:3} %", error=True)
+            live_line(f"{100 * file.position // file.report.size:3} %", error=True)
             next_word = file.position + _STEP
     if next_word > _STEP:
-        clear(error=True)
+        clear_live_line(error=True)
 
 
 def _facts(file: Salvage) -> dict[str, Any]:
@@ -150,28 +152,27 @@ def _facts(file: Salvage) -> dict[str, Any]:
     }
 
 
-def _print(told: dict[str, Any], report: Report) -> None:
-    say(f"{told['file']}: {count(report.messages, 'message')} read of {size(report.size)}")
+def _print(told: dict[str, Any], report: SalvageReport) -> None:
+    print_line(f"{told['file']}: {count_text(report.messages, 'message')} read of {size_text(report.size)}")
     print_losses(report)
-    say(f"{told['output']}: written, closed and with its index, {size(told['output_bytes'])}")
+    print_line(f"{told['output']}: written, closed and with its index, {size_text(told['output_bytes'])}")
     if report.whole:
-        say("whole: nothing that was recorded is lost")
+        print_line("whole: nothing that was recorded is lost")
 
 
-def print_losses(report: Report) -> None:
+def print_losses(report: SalvageReport) -> None:
     """What is lost, in words; nothing where nothing is."""
     start_ns = min((each for each in (report.start_ns, *(loss.start_ns for loss in report.lost)) if each), default=0)
     for loss in report.lost[:_SHOWN]:
-        say(f"  LOST {_words(loss, start_ns)}")
+        print_line(f"  LOST {_words(loss, start_ns)}")
     more = max(0, len(report.lost) - _SHOWN) + report.more_lost
     if more:
-        say(f"  LOST in {count(more, 'more place')}")
+        print_line(f"  LOST in {count_text(more, 'more place')}")
     if report.missing:
-        say(f"  {count(report.missing, 'message')} of the index could not be read")
+        print_line(f"  {count_text(report.missing, 'message')} of the index could not be read")
     elif report.missing is None and report.missing_numbers:
-        say(
-            f"  up to {count(report.missing_numbers, 'entry', 'entries')}, by their numbers, are missing between others"
-        )
+        missing = count_text(report.missing_numbers, "entry", "entries")
+        print_line(f"  up to {missing}, by their numbers, are missing between others")
 
 
 _NAMES = {
@@ -196,4 +197,4 @@ def _words(loss: Loss, start_ns: int) -> str:
             when = f" after {first}"
         case _:
             when = ""
-    return f"{_NAMES[loss.what]}{when} (offset {loss.at:,}, {count(loss.size, 'byte')}): {loss.text}"
+    return f"{_NAMES[loss.what]}{when} (offset {loss.at:,}, {count_text(loss.size, 'byte')}): {loss.text}"

@@ -11,31 +11,31 @@ from typing import Any
 from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.player_services import PlayerServices
-from igtl_gateway.app.replay_account import Account, lines
-from igtl_gateway.app.replay_plan import plan, planned
+from igtl_gateway.app.replay_account import ReplayAccount, account_lines
+from igtl_gateway.app.replay_plan import plan_replay, planned_entries
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import (
     add_addresses,
     add_faults,
     add_send,
-    count,
-    recorded_config,
-    size,
+    config_to_run,
+    count_text,
+    size_text,
     stop_event,
     with_sends,
 )
-from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, is_ours, keyboard, read_lines
-from igtl_gateway.cli.replay_sides import Side, open_sides
-from igtl_gateway.cli.terminal import cell, print_json, say
+from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, can_read_keys, keyboard, read_lines
+from igtl_gateway.cli.replay_sides import ReplaySides, open_sides
+from igtl_gateway.cli.terminal import cell, print_json, print_line
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.faults import CLOCK_STEP, LOSS, Fate, Faults
 from igtl_gateway.replay.moment import moment
-from igtl_gateway.replay.pace import Pace, steps_of
 from igtl_gateway.replay.playback import checked_rate
 from igtl_gateway.replay.restamp import MODES, Restamper
 from igtl_gateway.replay.simclock import DEFAULT_HZ, period_ns, with_ticks
+from igtl_gateway.replay.timeline import SessionTimeline, clock_steps_of
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
@@ -74,7 +74,7 @@ _LONGEST_S = 366 * 86_400.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or a rosbag2 MCAP file")
     parser.add_argument("--to", choices=("igtl", "ros", "both"), required=True, help="the side to drive")
-    add_addresses(parser, admission.place, "[tls://]HOST:PORT")
+    add_addresses(parser, admission.peer_address, "[tls://]HOST:PORT")
     admission.add_tls(parser)
     parser.add_argument("--through-gateway", action="store_true", help="send what today's gateway makes of the inputs")
     parser.add_argument(
@@ -139,23 +139,23 @@ def run(options: argparse.Namespace) -> int:
     _check(options)
     with SessionFile.open(options.file) as file, stop_event() as stop, ExitStack() as at_end, ExitStack() as stack:
         start_ns, end_ns = _part(options, file)
-        config = with_sends(recorded_config(file.session, options.config), options.send)
-        how = plan(file, options.to, options.through_gateway)
+        config = with_sends(config_to_run(file.session, options.config), options.send)
+        how = plan_replay(file, options.to, options.through_gateway)
         _tell(options, f"{options.file}: {how.why}")
-        pace = Pace(steps_of(file))
+        pace = SessionTimeline(clock_steps_of(file))
         side = open_sides(options, file, how, stop, stack, lambda text: _tell(options, text))
         if side is None:
             _tell(options, "stopped before the replay began")
             return 1
 
-        account = Account.of(file, how)
+        account = ReplayAccount.of(file, how)
         faults = Faults.parse(options.fault)
         faulty = FaultyFeed(faults, options.seed, lambda fate: _tell_fault(options, fate)) if faults else None
         role = "client" if options.connect and not options.listen else "server"
 
         def feed(from_ns: int | None) -> Any:
             account.begin()
-            entries = planned(
+            entries = planned_entries(
                 file, config, how, options.streams, from_ns, end_ns, role, account.passed_over, account.made
             )
             entries = faulty(entries) if faulty else entries
@@ -216,7 +216,7 @@ def _check(options: argparse.Namespace) -> None:
         raise ConfigError("--fault: found --to ros, expected --to igtl or --to both: faults are of OpenIGTLink lines")
     if faults.clock_step_ns and options.restamp == "now":
         raise ConfigError(f"--fault: {CLOCK_STEP}: found --restamp now, which sets all stamps anew, expected another")
-    if options.start_paused and not options.step and options.to == "igtl" and not is_ours():
+    if options.start_paused and not options.step and options.to == "igtl" and not can_read_keys():
         raise ConfigError("--start-paused: needs a terminal for the keys, or --to ros for the services")
 
 
@@ -247,7 +247,7 @@ def _restamper(options: argparse.Namespace, file: SessionFile) -> Restamper | No
 
 
 def _controls(
-    options: argparse.Namespace, file: SessionFile, player: Player, side: Side, stop: Event, stack: ExitStack
+    options: argparse.Namespace, file: SessionFile, player: Player, side: ReplaySides, stop: Event, stack: ExitStack
 ) -> None:
     """Keyboard and services."""
 
@@ -266,14 +266,14 @@ def _controls(
     services = PlayerServices(player)
 
     def offer(edge: RosEdge) -> None:
-        if reason := services.offer(edge):
+        if reason := services.serve(edge):
             _tell(options, f"! no services to pause, step or seek: {reason}")
 
     if side.ros:
         # beside the replay: the first time their types are compiled
         Thread(target=offer, args=(side.ros,), name="igtl-services", daemon=True).start()
         stack.callback(services.close)
-    if is_ours():
+    if can_read_keys():
         _tell(options, HELP)
         stack.enter_context(keyboard(obey))
     elif options.step and not side.ros:
@@ -284,7 +284,7 @@ def _controls(
 def _tell(options: argparse.Namespace, text: str) -> None:
     # also called by the edges' threads: whether there still is a reader, the report finds out in ours
     with suppress(BrokenPipeError):
-        say(text, error=options.json, flush=True)
+        print_line(text, error=options.json, flush=True)
 
 
 def _tell_jump(options: argparse.Namespace, file: SessionFile, jump: Jump) -> None:
@@ -298,7 +298,7 @@ def _tell_jump(options: argparse.Namespace, file: SessionFile, jump: Jump) -> No
 def _tell_fault(options: argparse.Namespace, fate: Fate[Entry]) -> None:
     if options.json:
         entry = fate.message
-        print_json({"event": "fault", "stream": entry.channel, "entry": entry.seq, "faults": fate.news})
+        print_json({"event": "fault", "stream": entry.channel, "entry": entry.seq, "faults": fate.reportable})
 
 
 def _at(file: SessionFile, recorded_ns: int | None) -> str:
@@ -309,10 +309,10 @@ def _at(file: SessionFile, recorded_ns: int | None) -> str:
 def _report(
     options: argparse.Namespace,
     player: Player,
-    side: Side,
+    side: ReplaySides,
     complete: bool,
     faulty: FaultyFeed | None,
-    account: Account,
+    account: ReplayAccount,
     partial: bool,
 ) -> None:
     """What was sent, what was not and why; after the edges are closed."""
@@ -358,24 +358,24 @@ def _report(
             told["faults"] = {"fault": options.fault, "seed": options.seed, "counts": faulty.counts}
         print_json(told)
         return
-    sent = count(played.messages - failed, "message")
-    say(f"{'sent' if complete else 'stopped after'} {sent}, {size(played.bytes)}")
+    sent = count_text(played.messages - failed, "message")
+    print_line(f"{'sent' if complete else 'stopped after'} {sent}, {size_text(played.bytes)}")
     if played.unheard:
-        say(f"  {played.unheard:,} of them while no peer was connected")
+        print_line(f"  {played.unheard:,} of them while no peer was connected")
     if undelivered:
-        say(f"  {undelivered:,} of them were still queued for a peer when it left")
+        print_line(f"  {undelivered:,} of them were still queued for a peer when it left")
     if faulty:
         counts = faulty.counts
         hit = ", ".join(f"{name} {counts[name]:,}" for name in sorted(counts) if name != "messages" and counts[name])
-        say(f"faults (seed {options.seed}): of {count(counts['messages'], 'message')}: {hit or 'none hit'}")
+        print_line(f"faults (seed {options.seed}): of {count_text(counts['messages'], 'message')}: {hit or 'none hit'}")
     for stream, number in sorted(played.by_stream.items()):
-        say(f"  {cell(stream, 40)} {number:>8,}")
-    for line in lines(facts) if facts else ():
-        say(line)
+        print_line(f"  {cell(stream, 40)} {number:>8,}")
+    for line in account_lines(facts) if facts else ():
+        print_line(line)
     for (stream, reason), number in sorted(refused.items()):
-        say(f"! not published: {count(number, 'message')} of {stream}: {reason}")
+        print_line(f"! not published: {count_text(number, 'message')} of {stream}: {reason}")
     if options.to == "both" and played.digest:
         for name, part in sorted(player.sides.items()):
-            say(f"{name}: sha256 {part.digest}")
+            print_line(f"{name}: sha256 {part.digest}")
     if played.digest:
-        say(f"sha256 {played.digest}")
+        print_line(f"sha256 {played.digest}")

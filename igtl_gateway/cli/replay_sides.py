@@ -8,10 +8,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from threading import Event
 
-from igtl_gateway.app.faulty import all_with_cuts, disconnector, with_cuts
+from igtl_gateway.app.faulty import all_with_disconnects, disconnector, with_disconnects
 from igtl_gateway.app.replay_plan import (
     PLAYED_QOS,
-    Plan,
+    ReplayPlan,
     Send,
     SendAll,
     both_sender,
@@ -20,13 +20,13 @@ from igtl_gateway.app.replay_plan import (
     ros_sender,
 )
 from igtl_gateway.cli import admission
-from igtl_gateway.cli.common import addresses, count
+from igtl_gateway.cli.common import addresses, count_text
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, CLOCK_TYPE
-from igtl_gateway.replay.source import fits
+from igtl_gateway.replay.source import matches_any
 from igtl_gateway.session.note import Note
 from igtl_gateway.sessionfile.reader import SessionFile
 
@@ -37,7 +37,7 @@ Tell = Callable[[str], None]
 
 
 @dataclass(slots=True)
-class Side:
+class ReplaySides:
     """What is open.
 
     Attributes:
@@ -59,8 +59,8 @@ class Side:
 
 
 def open_sides(
-    options: argparse.Namespace, file: SessionFile, how: Plan, stop: Event, stack: ExitStack, tell: Tell
-) -> Side | None:
+    options: argparse.Namespace, file: SessionFile, how: ReplayPlan, stop: Event, stack: ExitStack, tell: Tell
+) -> ReplaySides | None:
     """The side or sides of ``--to``, once all that is waited for is there; None if ``stop`` came first."""
     igtl = ros = None
     if options.to != "igtl":
@@ -77,7 +77,7 @@ def open_sides(
             return None
     if igtl and ros:
         finishes = (igtl.finish, ros.finish)
-        return Side(
+        return ReplaySides(
             both_sender(igtl.send, ros.send),
             lambda: all([finish() for finish in finishes]),
             ros.ros,
@@ -87,7 +87,7 @@ def open_sides(
     return igtl or ros
 
 
-def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell: Tell) -> Side | None:
+def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell: Tell) -> ReplaySides | None:
     """A sender to OpenIGTLink peers, once they are there."""
     listen, connect = addresses(options)
     tls_listen, tls_connect = admission.secured(options, listen, connect)
@@ -110,7 +110,7 @@ def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell:
     edge.start()
     wanted = 1 if options.wait_peers is None else options.wait_peers
     if wanted:
-        tell(f"waiting for {count(wanted, 'peer')}")
+        tell(f"waiting for {count_text(wanted, 'peer')}")
     while not edge.wait_links(wanted, _LOOK_S):
         if stop.is_set():
             return None
@@ -118,13 +118,13 @@ def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell:
     send_all = None if options.speed_of_light else igtl_sender_of_many(edge, stop)
     if options.fault:
         disconnect = disconnector(edge, stop)
-        send, send_all = with_cuts(send, disconnect), send_all and all_with_cuts(send_all, disconnect)
+        send, send_all = with_disconnects(send, disconnect), send_all and all_with_disconnects(send_all, disconnect)
 
     def undelivered() -> tuple[int, bool]:
         gone = edge.counters()[0]
         return sum(gone.dropped.values()) + sum(gone.ignored.values()), peers.most <= 1
 
-    return Side(
+    return ReplaySides(
         send, lambda: edge.flush(0.0 if stop.is_set() else _FLUSH_S), send_all=send_all, undelivered=undelivered
     )
 
@@ -144,8 +144,8 @@ class _Peers:
 
 
 def _open_ros(
-    options: argparse.Namespace, file: SessionFile, how: Plan, stop: Event, stack: ExitStack, tell: Tell
-) -> Side | None:
+    options: argparse.Namespace, file: SessionFile, how: ReplayPlan, stop: Event, stack: ExitStack, tell: Tell
+) -> ReplaySides | None:
     """A sender to the ROS graph, its topics advertised."""
     edge = RosEdge(
         node_name="igtl_gateway_replay",
@@ -156,7 +156,9 @@ def _open_ros(
     edge.start()
     stack.callback(edge.stop)
     channels = [
-        channel for channel in file.channels if channel.kind in how.kinds and fits(channel.topic, options.streams)
+        channel
+        for channel in file.channels
+        if channel.kind in how.kinds and matches_any(channel.topic, options.streams)
     ]
     for channel in channels:
         edge.advertise(channel.topic, channel.type, channel.qos or PLAYED_QOS)
@@ -179,4 +181,4 @@ def _open_ros(
             if counts["failed"] and not (options.clock and topic == CLOCK_TOPIC)
         }
 
-    return Side(send, lambda: stop.is_set() or edge.wait_ready(_FLUSH_S), edge, failed=failed)
+    return ReplaySides(send, lambda: stop.is_set() or edge.wait_ready(_FLUSH_S), edge, failed=failed)

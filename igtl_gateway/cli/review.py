@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.cli.common import count, recorded_config
-from igtl_gateway.cli.terminal import cell, is_terminal, print_json, say, width
+from igtl_gateway.cli.common import config_to_run, count_text
+from igtl_gateway.cli.terminal import cell, is_terminal, print_json, print_line, width
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.review import EndReview, Level, Material, PlanReview, Review, StitchReview, Thresholds, review_of
@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     limits = _limits(options)
     with SessionFile.open(options.file) as file:
-        unit_m = UNITS[recorded_config(file.session).ros_unit] / UNITS["m"]
+        unit_m = UNITS[config_to_run(file.session).ros_unit] / UNITS["m"]
         material = Material(options.plan, options.cloud, options.tool, options.clouds, unit_m)
         start_ns = file.start_ns
         for entry in file.entries():
@@ -222,30 +222,31 @@ def _number(value: float | None) -> str:
 def _print(path: Path, review: Review, start_ns: int) -> None:
     colour = is_terminal()
     cloud, plans = review.cloud, review.plans
-    say(f"{path}: {count(len(review.last.stitches), 'stitch', 'stitches')}, {count(len(plans), 'version')} of the plan")
+    stitches = count_text(len(review.last.stitches), "stitch", "stitches")
+    print_line(f"{path}: {stitches}, {count_text(len(plans), 'version')} of the plan")
     size = f"{cloud.width} × {cloud.height}" if cloud.height > 1 else f"{cloud.width:,} points, not organised"
-    say(f"  cloud  {cloud.topic}, {count(cloud.clouds, 'cloud')} of {size}, frame {cloud.frame_id}")
+    print_line(f"  cloud  {cloud.topic}, {count_text(cloud.clouds, 'cloud')} of {size}, frame {cloud.frame_id}")
     low, middle, high = _noise(review)
     if middle is not None:
         how = "from cloud to cloud" if cloud.temporal else "from pixel to pixel, a lower bound"
         if cloud.step_mm > _STEP_SHARE * middle:
             growing = ", growing with depth" if cloud.step_grows > 1 else ""
             how += f"; depth comes in steps of {cloud.step_mm:.2f} mm{growing}"
-        say(f"  noise  {middle:.2f} mm in depth ({low:.2f} … {high:.2f}), {how}")
+        print_line(f"  noise  {middle:.2f} mm in depth ({low:.2f} … {high:.2f}), {how}")
     if review.tool:
-        say(f"  tool   {review.tool}")
+        print_line(f"  tool   {review.tool}")
     for note in review.notes:
-        say(f"  note   {note}")
+        print_line(f"  note   {note}")
     for version, plan in enumerate(plans, 1):
         when = f"{(plan.stamp_ns - start_ns) / _NS_PER_S:.3f} s"
-        say("", f"plan {version} of {len(plans)}: {plan.topic} at {when}, {_levels(plan)}")
+        print_line("", f"plan {version} of {len(plans)}: {plan.topic} at {when}, {_levels(plan)}")
         if plan is review.first or plan is review.last:
             _print_plan(plan, colour, with_tool=bool(review.tool) and plan is review.last)
     _print_changes(review, colour)
     wrong = [stitch.label for stitch in review.last.wrong]
     verdict = f"WRONG: {', '.join(wrong)}" if wrong else "no stitch of the last plan is wrong"
-    say()
-    say(verdict, colour=_COLOURS[Level.WRONG if wrong else Level.OK] if colour else "")
+    print_line()
+    print_line(verdict, colour=_COLOURS[Level.WRONG if wrong else Level.OK] if colour else "")
 
 
 def _levels(plan: PlanReview) -> str:
@@ -282,20 +283,20 @@ def _print_plan(plan: PlanReview, colour: bool, with_tool: bool) -> None:
         over = over.ljust(at) + (title if not column else "")
         if column and title:
             over += title if len(title) > wide else title.rjust(wide)
-    say(f"    {over}".rstrip())
+    print_line(f"    {over}".rstrip())
     room = shutil.get_terminal_size().columns - widths[0] - 6 if is_terminal() else 0
     for number, row in enumerate(table[1:]):
         cells = [cell(row[0], widths[0]), *(text.rjust(wide) for text, wide in zip(row[1:], widths[1:], strict=True))]
         line = "  ".join(cells).rstrip()
         if number == 0:
-            say(f"    {line}")
+            print_line(f"    {line}")
             continue
         stitch = plan.stitches[number - 1]
         painted = colour and stitch.level is not Level.OK
-        say(f"  {_MARKS[stitch.level]} {line}", colour=_COLOURS[stitch.level] if painted else "")
+        print_line(f"  {_MARKS[stitch.level]} {line}", colour=_COLOURS[stitch.level] if painted else "")
         for reason in stitch.reasons:
             for part in _wrapped(reason, room):
-                say(f"    {' ' * widths[0]}  {part}")
+                print_line(f"    {' ' * widths[0]}  {part}")
 
 
 def _wrapped(text: str, room: int) -> list[str]:
@@ -336,9 +337,9 @@ def _mm(value: float | None, digits: int = 2) -> str:
 def _print_changes(review: Review, colour: bool) -> None:
     if len(review.plans) == 1:
         return
-    say("", "from the first plan to the last")
+    print_line("", "from the first plan to the last")
     if not review.changes:
-        say("  nothing changed")
+        print_line("  nothing changed")
     for change in review.changes:
         before, after = (level.value if level else "" for level in (change.before, change.after))
         if change.moved_mm:
@@ -346,4 +347,4 @@ def _print_changes(review: Review, colour: bool) -> None:
             text = f"entry moved by {entry:.2f} mm, exit by {leave:.2f} mm: {before} → {after}"
         else:
             text = f"added: {after}" if change.after else f"taken out: was {before}"
-        say(f"  {change.label}  {text}", colour=_COLOURS[change.after or Level.OK] if colour else "")
+        print_line(f"  {change.label}  {text}", colour=_COLOURS[change.after or Level.OK] if colour else "")

@@ -8,12 +8,12 @@ from itertools import chain
 from pathlib import Path
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import count, recorded_config, size
-from igtl_gateway.cli.terminal import print_json, say
+from igtl_gateway.cli.common import config_to_run, count_text, size_text
+from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.qos import Qos
 from igtl_gateway.replay.moment import moment
-from igtl_gateway.replay.slice import Slice, SliceReport, Window
+from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
             raise UnsupportedRecording(f"{options.file}: found no session of igtl-gateway, expected one to cut")
         if is_same(options.out, options.file):
             raise ConfigError(f"{options.out}: found the recording itself, expected another file to write to")
-        window = Window(
+        window = SliceWindow(
             file.start_ns if options.start is None else moment(options.start, file.start_ns, "--start"),
             file.end_ns + 1 if options.end is None else moment(options.end, file.start_ns, "--end"),
             tuple(options.streams),
@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
             raise ConfigError(f"--start, --end: found an end {_apart(window)} the start, expected one after it")
         # what a part of a split recording brings along of the time before it is older than its first entry
         part = Slice(
-            lambda: chain(file.prologue(), file.entries()), recorded_config(file.session, options.config), window
+            lambda: chain(file.prologue(), file.entries()), config_to_run(file.session, options.config), window
         )
         _write(file, part, window, options)
         if options.json:
@@ -73,12 +73,12 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _apart(window: Window) -> str:
+def _apart(window: SliceWindow) -> str:
     apart_ns = window.start_ns - window.end_ns
     return f"{apart_ns / NS_PER_S:g} s before" if apart_ns else "at"
 
 
-def _write(file: SessionFile, part: Slice, window: Window, options: argparse.Namespace) -> None:
+def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argparse.Namespace) -> None:
     qos = {(channel.topic, channel.type): channel.qos for channel in file.channels}
 
     def qos_of(topic: str, ros_type: str) -> Qos | None:
@@ -92,7 +92,7 @@ def _write(file: SessionFile, part: Slice, window: Window, options: argparse.Nam
         "sliced_by": __version__,
     }
     if options.config:
-        facts[layout.CONFIGURATION_KEY] = json.dumps(recorded_config(file.session, options.config).to_dict())
+        facts[layout.CONFIGURATION_KEY] = json.dumps(config_to_run(file.session, options.config).to_dict())
     # a slice begins at its own beginning, whatever it was cut from
     own = (layout.PART_KEY, layout.PREVIOUS_KEY, layout.SNAPSHOT_KEY)
     facts = {**{key: value for key, value in file.session.items() if key not in own}, **facts}
@@ -120,17 +120,18 @@ def _told(report: SliceReport) -> dict[str, object]:
 
 
 def _print(out: Path, report: SliceReport) -> None:
-    say(
-        f"{out}: {count(report.inputs, 'input')} and {count(report.outputs, 'output')}, "
-        f"{size(out.stat().st_size)}; before them {count(report.prologue, 'input')} that the state follows from"
+    print_line(
+        f"{out}: {count_text(report.inputs, 'input')} and {count_text(report.outputs, 'output')}, "
+        f"{size_text(out.stat().st_size)}; "
+        f"before them {count_text(report.prologue, 'input')} that the state follows from"
     )
     if report.computed:
-        say(
-            f"computed: the outputs of {count(report.computed, 'input')} follow from streams that are left out; "
+        print_line(
+            f"computed: the outputs of {count_text(report.computed, 'input')} follow from streams that are left out; "
             "the file has what today's gateway says without those"
         )
     elif report.differing:
-        say(
-            f"as recorded, but not what today's gateway says: {count(report.differing, 'output')}; "
+        print_line(
+            f"as recorded, but not what today's gateway says: {count_text(report.differing, 'output')}; "
             "see `igtl-gateway verify` of the whole recording"
         )

@@ -1,7 +1,7 @@
 """The one place where the command line prints: no text of others reaches the terminal without its guard.
 
-Each argument of :func:`say` is one line: line feeds, escape sequences and the like in it are shown, not obeyed.  What
-the encoding of the output does not have is escaped as well, so that no name can stop the program.
+Each argument of :func:`print_line` is one line: line feeds, escape sequences and the like in it are shown, not obeyed.
+What the encoding of the output does not have is escaped as well, so that no name can stop the program.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _WIDEST_COLUMN = 72
 _CLEAR = "\r\x1b[K"
 
 
-def say(*lines: str, error: bool = False, flush: bool = False, colour: str = "") -> None:
+def print_line(*lines: str, error: bool = False, flush: bool = False, colour: str = "") -> None:
     """Print lines, each as one line whatever foreign text is in it: to stdout, or to stderr for an ``error``.
 
     ``colour`` holds the parameters of the escape sequence SGR (``"1;31"``), for a terminal; the indent has none.
@@ -38,7 +38,7 @@ def say(*lines: str, error: bool = False, flush: bool = False, colour: str = "")
         _flush(error)
 
 
-def show(text: str, error: bool = False) -> None:
+def print_text(text: str, error: bool = False) -> None:
     """Print a text of our own that has lines of any length, such as a page of help."""
     _write("\n".join(map(printable, text.split("\n"))), error)
 
@@ -54,14 +54,14 @@ def print_json(value: Any) -> None:
     _flush()
 
 
-def live(text: str, error: bool = False) -> None:
-    """Replace the last line of a terminal by this one, without a line end; :func:`clear` takes it away."""
+def live_line(text: str, error: bool = False) -> None:
+    """Replace the last line of a terminal by this one, without a line end; :func:`clear_live_line` takes it away."""
     _write(f"{_CLEAR}{_shown(text)[: shutil.get_terminal_size().columns - 1]}", error)
     _flush(error)
 
 
-def clear(error: bool = False) -> None:
-    """Take the :func:`live` line away."""
+def clear_live_line(error: bool = False) -> None:
+    """Take the :func:`live_line` line away."""
     _write(_CLEAR, error)
 
 
@@ -88,12 +88,12 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> Any:
         """Print the usage and what is wrong with the arguments, and end the program."""
         self.print_usage(sys.stderr)
-        say(f"{self.prog}: error: {message}", error=True)
+        print_line(f"{self.prog}: error: {message}", error=True)
         self.exit(2)
 
     def _print_message(self, message: str, file: Any = None) -> None:
         if message:
-            show(message, error=file is not sys.stdout)
+            print_text(message, error=file is not sys.stdout)
 
 
 def open_outputs() -> None:
@@ -103,12 +103,12 @@ def open_outputs() -> None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
 
 
-def finish() -> None:
+def flush_outputs() -> None:
     """Write out what is still in memory.  Raises BrokenPipeError, OutputError."""
     _flush()
 
 
-def abandon() -> None:
+def discard_outputs() -> None:
     """Print to nowhere from now on: stdout takes nothing more."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import count, recorded_config
-from igtl_gateway.cli.terminal import print_json, say
+from igtl_gateway.cli.common import config_to_run, count_text
+from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.config import Config
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import UnsupportedRecording
-from igtl_gateway.replay.compare import Decoder
-from igtl_gateway.replay.verify import Losses, Report, verify
+from igtl_gateway.replay.compare import LeafDecoder
+from igtl_gateway.replay.verify import DeclaredLosses, VerifyReport, verify
 from igtl_gateway.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
@@ -49,8 +49,8 @@ def run(options: argparse.Namespace) -> int:
             )
         recorded_by = file.session.get(_VERSION, "")
         config = _config(options, file, recorded_by)
-        decoder = Decoder(file.definitions, Lengths(config.ros_unit, config.igtl_unit))
-        losses = Losses.of(file.session, file.ledger)
+        decoder = LeafDecoder(file.definitions, LengthUnits(config.ros_unit, config.igtl_unit))
+        losses = DeclaredLosses.of(file.session, file.ledger)
         report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
     told: dict[str, Any] = {
         "file": str(options.file),
@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
 def _config(options: argparse.Namespace, file: SessionFile, recorded_by: str) -> Config:
     """The configuration to verify with.  Raises ConfigError, or UnsupportedRecording with both versions."""
     try:
-        return recorded_config(file.session, options.config)
+        return config_to_run(file.session, options.config)
     except UnsupportedRecording as error:
         raise UnsupportedRecording(
             f"{options.file}: {error}; recorded by igtl-gateway {recorded_by or 'of an unknown version'}, "
@@ -77,21 +77,23 @@ def _config(options: argparse.Namespace, file: SessionFile, recorded_by: str) ->
         ) from None
 
 
-def _print(told: dict[str, Any], report: Report, everything: bool) -> None:
+def _print(told: dict[str, Any], report: VerifyReport, everything: bool) -> None:
     versions = f"recorded by igtl-gateway {told['recorded_by'] or '(unknown)'}, verified by {told['verified_by']}"
     configuration = "the recorded configuration" if told["config"] == "recorded" else told["config"]
-    say(f"{told['file']}: {versions} with {configuration}")
-    say(f"  {count(report.inputs, 'input')} fed to the gateway, {count(report.outputs, 'output')} compared")
+    print_line(f"{told['file']}: {versions} with {configuration}")
+    print_line(
+        f"  {count_text(report.inputs, 'input')} fed to the gateway, {count_text(report.outputs, 'output')} compared"
+    )
     if report.good and not report.outputs:
-        say("nothing to verify: there are no outputs, neither recorded nor due")
+        print_line("nothing to verify: there are no outputs, neither recorded nor due")
     elif report.good:
-        say(f"verified: all {count(report.equal, 'output')} equal, byte for byte")
+        print_line(f"verified: all {count_text(report.equal, 'output')} equal, byte for byte")
     else:
-        say(f"DIFFERENT: {count(report.differing, 'output')} of {report.outputs:,}")
+        print_line(f"DIFFERENT: {count_text(report.differing, 'output')} of {report.outputs:,}")
         for difference in report.firsts.values() if everything else report.differences[:1]:
-            say(f"  {difference}")
+            print_line(f"  {difference}")
         for stream, number in sorted(report.by_stream.items()):
-            say(f"  {stream}: {count(number, 'difference')}")
+            print_line(f"  {stream}: {count_text(number, 'difference')}")
     for number, thing, things, why in (
         (report.lost, "output", "", "that the recording says it lost"),
         (report.missing, "further entry", "further entries", "that the recording says it lost or left out"),
@@ -99,4 +101,4 @@ def _print(told: dict[str, Any], report: Report, everything: bool) -> None:
         (report.late, "note", "", "of a stream whose first message is among those"),
     ):
         if number:
-            say(f"not verified: {count(number, thing, things)} {why}")
+            print_line(f"not verified: {count_text(number, thing, things)} {why}")

@@ -13,9 +13,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from igtl_gateway.cli.common import count, recorded_config, size, stop_event
-from igtl_gateway.cli.outputs import check_target, refused, written
-from igtl_gateway.cli.terminal import cell, clear, is_terminal, live, print_json, say, width
+from igtl_gateway.cli.common import config_to_run, count_text, size_text, stop_event
+from igtl_gateway.cli.outputs import check_target, write_error, written
+from igtl_gateway.cli.terminal import cell, clear_live_line, is_terminal, live_line, print_json, print_line, width
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError, ViewerError
@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
             else:
                 _print(options, drawn, told)
             if told["damage"]:
-                say(f"igtl-gateway view: what comes first is drawn: {told['damage']}", error=True)
+                print_line(f"igtl-gateway view: what comes first is drawn: {told['damage']}", error=True)
             if picture:
                 return max(_picture(options, out, picture, drawn), bool(told["damage"]))
         if not options.save:
@@ -124,7 +124,7 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
     if options.blueprint and options.blueprint not in NAMES:
         raise ConfigError(f"--blueprint: found {options.blueprint!r}, expected {', '.join(NAMES)}")
     with SessionFile.open(options.file) as file:
-        config = recorded_config(file.session)
+        config = config_to_run(file.session)
         recording = stream.to_file(out, valid(f"{options.file.stem}-{file.start_ns}"))
         view = SessionView(
             recording, config.base_frame, Options(colour_by=options.colour_by, plain=bool(options.screenshot))
@@ -138,7 +138,7 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
     try:
         stream.close(recording, out)
     except OSError as error:
-        raise refused(options.save or out, error) from None
+        raise write_error(options.save or out, error) from None
     told = view.told
     return view, {
         "file": str(options.file),
@@ -213,51 +213,53 @@ class _Progress:
     def step(self) -> None:
         self._done += 1
         if self._shown and self._done % _PROGRESS_EVERY == 0:
-            live(f"drawing {min(self._done / max(self._total, 1), 1.0):4.0%}", error=True)
+            live_line(f"drawing {min(self._done / max(self._total, 1), 1.0):4.0%}", error=True)
 
     def end(self) -> None:
         if self._shown:
-            clear(error=True)
+            clear_live_line(error=True)
 
 
 def _print(options: argparse.Namespace, view: SessionView, told: dict[str, Any]) -> None:
     columns = width(shown.topic for shown in view.seen.shown.values())
     for shown in view.seen.shown.values():
         note = "no picture" if shown.ros_type in view.told.without_picture else shown.what.value
-        say(f"  {cell(shown.topic, columns)} {shown.count:>8,}  {note:<10} {shown.ros_type}")
+        print_line(f"  {cell(shown.topic, columns)} {shown.count:>8,}  {note:<10} {shown.ros_type}")
     for topic, number in told["refused"].items():
-        say(f"? {topic}: {count(number, 'message')} could not be shown, the log says why")
+        print_line(f"? {topic}: {count_text(number, 'message')} could not be shown, the log says why")
     for line, number in told["without_time"].items():
-        say(f"? {count(number, 'entry', 'entries')} not on the time line {line}: stamps before 1970 or after 2116")
+        print_line(
+            f"? {count_text(number, 'entry', 'entries')} not on the time line {line}: stamps before 1970 or after 2116"
+        )
     if told["without_field"]:
         fields = ", ".join(sorted(view.seen.fields)) or "none"
-        say(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")
-    say(
-        f"{options.file}: {count(told['messages'], 'message')} drawn in {told['seconds']:.1f} s, "
+        print_line(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")
+    print_line(
+        f"{options.file}: {count_text(told['messages'], 'message')} drawn in {told['seconds']:.1f} s, "
         f"blueprint {told['blueprint']}" + (", suture plan reviewed" if told["reviewed"] else "")
     )
     if options.save:
-        say(f"{options.save}: {size(told['bytes'])}; `rerun {options.save}` shows it")
+        print_line(f"{options.save}: {size_text(told['bytes'])}; `rerun {options.save}` shows it")
 
 
 def _picture(options: argparse.Namespace, recording: Path, out: Path, view: SessionView) -> int:
     """The picture in the file ``out``; exit code 1 where a view complains."""
-    from igtl_gateway.view.shots import take
+    from igtl_gateway.view.shots import take_shots
 
     if not view.seen.first_ns:
         raise GatewayError(f"{options.file}: found no messages, expected something to make a picture of")
     at = None
     if options.at is not None:
         at = view.seen.first_ns + round(min(options.at, view.seen.seconds) * NS_PER_S)
-    (shot,) = take(recording, [at])
+    (shot,) = take_shots(recording, [at])
     try:
         out.write_bytes(shot.png)
     except OSError as error:
-        raise refused(options.screenshot, error) from None
+        raise write_error(options.screenshot, error) from None
     for complaint in shot.complaints:
-        say(f"? {complaint}", error=True)
+        print_line(f"? {complaint}", error=True)
     if not options.json:
-        say(f"{options.screenshot}: {size(len(shot.png))}")
+        print_line(f"{options.screenshot}: {size_text(len(shot.png))}")
     return 1 if shot.complaints else 0
 
 
@@ -267,6 +269,6 @@ def _show(options: argparse.Namespace, recording: Path, wait: Any) -> None:
 
     with Viewer.page(recording, options.port or 0) if options.web else Viewer.window(recording) as viewer:
         if options.web:
-            say(viewer.url, "Ctrl-C stops.", flush=True)
+            print_line(viewer.url, "Ctrl-C stops.", flush=True)
         while not viewer.ended and not wait(_WAIT_S):
             pass

@@ -185,7 +185,7 @@ static int pose_of_matrix(const double m[12], double out[4])
     return 1;
 }
 
-static void matrix_of(const double q[4], double m[9])
+static void rotation_matrix(const double q[4], double m[9])
 {
     const double x = q[0], y = q[1], z = q[2], w = q[3];
     m[0] = 1.0 - 2.0 * (y * y + z * z);
@@ -353,7 +353,7 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
         Py_RETURN_NONE;
     double *position = numbers;
     if (bytes == MATRIX_BYTES) {
-        matrix_of(q, numbers);
+        rotation_matrix(q, numbers);
         position = numbers + 9;
     } else {
         memcpy(numbers + 3, q, sizeof q);

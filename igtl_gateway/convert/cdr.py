@@ -25,7 +25,7 @@ _HEADER_SIZE = 4
 _MAX_ELEMENTS = 1 << 31
 
 
-class Writer:
+class CdrWriter:
     """Appends fields in the order of the message definition; ``finish`` gives the CDR bytes."""
 
     __slots__ = ("_parts", "_size")
@@ -132,7 +132,7 @@ def stamped_pose(before: bytes, stamp: tuple[int, int], frame_id: str, child_fra
 
 def _two_texts(offset: int, first: str, second: str) -> bytes:
     """Two strings at an offset, and what aligns the next field to 8 bytes."""
-    out = Writer()
+    out = CdrWriter()
     out.f64s(*[0.0] * (offset // 8))
     if offset % 8:
         out.u32(0)
@@ -150,7 +150,7 @@ def _layout(order: str, layout: str) -> struct.Struct:
     return struct.Struct(order + layout)
 
 
-class Reader:
+class CdrReader:
     """Reads fields in the order of the message definition from CDR bytes (either byte order).
 
     Raises ConversionError where the bytes end too early or a length is impossible.

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, Header, PointCloud2, PointField, PointStamped
 from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
 from igtl_gateway.convert.units import ieee_754
@@ -50,7 +50,7 @@ _COLOUR_COMPONENTS = {3: "rgb", 4: "rgba"}
 
 
 @ieee_754
-def points_to_ros(content: Points, to: ToRos) -> PointCloud2:
+def points_to_cloud(content: Points, to: ToRosContext) -> PointCloud2:
     """x, y, z, rgba and diameter of every point; names, groups and owners have no place in a cloud."""
     elements = content.elements
     # side by side first: arithmetic on numbers that are far apart takes ten times as long
@@ -72,7 +72,7 @@ def is_single(content: Points) -> bool:
 
 
 @ieee_754
-def point_to_ros(content: Points, to: ToRos) -> PointStamped:
+def point_to_ros(content: Points, to: ToRosContext) -> PointStamped:
     """The first (in the table: the only) point."""
     x, y, z = content.elements["position"][0].tolist()
     lengths = to.lengths
@@ -80,16 +80,16 @@ def point_to_ros(content: Points, to: ToRos) -> PointStamped:
 
 
 @ieee_754
-def point_to_igtl(message: PointStamped, to: ToIgtl) -> Outgoing:
+def point_to_igtl(message: PointStamped, to: ToIgtlContext) -> ConvertedMessage:
     """As POINT with one nameless element.  Raises ConversionError for numbers that are not finite."""
     positions = to.lengths.to_igtl(np.array([message.point])).astype(">f4")
     if not np.isfinite(positions).all():
         raise ConversionError(f"PointStamped: found {message.point}, expected finite numbers")
-    return Outgoing(Points.of(positions), message.header.stamp_ns, message.header.frame_id)
+    return ConvertedMessage(Points.of(positions), message.header.stamp_ns, message.header.frame_id)
 
 
 @ieee_754
-def cloud_to_points(message: PointCloud2, to: ToIgtl) -> Outgoing:
+def cloud_to_points(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessage:
     """As POINT (136 bytes a point), with colour and diameter where the cloud has them."""
     columns = _Columns.of(message)
     positions, kept = _finite_positions(columns, to)
@@ -99,11 +99,11 @@ def cloud_to_points(message: PointCloud2, to: ToIgtl) -> Outgoing:
         column = columns[_DIAMETER][kept]
         diameters = into_igtl(to.lengths, column, np.empty(len(column), ">f4"))
     content = Points.of(positions, None if colours is None else colours[kept], diameters)
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id)
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id)
 
 
 @ieee_754
-def cloud_to_polydata(message: PointCloud2, to: ToIgtl) -> Outgoing:
+def cloud_to_polydata(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessage:
     """As POLYDATA: 12 bytes a point, 4 for its vertex, and an attribute for every further field.
 
     One vertex cell lists all points: without cells VTK based viewers draw nothing, with one cell for each point
@@ -138,11 +138,11 @@ def cloud_to_polydata(message: PointCloud2, to: ToIgtl) -> Outgoing:
         attributes.append(Attribute.of(SCALAR, name, values[kept].reshape(count, width)))
     vertices = Cells.of_all(count) if count else NO_CELLS
     content = PolyData(positions, vertices, attributes=tuple(attributes))
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id)
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id)
 
 
 @ieee_754
-def polydata_to_cloud(content: PolyData, to: ToRos) -> PointCloud2:
+def polydata_to_cloud(content: PolyData, to: ToRosContext) -> PointCloud2:
     """Points with their point attributes as fields; cells and attributes of cells have no place in a cloud.
 
     No attribute ever takes the place of another: a name that is taken, or that means something else to readers
@@ -287,7 +287,7 @@ class _Columns:
 _NOTHING = _Field(np.dtype("<f4"), 0, 1)
 
 
-def _finite_positions(columns: _Columns, to: ToIgtl) -> tuple[Array, Any]:
+def _finite_positions(columns: _Columns, to: ToIgtlContext) -> tuple[Array, Any]:
     """(m, 3) positions for the wire of the points that have finite ones, and what selects these points."""
     positions = np.empty((columns.points, 3), ">f4")
     sources = columns.positions
@@ -354,7 +354,7 @@ _POINT = np.dtype([("position", "V12"), ("rgba", "<u4"), ("diameter", "<f4")])
 _POINT_FIELDS = (*_XYZ_FIELDS, PointField("rgba", 12, _UINT32), PointField(_DIAMETER, 16, _FLOAT32))
 
 
-def _cloud(fields: tuple[PointField, ...], points: Array, is_dense: bool, to: ToRos) -> PointCloud2:
+def _cloud(fields: tuple[PointField, ...], points: Array, is_dense: bool, to: ToRosContext) -> PointCloud2:
     """An unorganised cloud of rows of 4-byte words."""
     count = len(points)
     data = points.view(np.uint8).reshape(-1).data if count else b""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.convert.context import ToIgtl
+from igtl_gateway.convert.context import ToIgtlContext
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.fields import cut_text, decode_text, visible
 
@@ -32,16 +32,16 @@ def texts(elements: Array, field: str) -> list[str]:
     return [visible(decode_text(value)) for value in elements[field].tolist()]
 
 
-def set_texts(elements: Array, field: str, values: Iterable[str], to: ToIgtl) -> None:
+def set_text_fields(elements: Array, field: str, values: Iterable[str], to: ToIgtlContext) -> None:
     """Fill the field of every element; what does not fit is cut, with one warning for all.
 
     One byte stays free: C++ readers refuse a text that is as long as its field.
     """
-    fitting = fitted(values, elements.dtype[field].itemsize - 1, field, to)
+    fitting = fit_texts(values, elements.dtype[field].itemsize - 1, field, to)
     elements[field] = np.array([text.encode() for text in fitting], elements.dtype[field])
 
 
-def fitted(values: Iterable[str], width: int, what: str, to: ToIgtl) -> list[str]:
+def fit_texts(values: Iterable[str], width: int, what: str, to: ToIgtlContext) -> list[str]:
     """Texts in ``width`` bytes each: up to the first NUL, where every reader stops, and to the last whole character.
 
     What is cut is told in one warning, which says ``what`` it is.

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import re
 
-from igtl_gateway.convert.columns import fitted
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.columns import fit_texts
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, Items, MetadataItem
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.wire import command as wire
@@ -44,7 +44,7 @@ _ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 _WRITTEN = {mib: codec for mib, codec in CODECS.items() if codec != "utf-16"}
 
 
-def command_to_ros(content: wire.Command, to: ToRos) -> Command:
+def command_to_ros(content: wire.Command, to: ToRosContext) -> Command:
     """The text in its named encoding; what stands behind a NUL is left out."""
     return Command(
         Header(to.stamp_ns, to.frame_id),
@@ -58,15 +58,15 @@ def command_to_ros(content: wire.Command, to: ToRos) -> Command:
     )
 
 
-def command_to_igtl(message: Command, to: ToIgtl) -> Outgoing:
+def command_to_igtl(message: Command, to: ToIgtlContext) -> ConvertedMessage:
     """With the id as it is: 0 is for the gateway to replace.  The time-out stays here."""
     return _outgoing(message, message.metadata, "COMMAND", to)
 
 
-def reply_to_ros(content: wire.Command, to: ToRos) -> CommandReply:
+def reply_to_ros(content: wire.Command, to: ToRosContext) -> CommandReply:
     """Success unless metadata or content say otherwise; a status that nobody knows is no success."""
     text = visible(content.text)
-    attributes = _plus_attributes(text)
+    attributes = _plus_reply_attributes(text)
     told = _first(to.metadata, (STATUS,)) or attributes.get(STATUS, "")
     status = _STATUS_OF.get(told.strip().upper(), CommandReply.FAIL if told.strip() else CommandReply.SUCCESS)
     if told.strip() and told.strip().upper() not in _STATUS_OF:
@@ -89,7 +89,7 @@ def reply_to_ros(content: wire.Command, to: ToRos) -> CommandReply:
     )
 
 
-def reply_to_igtl(message: CommandReply, to: ToIgtl) -> Outgoing:
+def reply_to_igtl(message: CommandReply, to: ToIgtlContext) -> ConvertedMessage:
     """Status and error message as metadata; they replace what the message itself has under these keys."""
     told = {STATUS: _TOLD_STATUS.get(message.status, "FAIL")}
     if message.status != CommandReply.SUCCESS:
@@ -99,10 +99,10 @@ def reply_to_igtl(message: CommandReply, to: ToIgtl) -> Outgoing:
     return _outgoing(message, others + ours, _REPLY_TYPE, to)
 
 
-def _outgoing(message: Command | CommandReply, metadata: Items, igtl_type: str, to: ToIgtl) -> Outgoing:
-    (name,) = fitted((message.name,), _NAME_BYTES, "name of a command", to)
+def _outgoing(message: Command | CommandReply, metadata: Items, igtl_type: str, to: ToIgtlContext) -> ConvertedMessage:
+    (name,) = fit_texts((message.name,), _NAME_BYTES, "name of a command", to)
     data, encoding = _encoded(message.content, message.encoding, to)
-    return Outgoing(
+    return ConvertedMessage(
         wire.Command(message.id, name, data, encoding),
         message.header.stamp_ns,
         message.header.frame_id,
@@ -113,7 +113,7 @@ def _outgoing(message: Command | CommandReply, metadata: Items, igtl_type: str, 
     )
 
 
-def _encoded(text: str, encoding: int, to: ToIgtl) -> tuple[bytes, int]:
+def _encoded(text: str, encoding: int, to: ToIgtlContext) -> tuple[bytes, int]:
     """The text in the wanted encoding (MIBenum, 0 = any), else in UTF-8; with the encoding that it got."""
     if encoding:
         try:
@@ -129,7 +129,7 @@ def _first(metadata: Items, keys: tuple[str, ...]) -> str:
     return next((values[key] for key in keys if values.get(key)), "")
 
 
-def _plus_attributes(text: str) -> dict[str, str]:
+def _plus_reply_attributes(text: str) -> dict[str, str]:
     """Attributes of the ``<CommandReply …>`` that the text is; none of any other text."""
     match = _PLUS_REPLY.match(text, 0, _MAX_XML)
     if not match:

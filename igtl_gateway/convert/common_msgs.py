@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.convert.cdr import Reader, Writer, stamped_pose
+from igtl_gateway.convert.cdr import CdrReader, CdrWriter, stamped_pose
 from igtl_gateway.convert.igtl_msgs import HEADER, Pose
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
 from igtl_gateway.convert.structs import (
@@ -25,10 +25,10 @@ from igtl_gateway.convert.structs import (
     UINT32,
     CdrType,
     Struct,
-    fixed,
-    nested,
-    numbers,
-    several,
+    fixed_array,
+    number_sequence,
+    sequence_of,
+    struct_of,
 )
 from igtl_gateway.stamp import ns_to_ros
 
@@ -56,7 +56,7 @@ class PoseArray(Struct):
     """geometry_msgs/msg/PoseArray: poses (n, 7) float64."""
 
     TYPE: ClassVar[str] = "geometry_msgs/msg/PoseArray"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, numbers("float64", 7, as_name="geometry_msgs/Pose[]"))
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, number_sequence("float64", 7, as_name="geometry_msgs/Pose[]"))
     header: Header
     poses: Array
 
@@ -71,7 +71,7 @@ class FrameTransform(Struct):
     child_frame_id: str
     pose: Pose
 
-    def write(self, out: Writer) -> None:
+    def write(self, out: CdrWriter) -> None:
         """Written out: poses go by here at the rate of trackers."""
         self.header.write(out)
         out.string(self.child_frame_id)
@@ -83,7 +83,7 @@ class TFMessage(Struct):
     """tf2_msgs/msg/TFMessage: what /tf and /tf_static carry."""
 
     TYPE: ClassVar[str] = "tf2_msgs/msg/TFMessage"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (several(FrameTransform),)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (sequence_of(FrameTransform),)
     transforms: tuple[FrameTransform, ...]
 
     def pack(self) -> bytes:
@@ -99,7 +99,11 @@ class JointState(Struct):
     """sensor_msgs/msg/JointState: radians or metres, per second, newton metres or newtons."""
 
     TYPE: ClassVar[str] = "sensor_msgs/msg/JointState"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(STRING), *(numbers("float64") for _ in range(3)))
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (
+        HEADER,
+        sequence_of(STRING),
+        *(number_sequence("float64") for _ in range(3)),
+    )
     header: Header
     name: tuple[str, ...]
     position: Array = field(default_factory=_nothing)
@@ -126,9 +130,9 @@ class CameraInfo(Struct):
 
     TYPE: ClassVar[str] = "sensor_msgs/msg/CameraInfo"
     FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        *(HEADER, UINT32, UINT32, STRING, numbers("float64")),
-        *(fixed("float64", count) for count in (9, 9, 12)),
-        *(UINT32, UINT32, nested(RegionOfInterest)),
+        *(HEADER, UINT32, UINT32, STRING, number_sequence("float64")),
+        *(fixed_array("float64", count) for count in (9, 9, 12)),
+        *(UINT32, UINT32, struct_of(RegionOfInterest)),
     )
     header: Header
     height: int
@@ -182,7 +186,7 @@ class MultiArrayLayout(Struct):
     """std_msgs/msg/MultiArrayLayout: outermost dimension first."""
 
     TYPE: ClassVar[str] = "std_msgs/msg/MultiArrayLayout"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (several(MultiArrayDimension), UINT32)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (sequence_of(MultiArrayDimension), UINT32)
     dim: tuple[MultiArrayDimension, ...] = ()
     data_offset: int = 0
 
@@ -198,7 +202,7 @@ class MultiArray(Struct):
 def _multi_array(name: str, number: str) -> type[MultiArray]:
     kind = type(name, (MultiArray,), {"__slots__": (), "__doc__": f"std_msgs/msg/{name}: data (n,) {number}."})
     kind.TYPE = f"std_msgs/msg/{name}"  # type: ignore[attr-defined]
-    kind.FIELDS = (nested(MultiArrayLayout), numbers(number))  # type: ignore[attr-defined]
+    kind.FIELDS = (struct_of(MultiArrayLayout), number_sequence(number))  # type: ignore[attr-defined]
     return kind
 
 
@@ -212,7 +216,7 @@ MULTI_ARRAYS: dict[str, type[MultiArray]] = {
 }
 
 
-def _write_status(out: Writer, status: DiagnosticStatus) -> None:
+def _write_status(out: CdrWriter, status: DiagnosticStatus) -> None:
     out.u8(status.level)
     for text in (status.name, status.message, status.hardware_id):
         out.string(text)
@@ -222,7 +226,7 @@ def _write_status(out: Writer, status: DiagnosticStatus) -> None:
             out.string(text)
 
 
-def _read_status(read: Reader) -> DiagnosticStatus:
+def _read_status(read: CdrReader) -> DiagnosticStatus:
     level, name, message, hardware = read.u8(), read.string(), read.string(), read.string()
     return DiagnosticStatus(
         level, name, message, hardware, tuple((read.string(), read.string()) for _ in range(read.count()))
@@ -236,7 +240,7 @@ class DiagnosticArray(Struct):
     TYPE: ClassVar[str] = "diagnostic_msgs/msg/DiagnosticArray"
     FIELDS: ClassVar[tuple[CdrType, ...]] = (
         HEADER,
-        several(CdrType("diagnostic_msgs/DiagnosticStatus", _write_status, _read_status)),
+        sequence_of(CdrType("diagnostic_msgs/DiagnosticStatus", _write_status, _read_status)),
     )
     header: Header
     status: tuple[DiagnosticStatus, ...]

@@ -6,13 +6,13 @@ from dataclasses import field
 from typing import Any
 
 from igtl_gateway.convert.igtl_msgs import MetadataItem
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.values import value
 from igtl_gateway.wire.body import Body
 
 
 @value(frozen=True, slots=True)
-class ToRos:
+class ToRosContext:
     """Circumstances of a message on its way to ROS.
 
     Attributes:
@@ -33,7 +33,7 @@ class ToRos:
     stamp_ns: int
     frame_id: str
     child_frame_id: str
-    lengths: Lengths = Lengths()
+    lengths: LengthUnits = LengthUnits()
     igtl_type: str = ""
     metadata: tuple[MetadataItem, ...] = ()
     message_id: int = 0
@@ -43,15 +43,15 @@ class ToRos:
 
 
 @value(frozen=True, slots=True)
-class ToIgtl:
-    """Circumstances of a message on its way to OpenIGTLink; attributes as in ``ToRos``."""
+class ToIgtlContext:
+    """Circumstances of a message on its way to OpenIGTLink; attributes as in ``ToRosContext``."""
 
-    lengths: Lengths = Lengths()
+    lengths: LengthUnits = LengthUnits()
     warnings: list[tuple[str, str]] = field(default_factory=list)
 
 
 @value(frozen=True, slots=True)
-class Outgoing:
+class ConvertedMessage:
     """What a ROS message became.
 
     Attributes:

@@ -23,12 +23,12 @@ from typing import TYPE_CHECKING, Any
 from igtl_gateway.convert.poses import (
     BEYOND_FLOAT32,
     ROUNDING,
+    canonical_quaternion,
     determinant,
     distance_from_rotation,
-    matrix_of,
-    positive,
-    quaternion_of_rotation,
-    unit,
+    rotation_matrix,
+    rotation_quaternion,
+    unit_quaternion,
 )
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.stamp import ns_to_ros, ns_to_ticks, ros_to_ns, ticks_to_ns
@@ -91,10 +91,10 @@ def pose_to_ros(
         rows = [[m[0], m[3], m[6]], [m[1], m[4], m[7]], [m[2], m[5], m[8]]]
         if distance_from_rotation(rows) > ROUNDING or determinant(rows) < 0.0:
             return None
-        position, rotation = m[9:], quaternion_of_rotation(rows)
+        position, rotation = m[9:], rotation_quaternion(rows)
     else:
         try:
-            position, rotation = m[:3], positive(unit(m[3:]))
+            position, rotation = m[:3], canonical_quaternion(unit_quaternion(m[3:]))
         except ConversionError:
             return None
     times, by = ratio
@@ -154,11 +154,11 @@ def pose_to_igtl(
     if not max(map(abs, position)) < BEYOND_FLOAT32:
         return None
     try:
-        rotation = unit(pose[3:])
+        rotation = unit_quaternion(pose[3:])
     except ConversionError:
         return None
     if size == MATRIX:
-        (a, b, c), (d, e, f), (g, h, i) = matrix_of(rotation)
+        (a, b, c), (d, e, f), (g, h, i) = rotation_matrix(rotation)
         numbers = _NUMBERS[size].pack(a, d, g, b, e, h, c, f, i, *position)
     else:
         numbers = _NUMBERS[size].pack(*position, *rotation)

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.igtl_msgs import Pose
-from igtl_gateway.convert.poses import Quaternion, unit
+from igtl_gateway.convert.poses import Quaternion, unit_quaternion
 from igtl_gateway.errors import ConfigError, ConversionError
 
 #: How far back an edge remembers, behind its newest sample: as tf2.
@@ -45,7 +45,7 @@ _IDENTITY: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(slots=True)
-class _Edge:
+class _TfEdge:
     """A frame in its parent.
 
     Attributes:
@@ -78,7 +78,7 @@ class FrameTree:
         self.refused: Counter[str] = Counter()
         self._max_frames = max_frames
         self._max_samples = max_samples
-        self._edges: dict[str, _Edge] = {}  # child → its edge
+        self._edges: dict[str, _TfEdge] = {}  # child → its edge
         self._chains: dict[tuple[str, str], Chain | None] = {}  # of the present shape of the tree
         self._samples = 0
         self._version = 0
@@ -107,13 +107,13 @@ class FrameTree:
             self._chains.clear()
         if edge is None or edge.parent != parent or edge.static != static:
             self._samples -= len(edge.stamps) if edge else 0
-            edge = self._edges[child] = _Edge(parent, static)
+            edge = self._edges[child] = _TfEdge(parent, static)
         self._version += 1
         edge.version = self._version
         self._insert(edge, transform.header.stamp_ns, pose)
         return ""
 
-    def _insert(self, edge: _Edge, stamp_ns: int, pose: Pose) -> None:
+    def _insert(self, edge: _TfEdge, stamp_ns: int, pose: Pose) -> None:
         stamps, poses = edge.stamps, edge.poses
         if stamps and (edge.static or stamp_ns < stamps[-1] - HISTORY_NS):
             self._samples -= len(stamps)
@@ -208,28 +208,28 @@ def _unit_pose(pose: Pose) -> Pose | None:
     if not all(map(math.isfinite, pose)):
         return None
     try:
-        return (*pose[:3], *unit(pose[3:]))
+        return (*pose[:3], *unit_quaternion(pose[3:]))
     except ConversionError:
         return None
 
 
-def _pose_at(edge: _Edge, stamp_ns: int) -> Pose:
+def _pose_at(edge: _TfEdge, stamp_ns: int) -> Pose:
     """At a time between the first and the last sample."""
     after = bisect_left(edge.stamps, stamp_ns)
     if edge.stamps[after] == stamp_ns:
         return edge.poses[after]
     start_ns, end_ns = edge.stamps[after - 1], edge.stamps[after]
-    return _between(edge.poses[after - 1], edge.poses[after], (stamp_ns - start_ns) / (end_ns - start_ns))
+    return _interpolate(edge.poses[after - 1], edge.poses[after], (stamp_ns - start_ns) / (end_ns - start_ns))
 
 
-def _between(a: Pose, b: Pose, share: float) -> Pose:
+def _interpolate(a: Pose, b: Pose, share: float) -> Pose:
     """``share`` (0 … 1) of the way from a to b."""
     # of b's two quaternions the one on a's side: the short way round, and never through 0
     side = 1.0 if a[3] * b[3] + a[4] * b[4] + a[5] * b[5] + a[6] * b[6] >= 0.0 else -1.0
     rest = 1.0 - share
     x, y, z = (rest * p + share * q for p, q in zip(a[:3], b[:3], strict=True))
     qx, qy, qz, qw = (rest * p + share * side * q for p, q in zip(a[3:], b[3:], strict=True))
-    return (x, y, z, *unit((qx, qy, qz, qw)))
+    return (x, y, z, *unit_quaternion((qx, qy, qz, qw)))
 
 
 def compose(a: Pose, b: Pose) -> Pose:
@@ -237,7 +237,7 @@ def compose(a: Pose, b: Pose) -> Pose:
     ax, ay, az, aw = a[3:]
     bx, by, bz, bw = b[3:]
     x, y, z = _rotated(a[3:], b[:3])
-    rotation = unit(
+    rotation = unit_quaternion(
         (
             aw * bx + ax * bw + ay * bz - az * by,
             aw * by - ax * bz + ay * bw + az * bx,

@@ -35,7 +35,7 @@ def frame_size(codec: str, data: Buffer) -> Size | None:
 
     ``codec`` is ``h264``, ``h265`` (Annex B), ``vp9`` or ``av1``.
     """
-    look = _LOOKS.get(codec)
+    look = _PARSERS.get(codec)
     if look is None:
         return None
     try:
@@ -87,7 +87,7 @@ def _units(data: bytes) -> Iterator[bytes]:
     return (unit for unit in data.split(_START_CODE)[1:] if unit)
 
 
-def _plain(unit: bytes) -> _Bits:
+def _without_emulation_prevention(unit: bytes) -> _Bits:
     """A unit without the bytes that keep start codes out of it."""
     return _Bits(unit[:_MAX_HEADER].replace(b"\x00\x00\x03", b"\x00\x00"))
 
@@ -105,7 +105,7 @@ def _h264(data: bytes) -> Size | None:
     for unit in _units(data):
         kind = unit[0] & 0x1F
         if kind == _H264_SPS:
-            return _h264_sps(_plain(unit[1:]))
+            return _h264_sps(_without_emulation_prevention(unit[1:]))
         if kind in _H264_SLICES:
             break
     return None
@@ -162,7 +162,7 @@ def _h265(data: bytes) -> Size | None:
     for unit in _units(data):
         kind = unit[0] >> 1 & 0x3F
         if kind == _H265_SPS:
-            return _h265_sps(_plain(unit[2:]))
+            return _h265_sps(_without_emulation_prevention(unit[2:]))
         if kind in _H265_SLICES:
             break
     return None
@@ -262,4 +262,4 @@ def _av1_timing(bits: _Bits) -> int:
     return delays
 
 
-_LOOKS: dict[str, Callable[[bytes], Size | None]] = {"h264": _h264, "h265": _h265, "vp9": _vp9, "av1": _av1}
+_PARSERS: dict[str, Callable[[bytes], Size | None]] = {"h264": _h264, "h265": _h265, "vp9": _vp9, "av1": _av1}

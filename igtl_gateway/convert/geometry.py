@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import LPS
 
@@ -25,10 +25,10 @@ _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _FLOAT32_END = 2.0**128 - 2.0**103
 
 
-def split(nine: Sequence[float]) -> tuple[tuple[float, ...], Triple]:
+def split_axes(nine: Sequence[float]) -> tuple[tuple[float, ...], Triple]:
     """(direction, spacing) of three finite vectors T, S, N in a row: unit columns in a row, and their lengths.
 
-    A vector of no length gets the unit vector of its axis; ``join`` gives it back (its zeros positive).
+    A vector of no length gets the unit vector of its axis; ``join_axes`` gives it back (its zeros positive).
     """
     direction: list[float] = []
     spacing: list[float] = []
@@ -40,12 +40,12 @@ def split(nine: Sequence[float]) -> tuple[tuple[float, ...], Triple]:
     return tuple(direction), (spacing[0], spacing[1], spacing[2])
 
 
-def join(direction: Sequence[float], spacing: Sequence[float]) -> tuple[float, ...]:
-    """The inverse of ``split``: exact once the numbers are float32 again."""
+def join_axes(direction: Sequence[float], spacing: Sequence[float]) -> tuple[float, ...]:
+    """The inverse of ``split_axes``: exact once the numbers are float32 again."""
     return tuple(value * spacing[index // 3] for index, value in enumerate(direction))
 
 
-def flipped(vectors: Sequence[float]) -> tuple[float, ...]:
+def flip_lps_ras(vectors: Sequence[float]) -> tuple[float, ...]:
     """Vectors in a row from LPS to RAS or back: x and y change their sign."""
     return tuple(value if index % 3 == 2 else -value for index, value in enumerate(vectors))
 
@@ -65,23 +65,23 @@ class Placement:
     center: Triple
 
     @classmethod
-    def of_wire(cls, matrix: Sequence[float], coordinate: int, lengths: Lengths) -> Self:
+    def of_wire(cls, matrix: Sequence[float], coordinate: int, lengths: LengthUnits) -> Self:
         """Of the 12 numbers of the wire; where they are not finite, neither are these."""
-        axes = flipped(matrix) if coordinate == LPS else tuple(matrix)
-        direction, (i, j, k) = split(axes[:9])
+        axes = flip_lps_ras(matrix) if coordinate == LPS else tuple(matrix)
+        direction, (i, j, k) = split_axes(axes[:9])
         x, y, z = axes[9:]
         to_ros = lengths.to_ros
         return cls(direction, (to_ros(i), to_ros(j), to_ros(k)), (to_ros(x), to_ros(y), to_ros(z)))
 
-    def to_wire(self, coordinate: int, lengths: Lengths, place: str) -> tuple[float, ...]:
+    def to_wire(self, coordinate: int, lengths: LengthUnits, place: str) -> tuple[float, ...]:
         """The 12 numbers of the wire.  Raises ConversionError where float32 cannot hold them."""
         (i, j, k), (x, y, z) = self.spacing, self.center
         to_igtl = lengths.to_igtl
-        axes = join(self.direction, (to_igtl(i), to_igtl(j), to_igtl(k)))
+        axes = join_axes(self.direction, (to_igtl(i), to_igtl(j), to_igtl(k)))
         matrix = (*axes, to_igtl(x), to_igtl(y), to_igtl(z))
         if not all(-_FLOAT32_END < value < _FLOAT32_END for value in matrix):
             raise ConversionError(f"{place}: found {self}, expected finite numbers (float32 in {lengths.igtl})")
-        return flipped(matrix) if coordinate == LPS else matrix
+        return flip_lps_ras(matrix) if coordinate == LPS else matrix
 
     def origin(self, size: Sequence[int]) -> Triple:
         """Centre of the first voxel of an image of ``size`` voxels."""

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.convert.cdr import Reader, Writer
+from igtl_gateway.convert.cdr import CdrReader, CdrWriter
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import (
     BOOL,
@@ -31,14 +31,14 @@ from igtl_gateway.convert.structs import (
     UINT64,
     CdrType,
     Struct,
-    fixed,
-    numbers,
-    several,
+    fixed_array,
+    number_sequence,
+    sequence_of,
 )
 
 HEADER = CdrType("std_msgs/Header", lambda out, header: header.write(out), Header.read)
-_SIZE = fixed("uint16", 3)
-_RGBA = fixed("uint8", 4)
+_SIZE = fixed_array("uint16", 3)
+_RGBA = fixed_array("uint8", 4)
 
 Array = npt.NDArray[Any]
 Point = tuple[float, float, float]
@@ -61,7 +61,7 @@ class MetadataItem(Struct):
 
 
 Items = tuple[MetadataItem, ...]
-_ITEMS = several(MetadataItem)
+_ITEMS = sequence_of(MetadataItem)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ class TrackingData(Struct):
     """igtl_msgs/msg/TrackingData."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/TrackingData"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(TrackedTool), _ITEMS)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(TrackedTool), _ITEMS)
     header: Header
     tools: tuple[TrackedTool, ...]
     metadata: Items = ()
@@ -120,7 +120,7 @@ class TrajectoryList(Struct):
     """igtl_msgs/msg/TrajectoryList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/TrajectoryList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(Trajectory), _ITEMS)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(Trajectory), _ITEMS)
     header: Header
     trajectories: tuple[Trajectory, ...]
     metadata: Items = ()
@@ -139,7 +139,7 @@ class LabeledPoint(Struct):
     diameter: float
     owner: str
 
-    def write(self, out: Writer) -> None:
+    def write(self, out: CdrWriter) -> None:
         """Written out, as ``read``: points come by the thousands where surfaces are digitised."""
         out.string(self.name)
         out.string(self.group)
@@ -148,7 +148,7 @@ class LabeledPoint(Struct):
         out.string(self.owner)
 
     @classmethod
-    def read(cls, cdr: Reader) -> Self:
+    def read(cls, cdr: CdrReader) -> Self:
         name, group, rgba = cdr.string(), cdr.string(), cdr.unpack("4B", 1)
         x, y, z, diameter = cdr.unpack("4d", 8)
         return cls(name, group, rgba, (x, y, z), diameter, cdr.string())
@@ -159,7 +159,7 @@ class PointList(Struct):
     """igtl_msgs/msg/PointList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/PointList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(LabeledPoint), _ITEMS)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(LabeledPoint), _ITEMS)
     header: Header
     points: tuple[LabeledPoint, ...]
     metadata: Items = ()
@@ -170,7 +170,7 @@ class Sensor(Struct):
     """igtl_msgs/msg/Sensor: values (n,) float64."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/Sensor"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, UINT8, UINT64, STRING, numbers("float64"), _ITEMS)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, UINT8, UINT64, STRING, number_sequence("float64"), _ITEMS)
     header: Header
     status: int
     unit: int
@@ -184,7 +184,7 @@ class NdArray(Struct):
     """igtl_msgs/msg/NdArray."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/NdArray"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, UINT8, numbers("uint16"), BOOL, OCTETS, _ITEMS)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, UINT8, number_sequence("uint16"), BOOL, OCTETS, _ITEMS)
     header: Header
     scalar_type: int
     size: Array
@@ -228,7 +228,7 @@ class ImageMetaList(Struct):
     """igtl_msgs/msg/ImageMetaList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/ImageMetaList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(ImageMeta), _ITEMS)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(ImageMeta), _ITEMS)
     header: Header
     images: tuple[ImageMeta, ...]
     metadata: Items = ()
@@ -253,7 +253,7 @@ class LabelMetaList(Struct):
     """igtl_msgs/msg/LabelMetaList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/LabelMetaList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(LabelMeta), _ITEMS)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(LabelMeta), _ITEMS)
     header: Header
     labels: tuple[LabelMeta, ...]
     metadata: Items = ()
@@ -266,7 +266,7 @@ class VideoMeta(Struct):
     TYPE: ClassVar[str] = "igtl_msgs/msg/VideoMeta"
     FIELDS: ClassVar[tuple[CdrType, ...]] = (
         *(STRING, STRING, STRING, STRING, INT16, FLOAT64, _SIZE),
-        *(fixed("float64", 9), fixed("float64", 3), POINT, UINT8),
+        *(fixed_array("float64", 9), fixed_array("float64", 3), POINT, UINT8),
     )
     name: str
     device_name: str
@@ -286,7 +286,7 @@ class VideoMetaList(Struct):
     """igtl_msgs/msg/VideoMetaList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/VideoMetaList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(VideoMeta), _ITEMS)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(VideoMeta), _ITEMS)
     header: Header
     videos: tuple[VideoMeta, ...]
     metadata: Items = ()
@@ -297,7 +297,7 @@ class Capability(Struct):
     """igtl_msgs/msg/Capability."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/Capability"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(STRING), _ITEMS)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(STRING), _ITEMS)
     header: Header
     types: tuple[str, ...]
     metadata: Items = ()
@@ -319,7 +319,7 @@ class Bind(Struct):
     """igtl_msgs/msg/Bind."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/Bind"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(BoundMessage), _ITEMS)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(BoundMessage), _ITEMS)
     header: Header
     children: tuple[BoundMessage, ...]
     metadata: Items = ()
@@ -373,7 +373,7 @@ class Volume(Struct):
     TYPE: ClassVar[str] = "igtl_msgs/msg/Volume"
     FIELDS: ClassVar[tuple[CdrType, ...]] = (
         *(HEADER, _SIZE, UINT8, UINT8, BOOL, UINT8),
-        *(fixed("float64", 9), fixed("float64", 3), POINT, OCTETS, _ITEMS),
+        *(fixed_array("float64", 9), fixed_array("float64", 3), POINT, OCTETS, _ITEMS),
     )
     header: Header
     size: Size
@@ -393,7 +393,7 @@ class PolyDataAttribute(Struct):
     """igtl_msgs/msg/PolyDataAttribute: values (n,) float32."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/PolyDataAttribute"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, UINT8, UINT8, numbers("float32"))
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, UINT8, UINT8, number_sequence("float32"))
     name: str
     type: int
     components: int
@@ -406,8 +406,15 @@ class PolyData(Struct):
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/PolyData"
     FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        *(HEADER, POINTS, numbers("uint32"), numbers("uint32"), numbers("uint32"), numbers("uint32")),
-        *(several(PolyDataAttribute), _ITEMS),
+        *(
+            HEADER,
+            POINTS,
+            number_sequence("uint32"),
+            number_sequence("uint32"),
+            number_sequence("uint32"),
+            number_sequence("uint32"),
+        ),
+        *(sequence_of(PolyDataAttribute), _ITEMS),
     )
     header: Header
     points: Array
@@ -426,7 +433,7 @@ class VideoFrame(Struct):
     TYPE: ClassVar[str] = "igtl_msgs/msg/VideoFrame"
     FIELDS: ClassVar[tuple[CdrType, ...]] = (
         *(HEADER, STRING, UINT16, BOOL, _SIZE, _SIZE, _SIZE, UINT8),
-        *(fixed("float64", 9), fixed("float64", 3), POINT, OCTETS, _ITEMS),
+        *(fixed_array("float64", 9), fixed_array("float64", 3), POINT, OCTETS, _ITEMS),
     )
     header: Header
     codec: str
@@ -486,7 +493,7 @@ class LinkStatusList(Struct):
     """igtl_msgs/msg/LinkStatusList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/LinkStatusList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(LinkStatus))
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(LinkStatus))
     header: Header
     links: tuple[LinkStatus, ...]
 
@@ -496,7 +503,9 @@ class RawMessage(Struct):
     """igtl_msgs/msg/RawMessage: one whole OpenIGTLink message."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/RawMessage"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (*(TIME, TIME, UINT64, UINT8, numbers("uint32"), STRING, STRING, OCTETS),)
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (
+        *(TIME, TIME, UINT64, UINT8, number_sequence("uint32"), STRING, STRING, OCTETS),
+    )
     DIRECTION_IN: ClassVar[int] = 0
     DIRECTION_OUT: ClassVar[int] = 1
     stamp_ns: int

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.errors import ConversionError
@@ -45,7 +45,7 @@ _MAX_COMPONENTS = 254  # the reference library's limit
 _MAX_SIZE = 65_535
 
 
-def image_to_ros(content: Image, to: ToRos) -> RosImage:
+def image_to_ros(content: Image, to: ToRosContext) -> RosImage:
     """Raises ConversionError for volumes and for partial updates, which sensor_msgs/Image cannot hold."""
     width, height, slices = content.dimensions
     if slices != 1:
@@ -69,7 +69,7 @@ def image_to_ros(content: Image, to: ToRos) -> RosImage:
     return RosImage(Header(to.stamp_ns, to.frame_id), height, width, encoding, int(big and item > 1), step, pixels)
 
 
-def image_to_igtl(message: RosImage, _: ToIgtl) -> Outgoing:
+def image_to_igtl(message: RosImage, _: ToIgtlContext) -> ConvertedMessage:
     """As a 2-D IMAGE of 1 mm spacing, centred at the origin.  Raises ConversionError for unknown encodings."""
     scalar, components, blue_first = _layout(message.encoding)
     dtype = np.dtype((">" if message.is_bigendian else "<") + SCALARS[scalar])
@@ -90,7 +90,7 @@ def image_to_igtl(message: RosImage, _: ToIgtl) -> Outgoing:
         pixels = _red_first(np.frombuffer(pixels, dtype).reshape(-1, components))
     endian = BIG_ENDIAN if message.is_bigendian and dtype.itemsize > 1 else LITTLE_ENDIAN
     image = Image((width, height, 1), scalar, pixels, components, endian)
-    return Outgoing(image, message.header.stamp_ns, message.header.frame_id)
+    return ConvertedMessage(image, message.header.stamp_ns, message.header.frame_id)
 
 
 def _layout(encoding: str) -> tuple[int, int, bool]:

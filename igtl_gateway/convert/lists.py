@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.convert import geometry, igtl_msgs
-from igtl_gateway.convert.columns import check_rows, fitted, set_texts, texts
+from igtl_gateway.convert.columns import check_rows, fit_texts, set_text_fields, texts
 from igtl_gateway.convert.common_msgs import Array
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import BoundMessage, ImageMeta, LabelMeta, VideoMeta
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import Struct
 from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.errors import ConversionError, MalformedBody
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
-from igtl_gateway.wire.bind import Bind, Child
+from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.colort import MAP_U16, ColorTable
@@ -45,7 +45,7 @@ _TYPE_BYTES = 12
 _CHILD_NAME_BYTES = 20  # of C++ readers; the protocol has no limit
 
 
-def images_to_ros(content: ImageMetaList, to: ToRos) -> igtl_msgs.ImageMetaList:
+def images_to_ros(content: ImageMetaList, to: ToRosContext) -> igtl_msgs.ImageMetaList:
     """One ``ImageMeta`` for each element."""
     rows = _rows(content, *_IMAGE_TEXTS, "ticks", "size", "scalar_type")
     images = tuple(
@@ -55,17 +55,17 @@ def images_to_ros(content: ImageMetaList, to: ToRos) -> igtl_msgs.ImageMetaList:
     return igtl_msgs.ImageMetaList(_header(to), images, to.metadata)
 
 
-def images_to_igtl(message: igtl_msgs.ImageMetaList, to: ToIgtl) -> Outgoing:
+def images_to_igtl(message: igtl_msgs.ImageMetaList, to: ToIgtlContext) -> ConvertedMessage:
     """The inverse; texts that do not fit are cut, with a warning."""
     elements = np.zeros(len(message.images), IMAGE_META_DTYPE)
     for name in _IMAGE_TEXTS:
-        set_texts(elements, name, (getattr(image, name) for image in message.images), to)
+        set_text_fields(elements, name, (getattr(image, name) for image in message.images), to)
     elements["ticks"] = [ns_to_ticks(image.scan_time_ns % _WRAP_NS) for image in message.images]
     _set(elements, message.images, "size", "scalar_type")
     return _outgoing(ImageMetaList(elements), message)
 
 
-def labels_to_ros(content: LabelMetaList, to: ToRos) -> igtl_msgs.LabelMetaList:
+def labels_to_ros(content: LabelMetaList, to: ToRosContext) -> igtl_msgs.LabelMetaList:
     """One ``LabelMeta`` for each element."""
     labels = tuple(
         LabelMeta(name, device, label, tuple(rgba), tuple(size), owner)
@@ -74,16 +74,16 @@ def labels_to_ros(content: LabelMetaList, to: ToRos) -> igtl_msgs.LabelMetaList:
     return igtl_msgs.LabelMetaList(_header(to), labels, to.metadata)
 
 
-def labels_to_igtl(message: igtl_msgs.LabelMetaList, to: ToIgtl) -> Outgoing:
+def labels_to_igtl(message: igtl_msgs.LabelMetaList, to: ToIgtlContext) -> ConvertedMessage:
     """The inverse; texts that do not fit are cut, with a warning."""
     elements = np.zeros(len(message.labels), LABEL_META_DTYPE)
     for name in _LABEL_TEXTS:
-        set_texts(elements, name, (getattr(label, name) for label in message.labels), to)
+        set_text_fields(elements, name, (getattr(label, name) for label in message.labels), to)
     _set(elements, message.labels, "label", "rgba", "size")
     return _outgoing(LabelMetaList(elements), message)
 
 
-def videos_to_ros(content: VideoMetaList, to: ToRos) -> igtl_msgs.VideoMetaList:
+def videos_to_ros(content: VideoMetaList, to: ToRosContext) -> igtl_msgs.VideoMetaList:
     """One ``VideoMeta`` for each element; lengths in the unit of the ROS side.
 
     A matrix that is not finite gives numbers that are none: the other videos are on offer all the same.
@@ -93,7 +93,7 @@ def videos_to_ros(content: VideoMetaList, to: ToRos) -> igtl_msgs.VideoMetaList:
     for name, device, patient, patient_id, zoom, focal_length, size, matrix, scalar in _rows(
         content, *_VIDEO_TEXTS, "zoom_level", "focal_length", "size", "matrix", "scalar_type"
     ):
-        direction, (i, j, k) = geometry.split(matrix[:9])
+        direction, (i, j, k) = geometry.split_axes(matrix[:9])
         x, y, z = matrix[9:]
         videos.append(
             VideoMeta(
@@ -107,18 +107,18 @@ def videos_to_ros(content: VideoMetaList, to: ToRos) -> igtl_msgs.VideoMetaList:
 
 
 @ieee_754
-def videos_to_igtl(message: igtl_msgs.VideoMetaList, to: ToIgtl) -> Outgoing:
+def videos_to_igtl(message: igtl_msgs.VideoMetaList, to: ToIgtlContext) -> ConvertedMessage:
     """The inverse; texts that do not fit are cut, with a warning.
 
     Raises ConversionError for matrices that float32 cannot hold.
     """
     elements = np.zeros(len(message.videos), VIDEO_META_DTYPE)
     for name in _VIDEO_TEXTS:
-        set_texts(elements, name, (getattr(video, name) for video in message.videos), to)
+        set_text_fields(elements, name, (getattr(video, name) for video in message.videos), to)
     to_igtl = to.lengths.to_igtl
     for element, video in zip(elements, message.videos, strict=True):
         (i, j, k), (x, y, z) = video.spacing, video.center
-        axes = geometry.join(video.direction, (to_igtl(i), to_igtl(j), to_igtl(k)))
+        axes = geometry.join_axes(video.direction, (to_igtl(i), to_igtl(j), to_igtl(k)))
         element["matrix"] = (*axes, to_igtl(x), to_igtl(y), to_igtl(z))
         element["focal_length"] = to_igtl(video.focal_length)
         if not np.isfinite(element["matrix"]).all():
@@ -127,12 +127,12 @@ def videos_to_igtl(message: igtl_msgs.VideoMetaList, to: ToIgtl) -> Outgoing:
     return _outgoing(VideoMetaList(elements), message)
 
 
-def colors_to_ros(content: ColorTable, to: ToRos) -> igtl_msgs.ColorTable:
+def colors_to_ros(content: ColorTable, to: ToRosContext) -> igtl_msgs.ColorTable:
     """The table as it came, big-endian."""
     return igtl_msgs.ColorTable(_header(to), content.index_type, content.map_type, True, content.table, to.metadata)
 
 
-def colors_to_igtl(message: igtl_msgs.ColorTable, _: ToIgtl) -> Outgoing:
+def colors_to_igtl(message: igtl_msgs.ColorTable, _: ToIgtlContext) -> ConvertedMessage:
     """Raises ConversionError for unknown types and for a table that is not of their size."""
     content = ColorTable(message.index_type, message.map_type, message.table)
     try:
@@ -144,29 +144,29 @@ def colors_to_igtl(message: igtl_msgs.ColorTable, _: ToIgtl) -> Outgoing:
     return _outgoing(content, message)
 
 
-def capability_to_ros(content: Capability, to: ToRos) -> igtl_msgs.Capability:
+def capability_to_ros(content: Capability, to: ToRosContext) -> igtl_msgs.Capability:
     """The names as they stand there, ``GET_CAPABIL`` and all."""
     check_rows(content.types, "CAPABILITY")
     return igtl_msgs.Capability(_header(to), tuple(map(visible, content.types)), to.metadata)
 
 
-def capability_to_igtl(message: igtl_msgs.Capability, _: ToIgtl) -> Outgoing:
+def capability_to_igtl(message: igtl_msgs.Capability, _: ToIgtlContext) -> ConvertedMessage:
     """Raises ConversionError for names above 12 bytes: cut, they would be those of other types."""
     types = tuple(_type_name(name, message.TYPE) for name in message.types)
     return _outgoing(Capability(types), message)
 
 
-def bind_to_ros(content: Bind, to: ToRos) -> igtl_msgs.Bind:
+def bind_to_ros(content: Bind, to: ToRosContext) -> igtl_msgs.Bind:
     """The contents of the children as they came."""
     children = tuple(BoundMessage(visible(each.type), visible(each.name), each.content) for each in content.children)
     return igtl_msgs.Bind(_header(to), children, to.metadata)
 
 
-def bind_to_igtl(message: igtl_msgs.Bind, to: ToIgtl) -> Outgoing:
+def bind_to_igtl(message: igtl_msgs.Bind, to: ToIgtlContext) -> ConvertedMessage:
     """Raises ConversionError for types above 12 bytes; names above 20 bytes are cut, with a warning."""
-    names = fitted((child.name for child in message.children), _CHILD_NAME_BYTES, "name in a BIND", to)
+    names = fit_texts((child.name for child in message.children), _CHILD_NAME_BYTES, "name in a BIND", to)
     children = [
-        Child(_type_name(child.type, message.TYPE), name, child.content)
+        BindChild(_type_name(child.type, message.TYPE), name, child.content)
         for child, name in zip(message.children, names, strict=True)
     ]
     return _outgoing(Bind(tuple(children)), message)
@@ -189,7 +189,7 @@ _List = (
 )
 
 
-def _header(to: ToRos) -> Header:
+def _header(to: ToRosContext) -> Header:
     return Header(to.stamp_ns, to.frame_id)
 
 
@@ -213,5 +213,5 @@ def _set(elements: Array, items: Sequence[Struct], *fields: str) -> None:
             elements[name] = [getattr(item, name) for item in items]
 
 
-def _outgoing(content: Body, message: _List) -> Outgoing:
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+def _outgoing(content: Body, message: _List) -> ConvertedMessage:
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)

@@ -28,7 +28,7 @@ def topic_token(name: str) -> str:
     """
     token = _NOT_IN_TOKEN.sub("_", name[:MAX_TOKEN]) or "unnamed"
     if len(name) > MAX_TOKEN:
-        token = f"{token[: MAX_TOKEN - 5]}_{hashed(name)}"
+        token = f"{token[: MAX_TOKEN - 5]}_{name_hash(name)}"
     return f"_{token}" if token[0].isdigit() else token
 
 
@@ -39,7 +39,7 @@ def frames_of(name: str, base_frame: str) -> tuple[str, str]:
     return base_frame, name or "unnamed"
 
 
-def hashed(name: str) -> str:
+def name_hash(name: str) -> str:
     """Four hex digits that depend on nothing but the name."""
     return f"{zlib.crc32(name.encode('utf-8', 'surrogateescape')) & 0xFFFF:04x}"
 
@@ -48,4 +48,4 @@ def short_device_name(name: str) -> str:
     """``name`` in at most 20 bytes: itself, or its beginning with ``_`` and four hex digits of its hash."""
     if len(name.encode("utf-8", "surrogateescape")) <= MAX_DEVICE_NAME:
         return name
-    return f"{cut_text(name, MAX_DEVICE_NAME - 5)}_{hashed(name)}"
+    return f"{cut_text(name, MAX_DEVICE_NAME - 5)}_{name_hash(name)}"

@@ -22,7 +22,7 @@ from igtl_gateway.convert.common_msgs import (
     MultiArrayDimension,
     MultiArrayLayout,
 )
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.errors import ConversionError, MalformedBody
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
@@ -36,7 +36,7 @@ _RADIANS = parse_unit("rad")
 _text_of_unit = lru_cache(maxsize=256)(unit_text)
 
 
-def sensor_to_ros(content: Sensor, to: ToRos) -> igtl_msgs.Sensor:
+def sensor_to_ros(content: Sensor, to: ToRosContext) -> igtl_msgs.Sensor:
     """Values as they are, the unit as word and as text."""
     return igtl_msgs.Sensor(
         Header(to.stamp_ns, to.frame_id),
@@ -48,7 +48,7 @@ def sensor_to_ros(content: Sensor, to: ToRos) -> igtl_msgs.Sensor:
     )
 
 
-def sensor_to_igtl(message: igtl_msgs.Sensor, _: ToIgtl) -> Outgoing:
+def sensor_to_igtl(message: igtl_msgs.Sensor, _: ToIgtlContext) -> ConvertedMessage:
     """``unit_text`` is read where ``unit`` is 0.  Raises ConversionError for texts that are no unit."""
     try:
         unit = message.unit or parse_unit(message.unit_text)
@@ -57,24 +57,24 @@ def sensor_to_igtl(message: igtl_msgs.Sensor, _: ToIgtl) -> Outgoing:
             f"igtl_msgs/Sensor: found unit_text {message.unit_text!r}, expected a unit such as mm/s^2 ({error})"
         ) from None
     content = _sensor(message.values, message.TYPE, unit, message.status)
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
 
 
-def sensor_to_values(content: Sensor, _: ToRos) -> MultiArray:
+def sensor_to_values(content: Sensor, _: ToRosContext) -> MultiArray:
     """The bare values in one dimension."""
     return MULTI_ARRAYS["f8"](_layout((len(content.values),)), content.values)
 
 
-def values_to_sensor(message: MultiArray, _: ToIgtl) -> Outgoing:
+def values_to_sensor(message: MultiArray, _: ToIgtlContext) -> ConvertedMessage:
     """All values in a row, without unit."""
-    values, _size = _laid_out(message)
-    return Outgoing(_sensor(values, message.TYPE))
+    values, _size = _elements_in_layout(message)
+    return ConvertedMessage(_sensor(values, message.TYPE))
 
 
-def joints_to_sensor(message: JointState, _: ToIgtl) -> Outgoing:
+def joints_to_sensor(message: JointState, _: ToIgtlContext) -> ConvertedMessage:
     """The positions, in radians: the protocol has one unit for all values."""
     content = _sensor(message.position, message.TYPE, _RADIANS)
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id)
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id)
 
 
 def _sensor(values: Array, ros_type: str, unit: int = 0, status: int = 0) -> Sensor:
@@ -83,7 +83,7 @@ def _sensor(values: Array, ros_type: str, unit: int = 0, status: int = 0) -> Sen
     return Sensor(np.asarray(values, ">f8"), unit, status)
 
 
-def array_to_ros(content: NdArray, to: ToRos) -> igtl_msgs.NdArray:
+def array_to_ros(content: NdArray, to: ToRosContext) -> igtl_msgs.NdArray:
     """The bytes as they came, big-endian."""
     return igtl_msgs.NdArray(
         Header(to.stamp_ns, to.frame_id),
@@ -95,7 +95,7 @@ def array_to_ros(content: NdArray, to: ToRos) -> igtl_msgs.NdArray:
     )
 
 
-def array_to_igtl(message: igtl_msgs.NdArray, _: ToIgtl) -> Outgoing:
+def array_to_igtl(message: igtl_msgs.NdArray, _: ToIgtlContext) -> ConvertedMessage:
     """Raises ConversionError for unknown scalar types, and for a size that is not that of the data."""
     content = _checked(NdArray(message.scalar_type, tuple(message.size.tolist()), message.data), message.TYPE)
     code = _CODES[content.scalar_type]
@@ -104,7 +104,7 @@ def array_to_igtl(message: igtl_msgs.NdArray, _: ToIgtl) -> Outgoing:
     if not message.is_bigendian and width > 1:
         swapped = np.frombuffer(message.data, f"u{width}").byteswap()
         content = replace(content, data=swapped.view(np.uint8).data)
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
 
 
 def _checked(content: NdArray, ros_type: str) -> NdArray:
@@ -122,19 +122,19 @@ def is_array_of(code: str) -> Callable[[NdArray], bool]:
     return lambda content: _CODES[content.scalar_type] == code
 
 
-def array_to_multi(content: NdArray, _: ToRos) -> MultiArray:
+def array_to_multi(content: NdArray, _: ToRosContext) -> MultiArray:
     """As the std_msgs array of its type, with sizes and strides; there is none for complex numbers."""
     return MULTI_ARRAYS[_CODES[content.scalar_type]](_layout(content.size), content.flat)
 
 
-def multi_to_array(message: MultiArray, _: ToIgtl) -> Outgoing:
+def multi_to_array(message: MultiArray, _: ToIgtlContext) -> ConvertedMessage:
     """With the sizes of the layout; one dimension where there is no layout.
 
     Raises ConversionError for a layout that contradicts the data or is beyond the limits of NDARRAY.
     """
-    values, size = _laid_out(message)
+    values, size = _elements_in_layout(message)
     data = np.ascontiguousarray(values, values.dtype.newbyteorder(">")).view(np.uint8).data
-    return Outgoing(_checked(NdArray(_SCALARS[values.dtype.str[1:]], size, data), message.TYPE))
+    return ConvertedMessage(_checked(NdArray(_SCALARS[values.dtype.str[1:]], size, data), message.TYPE))
 
 
 #: Scalar type of the wire ⇄ numpy type without byte order.
@@ -153,7 +153,7 @@ def _strides(size: Sequence[int]) -> list[int]:
     return [math.prod(size[axis:]) for axis in range(len(size))]
 
 
-def _laid_out(message: MultiArray) -> tuple[Array, tuple[int, ...]]:
+def _elements_in_layout(message: MultiArray) -> tuple[Array, tuple[int, ...]]:
     """The elements that the layout tells of, in a row, and their sizes.
 
     Strides may leave gaps, as std_msgs has it; all 0 are taken as not filled in.

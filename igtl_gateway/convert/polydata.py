@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.convert import igtl_msgs, surfaces
-from igtl_gateway.convert.columns import fitted
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.columns import fit_texts
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
 from igtl_gateway.convert.units import ieee_754
@@ -46,7 +46,7 @@ def exceeds_standard(content: PolyData) -> bool:
 
     A cloud holds points, each its own vertex or not, and attributes of every point; a mesh holds triangles alone.
     """
-    if surfaces.is_cloud(content):
+    if surfaces.is_point_cloud(content):
         return not _is_all_points(content.vertices, len(content.points)) or any(
             attribute.type not in _CLOUD_ATTRIBUTES or attribute.tuples != len(content.points)
             for attribute in content.attributes
@@ -71,7 +71,7 @@ def _is_all_points(vertices: Cells, count: int) -> bool:
 
 
 @ieee_754
-def polydata_to_ros(content: PolyData, to: ToRos) -> igtl_msgs.PolyData:
+def polydata_to_ros(content: PolyData, to: ToRosContext) -> igtl_msgs.PolyData:
     """Points in metres, cells and attributes as numbers in a row."""
     vertices, lines, polygons, strips = (cells.data.astype("<u4") for cells in content.cells)
     return igtl_msgs.PolyData(
@@ -92,7 +92,7 @@ def polydata_to_ros(content: PolyData, to: ToRos) -> igtl_msgs.PolyData:
 
 
 @ieee_754
-def polydata_to_igtl(message: igtl_msgs.PolyData, to: ToIgtl) -> Outgoing:
+def polydata_to_igtl(message: igtl_msgs.PolyData, to: ToIgtlContext) -> ConvertedMessage:
     """The inverse; names that do not fit are cut, with a warning.
 
     Raises ConversionError for cells that contradict themselves or name points that are not there, and for
@@ -110,7 +110,7 @@ def polydata_to_igtl(message: igtl_msgs.PolyData, to: ToIgtl) -> Outgoing:
     vertices, lines, polygons, strips = (_cells(name, message) for name in _SECTIONS)
     attributes = tuple(_attribute(attribute, message, to) for attribute in message.attributes)
     content = PolyData(points, vertices, lines, polygons, strips, attributes)
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
 
 
 def _cells(name: str, message: igtl_msgs.PolyData) -> Cells:
@@ -137,11 +137,11 @@ def _count(row: Array) -> int:
     return count
 
 
-def _attribute(attribute: igtl_msgs.PolyDataAttribute, message: igtl_msgs.PolyData, to: ToIgtl) -> Attribute:
+def _attribute(attribute: igtl_msgs.PolyDataAttribute, message: igtl_msgs.PolyData, to: ToIgtlContext) -> Attribute:
     count, components = len(attribute.values), attribute.components
     if count % components if components else count:
         raise ConversionError(
             f"{message.TYPE}, attribute {attribute.name!r}: found {count} values, expected a multiple of {components}"
         )
-    (name,) = fitted((attribute.name,), MAX_ATTRIBUTE_NAME, "name of an attribute", to)
+    (name,) = fit_texts((attribute.name,), MAX_ATTRIBUTE_NAME, "name of an attribute", to)
     return Attribute(attribute.type, name, components, attribute.values.astype(F4))

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 
 from igtl_gateway.convert.common_msgs import PoseStamped
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import Pose
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.units import Number
@@ -29,21 +29,21 @@ _MAX_ITERATIONS = 100
 BEYOND_FLOAT32 = 2.0**128 - 2.0**103
 
 
-def transform_to_ros(content: Transform, to: ToRos) -> TransformStamped:
+def transform_to_ros(content: Transform, to: ToRosContext) -> TransformStamped:
     """Raises ConversionError for matrices that no rotation and translation can express."""
     return _stamped(pose_of_matrix(content.wire_matrix, to, f"TRANSFORM {to.device_name!r}"), to)
 
 
-def position_to_ros(content: Position, to: ToRos) -> TransformStamped:
+def position_to_ros(content: Position, to: ToRosContext) -> TransformStamped:
     """Raises ConversionError for a quaternion of no length or numbers that are not finite."""
     return _stamped(pose_of_position(content.position, content.quaternion, to, f"POSITION {to.device_name!r}"), to)
 
 
-def _stamped(pose: Pose, to: ToRos) -> TransformStamped:
+def _stamped(pose: Pose, to: ToRosContext) -> TransformStamped:
     return TransformStamped(Header(to.stamp_ns, to.frame_id), to.child_frame_id, pose[:3], pose[3:])
 
 
-def pose_of_matrix(wire_matrix: Sequence[float], to: ToRos, place: str) -> Pose:
+def pose_of_matrix(wire_matrix: Sequence[float], to: ToRosContext, place: str) -> Pose:
     """Pose in ROS units of the twelve numbers of TRANSFORM; ``place`` is for warnings and errors.
 
     Raises ConversionError for matrices that no rotation and translation can express.
@@ -51,12 +51,12 @@ def pose_of_matrix(wire_matrix: Sequence[float], to: ToRos, place: str) -> Pose:
     m = wire_matrix
     if not all(map(math.isfinite, m)):
         raise NotFinite(f"{place}: found {list(m)}, expected finite numbers")
-    rotation = quaternion_of([[m[row], m[row + 3], m[row + 6]] for row in range(3)], to, place)
+    rotation = nearest_quaternion([[m[row], m[row + 3], m[row + 6]] for row in range(3)], to, place)
     to_ros = to.lengths.to_ros
     return (to_ros(m[9]), to_ros(m[10]), to_ros(m[11]), *rotation)
 
 
-def pose_of_position(position: Sequence[float], quaternion: Sequence[float], to: ToRos, place: str) -> Pose:
+def pose_of_position(position: Sequence[float], quaternion: Sequence[float], to: ToRosContext, place: str) -> Pose:
     """Pose in ROS units of the numbers of POSITION; ``place`` is for errors.
 
     Raises ConversionError for a quaternion of no length or numbers that are not finite.
@@ -65,46 +65,46 @@ def pose_of_position(position: Sequence[float], quaternion: Sequence[float], to:
         raise NotFinite(f"{place}: found {(*position, *quaternion)}, expected finite numbers")
     x, y, z = position
     to_ros = to.lengths.to_ros
-    return (to_ros(x), to_ros(y), to_ros(z), *positive(unit(quaternion, place)))
+    return (to_ros(x), to_ros(y), to_ros(z), *canonical_quaternion(unit_quaternion(quaternion, place)))
 
 
-def transform_to_igtl(message: TransformStamped, to: ToIgtl) -> Outgoing:
+def transform_to_igtl(message: TransformStamped, to: ToIgtlContext) -> ConvertedMessage:
     """As TRANSFORM.  Raises ConversionError for a quaternion of no length."""
     pose = (*message.translation, *message.rotation)
     return _outgoing(_matrix(pose, to, "TransformStamped"), message.header, message.child_frame_id)
 
 
-def position_to_igtl(message: TransformStamped, to: ToIgtl) -> Outgoing:
+def position_to_igtl(message: TransformStamped, to: ToIgtlContext) -> ConvertedMessage:
     """As POSITION with all seven numbers."""
     pose = (*message.translation, *message.rotation)
     return _outgoing(_position(pose, to, "TransformStamped"), message.header, message.child_frame_id)
 
 
-def pose_to_transform(message: PoseStamped, to: ToIgtl) -> Outgoing:
+def pose_to_transform(message: PoseStamped, to: ToIgtlContext) -> ConvertedMessage:
     """As TRANSFORM.  Raises ConversionError for a quaternion of no length."""
     return _outgoing(_matrix(message.pose, to, "PoseStamped"), message.header)
 
 
-def pose_to_position(message: PoseStamped, to: ToIgtl) -> Outgoing:
+def pose_to_position(message: PoseStamped, to: ToIgtlContext) -> ConvertedMessage:
     """As POSITION with all seven numbers."""
     return _outgoing(_position(message.pose, to, "PoseStamped"), message.header)
 
 
-def _outgoing(content: Transform | Position, header: Header, child_frame_id: str = "") -> Outgoing:
-    return Outgoing(content, header.stamp_ns, header.frame_id, child_frame_id)
+def _outgoing(content: Transform | Position, header: Header, child_frame_id: str = "") -> ConvertedMessage:
+    return ConvertedMessage(content, header.stamp_ns, header.frame_id, child_frame_id)
 
 
-def _matrix(pose: Pose, to: ToIgtl, place: str) -> Transform:
+def _matrix(pose: Pose, to: ToIgtlContext, place: str) -> Transform:
     translation, rotation = _finite(pose, to, place)
-    (a, b, c), (d, e, f), (g, h, i) = matrix_of(rotation)
+    (a, b, c), (d, e, f), (g, h, i) = rotation_matrix(rotation)
     return Transform((a, d, g, b, e, h, c, f, i, *translation))
 
 
-def _position(pose: Pose, to: ToIgtl, place: str) -> Position:
+def _position(pose: Pose, to: ToIgtlContext, place: str) -> Position:
     return Position(*_finite(pose, to, place))
 
 
-def _finite(pose: Pose, to: ToIgtl, place: str) -> tuple[tuple[float, ...], Quaternion]:
+def _finite(pose: Pose, to: ToIgtlContext, place: str) -> tuple[tuple[float, ...], Quaternion]:
     """Translation in OpenIGTLink units and unit quaternion."""
     x, y, z = pose[:3]
     to_igtl = to.lengths.to_igtl
@@ -113,10 +113,10 @@ def _finite(pose: Pose, to: ToIgtl, place: str) -> tuple[tuple[float, ...], Quat
         raise NotFinite(f"{place}: found {pose}, expected finite numbers")
     if max(map(abs, translation)) >= BEYOND_FLOAT32:
         raise ConversionError(f"{place}: found {pose}, expected lengths that float32 holds")
-    return translation, unit(pose[3:], place)
+    return translation, unit_quaternion(pose[3:], place)
 
 
-def unit(quaternion: Sequence[float], place: str = "quaternion") -> Quaternion:
+def unit_quaternion(quaternion: Sequence[float], place: str = "quaternion") -> Quaternion:
     """The quaternion x, y, z, w at length 1.  Raises ConversionError where it has none, or one beyond all numbers."""
     x, y, z, w = quaternion
     length = math.sqrt(x * x + y * y + z * z + w * w)
@@ -125,7 +125,7 @@ def unit(quaternion: Sequence[float], place: str = "quaternion") -> Quaternion:
     return x / length, y / length, z / length, w / length
 
 
-def positive(q: Quaternion) -> Quaternion:
+def canonical_quaternion(q: Quaternion) -> Quaternion:
     """Of q and −q, which are the same rotation, the one whose last component that is not 0 is positive."""
     for value in reversed(q):
         if value:
@@ -133,7 +133,7 @@ def positive(q: Quaternion) -> Quaternion:
     return q
 
 
-def matrix_of(q: tuple[Number, Number, Number, Number]) -> list[list[Number]]:
+def rotation_matrix(q: tuple[Number, Number, Number, Number]) -> list[list[Number]]:
     """Rotation matrix of a unit quaternion x, y, z, w: four numbers, or four columns of many."""
     x, y, z, w = q
     return [
@@ -143,7 +143,7 @@ def matrix_of(q: tuple[Number, Number, Number, Number]) -> list[list[Number]]:
     ]
 
 
-def quaternion_of(r: Rows, to: ToRos, place: str) -> Quaternion:
+def nearest_quaternion(r: Rows, to: ToRosContext, place: str) -> Quaternion:
     """Unit quaternion (w ≥ 0) of a 3 × 3 matrix: of the nearest rotation where it is none.
 
     Warns where scale or shear is lost.  Raises ConversionError for a reflection or a singular matrix.
@@ -156,11 +156,11 @@ def quaternion_of(r: Rows, to: ToRos, place: str) -> Quaternion:
             )
         r = _nearest_rotation(r, place)
     elif determinant(r) < 0.0:
-        raise _no_rotation(place, determinant(r))
-    return quaternion_of_rotation(r)
+        raise _not_orthonormal(place, determinant(r))
+    return rotation_quaternion(r)
 
 
-def quaternion_of_rotation(r: Rows) -> Quaternion:
+def rotation_quaternion(r: Rows) -> Quaternion:
     """Unit quaternion (w ≥ 0) of a rotation matrix."""
     (a, b, c), (d, e, f), (g, h, i) = r
     # Shepperd's method: divide by the largest component, never by one near 0
@@ -173,7 +173,7 @@ def quaternion_of_rotation(r: Rows) -> Quaternion:
         q = (b + d, 1.0 - a + e - i, f + h, c - g)
     else:
         q = (c + g, f + h, 1.0 - a - e + i, d - b)
-    return positive(unit(q))
+    return canonical_quaternion(unit_quaternion(q))
 
 
 def distance_from_rotation(r: Rows) -> float:
@@ -199,12 +199,12 @@ def _nearest_rotation(r: Rows, place: str) -> Rows:
     # first to size 1, so that millimetre scales do not cost iterations or overflow
     size = max(abs(value) for row in r for value in row)
     if not size > 0.0:
-        raise _no_rotation(place, 0.0)
+        raise _not_orthonormal(place, 0.0)
     r = [[value / size for value in row] for row in r]
     for _ in range(_MAX_ITERATIONS):
         det = determinant(r)
         if not det > 1e-12:
-            raise _no_rotation(place, det)
+            raise _not_orthonormal(place, det)
         (a, b, c), (d, e, f), (g, h, i) = r
         inverse_transposed = [
             [(e * i - f * h) / det, (f * g - d * i) / det, (d * h - e * g) / det],
@@ -217,6 +217,6 @@ def _nearest_rotation(r: Rows, place: str) -> Rows:
     return r
 
 
-def _no_rotation(place: str, determinant: float) -> ConversionError:
+def _not_orthonormal(place: str, determinant: float) -> ConversionError:
     what = "a reflection" if determinant < 0 else "a singular matrix"
     return ConversionError(f"{place}: found {what} (determinant {determinant:.3g}), expected a rotation")

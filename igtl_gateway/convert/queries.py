@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from igtl_gateway.convert.columns import fitted
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.columns import fit_texts
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import Query
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.errors import ConversionError
@@ -17,9 +17,9 @@ from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.query import (
     QUERIES,
+    EmptyQuery,
     GetBind,
-    Nothing,
-    Reply,
+    QueryReply,
     StartBind,
     StartPolyData,
     StartTracking,
@@ -36,7 +36,7 @@ _CODEC_BYTES = 4
 _U32 = 1 << 32
 
 
-def query_to_ros(content: Body, to: ToRos) -> Query:
+def query_to_ros(content: Body, to: ToRosContext) -> Query:
     """Intervals in whole milliseconds, rounded up: nobody gets more than was asked for."""
     told = split_query(to.igtl_type)
     if told is None:
@@ -51,7 +51,7 @@ def query_to_ros(content: Body, to: ToRos) -> Query:
             resolution, codec = content.resolution, visible(content.codec)
         case StartPolyData() | StartBind():
             resolution = min(-(-(content.resolution_ns or 0) // NS_PER_MS), _U32 - 1)
-        case Reply():
+        case QueryReply():
             status = content.status
     return Query(
         Header(to.stamp_ns, to.frame_id),
@@ -67,7 +67,7 @@ def query_to_ros(content: Body, to: ToRos) -> Query:
     )
 
 
-def query_to_igtl(message: Query, to: ToIgtl) -> Outgoing:
+def query_to_igtl(message: Query, to: ToIgtlContext) -> ConvertedMessage:
     """Raises ConversionError for kinds and types of which there is no query.
 
     Fields that the query has no place for are left out, with a warning.
@@ -85,7 +85,7 @@ def query_to_igtl(message: Query, to: ToIgtl) -> Outgoing:
         if field not in carried and getattr(message, field):
             told = f"{field} {getattr(message, field)!r} has no place in {igtl_type} and is left out"
             to.warnings.append(("field_left_out", told))
-    return Outgoing(
+    return ConvertedMessage(
         make(message, to),
         message.header.stamp_ns,
         message.header.frame_id,
@@ -102,20 +102,20 @@ def _split(query: str) -> tuple[str, str]:
     return told
 
 
-def _start_tracking(message: Query, to: ToIgtl) -> Body:
-    (name,) = fitted((message.coordinate_name,), _COORDINATE_BYTES, "coordinate name", to)
+def _start_tracking(message: Query, to: ToIgtlContext) -> Body:
+    (name,) = fit_texts((message.coordinate_name,), _COORDINATE_BYTES, "coordinate name", to)
     signed = (message.resolution + _U32 // 2) % _U32 - _U32 // 2
     return StartTracking(signed, name)
 
 
-def _start_video(message: Query, _: ToIgtl) -> Body:
+def _start_video(message: Query, _: ToIgtlContext) -> Body:
     codec = visible(message.codec)
     if len(codec.encode()) > _CODEC_BYTES:
         raise ConversionError(f"{message.TYPE}: found codec {message.codec!r}, expected at most {_CODEC_BYTES} bytes")
     return StartVideo(codec, message.resolution)
 
 
-def _start_polydata(message: Query, _: ToIgtl) -> Body:
+def _start_polydata(message: Query, _: ToIgtlContext) -> Body:
     # the library knows this query without content only
     return StartPolyData(message.resolution * NS_PER_MS or None)
 
@@ -124,12 +124,12 @@ def _start_polydata(message: Query, _: ToIgtl) -> Body:
 _FIELDS = ("resolution", "coordinate_name", "codec", "status")
 
 #: Content of a query → the fields that it carries, and how it is made.
-_CONTENTS: dict[type[Body], tuple[set[str], Callable[[Query, ToIgtl], Body]]] = {
-    Nothing: (set(), lambda message, to: Nothing()),
+_CONTENTS: dict[type[Body], tuple[set[str], Callable[[Query, ToIgtlContext], Body]]] = {
+    EmptyQuery: (set(), lambda message, to: EmptyQuery()),
     GetBind: (set(), lambda message, to: GetBind()),
     StartBind: ({"resolution"}, lambda message, to: StartBind(message.resolution * NS_PER_MS)),
     StartTracking: ({"resolution", "coordinate_name"}, _start_tracking),
     StartVideo: ({"resolution", "codec"}, _start_video),
     StartPolyData: ({"resolution"}, _start_polydata),
-    Reply: ({"status"}, lambda message, to: Reply(message.status)),
+    QueryReply: ({"status"}, lambda message, to: QueryReply(message.status)),
 }

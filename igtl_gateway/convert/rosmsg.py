@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.convert.cdr import Reader, Writer, stamped_pose
+from igtl_gateway.convert.cdr import CdrReader, CdrWriter, stamped_pose
 from igtl_gateway.stamp import ns_to_ros, ros_to_ns
 
 Array = npt.NDArray[Any]
@@ -43,12 +43,12 @@ class Header:
     stamp_ns: int = 0
     frame_id: str = ""
 
-    def write(self, out: Writer) -> None:
+    def write(self, out: CdrWriter) -> None:
         out.pack(_STAMP, 4, *ns_to_ros(self.stamp_ns))
         out.string(self.frame_id)
 
     @classmethod
-    def read(cls, cdr: Reader) -> Header:
+    def read(cls, cdr: CdrReader) -> Header:
         return cls(ros_to_ns(*cdr.unpack("iI", 4)), cdr.string())
 
 
@@ -60,13 +60,13 @@ class String:
     data: str
 
     def pack(self) -> bytes:
-        out = Writer()
+        out = CdrWriter()
         out.string(self.data)
         return out.finish()
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        return cls(Reader(cdr, cls.TYPE).string())
+        return cls(CdrReader(cdr, cls.TYPE).string())
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class TransformStamped:
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        read = Reader(cdr, cls.TYPE)
+        read = CdrReader(cdr, cls.TYPE)
         header, child = Header.read(read), read.string()
         values = read.unpack("7d", 8)
         return cls(header, child, values[:3], values[3:])
@@ -101,14 +101,14 @@ class PointStamped:
     point: tuple[float, float, float]
 
     def pack(self) -> bytes:
-        out = Writer()
+        out = CdrWriter()
         self.header.write(out)
         out.f64s(*self.point)
         return out.finish()
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        read = Reader(cdr, cls.TYPE)
+        read = CdrReader(cdr, cls.TYPE)
         header = Header.read(read)
         return cls(header, read.unpack("3d", 8))
 
@@ -127,7 +127,7 @@ class Image:
     data: Buffer
 
     def pack(self) -> bytes:
-        out = Writer()
+        out = CdrWriter()
         self.header.write(out)
         out.pack(_SIZE, 4, self.height, self.width)
         out.string(self.encoding)
@@ -138,7 +138,7 @@ class Image:
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        read = Reader(cdr, cls.TYPE)
+        read = CdrReader(cdr, cls.TYPE)
         header = Header.read(read)
         height, width = read.unpack("II", 4)
         return cls(header, height, width, read.string(), read.u8(), read.u32(), read.octets())
@@ -174,7 +174,7 @@ class PointCloud2:
     is_dense: bool
 
     def pack(self) -> bytes:
-        out = Writer()
+        out = CdrWriter()
         self.header.write(out)
         layout, described = _described(self.fields, self.is_bigendian, self.point_step)
         out.pack(layout, 4, self.height, self.width, described, self.row_step)
@@ -184,7 +184,7 @@ class PointCloud2:
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        read = Reader(cdr, cls.TYPE)
+        read = CdrReader(cdr, cls.TYPE)
         header = Header.read(read)
         height, width = read.unpack("II", 4)
         fields = tuple([_field(bytes(read.octets()), *read.unpack("IB3xI", 4)) for _ in range(read.count())])
@@ -201,7 +201,7 @@ def _field(name: bytes, offset: int, datatype: int, count: int) -> PointField:
 @lru_cache(maxsize=64)
 def _described(fields: tuple[PointField, ...], is_bigendian: bool, point_step: int) -> tuple[struct.Struct, bytes]:
     """The layout of all from height to row_step, and what a cloud says of its points as CDR, at a multiple of 4."""
-    out = Writer()
+    out = CdrWriter()
     out.u32(len(fields))
     for item in fields:
         out.string(item.name)
@@ -223,14 +223,14 @@ class Mesh:
     vertices: Array
 
     def pack(self) -> bytes:
-        out = Writer()
+        out = CdrWriter()
         out.sequence(np.asarray(self.triangles, np.uint32), 4, len(self.triangles))
         out.sequence(np.asarray(self.vertices, np.float64), 8, len(self.vertices))
         return out.finish()
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        read = Reader(cdr, cls.TYPE)
+        read = CdrReader(cdr, cls.TYPE)
         return cls(read.sequence("u4", 3, 4).reshape(-1, 3), read.sequence("f8", 3, 8).reshape(-1, 3))
 
 
@@ -262,7 +262,7 @@ class Marker:
     text: str = ""
 
     def pack(self) -> bytes:
-        out = Writer()
+        out = CdrWriter()
         self.header.write(out)
         out.string(self.ns)
         out.i32(self.id)
@@ -288,7 +288,7 @@ class Marker:
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        read = Reader(cdr, cls.TYPE)
+        read = CdrReader(cdr, cls.TYPE)
         header, ns = Header.read(read), read.string()
         marker_id, kind, action = read.i32(), read.i32(), read.i32()
         pose = read.unpack("10d", 8)
@@ -321,7 +321,7 @@ class DiagnosticStatus:
     values: tuple[tuple[str, str], ...] = ()
 
     def pack(self) -> bytes:
-        out = Writer()
+        out = CdrWriter()
         out.u8(self.level)
         out.string(self.name)
         out.string(self.message)
@@ -334,6 +334,6 @@ class DiagnosticStatus:
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        read = Reader(cdr, cls.TYPE)
+        read = CdrReader(cdr, cls.TYPE)
         level, name, message, hardware = read.u8(), read.string(), read.string(), read.string()
         return cls(level, name, message, hardware, tuple((read.string(), read.string()) for _ in range(read.count())))

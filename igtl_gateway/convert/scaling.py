@@ -9,24 +9,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 
 Array = npt.NDArray[Any]
 
 _SINGLE = np.dtype(np.float32).itemsize
 
 
-def into_ros(lengths: Lengths, values: Array, out: Array) -> Array:
+def into_ros(lengths: LengthUnits, values: Array, out: Array) -> Array:
     """Lengths of the OpenIGTLink side in ROS units, written into ``out`` (of float32 or float64, in any byte order).
 
-    The same numbers as ``Lengths.to_ros`` gives, rounded to what ``out`` holds.  Returns ``out``.
+    The same numbers as ``LengthUnits.to_ros`` gives, rounded to what ``out`` holds.  Returns ``out``.
     """
     times, by = _factors(lengths.ros, lengths.igtl)
     return _scale(values, times, by, out)
 
 
-def into_igtl(lengths: Lengths, values: Array, out: Array) -> Array:
-    """The inverse, as ``Lengths.to_igtl``."""
+def into_igtl(lengths: LengthUnits, values: Array, out: Array) -> Array:
+    """The inverse, as ``LengthUnits.to_igtl``."""
     by, times = _factors(lengths.ros, lengths.igtl)
     return _scale(values, times, by, out)
 
@@ -34,7 +34,7 @@ def into_igtl(lengths: Lengths, values: Array, out: Array) -> Array:
 @cache
 def _factors(ros: str, igtl: str) -> tuple[float, float]:
     """ROS units per OpenIGTLink unit, and the other way round: one of the two is a whole number."""
-    lengths = Lengths(ros, igtl)
+    lengths = LengthUnits(ros, igtl)
     return lengths.to_ros(1.0), lengths.to_igtl(1.0)
 
 

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.convert.cdr import Reader, Writer
+from igtl_gateway.convert.cdr import CdrReader, CdrWriter
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.stamp import ns_to_ros, ros_to_ns
 
@@ -30,14 +30,14 @@ class CdrType:
     """
 
     name: str
-    write: Callable[[Writer, Any], None]
-    read: Callable[[Reader], Any]
+    write: Callable[[CdrWriter, Any], None]
+    read: Callable[[CdrReader], Any]
 
 
 def _number(name: str, code: str) -> CdrType:
     layout = struct.Struct("<" + code)
 
-    def write(out: Writer, value: Any) -> None:
+    def write(out: CdrWriter, value: Any) -> None:
         try:
             out.pack(layout, layout.size, value)
         except struct.error:
@@ -52,10 +52,10 @@ _CODES = {
 }  # fmt: skip
 INT16, UINT8, UINT16, UINT32, UINT64 = (_number(n, _CODES[n]) for n in ("int16", "uint8", "uint16", "uint32", "uint64"))
 FLOAT64 = _number("float64", "d")
-BOOL = CdrType("bool", Writer.bool, Reader.bool)
-STRING = CdrType("string", Writer.string, Reader.string)
+BOOL = CdrType("bool", CdrWriter.bool, CdrReader.bool)
+STRING = CdrType("string", CdrWriter.string, CdrReader.string)
 #: uint8[]: any buffer, not copied.
-OCTETS = CdrType("uint8[]", Writer.octets, Reader.octets)
+OCTETS = CdrType("uint8[]", CdrWriter.octets, CdrReader.octets)
 
 _TIME = struct.Struct("<iI")
 #: builtin_interfaces/Time as UTC ns, 0 = unset.
@@ -66,14 +66,14 @@ TIME = CdrType(
 )
 
 
-def fixed(name: str, count: int, *, as_name: str = "") -> CdrType:
+def fixed_array(name: str, count: int, *, as_name: str = "") -> CdrType:
     """``count`` equal numbers in a row, as a tuple: an array of fixed length, or a struct of equal fields."""
     code = f"{count}{_CODES[name]}"
     layout = struct.Struct("<" + code)
     align = layout.size // count
     shown = as_name or f"{name}[{count}]"
 
-    def write(out: Writer, values: Any) -> None:
+    def write(out: CdrWriter, values: Any) -> None:
         try:
             out.pack(layout, align, *values)
         except struct.error:
@@ -83,17 +83,17 @@ def fixed(name: str, count: int, *, as_name: str = "") -> CdrType:
 
 
 #: geometry_msgs/Point and Vector3: x, y, z.
-POINT = fixed("float64", 3, as_name="geometry_msgs/Point")
+POINT = fixed_array("float64", 3, as_name="geometry_msgs/Point")
 #: geometry_msgs/Pose: position x, y, z, then orientation x, y, z, w.
-POSE = fixed("float64", 7, as_name="geometry_msgs/Pose")
+POSE = fixed_array("float64", 7, as_name="geometry_msgs/Pose")
 
 
-def numbers(name: str, columns: int = 1, *, as_name: str = "") -> CdrType:
+def number_sequence(name: str, columns: int = 1, *, as_name: str = "") -> CdrType:
     """A sequence of numbers, as an array (n,); of structs of ``columns`` equal numbers, as an array (n, columns)."""
     kind = np.dtype(_CODES[name])
     shape = (-1,) if columns == 1 else (-1, columns)
 
-    def write(out: Writer, values: Any) -> None:
+    def write(out: CdrWriter, values: Any) -> None:
         array = np.asarray(values, kind)
         out.sequence(array, kind.itemsize, len(array))
 
@@ -105,19 +105,19 @@ def numbers(name: str, columns: int = 1, *, as_name: str = "") -> CdrType:
 
 
 #: geometry_msgs/Point[] as an array (n, 3).
-POINTS = numbers("float64", 3, as_name="geometry_msgs/Point[]")
+POINTS = number_sequence("float64", 3, as_name="geometry_msgs/Point[]")
 
 
-def nested(of: CdrType | type[Struct]) -> CdrType:
+def struct_of(of: CdrType | type[Struct]) -> CdrType:
     """One struct inside another."""
     return of if isinstance(of, CdrType) else CdrType(of.TYPE, _write_struct, of.read)
 
 
-def several(of: CdrType | type[Struct]) -> CdrType:
+def sequence_of(of: CdrType | type[Struct]) -> CdrType:
     """A sequence of structs or texts, as a tuple."""
-    one = nested(of)
+    one = struct_of(of)
 
-    def write(out: Writer, values: Any) -> None:
+    def write(out: CdrWriter, values: Any) -> None:
         out.u32(len(values))
         for value in values:
             one.write(out, value)
@@ -134,19 +134,19 @@ class Struct:
     #: The names of the fields in their order, by ``dataclass``.
     __match_args__: ClassVar[tuple[str, ...]]
 
-    def write(self, out: Writer) -> None:
+    def write(self, out: CdrWriter) -> None:
         """Append the fields."""
         for name, kind in zip(self.__match_args__, self.FIELDS, strict=True):
             kind.write(out, getattr(self, name))
 
     @classmethod
-    def read(cls, cdr: Reader) -> Self:
+    def read(cls, cdr: CdrReader) -> Self:
         """Take the fields."""
         return cls(*[kind.read(cdr) for kind in cls.FIELDS])
 
     def pack(self) -> bytes:
         """CDR bytes.  Raises ConversionError for a number that its field cannot hold."""
-        out = Writer()
+        out = CdrWriter()
         try:
             self.write(out)
         except ConversionError as error:
@@ -156,8 +156,8 @@ class Struct:
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
         """From CDR bytes.  Raises ConversionError where they are none of this type."""
-        return cls.read(Reader(cdr, cls.TYPE))
+        return cls.read(CdrReader(cdr, cls.TYPE))
 
 
-def _write_struct(out: Writer, value: Struct) -> None:
+def _write_struct(out: CdrWriter, value: Struct) -> None:
     value.write(out)

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.convert.clouds import RGBA_NAME, colour_field, unit_colours
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
-from igtl_gateway.convert.poses import matrix_of, unit
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
+from igtl_gateway.convert.poses import rotation_matrix, unit_quaternion
 from igtl_gateway.convert.rosmsg import Header, Marker, Mesh
 from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
 from igtl_gateway.convert.units import ieee_754
@@ -38,30 +38,30 @@ def has_lines(content: PolyData) -> bool:
     return bool(content.lines.count)
 
 
-def is_cloud(content: PolyData) -> bool:
+def is_point_cloud(content: PolyData) -> bool:
     """Whether there are only points, with or without vertex cells."""
     return not has_faces(content) and not has_lines(content)
 
 
 @ieee_754
-def polydata_to_mesh(content: PolyData, to: ToRos) -> Mesh:
+def polydata_to_mesh(content: PolyData, to: ToRosContext) -> Mesh:
     """All points; polygons cut into fans and strips into triangles, in their order."""
     vertices = into_ros(to.lengths, content.points, np.empty(content.points.shape))
     return Mesh(_triangles(content).astype("<u4"), vertices)
 
 
-def polydata_to_marker(content: PolyData, to: ToRos) -> Marker:
+def polydata_to_marker(content: PolyData, to: ToRosContext) -> Marker:
     """The surface as TRIANGLE_LIST."""
     return _marker(content, Marker.TRIANGLE_LIST, _triangles(content).reshape(-1), 1.0, to)
 
 
-def polydata_to_lines(content: PolyData, to: ToRos) -> Marker:
+def polydata_to_lines(content: PolyData, to: ToRosContext) -> Marker:
     """The lines as LINE_LIST: a polyline of n points becomes n − 1 segments."""
     return _marker(content, Marker.LINE_LIST, _segments(content.lines).reshape(-1), DRAWN_WIDTH, to)
 
 
 @ieee_754
-def _marker(content: PolyData, kind: int, indices: Array, scale: float, to: ToRos) -> Marker:
+def _marker(content: PolyData, kind: int, indices: Array, scale: float, to: ToRosContext) -> Marker:
     points = content.points.take(indices, axis=0)
     colors = np.empty((0, 4), np.float32)
     for attribute in content.attributes:
@@ -82,7 +82,7 @@ def _marker(content: PolyData, kind: int, indices: Array, scale: float, to: ToRo
 
 
 @ieee_754
-def mesh_to_igtl(message: Mesh, to: ToIgtl) -> Outgoing:
+def mesh_to_igtl(message: Mesh, to: ToIgtlContext) -> ConvertedMessage:
     """As POLYDATA with a polygon for each triangle.
 
     Raises ConversionError for an index beyond the vertices and for numbers that are not finite.
@@ -93,17 +93,17 @@ def mesh_to_igtl(message: Mesh, to: ToIgtl) -> Outgoing:
             f"shape_msgs/Mesh: found vertex index {highest}, expected below {len(message.vertices)}, the vertices"
         )
     points = _finite(message.vertices, to, "shape_msgs/Mesh")
-    return Outgoing(PolyData(points, polygons=Cells.of(message.triangles)))
+    return ConvertedMessage(PolyData(points, polygons=Cells.of(message.triangles)))
 
 
 @ieee_754
-def marker_to_igtl(message: Marker, to: ToIgtl) -> Outgoing:
+def marker_to_igtl(message: Marker, to: ToIgtlContext) -> ConvertedMessage:
     """Lists of triangles, lines and points as POLYDATA, the marker's pose applied; a deletion as empty POLYDATA.
 
     Raises ConversionError for the shapes that hold no points of their own and for numbers that are not finite.
     """
     if message.action in _DELETIONS:
-        return Outgoing(PolyData(np.empty((0, 3), ">f4")), message.header.stamp_ns, message.header.frame_id)
+        return ConvertedMessage(PolyData(np.empty((0, 3), ">f4")), message.header.stamp_ns, message.header.frame_id)
     count = len(message.points)
     shape = _SHAPES.get(message.type)
     if shape is None:
@@ -120,7 +120,7 @@ def marker_to_igtl(message: Marker, to: ToIgtl) -> Outgoing:
     points = message.points
     if message.type == Marker.TRIANGLE_LIST:  # of the lists it is the one that viewers scale as a whole
         points = points * np.array(message.scale)
-    points = _finite(_posed(points, message), to, "visualization_msgs/Marker")
+    points = _finite(_apply_marker_pose(points, message), to, "visualization_msgs/Marker")
     attributes: tuple[Attribute, ...] = ()
     if len(message.colors) == count:
         attributes = (Attribute.of(SCALAR, RGBA_NAME, message.colors),)
@@ -129,7 +129,9 @@ def marker_to_igtl(message: Marker, to: ToIgtl) -> Outgoing:
     cells: dict[str, Any] = {"vertices": NO_CELLS, "lines": NO_CELLS, "polygons": NO_CELLS} | {
         section: Cells.of(indices)
     }
-    return Outgoing(PolyData(points, **cells, attributes=attributes), message.header.stamp_ns, message.header.frame_id)
+    return ConvertedMessage(
+        PolyData(points, **cells, attributes=attributes), message.header.stamp_ns, message.header.frame_id
+    )
 
 
 _DELETIONS = (2, 3)
@@ -145,7 +147,7 @@ _SHAPES = {
 }
 
 
-def _finite(points: Array, to: ToIgtl, place: str) -> Array:
+def _finite(points: Array, to: ToIgtlContext, place: str) -> Array:
     """As the wire has them.  A cell that refers to a missing point would be no cell, so none may be left out."""
     wire = into_igtl(to.lengths, points, np.empty(points.shape, ">f4"))
     if not all_finite(wire):
@@ -153,13 +155,15 @@ def _finite(points: Array, to: ToIgtl, place: str) -> Array:
     return wire
 
 
-def _posed(points: Array, message: Marker) -> Array:
+def _apply_marker_pose(points: Array, message: Marker) -> Array:
     """(n, 3) points moved by the marker's pose.  Written out: a matrix product may differ between machines."""
     if message.orientation in ((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0)):  # all zero: unset, as viewers take it
         rotated = points
     else:
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
-        rotated = np.stack([a * x + b * y + c * z for a, b, c in matrix_of(unit(message.orientation))], axis=1)
+        rotated = np.stack(
+            [a * x + b * y + c * z for a, b, c in rotation_matrix(unit_quaternion(message.orientation))], axis=1
+        )
     moved: Array = rotated + np.array(message.position)
     return moved
 
@@ -174,7 +178,7 @@ def _triangles(content: PolyData) -> Array:
 
 def _segments(lines: Cells) -> Array:
     """(n, 2) indices of all polylines."""
-    return _pieces(lines, _MIN_LINE, _steps)
+    return _pieces(lines, _MIN_LINE, _line_segments)
 
 
 def _fan(points: int) -> Array:
@@ -190,7 +194,7 @@ def _strip(points: int) -> Array:
     return np.stack([first + odd, first + 1 - odd, first + 2], axis=1)
 
 
-def _steps(points: int) -> Array:
+def _line_segments(points: int) -> Array:
     """(n, 2) places in a polyline: (0, 1), (1, 2), …"""
     first = np.arange(points - 1)
     return np.stack([first, first + 1], axis=1)

@@ -21,7 +21,6 @@ from igtl_gateway.convert import (
     images,
     lists,
     numbers,
-    plans,
     polydata,
     poses,
     queries,
@@ -29,10 +28,11 @@ from igtl_gateway.convert import (
     surfaces,
     texts,
     tracking,
+    trajectories,
     videos,
     volumes,
 )
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.qos import Qos
 from igtl_gateway.wire.bind import Bind
@@ -80,7 +80,7 @@ class Role(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class RosRow:
+class ConversionToRos:
     """OpenIGTLink → ROS.
 
     Attributes:
@@ -100,7 +100,7 @@ class RosRow:
     content: type | tuple[type, ...]
     message: type[RosMessage]
     kind: str
-    convert: Callable[[Any, ToRos], RosMessage | list[RosMessage]]
+    convert: Callable[[Any, ToRosContext], RosMessage | list[RosMessage]]
     qos: Qos
     lossy: str = ""
     applies: Callable[[Any], bool] = lambda content: True
@@ -109,7 +109,7 @@ class RosRow:
 
 
 @dataclass(frozen=True, slots=True)
-class IgtlRow:
+class ConversionToIgtl:
     """ROS → OpenIGTLink.
 
     Attributes:
@@ -123,7 +123,7 @@ class IgtlRow:
 
     message: type[RosMessage]
     igtl_type: str
-    convert: Callable[[Any, ToIgtl], Outgoing]
+    convert: Callable[[Any, ToIgtlContext], ConvertedMessage]
     qos: Qos
     lossy: str = ""
 
@@ -154,8 +154,8 @@ _POSES = (
 )
 _NO_POSE = "tools with an invalid rotation (reflections, zeros) are"
 
-TO_ROS: tuple[RosRow, ...] = (
-    RosRow(
+TO_ROS: tuple[ConversionToRos, ...] = (
+    ConversionToRos(
         ("TRANSFORM",),
         Transform,
         rosmsg.TransformStamped,
@@ -164,7 +164,7 @@ TO_ROS: tuple[RosRow, ...] = (
         _STATES,
         lossy=f"{_ROUNDED}; scale and shear if the matrix is not orthonormal (a warning); reflections are rejected",
     ),
-    RosRow(
+    ConversionToRos(
         ("POSITION", "QTRANS"),
         Position,
         rosmsg.TransformStamped,
@@ -173,8 +173,10 @@ TO_ROS: tuple[RosRow, ...] = (
         _STATES,
         lossy="length and sign of the quaternion, which form was used",
     ),
-    RosRow(("STRING",), String, rosmsg.String, "string", texts.string_to_ros, _TEXTS, lossy="stamp, encoding (UTF-8)"),
-    RosRow(
+    ConversionToRos(
+        ("STRING",), String, rosmsg.String, "string", texts.string_to_ros, _TEXTS, lossy="stamp, encoding (UTF-8)"
+    ),
+    ConversionToRos(
         ("CLIENTINFO",),
         ClientInfo,
         rosmsg.String,
@@ -183,8 +185,8 @@ TO_ROS: tuple[RosRow, ...] = (
         _TEXTS,
         lossy="stamp, encoding (UTF-8)",
     ),
-    RosRow(("STATUS",), Status, rosmsg.DiagnosticStatus, "status", texts.status_to_ros, _TEXTS, lossy="stamp"),
-    RosRow(
+    ConversionToRos(("STATUS",), Status, rosmsg.DiagnosticStatus, "status", texts.status_to_ros, _TEXTS, lossy="stamp"),
+    ConversionToRos(
         ("IMAGE",),
         Image,
         rosmsg.Image,
@@ -194,7 +196,7 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy="spacing, orientation and position",
         applies=volumes.is_flat,
     ),
-    RosRow(
+    ConversionToRos(
         ("POINT",),
         Points,
         rosmsg.PointStamped,
@@ -204,8 +206,10 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy=f"{_POINT_LOSS}, colour, diameter",
         applies=clouds.is_single,
     ),
-    RosRow(("POINT",), Points, rosmsg.PointCloud2, "points", clouds.points_to_ros, _SURFACES, lossy=_POINT_LOSS),
-    RosRow(
+    ConversionToRos(
+        ("POINT",), Points, rosmsg.PointCloud2, "points", clouds.points_to_cloud, _SURFACES, lossy=_POINT_LOSS
+    ),
+    ConversionToRos(
         ("POLYDATA",),
         PolyData,
         rosmsg.PointCloud2,
@@ -213,9 +217,9 @@ TO_ROS: tuple[RosRow, ...] = (
         clouds.polydata_to_cloud,
         _CLOUDS,
         lossy="cells, attributes of cells",
-        applies=surfaces.is_cloud,
+        applies=surfaces.is_point_cloud,
     ),
-    RosRow(
+    ConversionToRos(
         ("POLYDATA",),
         PolyData,
         rosmsg.Mesh,
@@ -225,7 +229,7 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy="stamp, attributes, lines and vertices; polygons become triangles",
         applies=surfaces.has_faces,
     ),
-    RosRow(
+    ConversionToRos(
         ("POLYDATA",),
         PolyData,
         rosmsg.Marker,
@@ -235,7 +239,7 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy="attributes other than colour; polygons become triangles without shared points",
         applies=surfaces.has_faces,
     ),
-    RosRow(
+    ConversionToRos(
         ("POLYDATA",),
         PolyData,
         rosmsg.Marker,
@@ -245,8 +249,8 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy="attributes other than colour; polylines become segments",
         applies=surfaces.has_lines,
     ),
-    RosRow(("SENSOR",), Sensor, igtl_msgs.Sensor, "sensor", numbers.sensor_to_ros, _STATES, role=Role.FULL),
-    RosRow(
+    ConversionToRos(("SENSOR",), Sensor, igtl_msgs.Sensor, "sensor", numbers.sensor_to_ros, _STATES, role=Role.FULL),
+    ConversionToRos(
         ("SENSOR",),
         Sensor,
         common_msgs.MULTI_ARRAYS["f8"],
@@ -255,9 +259,9 @@ TO_ROS: tuple[RosRow, ...] = (
         _STATES,
         lossy="stamp, unit, status",
     ),
-    RosRow(("NDARRAY",), NdArray, igtl_msgs.NdArray, "array", numbers.array_to_ros, _STATES, role=Role.FULL),
+    ConversionToRos(("NDARRAY",), NdArray, igtl_msgs.NdArray, "array", numbers.array_to_ros, _STATES, role=Role.FULL),
     *(
-        RosRow(
+        ConversionToRos(
             ("NDARRAY",),
             NdArray,
             message,
@@ -269,7 +273,7 @@ TO_ROS: tuple[RosRow, ...] = (
         )
         for code, message in common_msgs.MULTI_ARRAYS.items()
     ),
-    RosRow(
+    ConversionToRos(
         ("COMMAND",),
         Command,
         igtl_msgs.Command,
@@ -279,7 +283,7 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy=_TEXT_LOSS,
         role=Role.FULL,
     ),
-    RosRow(
+    ConversionToRos(
         ("RTS_COMMAND",),
         Command,
         igtl_msgs.CommandReply,
@@ -289,7 +293,7 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy=_TEXT_LOSS,
         role=Role.FULL,
     ),
-    RosRow(
+    ConversionToRos(
         tuple(QUERIES),
         tuple(dict.fromkeys(QUERIES.values())),
         igtl_msgs.Query,
@@ -300,7 +304,7 @@ TO_ROS: tuple[RosRow, ...] = (
         "whether an empty content was present",
         role=Role.FULL,
     ),
-    RosRow(
+    ConversionToRos(
         ("TDATA", "QTDATA"),
         _TOOLS,
         igtl_msgs.TrackingData,
@@ -310,7 +314,7 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy=f"which form was used, reserved bytes, {_TEXT_LOSS}, {_POSES}; {_NO_POSE} left out",
         role=Role.FULL,
     ),
-    RosRow(
+    ConversionToRos(
         ("TDATA", "QTDATA"),
         _TOOLS,
         common_msgs.PoseArray,
@@ -319,7 +323,7 @@ TO_ROS: tuple[RosRow, ...] = (
         _STATES,
         lossy=f"names, types, {_POSES}; {_NO_POSE} NaN",
     ),
-    RosRow(
+    ConversionToRos(
         ("TRANSFORM",),
         Transform,
         common_msgs.TFMessage,
@@ -329,7 +333,7 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy="as with TransformStamped; a frame that would be its own parent is left out",
         topic="/tf",
     ),
-    RosRow(
+    ConversionToRos(
         ("POSITION", "QTRANS"),
         Position,
         common_msgs.TFMessage,
@@ -339,7 +343,7 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy="as with TransformStamped; a frame that would be its own parent is left out",
         topic="/tf",
     ),
-    RosRow(
+    ConversionToRos(
         ("TDATA", "QTDATA"),
         _TOOLS,
         common_msgs.TFMessage,
@@ -349,38 +353,38 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy=f"types, frames that would be their own parents, {_POSES}; names become frame ids; {_NO_POSE} left out",
         topic="/tf",
     ),
-    RosRow(
+    ConversionToRos(
         ("TRAJ",),
         Trajectories,
         igtl_msgs.TrajectoryList,
         "trajectories",
-        plans.trajectories_to_ros,
+        trajectories.trajectories_to_ros,
         _SURFACES,
         lossy=f"reserved bytes, {_TEXT_LOSS}; {_LONG_LIST}",
         role=Role.FULL,
     ),
-    RosRow(
+    ConversionToRos(
         ("TRAJ",),
         Trajectories,
         rosmsg.Marker,
         "lines",
-        plans.trajectories_to_lines,
+        trajectories.trajectories_to_lines,
         _SURFACES,
         lossy=f"{_POINT_LOSS}, diameters, trajectories of one point; a line without a colour (all 0) is grey",
     ),
-    RosRow(
+    ConversionToRos(
         ("POINT",),
         Points,
         igtl_msgs.PointList,
         "landmarks",
-        plans.points_to_ros,
+        trajectories.points_to_point_list,
         _SURFACES,
-        lossy=f"{_TEXT_LOSS}; lists of more than {plans.MAX_POINTS:,}",
-        applies=plans.is_labeled,
+        lossy=f"{_TEXT_LOSS}; lists of more than {trajectories.MAX_POINTS:,}",
+        applies=trajectories.is_labeled,
         role=Role.FULL,
     ),
     *(
-        RosRow(types, content, message, kind, convert, _SURFACES, lossy=lossy, role=Role.FULL)
+        ConversionToRos(types, content, message, kind, convert, _SURFACES, lossy=lossy, role=Role.FULL)
         for types, content, message, kind, convert, lossy in (
             (("IMGMETA",), ImageMetaList, igtl_msgs.ImageMetaList, "images", lists.images_to_ros, _SCAN_LOSS),
             (("LBMETA",), LabelMetaList, igtl_msgs.LabelMetaList, "labels", lists.labels_to_ros, _LABEL_LOSS),
@@ -392,7 +396,7 @@ TO_ROS: tuple[RosRow, ...] = (
             ),
         )
     ),
-    RosRow(
+    ConversionToRos(
         ("BIND",),
         Bind,
         igtl_msgs.Bind,
@@ -402,7 +406,7 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy=_TEXT_LOSS + ", padding",
         role=Role.FULL,
     ),
-    RosRow(
+    ConversionToRos(
         ("IMAGE",),
         Image,
         igtl_msgs.Volume,
@@ -413,7 +417,7 @@ TO_ROS: tuple[RosRow, ...] = (
         applies=volumes.exceeds_picture,
         role=Role.FULL,
     ),
-    RosRow(
+    ConversionToRos(
         ("IMAGE",),
         Image,
         rosmsg.Image,
@@ -424,7 +428,7 @@ TO_ROS: tuple[RosRow, ...] = (
         applies=volumes.has_slices,
         role=Role.ON_REQUEST,
     ),
-    RosRow(
+    ConversionToRos(
         ("POLYDATA",),
         PolyData,
         igtl_msgs.PolyData,
@@ -435,7 +439,7 @@ TO_ROS: tuple[RosRow, ...] = (
         applies=polydata.exceeds_standard,
         role=Role.FULL,
     ),
-    RosRow(
+    ConversionToRos(
         ("VIDEO",),
         Video,
         igtl_msgs.VideoFrame,
@@ -445,7 +449,7 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy=f"{_PLACE_LOSS}; byte orders other than 1 (big) and 2, coordinate system 0, codecs that are invalid text",
         role=Role.FULL,
     ),
-    RosRow(
+    ConversionToRos(
         ("VIDEO",),
         Video,
         common_msgs.CompressedImage,
@@ -455,7 +459,7 @@ TO_ROS: tuple[RosRow, ...] = (
         lossy=_FRAME_LOSS,
         applies=videos.is_compressed,
     ),
-    RosRow(
+    ConversionToRos(
         ("VIDEO",),
         Video,
         common_msgs.CompressedVideo,
@@ -467,60 +471,68 @@ TO_ROS: tuple[RosRow, ...] = (
     ),
 )
 
-TO_IGTL: tuple[IgtlRow, ...] = (
-    IgtlRow(rosmsg.TransformStamped, "TRANSFORM", poses.transform_to_igtl, _STATES, f"{_TO_FLOAT32}, {_HEADER_1}"),
-    IgtlRow(
+TO_IGTL: tuple[ConversionToIgtl, ...] = (
+    ConversionToIgtl(
+        rosmsg.TransformStamped, "TRANSFORM", poses.transform_to_igtl, _STATES, f"{_TO_FLOAT32}, {_HEADER_1}"
+    ),
+    ConversionToIgtl(
         rosmsg.TransformStamped,
         "POSITION",
         poses.position_to_igtl,
         _STATES,
         f"double precision (float32), length of the quaternion, {_HEADER_1}",
     ),
-    IgtlRow(rosmsg.String, "STRING", texts.string_to_igtl, _TEXTS, "strings of more than 65,535 bytes are rejected"),
-    IgtlRow(
+    ConversionToIgtl(
+        rosmsg.String, "STRING", texts.string_to_igtl, _TEXTS, "strings of more than 65,535 bytes are rejected"
+    ),
+    ConversionToIgtl(
         rosmsg.String, "CLIENTINFO", texts.string_to_igtl, _TEXTS, "strings of more than 65,535 bytes are rejected"
     ),
-    IgtlRow(rosmsg.DiagnosticStatus, "STATUS", texts.status_to_igtl, _TEXTS, "name, hardware id, further values"),
-    IgtlRow(rosmsg.Image, "IMAGE", images.image_to_igtl, _PICTURES, f"{_HEADER_1}; BGR is sent as RGB"),
-    IgtlRow(rosmsg.PointStamped, "POINT", clouds.point_to_igtl, _STATES, f"double precision, {_HEADER_1}"),
-    IgtlRow(
+    ConversionToIgtl(
+        rosmsg.DiagnosticStatus, "STATUS", texts.status_to_igtl, _TEXTS, "name, hardware id, further values"
+    ),
+    ConversionToIgtl(rosmsg.Image, "IMAGE", images.image_to_igtl, _PICTURES, f"{_HEADER_1}; BGR is sent as RGB"),
+    ConversionToIgtl(rosmsg.PointStamped, "POINT", clouds.point_to_igtl, _STATES, f"double precision, {_HEADER_1}"),
+    ConversionToIgtl(
         rosmsg.PointCloud2,
         "POLYDATA",
         clouds.cloud_to_polydata,
         _CLOUDS,
         f"rows and columns, NaN and infinite points, {_HEADER_1}; fields become float32",
     ),
-    IgtlRow(
+    ConversionToIgtl(
         rosmsg.PointCloud2,
         "POINT",
         clouds.cloud_to_points,
         _CLOUDS,
         f"rows and columns, NaN and infinite points, fields other than colour and diameter, {_HEADER_1}",
     ),
-    IgtlRow(rosmsg.Mesh, "POLYDATA", surfaces.mesh_to_igtl, _SURFACES, "double precision"),
-    IgtlRow(
+    ConversionToIgtl(rosmsg.Mesh, "POLYDATA", surfaces.mesh_to_igtl, _SURFACES, "double precision"),
+    ConversionToIgtl(
         rosmsg.Marker,
         "POLYDATA",
         surfaces.marker_to_igtl,
         _SURFACES,
         f"double precision, uniform colour, {_HEADER_1}",
     ),
-    IgtlRow(igtl_msgs.Sensor, "SENSOR", numbers.sensor_to_igtl, _STATES, "unit_text if there is a unit"),
-    IgtlRow(
+    ConversionToIgtl(igtl_msgs.Sensor, "SENSOR", numbers.sensor_to_igtl, _STATES, "unit_text if there is a unit"),
+    ConversionToIgtl(
         common_msgs.JointState,
         "SENSOR",
         numbers.joints_to_sensor,
         _STATES,
         "names, velocity, effort; positions of prismatic joints get the unit radian too",
     ),
-    IgtlRow(igtl_msgs.NdArray, "NDARRAY", numbers.array_to_igtl, _STATES, "byte order (big-endian)"),
+    ConversionToIgtl(igtl_msgs.NdArray, "NDARRAY", numbers.array_to_igtl, _STATES, "byte order (big-endian)"),
     *(
-        IgtlRow(message, "NDARRAY", numbers.multi_to_array, _STATES, "labels, gaps between rows")
+        ConversionToIgtl(message, "NDARRAY", numbers.multi_to_array, _STATES, "labels, gaps between rows")
         for message in common_msgs.MULTI_ARRAYS.values()
     ),
-    IgtlRow(common_msgs.MULTI_ARRAYS["f8"], "SENSOR", numbers.values_to_sensor, _STATES, "layout"),
-    IgtlRow(igtl_msgs.Command, "COMMAND", commands.command_to_igtl, _TEXTS, "timeout, names of more than 127 bytes"),
-    IgtlRow(
+    ConversionToIgtl(common_msgs.MULTI_ARRAYS["f8"], "SENSOR", numbers.values_to_sensor, _STATES, "layout"),
+    ConversionToIgtl(
+        igtl_msgs.Command, "COMMAND", commands.command_to_igtl, _TEXTS, "timeout, names of more than 127 bytes"
+    ),
+    ConversionToIgtl(
         igtl_msgs.CommandReply,
         "RTS_COMMAND",
         commands.reply_to_igtl,
@@ -528,52 +540,56 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         "reason for a missing reply (TIMEOUT and NO_PEER become FAIL), error message of a success, "
         "names of more than 127 bytes",
     ),
-    IgtlRow(igtl_msgs.Query, "GET_STATUS", queries.query_to_igtl, _TEXTS, "fields that the query does not have"),
-    IgtlRow(
+    ConversionToIgtl(
+        igtl_msgs.Query, "GET_STATUS", queries.query_to_igtl, _TEXTS, "fields that the query does not have"
+    ),
+    ConversionToIgtl(
         igtl_msgs.TrackingData,
         "TDATA",
         tracking.tracking_to_tdata,
         _STATES,
         f"{_TO_FLOAT32}, names of more than 19 bytes, {_HEADER_1}",
     ),
-    IgtlRow(
+    ConversionToIgtl(
         igtl_msgs.TrackingData,
         "QTDATA",
         tracking.tracking_to_qtdata,
         _STATES,
         f"double precision (float32), length of quaternions, names of more than 19 bytes, {_HEADER_1}",
     ),
-    IgtlRow(
+    ConversionToIgtl(
         common_msgs.PoseArray,
         "TDATA",
         tracking.poses_to_tdata,
         _STATES,
         f"{_TO_FLOAT32}, {_HEADER_1}; the tools get the names Tool1, Tool2, …",
     ),
-    IgtlRow(common_msgs.PoseStamped, "TRANSFORM", poses.pose_to_transform, _STATES, f"{_TO_FLOAT32}, {_HEADER_1}"),
-    IgtlRow(
+    ConversionToIgtl(
+        common_msgs.PoseStamped, "TRANSFORM", poses.pose_to_transform, _STATES, f"{_TO_FLOAT32}, {_HEADER_1}"
+    ),
+    ConversionToIgtl(
         common_msgs.PoseStamped,
         "POSITION",
         poses.pose_to_position,
         _STATES,
         f"double precision (float32), length of the quaternion, {_HEADER_1}",
     ),
-    IgtlRow(
+    ConversionToIgtl(
         igtl_msgs.TrajectoryList,
         "TRAJ",
-        plans.trajectories_to_igtl,
+        trajectories.trajectories_to_igtl,
         _SURFACES,
         f"double precision (float32), {_LONG_TEXTS}, {_HEADER_1}; NaN and infinity are not sent",
     ),
-    IgtlRow(
+    ConversionToIgtl(
         igtl_msgs.PointList,
         "POINT",
-        plans.points_to_igtl,
+        trajectories.point_list_to_igtl,
         _SURFACES,
         f"double precision (float32), {_LONG_TEXTS}, {_HEADER_1}; NaN and infinity are not sent",
     ),
     *(
-        IgtlRow(message, igtl_type, convert, _SURFACES, lossy)
+        ConversionToIgtl(message, igtl_type, convert, _SURFACES, lossy)
         for message, igtl_type, convert, lossy in (
             (igtl_msgs.ImageMetaList, "IMGMETA", lists.images_to_igtl, _LONG_TEXTS),
             (igtl_msgs.LabelMetaList, "LBMETA", lists.labels_to_igtl, _LONG_TEXTS),
@@ -585,15 +601,15 @@ TO_IGTL: tuple[IgtlRow, ...] = (
             (igtl_msgs.Capability, "CAPABILITY", lists.capability_to_igtl, "names of more than 12 bytes are rejected"),
         )
     ),
-    IgtlRow(igtl_msgs.Bind, "BIND", lists.bind_to_igtl, _TEXTS, "names of more than 20 bytes"),
-    IgtlRow(
+    ConversionToIgtl(igtl_msgs.Bind, "BIND", lists.bind_to_igtl, _TEXTS, "names of more than 20 bytes"),
+    ConversionToIgtl(
         igtl_msgs.Volume,
         "IMAGE",
         volumes.volume_to_image,
         _VOLUMES,
         f"double precision of direction, spacing and origin (float32), {_HEADER_1}",
     ),
-    IgtlRow(
+    ConversionToIgtl(
         igtl_msgs.PolyData,
         "POLYDATA",
         polydata.polydata_to_igtl,
@@ -601,24 +617,24 @@ TO_IGTL: tuple[IgtlRow, ...] = (
         f"double precision of points (float32), names of more than 255 bytes, {_HEADER_1}; "
         "NaN and infinite points are not sent",
     ),
-    IgtlRow(
+    ConversionToIgtl(
         igtl_msgs.VideoFrame,
         "VIDEO",
         videos.video_to_igtl,
         _FRAMES,
         f"double precision of direction, spacing and centre (float32), {_HEADER_1}",
     ),
-    IgtlRow(common_msgs.CompressedImage, "VIDEO", videos.compressed_image_to_igtl, _FRAMES, _FORMAT_LOSS),
-    IgtlRow(common_msgs.CompressedVideo, "VIDEO", videos.compressed_video_to_igtl, _FRAMES, _FORMAT_LOSS),
+    ConversionToIgtl(common_msgs.CompressedImage, "VIDEO", videos.compressed_image_to_igtl, _FRAMES, _FORMAT_LOSS),
+    ConversionToIgtl(common_msgs.CompressedVideo, "VIDEO", videos.compressed_video_to_igtl, _FRAMES, _FORMAT_LOSS),
 )
 
 
-def rows_to_ros(igtl_type: str) -> tuple[RosRow, ...]:
+def rows_to_ros(igtl_type: str) -> tuple[ConversionToRos, ...]:
     """The rows of an OpenIGTLink type, in the order of the table; none for a type without conversion."""
     return _TO_ROS.get(igtl_type, ())
 
 
-def row_to_igtl(ros_type: str, igtl_type: str = "") -> IgtlRow | None:
+def row_to_igtl(ros_type: str, igtl_type: str = "") -> ConversionToIgtl | None:
     """The row of a ROS type, for ``igtl_type`` or the default; None where there is none."""
     return _TO_IGTL.get((ros_type, igtl_type))
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from igtl_gateway.convert.columns import fitted
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.columns import fit_texts
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import DiagnosticStatus
 from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.errors import ConversionError
@@ -23,12 +23,12 @@ _CODE, _SUBCODE, _ERROR_NAME = "code", "subcode", "error_name"
 _ERROR_NAME_BYTES = 19  # of 20: the reference reader drops a name that fills its field
 
 
-def string_to_ros(content: String, _: ToRos) -> RosString:
+def string_to_ros(content: String, _: ToRosContext) -> RosString:
     """The text in its named encoding, as UTF-8."""
     return RosString(content.text)
 
 
-def string_to_igtl(message: RosString, _: ToIgtl) -> Outgoing:
+def string_to_igtl(message: RosString, _: ToIgtlContext) -> ConvertedMessage:
     """Raises ConversionError above 65,535 bytes: the length field has 16 bits."""
     content = String.of(message.data)
     if len(content.data) > MAX_STRING_BYTES:
@@ -36,10 +36,10 @@ def string_to_igtl(message: RosString, _: ToIgtl) -> Outgoing:
             f"std_msgs/String: found {len(content.data)} bytes of UTF-8, expected at most {MAX_STRING_BYTES}: "
             "OpenIGTLink's STRING has a 16-bit length"
         )
-    return Outgoing(content)
+    return ConvertedMessage(content)
 
 
-def status_to_ros(content: Status, to: ToRos) -> DiagnosticStatus:
+def status_to_ros(content: Status, to: ToRosContext) -> DiagnosticStatus:
     """Code 1 is OK, "not now" codes are WARN, the rest ERROR; code, sub-code and error name become values."""
     level = OK if content.code == _STATUS_OK else WARN if content.code in _WARNING_CODES else ERROR
     message = visible(content.message) or (CODES[content.code] if content.code < len(CODES) else "")
@@ -51,7 +51,7 @@ def status_to_ros(content: Status, to: ToRos) -> DiagnosticStatus:
     return DiagnosticStatus(level, to.device_name, message, "", values)
 
 
-def status_to_igtl(message: DiagnosticStatus, to: ToIgtl) -> Outgoing:
+def status_to_igtl(message: DiagnosticStatus, to: ToIgtlContext) -> ConvertedMessage:
     """The inverse; without a ``code`` value the level tells the code."""
     values = dict(message.values)
     try:
@@ -61,5 +61,5 @@ def status_to_igtl(message: DiagnosticStatus, to: ToIgtl) -> Outgoing:
         raise ConversionError(f"DiagnosticStatus: found values {values}, expected whole numbers") from None
     if not 0 <= code < 1 << 16 or not -(1 << 63) <= subcode < 1 << 63:
         raise ConversionError(f"DiagnosticStatus: found code {code}, subcode {subcode}, expected u16 and i64")
-    (error_name,) = fitted((values.get(_ERROR_NAME, ""),), _ERROR_NAME_BYTES, "error_name", to)
-    return Outgoing(Status(code, subcode, error_name, message.message))
+    (error_name,) = fit_texts((values.get(_ERROR_NAME, ""),), _ERROR_NAME_BYTES, "error_name", to)
+    return ConvertedMessage(Status(code, subcode, error_name, message.message))

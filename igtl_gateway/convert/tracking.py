@@ -15,12 +15,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.convert.columns import check_rows, set_texts, texts
+from igtl_gateway.convert.columns import check_rows, set_text_fields, texts
 from igtl_gateway.convert.common_msgs import FrameTransform, PoseArray, TFMessage
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import Pose, TrackedTool, TrackingData
 from igtl_gateway.convert.names import frames_of, topic_token
-from igtl_gateway.convert.poses import matrix_of, pose_of_matrix, pose_of_position, position_to_ros, transform_to_ros
+from igtl_gateway.convert.poses import (
+    pose_of_matrix,
+    pose_of_position,
+    position_to_ros,
+    rotation_matrix,
+    transform_to_ros,
+)
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.errors import ConversionError
@@ -37,7 +43,7 @@ _POSE_COLUMNS = 7
 _NO_POSE = (float("nan"),) * _POSE_COLUMNS
 
 
-def tracking_to_ros(content: Tracking, to: ToRos) -> TrackingData:
+def tracking_to_ros(content: Tracking, to: ToRosContext) -> TrackingData:
     """All tools but those whose matrix or quaternion is no pose."""
     types = content.elements["type"].tolist()
     tools = (
@@ -48,13 +54,13 @@ def tracking_to_ros(content: Tracking, to: ToRos) -> TrackingData:
     return TrackingData(Header(to.stamp_ns, to.frame_id), tuple(tools), to.metadata)
 
 
-def tracking_to_poses(content: Tracking, to: ToRos) -> PoseArray:
+def tracking_to_poses(content: Tracking, to: ToRosContext) -> PoseArray:
     """The poses in the order of the tools; NaN for a tool that is no pose."""
     poses = np.array([pose or _NO_POSE for _, pose in _tools(content, to)], float).reshape(-1, _POSE_COLUMNS)
     return PoseArray(Header(to.stamp_ns, to.frame_id), poses)
 
 
-def tracking_to_tf(content: Tracking, to: ToRos) -> TFMessage:
+def tracking_to_tf(content: Tracking, to: ToRosContext) -> TFMessage:
     """Each tool as a frame: a name ``AToB`` is A in B, any other one is a child of the stream's frame.
 
     A tool without name gets that of the device with its index.  Tools that are no pose are left out.
@@ -71,21 +77,21 @@ def tracking_to_tf(content: Tracking, to: ToRos) -> TFMessage:
     return _tf(frames, to)
 
 
-def transform_to_tf(content: Transform, to: ToRos) -> TFMessage:
+def transform_to_tf(content: Transform, to: ToRosContext) -> TFMessage:
     """Raises ConversionError as ``transform_to_ros``."""
     return _one_tf(to.made.get(TransformStamped.TYPE) or transform_to_ros(content, to), to)
 
 
-def position_to_tf(content: Position, to: ToRos) -> TFMessage:
+def position_to_tf(content: Position, to: ToRosContext) -> TFMessage:
     """Raises ConversionError as ``position_to_ros``."""
     return _one_tf(to.made.get(TransformStamped.TYPE) or position_to_ros(content, to), to)
 
 
-def _one_tf(message: TransformStamped, to: ToRos) -> TFMessage:
+def _one_tf(message: TransformStamped, to: ToRosContext) -> TFMessage:
     return _tf([(to.frame_id, to.child_frame_id, (*message.translation, *message.rotation))], to)
 
 
-def _tf(frames: Iterable[tuple[str, str, Pose]], to: ToRos) -> TFMessage:
+def _tf(frames: Iterable[tuple[str, str, Pose]], to: ToRosContext) -> TFMessage:
     """Of (parent, child, pose); tf2 refuses a frame that is its own parent, so it is left out with a warning."""
     transforms = []
     for parent, child, pose in frames:
@@ -96,7 +102,7 @@ def _tf(frames: Iterable[tuple[str, str, Pose]], to: ToRos) -> TFMessage:
     return TFMessage(tuple(transforms))
 
 
-def _tools(content: Tracking, to: ToRos) -> list[tuple[str, Pose | None]]:
+def _tools(content: Tracking, to: ToRosContext) -> list[tuple[str, Pose | None]]:
     """Name and pose of each tool; None and a warning for what is no pose.
 
     Raises ConversionError above MAX_TOOLS.
@@ -122,12 +128,12 @@ def _tools(content: Tracking, to: ToRos) -> list[tuple[str, Pose | None]]:
     return list(zip(names, poses, strict=True))
 
 
-def tracking_to_tdata(message: TrackingData, to: ToIgtl) -> Outgoing:
+def tracking_to_tdata(message: TrackingData, to: ToIgtlContext) -> ConvertedMessage:
     """As TDATA.  Raises ConversionError for numbers that are not finite and for quaternions of no length."""
     return _sent(message, wire.TrackingData(_matrices(_tool_poses(message), to, TrackingData.TYPE)), to)
 
 
-def tracking_to_qtdata(message: TrackingData, to: ToIgtl) -> Outgoing:
+def tracking_to_qtdata(message: TrackingData, to: ToIgtlContext) -> ConvertedMessage:
     """As QTDATA.  Raises ConversionError as ``tracking_to_tdata``."""
     positions, rotations = _finite(_tool_poses(message), to, TrackingData.TYPE)
     elements = np.zeros(len(positions), wire.QTRACKING_DTYPE)
@@ -136,19 +142,19 @@ def tracking_to_qtdata(message: TrackingData, to: ToIgtl) -> Outgoing:
     return _sent(message, wire.QuaternionTrackingData(elements), to)
 
 
-def poses_to_tdata(message: PoseArray, to: ToIgtl) -> Outgoing:
+def poses_to_tdata(message: PoseArray, to: ToIgtlContext) -> ConvertedMessage:
     """As TDATA of tools ``Tool1``, ``Tool2``, …  Raises ConversionError as ``tracking_to_tdata``."""
     elements = _matrices(message.poses, to, PoseArray.TYPE)
     elements["type"] = wire.TOOL_6D
-    set_texts(elements, "name", (f"Tool{number}" for number in range(1, len(elements) + 1)), to)
-    return Outgoing(wire.TrackingData(elements), message.header.stamp_ns, message.header.frame_id)
+    set_text_fields(elements, "name", (f"Tool{number}" for number in range(1, len(elements) + 1)), to)
+    return ConvertedMessage(wire.TrackingData(elements), message.header.stamp_ns, message.header.frame_id)
 
 
-def _sent(message: TrackingData, content: Tracking, to: ToIgtl) -> Outgoing:
+def _sent(message: TrackingData, content: Tracking, to: ToIgtlContext) -> ConvertedMessage:
     """With the names and types of the tools filled in."""
-    set_texts(content.elements, "name", (tool.name for tool in message.tools), to)
+    set_text_fields(content.elements, "name", (tool.name for tool in message.tools), to)
     content.elements["type"] = [tool.type for tool in message.tools]
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
 
 
 def _tool_poses(message: TrackingData) -> Array:
@@ -156,13 +162,13 @@ def _tool_poses(message: TrackingData) -> Array:
 
 
 @ieee_754
-def _matrices(poses: Array, to: ToIgtl, place: str) -> Array:
+def _matrices(poses: Array, to: ToIgtlContext, place: str) -> Array:
     """Elements of TDATA with the matrices of (n, 7) poses."""
     positions, rotations = _finite(poses, to, place)
     x, y, z, w = rotations.T
     elements = np.zeros(len(poses), wire.TRACKING_DTYPE)
     matrix = elements["matrix"]
-    for row, values in enumerate(matrix_of((x, y, z, w))):
+    for row, values in enumerate(rotation_matrix((x, y, z, w))):
         for column, value in enumerate(values):
             matrix[:, 3 * column + row] = value
     matrix[:, 9:] = positions
@@ -170,7 +176,7 @@ def _matrices(poses: Array, to: ToIgtl, place: str) -> Array:
 
 
 @ieee_754
-def _finite(poses: Array, to: ToIgtl, place: str) -> tuple[Array, Array]:
+def _finite(poses: Array, to: ToIgtlContext, place: str) -> tuple[Array, Array]:
     """Positions (n, 3) float32 in OpenIGTLink units and unit quaternions (n, 4) of (n, 7) poses."""
     positions = to.lengths.to_igtl(poses[:, :3]).astype(">f4")
     x, y, z, w = poses[:, 3:].T

@@ -23,7 +23,7 @@ ieee_754 = np.errstate(over="ignore", invalid="ignore")
 
 
 @dataclass(frozen=True, slots=True)
-class Lengths:
+class LengthUnits:
     """The length units of the two sides of one stream.
 
     Attributes:

@@ -12,7 +12,7 @@ import re
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert.bitstream import is_key_frame
 from igtl_gateway.convert.common_msgs import CompressedImage, CompressedVideo
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.framesize import frame_size
 from igtl_gateway.convert.geometry import Placement
 from igtl_gateway.convert.igtl_msgs import VideoFrame
@@ -38,7 +38,7 @@ def is_compressed(content: Video) -> bool:
     return content.codec in FORMATS
 
 
-def video_to_ros(content: Video, to: ToRos) -> VideoFrame:
+def video_to_ros(content: Video, to: ToRosContext) -> VideoFrame:
     """A matrix that is not finite gives numbers that are none: later frames depend on this one all the same."""
     placement = Placement.of_wire(content.wire_matrix, content.coordinate, to.lengths)
     return VideoFrame(
@@ -58,7 +58,7 @@ def video_to_ros(content: Video, to: ToRos) -> VideoFrame:
     )
 
 
-def video_to_igtl(message: VideoFrame, to: ToIgtl) -> Outgoing:
+def video_to_igtl(message: VideoFrame, to: ToIgtlContext) -> ConvertedMessage:
     """The inverse; a coordinate system that is not filled in (0) is RAS.
 
     Raises ConversionError for a codec of more than four letters, and for numbers that float32 cannot hold.
@@ -79,28 +79,28 @@ def video_to_igtl(message: VideoFrame, to: ToIgtl) -> Outgoing:
         message.offset,
         message.part_size,
     )
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
 
 
-def video_to_compressed_image(content: Video, to: ToRos) -> CompressedImage:
+def video_to_compressed_image(content: Video, to: ToRosContext) -> CompressedImage:
     """The bit stream with its format; for codecs that ``is_compressed`` knows."""
     return CompressedImage(Header(to.stamp_ns, to.frame_id), FORMATS[content.codec], content.data)
 
 
-def video_to_compressed_video(content: Video, to: ToRos) -> CompressedVideo:
+def video_to_compressed_video(content: Video, to: ToRosContext) -> CompressedVideo:
     """The bit stream with its format; for codecs that ``is_compressed`` knows."""
     return CompressedVideo(to.stamp_ns, to.frame_id, content.data, FORMATS[content.codec])
 
 
-def compressed_image_to_igtl(message: CompressedImage, _: ToIgtl) -> Outgoing:
+def compressed_image_to_igtl(message: CompressedImage, _: ToIgtlContext) -> ConvertedMessage:
     """Raises ConversionError for formats that are no video, and for empty frames."""
     content = _video(message.format, message.data, message.TYPE)
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id)
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id)
 
 
-def compressed_video_to_igtl(message: CompressedVideo, _: ToIgtl) -> Outgoing:
+def compressed_video_to_igtl(message: CompressedVideo, _: ToIgtlContext) -> ConvertedMessage:
     """Raises ConversionError for formats that are no video, and for empty frames."""
-    return Outgoing(_video(message.format, message.data, message.TYPE), message.timestamp_ns, message.frame_id)
+    return ConvertedMessage(_video(message.format, message.data, message.TYPE), message.timestamp_ns, message.frame_id)
 
 
 def _video(named: str, data: Buffer, ros_type: str) -> Video:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from igtl_gateway.convert import images
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
-from igtl_gateway.convert.geometry import Placement, split
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
+from igtl_gateway.convert.geometry import Placement, split_axes
 from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.rosmsg import Header, RosMessage
 from igtl_gateway.errors import ConversionError, MalformedBody
@@ -40,7 +40,7 @@ def exceeds_picture(content: Image) -> bool:
     )
 
 
-def image_to_volume(content: Image, to: ToRos) -> Volume:
+def image_to_volume(content: Image, to: ToRosContext) -> Volume:
     """A matrix that is not finite gives numbers that are none: the pixels are worth something all the same.
 
     Raises ConversionError for a part of an image; parts are put together before (``assembly``).
@@ -62,12 +62,12 @@ def image_to_volume(content: Image, to: ToRos) -> Volume:
     )
 
 
-def volume_to_image(message: Volume, to: ToIgtl) -> Outgoing:
+def volume_to_image(message: Volume, to: ToIgtlContext) -> ConvertedMessage:
     """The inverse; a coordinate system that is not filled in (0) is RAS.
 
     Raises ConversionError where the fields contradict each other, and for numbers that float32 cannot hold.
     """
-    _, lengths = split(message.direction)
+    _, lengths = split_axes(message.direction)
     if any(abs(length - 1) > _UNIT_TOLERANCE for length in lengths):
         text = f"columns of the direction have the lengths {lengths}, not 1: voxels get another size than the spacing"
         to.warnings.append(("direction_not_unit", text))
@@ -86,10 +86,10 @@ def volume_to_image(message: Volume, to: ToIgtl) -> Outgoing:
         content.check()
     except MalformedBody as error:
         raise ConversionError(f"{message.TYPE}: {error}") from None
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
 
 
-def image_to_slices(content: Image, to: ToRos) -> list[RosMessage]:
+def image_to_slices(content: Image, to: ToRosContext) -> list[RosMessage]:
     """One picture for each slice, k = 0 first, all with the stamp and the frame of the volume.
 
     Raises ConversionError for a part of an image.
@@ -109,7 +109,7 @@ def image_to_slices(content: Image, to: ToRos) -> list[RosMessage]:
     ]
 
 
-def _check_whole(content: Image, to: ToRos) -> None:
+def _check_whole(content: Image, to: ToRosContext) -> None:
     if content.sub_size != content.dimensions:
         raise ConversionError(
             f"IMAGE {to.device_name!r}: found the part {content.sub_size} at {content.subvol_offset} "

@@ -6,7 +6,7 @@ what to do, and where it is written.
 """
 
 from igtl_gateway.doctor.observer import Observer
-from igtl_gateway.doctor.report import Report
-from igtl_gateway.doctor.rules import RULES, Finding, Rule, Severity
+from igtl_gateway.doctor.report import DoctorReport
+from igtl_gateway.doctor.rules import RULES, Rule, RuleFinding, Severity
 
-__all__ = ["RULES", "Finding", "Observer", "Report", "Rule", "Severity"]
+__all__ = ["RULES", "DoctorReport", "Observer", "Rule", "RuleFinding", "Severity"]

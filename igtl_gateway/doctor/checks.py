@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from igtl_gateway.convert.names import MAX_DEVICE_NAME, topic_token
-from igtl_gateway.doctor.observer import MAX_STREAMS, Observer, Peer, Stream
+from igtl_gateway.doctor.observer import MAX_STREAMS, ObservedPeer, ObservedStream, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink, protocol_of
 from igtl_gateway.session.note import Level
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
@@ -42,7 +42,7 @@ GAP_FACTOR, GAP_NS, RHYTHM = 10, NS_PER_S, 20
 
 
 @dataclass(frozen=True, slots=True)
-class Hit:
+class RuleMatch:
     """One case that a rule applies to: where, and what was found there."""
 
     where: str
@@ -53,18 +53,18 @@ class Hit:
 # ── links ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _of_role(seen: Observer, role: str) -> list[Peer]:
+def _of_role(seen: Observer, role: str) -> list[ObservedPeer]:
     return [peer for peer in seen.peers.values() if peer.role == role]
 
 
-def _stranger(peer: Peer) -> str | None:
+def _stranger(peer: ObservedPeer) -> str | None:
     """What the peer speaks instead of OpenIGTLink, ``""`` if that is not known; None if it does speak it."""
     if not peer.head or is_openigtlink(peer.head):
         return None
     return protocol_of(peer.head)
 
 
-def other_protocol(seen: Observer) -> Iterator[Hit]:
+def other_protocol(seen: Observer) -> Iterator[RuleMatch]:
     for peer in seen.peers.values():
         stranger = _stranger(peer)
         if stranger is None:
@@ -77,76 +77,76 @@ def other_protocol(seen: Observer) -> Iterator[Hit]:
         else:
             found = stranger or "an unknown protocol"
             text = f"{peer.name} does not send OpenIGTLink but {found}: its first bytes are {shown}"
-        yield Hit(peer.name, text, {"protocol": stranger, "head": peer.head.hex()})
+        yield RuleMatch(peer.name, text, {"protocol": stranger, "head": peer.head.hex()})
 
 
 def _shown(head: bytes) -> str:
     return repr(head[:24].decode("ascii", "backslashreplace"))
 
 
-def both_clients(seen: Observer) -> Iterator[Hit]:
+def both_clients(seen: Observer) -> Iterator[RuleMatch]:
     if seen.intent and seen.intent.role == "client" and not _of_role(seen, "client"):
         for peer in _of_role(seen, "server"):
             text = f"no server at {seen.intent.place}, but {peer.name} connects to this program: both sides are clients"
-            yield Hit(seen.intent.place, text)
+            yield RuleMatch(seen.intent.place, text)
 
 
-def both_servers(seen: Observer) -> Iterator[Hit]:
+def both_servers(seen: Observer) -> Iterator[RuleMatch]:
     """Whoever has our own port may be a gateway that runs already, unless it says something."""
     if seen.intent and seen.intent.role == "server" and not _of_role(seen, "server"):
         for peer in _of_role(seen, "client"):
             if _stranger(peer) is None and (peer.messages or "listen_failed" not in seen.said):
                 text = f"no client connects to {seen.intent.place}, but {peer.name} is a server: both sides are servers"
-                yield Hit(seen.intent.place, text)
+                yield RuleMatch(seen.intent.place, text)
 
 
 #: What only the reasons of TLS have in them.
 _OF_TLS = re.compile(r"TLS|certificate|cipher")
 
 
-def no_listener(seen: Observer) -> Iterator[Hit]:
+def no_listener(seen: Observer) -> Iterator[RuleMatch]:
     said = seen.said.get("connect_failed")
     if said and not seen.peers and (seen.intent is None or seen.intent.role == "client") and not any(no_tls(seen)):
         data = said.first.data
-        yield Hit(str(data.get("peer", "")), f"no server at {data.get('peer')}: {data.get('reason')}")
+        yield RuleMatch(str(data.get("peer", "")), f"no server at {data.get('peer')}: {data.get('reason')}")
 
 
-def no_tls(seen: Observer) -> Iterator[Hit]:
+def no_tls(seen: Observer) -> Iterator[RuleMatch]:
     said = seen.said.get("connect_failed")
     if said and not seen.peers and _OF_TLS.search(reason := str(said.first.data.get("reason"))):
         peer = str(said.first.data.get("peer", ""))
-        yield Hit(peer, f"{peer} accepts connections, but the TLS handshake fails: {reason}")
+        yield RuleMatch(peer, f"{peer} accepts connections, but the TLS handshake fails: {reason}")
 
 
-def port_taken(seen: Observer) -> Iterator[Hit]:
+def port_taken(seen: Observer) -> Iterator[RuleMatch]:
     if (said := seen.said.get("listen_failed")) and not any(both_servers(seen)):
-        yield Hit(said.first.stream, said.first.text)
+        yield RuleMatch(said.first.stream, said.first.text)
 
 
-def nobody_connects(seen: Observer) -> Iterator[Hit]:
+def nobody_connects(seen: Observer) -> Iterator[RuleMatch]:
     waited = seen.intent and seen.intent.role == "server" and not seen.peers
     if seen.intent and waited and seen.said.keys().isdisjoint(("listen_failed", "refused")):
-        yield Hit(seen.intent.place, f"no client connected to {seen.intent.place}")
+        yield RuleMatch(seen.intent.place, f"no client connected to {seen.intent.place}")
 
 
-def refused(seen: Observer) -> Iterator[Hit]:
+def refused(seen: Observer) -> Iterator[RuleMatch]:
     if said := seen.said.get("refused"):
-        yield Hit(str(said.first.data.get("peer", "")), said.first.text, {"count": said.count})
+        yield RuleMatch(str(said.first.data.get("peer", "")), said.first.text, {"count": said.count})
 
 
-def silent(seen: Observer) -> Iterator[Hit]:
+def silent(seen: Observer) -> Iterator[RuleMatch]:
     """A recording does not tell whether a silent peer was meant to say anything."""
     if seen.intent is None:
         return
     for peer in _of_role(seen, seen.intent.role):
         if not peer.messages and not peer.head and not peer.received_bytes and peer.up_ns:
             lasted = ((peer.down_ns or seen.ended_ns) - peer.up_ns) / NS_PER_S
-            yield Hit(peer.name, f"{peer.name} is connected, but sent nothing in {lasted:.1f} s")
+            yield RuleMatch(peer.name, f"{peer.name} is connected, but sent nothing in {lasted:.1f} s")
 
 
-def leaves(seen: Observer) -> Iterator[Hit]:
+def leaves(seen: Observer) -> Iterator[RuleMatch]:
     """In a recording once is an accident: people stop programs; a program that cannot read on comes again and again."""
-    gone: dict[tuple[str, int], list[Hit]] = {}
+    gone: dict[tuple[str, int], list[RuleMatch]] = {}
     for peer in seen.peers.values():
         if not peer.down_ns or not peer.reason.startswith(("closed by the peer", "receiving failed")):
             continue
@@ -157,33 +157,33 @@ def leaves(seen: Observer) -> Iterator[Hit]:
                 if peer.heard:
                     text += f"; it sends version {min(peer.heard)}"
                 host = peer.address.rpartition(":")[0]
-                gone.setdefault((host, version), []).append(Hit(peer.name, text, {"version": version}))
+                gone.setdefault((host, version), []).append(RuleMatch(peer.name, text, {"version": version}))
     for hits in gone.values():
         if seen.intent or len(hits) >= OFTEN:
             yield hits[0]
 
 
-def cut(seen: Observer) -> Iterator[Hit]:
+def cut(seen: Observer) -> Iterator[RuleMatch]:
     for peer in seen.peers.values():
         if peer.head and is_openigtlink(peer.head) and peer.head_why != "too_large":
             said = seen.said[peer.head_why]
-            yield Hit(peer.name, said.first.text, {"head": peer.head.hex()})
+            yield RuleMatch(peer.name, said.first.text, {"head": peer.head.hex()})
 
 
-def too_large(seen: Observer) -> Iterator[Hit]:
+def too_large(seen: Observer) -> Iterator[RuleMatch]:
     for peer in seen.peers.values():
         if peer.head_why == "too_large" and is_openigtlink(peer.head):
-            yield Hit(peer.name, seen.said["too_large"].first.text, {"head": peer.head.hex()})
+            yield RuleMatch(peer.name, seen.said["too_large"].first.text, {"head": peer.head.hex()})
 
 
-def slow(seen: Observer) -> Iterator[Hit]:
+def slow(seen: Observer) -> Iterator[RuleMatch]:
     for code in ("queue_full", "queue_drop"):
         if said := seen.said.get(code):
-            yield Hit(str(said.first.data.get("peer", "")), said.first.text)
+            yield RuleMatch(str(said.first.data.get("peer", "")), said.first.text)
             return
 
 
-def comes_and_goes(seen: Observer) -> Iterator[Hit]:
+def comes_and_goes(seen: Observer) -> Iterator[RuleMatch]:
     short: dict[str, int] = {}
     for peer in seen.peers.values():
         if peer.up_ns and peer.down_ns and peer.down_ns - peer.up_ns < SHORT_NS:
@@ -191,35 +191,37 @@ def comes_and_goes(seen: Observer) -> Iterator[Hit]:
             short[host] = short.get(host, 0) + 1
     for host, number in short.items():
         if number >= OFTEN:
-            yield Hit(host, f"{number} links with {host} lasted less than {SHORT_NS / NS_PER_S:g} s")
+            yield RuleMatch(host, f"{number} links with {host} lasted less than {SHORT_NS / NS_PER_S:g} s")
 
 
 # ── headers ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def each(applies: Callable[[Stream], int], text: Callable[[Stream], str]) -> Callable[[Observer], Iterator[Hit]]:
+def each_stream(
+    applies: Callable[[ObservedStream], int], text: Callable[[ObservedStream], str]
+) -> Callable[[Observer], Iterator[RuleMatch]]:
     """A check of one stream after the other: it applies where the first gives a number, of messages mostly."""
 
-    def check(seen: Observer) -> Iterator[Hit]:
+    def check(seen: Observer) -> Iterator[RuleMatch]:
         for stream in seen.streams.values():
             if number := applies(stream):
-                yield Hit(stream.name, text(stream), {"link": stream.link, "count": int(number)})
+                yield RuleMatch(stream.name, text(stream), {"link": stream.link, "count": int(number)})
 
     return check
 
 
-def wrong_versions(stream: Stream) -> list[int]:
+def wrong_versions(stream: ObservedStream) -> list[int]:
     return sorted(set(stream.versions) - set(HEADER_VERSIONS))
 
 
-def mixed_versions(seen: Observer) -> Iterator[Hit]:
+def mixed_versions(seen: Observer) -> Iterator[RuleMatch]:
     for peer in seen.peers.values():
         if len([version for version in peer.heard if version in HEADER_VERSIONS]) > 1:
             counts = ", ".join(f"{count} of version {version}" for version, count in sorted(peer.heard.items()))
-            yield Hit(peer.name, f"messages of both header versions: {counts}")
+            yield RuleMatch(peer.name, f"messages of both header versions: {counts}")
 
 
-def unknown_type(stream: Stream) -> str:
+def unknown_type(stream: ObservedStream) -> str:
     if stream.type.upper() in BODIES:
         return f"the type {stream.type!r} is not in capital letters: peers do not recognise it"
     return f"the type {stream.type!r} is not a type of the protocol: its messages are forwarded unchanged"
@@ -232,20 +234,20 @@ def ms(ns: int) -> str:
     return f"{ns / NS_PER_S:,.1f} s" if abs(ns) >= NS_PER_S else f"{ns / NS_PER_MS:,.1f} ms"
 
 
-def other_epoch(stream: Stream) -> int:
+def other_epoch(stream: ObservedStream) -> int:
     timing = stream.timing
     return timing.stamped if max(abs(timing.least_ns), abs(timing.most_ns)) > EPOCH_NS else 0
 
 
-def in_future(stream: Stream) -> int:
+def in_future(stream: ObservedStream) -> int:
     return 0 if other_epoch(stream) else stream.timing.future
 
 
-def is_old(stream: Stream) -> int:
+def is_old(stream: ObservedStream) -> int:
     return stream.timing.stamped if OLD_NS < stream.timing.least_ns and not other_epoch(stream) else 0
 
 
-def is_coarse(stream: Stream) -> int:
+def is_coarse(stream: ObservedStream) -> int:
     """What comes at even times has even stamps; what comes at odd times, and has even stamps, was rounded."""
     timing = stream.timing
     if timing.stamped < FEW_STAMPS:
@@ -256,7 +258,7 @@ def is_coarse(stream: Stream) -> int:
     return timing.stamped if rounded else 0
 
 
-def coarse(stream: Stream) -> str:
+def coarse(stream: ObservedStream) -> str:
     timing = stream.timing
     if timing.repeated == timing.stamped - 1:
         return f"all {timing.stamped} stamps are equal: the sender's clock does not advance"
@@ -267,30 +269,32 @@ def coarse(stream: Stream) -> str:
 # ── names ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def is_full(stream: Stream) -> int:
+def is_full(stream: ObservedStream) -> int:
     full = len(stream.raw_device.encode("utf-8", "surrogateescape")) >= MAX_DEVICE_NAME
     return stream.messages if full and not stream.full_names else 0
 
 
-def is_talk(stream: Stream) -> bool:
+def is_dialogue(stream: ObservedStream) -> bool:
     """Whether it is about the conversation, and no stream of data."""
     return stream.type.startswith(("GET_", "STT_", "STP_", "RTS_")) or stream.type in {"COMMAND", "STATUS"}
 
 
-def same_names(seen: Observer) -> Iterator[Hit]:
+def same_names(seen: Observer) -> Iterator[RuleMatch]:
     streams = seen.streams.values()
     for stream in streams:
         if len(stream.full_names) > 1:
             names = " and ".join(map(repr, sorted(stream.full_names)))
-            yield Hit(stream.name, f"two streams under one name: {names} are both sent as {stream.device!r}")
+            yield RuleMatch(stream.name, f"two streams under one name: {names} are both sent as {stream.device!r}")
     links: dict[str, set[int]] = {}
     for stream in streams:
-        if stream.device and not is_talk(stream):
+        if stream.device and not is_dialogue(stream):
             links.setdefault(stream.name, set()).add(stream.link)
     for name, numbers in links.items():
         there = [number for number in numbers if _together(seen, number, numbers)]
         if len(there) > 1:
-            yield Hit(name, f"{len(there)} peers send {name} at the same time; receivers treat them as one stream")
+            yield RuleMatch(
+                name, f"{len(there)} peers send {name} at the same time; receivers treat them as one stream"
+            )
 
 
 def _together(seen: Observer, number: int, others: set[int]) -> bool:
@@ -302,17 +306,17 @@ def _together(seen: Observer, number: int, others: set[int]) -> bool:
     )
 
 
-def same_tokens(seen: Observer) -> Iterator[Hit]:
+def same_tokens(seen: Observer) -> Iterator[RuleMatch]:
     devices: dict[str, set[str]] = {}
     for stream in seen.streams.values():
         devices.setdefault(topic_token(stream.device), set()).add(stream.device)
     for token, names in devices.items():
         if len(names) > 1:
             text = f"{' and '.join(map(repr, sorted(names)))} differ only in characters that are invalid in a ROS topic"
-            yield Hit(token, f"{text}; the second one gets a hash")
+            yield RuleMatch(token, f"{text}; the second one gets a hash")
 
 
-def odd_name(stream: Stream) -> int:
+def odd_name(stream: ObservedStream) -> int:
     raw = stream.raw_device + stream.raw_type
     odd = "\x00" in raw or not all(char.isprintable() for char in raw)
     return stream.messages if odd else 0
@@ -321,18 +325,18 @@ def odd_name(stream: Stream) -> int:
 # ── content ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def is_small(stream: Stream) -> int:
+def is_small(stream: ObservedStream) -> int:
     lengths = stream.lengths
     few = lengths.messages < FEW_POSES if lengths.poses else lengths.positions < FEW_POSES
     return 0 if few or not lengths.moved or not 0 < lengths.largest < SMALL_MM else lengths.messages
 
 
-def is_fine(stream: Stream) -> int:
+def is_fine(stream: ObservedStream) -> int:
     spacing = stream.lengths.smallest_spacing
     return 0 if spacing is None or spacing >= FINE_MM else stream.messages
 
 
-def has_gap(stream: Stream) -> int:
+def has_gap(stream: ObservedStream) -> int:
     if stream.messages < RHYTHM:
         return 0
     mean_ns = (stream.last_ns - stream.first_ns) / (stream.messages - 1)
@@ -342,59 +346,59 @@ def has_gap(stream: Stream) -> int:
 # ── ROS ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def qos_clash(seen: Observer) -> Iterator[Hit]:
+def qos_clash(seen: Observer) -> Iterator[RuleMatch]:
     for clash in seen.graph.clashes() if seen.graph else ():
         text = f"no messages from {clash.publisher} to {clash.subscriber}: {clash.why}"
-        yield Hit(clash.topic, text, {"publisher": clash.publisher, "subscriber": clash.subscriber})
+        yield RuleMatch(clash.topic, text, {"publisher": clash.publisher, "subscriber": clash.subscriber})
     if said := seen.said.get("ros_incompatible_qos"):
-        yield Hit(said.first.stream, said.first.text, {"count": said.count})
+        yield RuleMatch(said.first.stream, said.first.text, {"count": said.count})
 
 
-def unconverted(seen: Observer) -> Iterator[Hit]:
+def unconverted(seen: Observer) -> Iterator[RuleMatch]:
     for topic, kind in sorted(seen.graph.unconverted.items()) if seen.graph else ():
-        yield Hit(topic, f"{topic} is configured to be sent to OpenIGTLink, but {kind} has no conversion")
+        yield RuleMatch(topic, f"{topic} is configured to be sent to OpenIGTLink, but {kind} has no conversion")
     said = seen.said.get("no_conversion")
     if said and said.first.stream.startswith("/"):
-        yield Hit(said.first.stream, said.first.text, {"count": said.count})
+        yield RuleMatch(said.first.stream, said.first.text, {"count": said.count})
 
 
-def unheard(seen: Observer) -> Iterator[Hit]:
-    for topic in seen.graph.unheard() if seen.graph else ():
-        yield Hit(topic, f"{topic} has no subscriber in ROS")
+def no_subscriber(seen: Observer) -> Iterator[RuleMatch]:
+    for topic in seen.graph.without_subscriber() if seen.graph else ():
+        yield RuleMatch(topic, f"{topic} has no subscriber in ROS")
 
 
-def nothing_out(seen: Observer) -> Iterator[Hit]:
+def nothing_out(seen: Observer) -> Iterator[RuleMatch]:
     if seen.graph is not None and not seen.graph.sent:
-        yield Hit("/igtl/out", "no ROS node publishes a topic that the gateway sends to OpenIGTLink")
+        yield RuleMatch("/igtl/out", "no ROS node publishes a topic that the gateway sends to OpenIGTLink")
 
 
-def ros_refused(seen: Observer) -> Iterator[Hit]:
+def ros_refused(seen: Observer) -> Iterator[RuleMatch]:
     for code in ("ros_unknown_type", "ros_refused"):
         if said := seen.said.get(code):
-            yield Hit(said.first.stream, said.first.text, {"count": said.count})
+            yield RuleMatch(said.first.stream, said.first.text, {"count": said.count})
 
 
 # ── the recording ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def damaged(seen: Observer) -> Iterator[Hit]:
+def damaged(seen: Observer) -> Iterator[RuleMatch]:
     if seen.damage:
-        yield Hit("recording", seen.damage)
+        yield RuleMatch("recording", seen.damage)
 
 
-def lost(seen: Observer) -> Iterator[Hit]:
+def lost(seen: Observer) -> Iterator[RuleMatch]:
     for what, number in seen.losses.items():
-        yield Hit(what, f"{number:,} messages lost: {what}", {"count": number})
+        yield RuleMatch(what, f"{number:,} messages lost: {what}", {"count": number})
 
 
-def crowded(seen: Observer) -> Iterator[Hit]:
+def crowded(seen: Observer) -> Iterator[RuleMatch]:
     if seen.crowded:
-        yield Hit("streams", f"more than {MAX_STREAMS:,} streams or links: the others were not checked")
+        yield RuleMatch("streams", f"more than {MAX_STREAMS:,} streams or links: the others were not checked")
 
 
-def no_messages(seen: Observer) -> Iterator[Hit]:
+def no_messages(seen: Observer) -> Iterator[RuleMatch]:
     if seen.intent is None and not seen.streams:
-        yield Hit("recording", "the recording has no OpenIGTLink messages from peers: most rules do not apply")
+        yield RuleMatch("recording", "the recording has no OpenIGTLink messages from peers: most rules do not apply")
 
 
 #: Codes of notes that a rule of their own tells of, or that say what the messages themselves show.
@@ -405,10 +409,10 @@ _TOLD = frozenset({
 })  # fmt: skip
 
 
-def other_notes(seen: Observer) -> Iterator[Hit]:
+def other_notes(seen: Observer) -> Iterator[RuleMatch]:
     streams = seen.streams.values()
     explained = {one.name for one in streams if one.not_finite or one.not_orthonormal or one.mirrored}
     for code, said in seen.said.items():
         if code not in _TOLD and said.first.level >= Level.WARN and said.first.stream not in explained:
             where = visible(said.first.stream) or code
-            yield Hit(where, f"{said.first.text} ({code})", {"code": code, "count": said.count})
+            yield RuleMatch(where, f"{said.first.text} ({code})", {"code": code, "count": said.count})

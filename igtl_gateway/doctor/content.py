@@ -29,7 +29,7 @@ def _none() -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class ContentMeasures:
     """Of one message.
 
     Attributes:
@@ -56,33 +56,35 @@ class Measured:
         return math.isfinite(self.positions.sum() + self.rotations.sum() + self.quaternions.sum())
 
 
-NOTHING = Measured()
+NOTHING = ContentMeasures()
 
 
 @ieee_754
-def measure(content: Body) -> Measured:
+def measure_content(content: Body) -> ContentMeasures:
     """The lengths, rotations and names in a content; nothing where it has none."""
     match content:
         case Transform():
             return _matrices(_floats(content.wire_matrix).reshape(1, 12))
         case Position():
-            return Measured(_floats(content.position).reshape(1, 3), True, quaternions=_floats([content.quaternion]))
+            return ContentMeasures(
+                _floats(content.position).reshape(1, 3), True, quaternions=_floats([content.quaternion])
+            )
         case TrackingData():
             return _matrices(_floats(content.elements["matrix"]), _full(content))
         case QuaternionTrackingData():
             elements = content.elements
-            return Measured(
+            return ContentMeasures(
                 _floats(elements["position"]),
                 quaternions=_floats(elements["quaternion"]),
                 full_names=_full(content),
             )
         case Points():
-            return Measured(_floats(content.elements["position"]), False, full_names=_full(content))
+            return ContentMeasures(_floats(content.elements["position"]), False, full_names=_full(content))
         case PolyData():
-            return Measured(_floats(content.points[:MAX_POSITIONS]), False)
+            return ContentMeasures(_floats(content.points[:MAX_POSITIONS]), False)
         case Image():
             matrix = _floats(content.wire_matrix).reshape(4, 3)
-            return Measured(spacing=tuple(np.linalg.norm(matrix[:3], axis=1).tolist()))
+            return ContentMeasures(spacing=tuple(np.linalg.norm(matrix[:3], axis=1).tolist()))
         case _:
             return NOTHING
 
@@ -91,10 +93,10 @@ def _floats(values: Any) -> Floats:
     return np.asarray(values, np.float64)
 
 
-def _matrices(matrices: Floats, full_names: tuple[str, ...] = ()) -> Measured:
+def _matrices(matrices: Floats, full_names: tuple[str, ...] = ()) -> ContentMeasures:
     parts = matrices.reshape(-1, 4, 3)
     # the wire has columns, one after the other
-    return Measured(parts[:, 3], True, parts[:, :3].transpose(0, 2, 1), full_names=full_names)
+    return ContentMeasures(parts[:, 3], True, parts[:, :3].transpose(0, 2, 1), full_names=full_names)
 
 
 def _full(content: Elements) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ IN, OUT = "/igtl/in/", "/igtl/out/"
 
 
 @dataclass(frozen=True, slots=True)
-class Offer:
+class PublishedTopic:
     """A topic that the gateway publishes."""
 
     type: str
@@ -22,7 +22,7 @@ class Offer:
 
 
 @dataclass(frozen=True, slots=True)
-class Clash:
+class QosClash:
     """A publisher and a subscription between which nothing passes, and why."""
 
     topic: str
@@ -42,7 +42,7 @@ class Graph:
         sent: topics that the gateway sends.
     """
 
-    offers: Mapping[str, Offer]
+    offers: Mapping[str, PublishedTopic]
     endpoints: Sequence[Endpoint]
     unconverted: Mapping[str, str]
     sent: frozenset[str]
@@ -50,7 +50,7 @@ class Graph:
     @classmethod
     def of(cls, gateway: Gateway, published: Mapping[str, str], endpoints: Iterable[Endpoint]) -> Graph:
         """Out of the whole graph what concerns the gateway, which has ``published`` (topic → type) so far."""
-        offers = {topic: Offer(kind, qos) for topic, kind in published.items() if (qos := gateway.qos(topic))}
+        offers = {topic: PublishedTopic(kind, qos) for topic, kind in published.items() if (qos := gateway.qos(topic))}
         chosen, unconverted, sent = [], {}, set()
         for endpoint in endpoints:
             topic, kind = endpoint.topic, endpoint.type
@@ -64,9 +64,9 @@ class Graph:
                 chosen.append(endpoint)
         return cls(offers, chosen, unconverted, frozenset(sent))
 
-    def clashes(self) -> Iterator[Clash]:
+    def clashes(self) -> Iterator[QosClash]:
         """Pairs that the middleware keeps apart.  The gateway's own subscriptions adapt to what is offered."""
-        pairs: dict[tuple[str, str, str], Clash] = {}
+        pairs: dict[tuple[str, str, str], QosClash] = {}
         for reader in self.endpoints:
             if reader.publishes:
                 continue
@@ -77,16 +77,16 @@ class Graph:
             for node, kind, qos in offers:
                 why = f"{kind} published, {reader.type} expected" if kind != reader.type else ""
                 if why := why or incompatible(qos, reader.qos):
-                    pairs.setdefault((reader.topic, node, reader.node), Clash(reader.topic, node, reader.node, why))
+                    pairs.setdefault((reader.topic, node, reader.node), QosClash(reader.topic, node, reader.node, why))
         yield from pairs.values()
 
-    def unheard(self) -> list[str]:
+    def without_subscriber(self) -> list[str]:
         """Topics that the gateway has something for and nobody subscribes to."""
         heard = {one.topic for one in self.endpoints if not one.publishes}
         return sorted(topic for topic in self.offers if topic not in heard)
 
 
-def _offer(topic: str, kind: str) -> Offer | None:
+def _offer(topic: str, kind: str) -> PublishedTopic | None:
     """What the gateway would publish on a topic of a device that has not been seen yet, by the end of its name.
 
     A topic is offered with the type that its subscriber expects, where the table has that type for it.
@@ -96,4 +96,4 @@ def _offer(topic: str, kind: str) -> Offer | None:
     if not topic.startswith(IN) or not rows:
         return None
     row = next((row for row in rows if row.message.TYPE == kind), rows[0])
-    return Offer(row.message.TYPE, row.qos)
+    return PublishedTopic(row.message.TYPE, row.qos)

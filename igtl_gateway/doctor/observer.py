@@ -13,7 +13,7 @@ import numpy as np
 
 from igtl_gateway.config import Config
 from igtl_gateway.convert.units import UNITS, ieee_754
-from igtl_gateway.doctor.content import NOTHING, Measured, measure
+from igtl_gateway.doctor.content import NOTHING, ContentMeasures, measure_content
 from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.protocols import is_openigtlink
 from igtl_gateway.errors import ChecksumMismatch, WireError
@@ -21,12 +21,12 @@ from igtl_gateway.gateway import LINK_DOWN, LINK_UP, metadata
 from igtl_gateway.session.clocksteps import ClockStep, without_jump
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
-from igtl_gateway.session.timing import Timing
+from igtl_gateway.session.timing import StampTiming
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import HEADER_SIZE, Header, Message, decode
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_VERSIONS
-from igtl_gateway.wire.message import Extended
+from igtl_gateway.wire.message import ExtendedHeader
 from igtl_gateway.wire.registry import BODIES, read_content
 
 #: Streams, links and topics looked at one by one: sessions have dozens; a peer that invents names must not cost memory.
@@ -41,7 +41,7 @@ Role = Literal["server", "client"]
 
 
 @dataclass(frozen=True, slots=True)
-class Intent:
+class ExpectedLinks:
     """What was to happen on the OpenIGTLink side, where somebody waits for it.
 
     Attributes:
@@ -54,7 +54,7 @@ class Intent:
 
 
 @dataclass(slots=True)
-class Lengths:
+class LengthStats:
     """Lengths in the messages of one stream, in millimetres if the stream's unit is what the configuration says.
 
     Attributes:
@@ -74,7 +74,7 @@ class Lengths:
     smallest_spacing: float | None = None
     _first: Any = None
 
-    def add(self, measured: Measured, millimetres: float) -> None:
+    def add(self, measured: ContentMeasures, millimetres: float) -> None:
         """Look at the lengths of a message, which are finite; so many millimetres are their unit."""
         if measured.spacing:
             spacing = min(measured.spacing) * millimetres
@@ -92,7 +92,7 @@ class Lengths:
 
 
 @dataclass(slots=True)
-class Stream:
+class ObservedStream:
     """What came from one peer under one type and name.
 
     Attributes:
@@ -137,8 +137,8 @@ class Stream:
     not_finite: int = 0
     not_orthonormal: int = 0
     mirrored: int = 0
-    timing: Timing = field(default_factory=Timing)
-    lengths: Lengths = field(default_factory=Lengths)
+    timing: StampTiming = field(default_factory=StampTiming)
+    lengths: LengthStats = field(default_factory=LengthStats)
 
     @property
     def name(self) -> str:
@@ -153,7 +153,7 @@ class Stream:
 
 
 @dataclass(slots=True)
-class Peer:
+class ObservedPeer:
     """One connection.
 
     Attributes:
@@ -192,7 +192,7 @@ class Peer:
 
 
 @dataclass(slots=True)
-class Said:
+class NoteCount:
     """Notes of one code: how many, and the first."""
 
     count: int
@@ -216,16 +216,16 @@ class Observer:
         losses: messages that were lost, by the ledger of the recording: words → number.
     """
 
-    def __init__(self, config: Config, intent: Intent | None = None) -> None:
+    def __init__(self, config: Config, intent: ExpectedLinks | None = None) -> None:
         self.config = config
         self.intent = intent
         self.ended_ns = 0
-        self.peers: dict[int, Peer] = {}
-        self.streams: dict[tuple[int, str, str], Stream] = {}
+        self.peers: dict[int, ObservedPeer] = {}
+        self.streams: dict[tuple[int, str, str], ObservedStream] = {}
         self.crowded = False
         self.published: dict[str, str] = {}
         self.ros_topics: dict[str, str] = {}
-        self.said: dict[str, Said] = {}
+        self.said: dict[str, NoteCount] = {}
         self.graph: Graph | None = None
         self.damage = ""
         self.losses: dict[str, int] = {}
@@ -253,11 +253,11 @@ class Observer:
         """Messages that arrived and could be read."""
         return sum(stream.good for stream in self.streams.values())
 
-    def peer(self, number: int) -> Peer:
+    def peer(self, number: int) -> ObservedPeer:
         """The peer of a link; one that was never announced has no address."""
         peer = self.peers.get(number)
         if peer is None:
-            peer = Peer(number)
+            peer = ObservedPeer(number)
             if len(self.peers) < MAX_STREAMS:
                 self.peers[number] = peer
             else:
@@ -281,13 +281,13 @@ class Observer:
 
     def _noted(self, entry: Entry) -> None:
         note = Note.of(entry.data())
-        said = self.said.setdefault(note.code, Said(0, note))
+        said = self.said.setdefault(note.code, NoteCount(0, note))
         said.count += 1
         if step := ClockStep.of(entry):
             self._ahead_ns = step.ahead_ns
             for stream in self.streams.values():
                 without_jump(stream, step)
-                stream.timing.begin_again()
+                stream.timing.reset()
         if head := note.data.get("head"):
             for number in entry.links:
                 peer = self.peer(number)
@@ -331,7 +331,7 @@ class Observer:
             if message is not None:
                 self._measure(stream, message)
 
-    def _stream(self, number: int, header: Header) -> Stream | None:
+    def _stream(self, number: int, header: Header) -> ObservedStream | None:
         key = (number, header.type, header.device_name)
         stream = self.streams.get(key)
         if stream is None:
@@ -339,18 +339,18 @@ class Observer:
                 self.crowded = True
                 return None
             kind, device = visible(header.type), visible(header.device_name)
-            stream = self.streams[key] = Stream(number, kind, device, header.type, header.device_name)
+            stream = self.streams[key] = ObservedStream(number, kind, device, header.type, header.device_name)
             stream.unknown = kind not in BODIES
             unit = self.config.lengths(self.config.row_to_ros(kind, device)).igtl
             stream.millimetres = UNITS[unit] / UNITS["mm"]
         return stream
 
     @ieee_754
-    def _measure(self, stream: Stream, message: Message) -> None:
+    def _measure(self, stream: ObservedStream, message: Message) -> None:
         for item in message.metadata:
             if item.key == metadata.FULL_NAME and len(stream.full_names) < MAX_KEPT:
                 stream.full_names.add(item.text)
-        measured = measure(message.content)
+        measured = measure_content(message.content)
         if measured is NOTHING:
             return
         if len(stream.element_names) < MAX_KEPT:
@@ -375,7 +375,7 @@ def _keep(topics: dict[str, str], entry: Entry) -> None:
         topics.setdefault(entry.channel, entry.type)
 
 
-def _decoded(stream: Stream, header: Header, data: bytes) -> Message | None:
+def _decoded(stream: ObservedStream, header: Header, data: bytes) -> Message | None:
     """The message, be its checksum right or wrong; None if it cannot be read.  What is wrong is counted."""
     try:
         message = decode(data)
@@ -400,7 +400,7 @@ def _decoded(stream: Stream, header: Header, data: bytes) -> Message | None:
 def _fits_other_version(header: Header, body: memoryview) -> bool:
     """Whether the body is that of header version 1 under version 2, or the other way round."""
     try:
-        content = body if header.version != 1 else Extended.unpack(body).split(body)[0]
+        content = body if header.version != 1 else ExtendedHeader.unpack(body).split(body)[0]
         read_content(header.type, content)
     except WireError:
         return False

@@ -6,15 +6,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from igtl_gateway.doctor.observer import Observer, Stream
-from igtl_gateway.doctor.rules import Finding, Severity, judge
+from igtl_gateway.doctor.observer import ObservedStream, Observer
+from igtl_gateway.doctor.rules import RuleFinding, Severity, judge
 
 #: Findings of one rule that are told one by one to people; the rest are counted.
 SHOWN = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class DoctorReport:
     """The judgement on a session.
 
     Attributes:
@@ -23,15 +23,15 @@ class Report:
     """
 
     seen: Observer
-    findings: tuple[Finding, ...]
+    findings: tuple[RuleFinding, ...]
 
     @classmethod
-    def of(cls, seen: Observer) -> Report:
+    def of(cls, seen: Observer) -> DoctorReport:
         """Judge what was seen."""
         return cls(seen, tuple(judge(seen)))
 
     @property
-    def cause(self) -> Finding | None:
+    def cause(self) -> RuleFinding | None:
         """The finding that explains most: the first error, else the first warning."""
         for severity in (Severity.ERROR, Severity.WARNING):
             for finding in self.findings:
@@ -99,7 +99,7 @@ class Report:
             yield "no problems found"
 
 
-def _stream(stream: Stream) -> dict[str, Any]:
+def _stream(stream: ObservedStream) -> dict[str, Any]:
     bad = stream.bad_crc
     return {
         "link": stream.link,

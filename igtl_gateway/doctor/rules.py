@@ -12,7 +12,7 @@ from enum import Enum
 from typing import Any
 
 from igtl_gateway.doctor import checks
-from igtl_gateway.doctor.checks import Hit, each
+from igtl_gateway.doctor.checks import RuleMatch, each_stream
 from igtl_gateway.doctor.observer import Observer
 
 
@@ -40,7 +40,7 @@ class Rule:
     title: str
     section: str
     advice: str
-    check: Callable[[Observer], Iterable[Hit]]
+    check: Callable[[Observer], Iterable[RuleMatch]]
 
     @property
     def severity(self) -> Severity:
@@ -48,11 +48,11 @@ class Rule:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class RuleFinding:
     """A rule that applied, and where."""
 
     rule: Rule
-    hit: Hit
+    hit: RuleMatch
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values."""
@@ -118,7 +118,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-E201", "invalid header version", f"{HEADER}: Version number",
         "use 1 for protocol versions 1 and 2, and 2 for protocol version 3",
-        each(
+        each_stream(
             lambda one: len(checks.wrong_versions(one)),
             lambda one: f"header version {', '.join(map(str, checks.wrong_versions(one)))}, expected 1 or 2",
         ),
@@ -126,7 +126,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-E202", "header version does not fit the body", f"{HEADER}: Extended header",
         "the header has one version and the body the format of the other: correct the sender",
-        each(
+        each_stream(
             lambda one: one.misfits,
             lambda one: f"{one.misfits} messages with header version {min(one.versions)} have the body of the other",
         ),
@@ -139,7 +139,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-E206", "CRC not written", f"{HEADER}: CRC",
         "let the sender compute it (C++: Pack() before sending), or set `check_crc = false`",
-        each(
+        each_stream(
             lambda one: one.no_crc,
             lambda one: f"the CRC of {one.no_crc} of {one.messages} messages is 0: the sender does not compute it",
         ),
@@ -148,7 +148,7 @@ RULES: tuple[Rule, ...] = (
         "IGTL-E207", "CRC wrong", f"{HEADER}: CRC",
         "the sender changes the body after computing the CRC, or uses another CRC-64 than ECMA-182; "
         "`check_crc = false` accepts the messages",
-        each(
+        each_stream(
             lambda one: one.bad_crc - one.no_crc,
             lambda one: f"the CRC of {one.bad_crc - one.no_crc} of {one.messages} messages does not match the body",
         ),
@@ -156,7 +156,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-E210", "malformed body", "docs/messages.md",
         "correct the encoding of the sender; `igtl-gateway decode` shows the bytes",
-        each(lambda one: one.malformed, lambda one: f"{one.malformed} messages cannot be decoded: {one.error}"),
+        each_stream(lambda one: one.malformed, lambda one: f"{one.malformed} messages cannot be decoded: {one.error}"),
     ),
     Rule(
         "IGTL-E110", "message too large", f"{HEADER}: Body size",
@@ -183,7 +183,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W501", "metres sent as millimetres?", "Protocol/transform.md",
         'OpenIGTLink is in millimetres: multiply by 1000 in the sender, or set `igtl_unit = "m"` for the stream',
-        each(
+        each_stream(
             checks.is_small,
             lambda one: f"all {one.lengths.positions} positions are within {one.lengths.largest:.3g} mm of the origin, "
             "as if the unit were metres",
@@ -192,7 +192,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W502", "lengths too large for millimetres", "Protocol/transform.md",
         "the sender applies a factor of 1000 twice, or uses micrometres",
-        each(
+        each_stream(
             lambda one: one.lengths.messages if one.lengths.largest > checks.LARGE_MM else 0,
             lambda one: f"positions up to {one.lengths.largest / 1000:,.0f} m from the origin",
         ),
@@ -200,12 +200,12 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-E503", "NaN or infinity", "Protocol/transform.md",
         "do not send unknown poses, or mark them in the metadata (TransformStatus)",
-        each(lambda one: one.not_finite, lambda one: f"NaN or infinity in {one.not_finite} messages"),
+        each_stream(lambda one: one.not_finite, lambda one: f"NaN or infinity in {one.not_finite} messages"),
     ),
     Rule(
         "IGTL-W504", "rotation matrix is not orthonormal", "Protocol/transform.md",
         "the columns of the matrix must be perpendicular and have length 1; remove scale and shear",
-        each(
+        each_stream(
             lambda one: one.not_orthonormal,
             lambda one: f"columns not perpendicular or not of length 1 in {one.not_orthonormal} messages",
         ),
@@ -213,12 +213,14 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W505", "left-handed axes", "Protocol/transform.md",
         "RAS is right-handed: check for two exchanged axes, or one negated axis",
-        each(lambda one: one.mirrored, lambda one: f"the rotation matrix of {one.mirrored} messages is a reflection"),
+        each_stream(
+            lambda one: one.mirrored, lambda one: f"the rotation matrix of {one.mirrored} messages is a reflection"
+        ),
     ),
     Rule(
         "IGTL-W506", "implausible pixel spacing", "Protocol/image.md",
         "the length of the matrix columns must be the spacing in millimetres, for 2-D images too",
-        each(checks.is_fine, lambda one: f"spacing of {one.lengths.smallest_spacing:.3g} mm"),
+        each_stream(checks.is_fine, lambda one: f"spacing of {one.lengths.smallest_spacing:.3g} mm"),
     ),
     Rule(
         "IGTL-W402", "one name for two streams", NAMES,
@@ -227,7 +229,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W401", "name of 20 bytes or more, possibly truncated", f"{HEADER}: Device name",
         "shorten the name; the gateway itself sends the full name in the metadata of header version 2",
-        each(
+        each_stream(
             checks.is_full,
             lambda one: f"the device name {one.device!r} fills its 20 bytes and might be truncated",
         ),
@@ -235,15 +237,15 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W403", "no device name", f"{HEADER}: Device name",
         "name the stream: all streams without a name share one topic",
-        each(
-            lambda one: 0 if one.device or checks.is_talk(one) else one.messages,
+        each_stream(
+            lambda one: 0 if one.device or checks.is_dialogue(one) else one.messages,
             lambda one: f"{one.type} without a device name",
         ),
     ),
     Rule(
         "IGTL-W404", "invalid bytes in a name", f"{HEADER}: Device name",
         "pad names with zeros, and use UTF-8",
-        each(
+        each_stream(
             checks.odd_name,
             lambda one: f"the name {one.raw_device!r} has bytes after a NUL, or unprintable bytes",
         ),
@@ -251,7 +253,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W405", "name in the body that fills its field", "docs/messages.md",
         "use at most 19 bytes: C++ readers drop a name without a final NUL",
-        each(
+        each_stream(
             lambda one: len(one.element_names),
             lambda one: f"element names fill their field: {', '.join(map(repr, sorted(one.element_names)[:3]))}",
         ),
@@ -263,7 +265,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W305", "stamps of another epoch", "Protocol/timestamp.md",
         'use UTC since 1970 in the sender, or the time of receipt (`stamp = "receive"`); a replay has old stamps too',
-        each(
+        each_stream(
             checks.other_epoch,
             lambda one: f"stamps are {abs(one.timing.most_ns) / checks.EPOCH_NS:,.0f} days from the current time",
         ),
@@ -271,17 +273,19 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W303", "stamps in the future", "Protocol/timestamp.md",
         "synchronise the clocks of the two machines (NTP, PTP)",
-        each(checks.in_future, lambda one: f"stamps are up to {checks.ms(-one.timing.least_ns)} in the future"),
+        each_stream(checks.in_future, lambda one: f"stamps are up to {checks.ms(-one.timing.least_ns)} in the future"),
     ),
     Rule(
         "IGTL-W306", "stamps are old", "Protocol/timestamp.md",
         "synchronise the clocks; if they are correct, the messages wait before they are sent",
-        each(checks.is_old, lambda one: f"messages are {checks.ms(one.timing.least_ns)} old on arrival, or more"),
+        each_stream(
+            checks.is_old, lambda one: f"messages are {checks.ms(one.timing.least_ns)} old on arrival, or more"
+        ),
     ),
     Rule(
         "IGTL-W304", "stamps decrease", "Protocol/timestamp.md",
         "check whether the sender's clock was set, or messages overtake each other",
-        each(
+        each_stream(
             lambda one: one.timing.backwards,
             lambda one: f"{one.timing.backwards} of {one.timing.stamped} stamps are earlier than the previous one",
         ),
@@ -289,12 +293,12 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W302", "stamps quantised or unchanged", "Protocol/timestamp.md",
         'stamp each message with a clock of high resolution, or use the time of receipt (`stamp = "receive"`)',
-        each(checks.is_coarse, checks.coarse),
+        each_stream(checks.is_coarse, checks.coarse),
     ),
     Rule(
         "IGTL-W301", "stamps unset", TIME,
         "set stamps in the sender; without stamps the gateway uses the time of receipt",
-        each(
+        each_stream(
             lambda one: one.timing.unset,
             lambda one: f"{one.timing.unset} of {one.timing.messages} messages have the stamp 0 (unset)",
         ),
@@ -320,12 +324,12 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W208", "unknown type", f"{HEADER}: Type name",
         "no action if the readers support it; PLUS and old readers lose the stream at unknown types",
-        each(lambda one: one.messages if one.unknown else 0, checks.unknown_type),
+        each_stream(lambda one: one.messages if one.unknown else 0, checks.unknown_type),
     ),
     Rule(
         "IGTL-W507", "pause in a stream", f"{DOCTOR}: Rates",
         "check the tracker's line of sight, the sender and the network",
-        each(
+        each_stream(
             checks.has_gap,
             lambda one: f"a pause of {checks.ms(one.longest_pause_ns)} in a stream of {one.rate_hz:.1f} Hz",
         ),
@@ -344,7 +348,7 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-I603", "ROS: no subscriber", f"{DOCTOR}: ROS graph",
-        "subscribe to the topic; `ros2 topic list` shows it after the first message", checks.unheard,
+        "subscribe to the topic; `ros2 topic list` shows it after the first message", checks.no_subscriber,
     ),
     Rule(
         "IGTL-I605", "ROS: nothing to send", f"{DOCTOR}: ROS graph",
@@ -357,6 +361,6 @@ RULES: tuple[Rule, ...] = (
 )  # fmt: skip
 
 
-def judge(seen: Observer) -> list[Finding]:
+def judge(seen: Observer) -> list[RuleFinding]:
     """All findings, in the order of the table."""
-    return [Finding(rule, hit) for rule in RULES for hit in rule.check(seen)]
+    return [RuleFinding(rule, hit) for rule in RULES for hit in rule.check(seen)]

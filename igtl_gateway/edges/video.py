@@ -137,7 +137,7 @@ T = TypeVar("T")
 
 
 @dataclass(slots=True)
-class _Stream(Generic[T]):
+class _VideoStream(Generic[T]):
     """One topic.  ``codec`` belongs to the thread, all else to the lock."""
 
     name: str
@@ -149,15 +149,15 @@ class _Stream(Generic[T]):
     codec: Any = None
 
 
-class _Worker(ABC, Generic[T]):
+class _CodecThread(ABC, Generic[T]):
     """A thread that serves its streams in turn; see the module."""
 
     def __init__(self, name: str, on_note: OnNote) -> None:
         self._av = _import_av()
         self._on_note = on_note
         self._condition = threading.Condition()
-        self._streams: dict[str, _Stream[T]] = {}
-        self._turns: deque[_Stream[T]] = deque()  # streams with something in the queue
+        self._streams: dict[str, _VideoStream[T]] = {}
+        self._turns: deque[_VideoStream[T]] = deque()  # streams with something in the queue
         self._refused = VideoCounts()  # of the streams beyond the bound
         self._refusal_said = False
         self._stopping = False
@@ -180,14 +180,14 @@ class _Worker(ABC, Generic[T]):
             streams = {name: stream.counts.to_dict() for name, stream in sorted(self._streams.items())}
             return streams | ({"(others)": self._refused.to_dict()} if self._refused.received else {})
 
-    def _bring(self, name: str, take: Callable[[_Stream[T]], Note | None]) -> None:
+    def _enqueue(self, name: str, take: Callable[[_VideoStream[T]], Note | None]) -> None:
         """Let ``take`` put something into the queue of a stream, under the lock."""
         with self._condition:
             if self._stopping:
                 return
             stream = self._streams.get(name)
             if stream is None and len(self._streams) < MAX_STREAMS:
-                stream = self._streams[name] = _Stream(name)
+                stream = self._streams[name] = _VideoStream(name)
             if stream is None:
                 self._refused.received += 1
                 self._refused.dropped["too_many_streams"] += 1
@@ -214,13 +214,13 @@ class _Worker(ABC, Generic[T]):
                 item = stream.queue.popleft()
             note = None
             try:
-                self._work(stream, item)
+                self._process(stream, item)
             except ConversionError as error:
-                note = self._lose(stream, REFUSED, "refused", f"not encoded: {error}")
+                note = self._count_lost(stream, REFUSED, "refused", f"not encoded: {error}")
             except self._av.error.FFmpegError as error:
-                note = self._lose(stream, FAILED, "broken", f"{type(error).__name__}: {error}")
+                note = self._count_lost(stream, FAILED, "broken", f"{type(error).__name__}: {error}")
             except Exception as error:  # a defect of ours must cost one picture, not the thread
-                note = self._lose(stream, FAILED, "internal_error", f"{type(error).__name__}: {error}")
+                note = self._count_lost(stream, FAILED, "internal_error", f"{type(error).__name__}: {error}")
             if note:
                 self._on_note(note)
             with self._condition:
@@ -229,24 +229,24 @@ class _Worker(ABC, Generic[T]):
                     self._turns.append(stream)
 
     @abstractmethod
-    def _work(self, stream: _Stream[T], item: T) -> None:
+    def _process(self, stream: _VideoStream[T], item: T) -> None:
         """Encode or decode one item."""
 
-    def _lose(self, stream: _Stream[T], code: str, reason: str, text: str) -> Note | None:
+    def _count_lost(self, stream: _VideoStream[T], code: str, reason: str, text: str) -> Note | None:
         """Count an item that came to nothing."""
         with self._condition:
             stream.counts.dropped[reason] += 1
-            return self._once(stream, code, text)
+            return self._note_once(stream, code, text)
 
     @staticmethod
-    def _once(stream: _Stream[T], code: str, text: str) -> Note | None:
+    def _note_once(stream: _VideoStream[T], code: str, text: str) -> Note | None:
         """The note, if this stream has not said the like.  The caller holds the lock."""
         if code in stream.said:
             return None
         stream.said.add(code)
         return _note(code, stream.name, f"{stream.name}: {text}")
 
-    def _drop_waiting(self, stream: _Stream[T], reason: str) -> None:
+    def _drop_waiting(self, stream: _VideoStream[T], reason: str) -> None:
         """Empty the queue of a stream.  The caller holds the lock, and does not leave it in line with nothing."""
         if stream.queue:
             stream.counts.dropped[reason] += len(stream.queue)
@@ -256,7 +256,7 @@ class _Worker(ABC, Generic[T]):
 # -- encoding ---------------------------------------------------------------------------------------------------
 
 
-class VideoEncoder(_Worker[tuple[bytes, int]]):
+class VideoEncoder(_CodecThread[tuple[bytes, int]]):
     """sensor_msgs/Image → sensor_msgs/CompressedImage that holds one encoded frame, with the picture's header.
 
     Args:
@@ -280,18 +280,18 @@ class VideoEncoder(_Worker[tuple[bytes, int]]):
     def submit(self, topic: str, cdr: bytes, source_ns: int) -> None:
         """Encode a picture, soon.  At the bound the oldest one of the topic is dropped."""
 
-        def take(stream: _Stream[tuple[bytes, int]]) -> Note | None:
+        def take(stream: _VideoStream[tuple[bytes, int]]) -> Note | None:
             note = None
             if len(stream.queue) >= MAX_PICTURES:
                 stream.queue.popleft()
                 stream.counts.dropped["queue_full"] += 1
-                note = self._once(stream, DROPPED, f"pictures come faster than {self._options.codec} is encoded")
+                note = self._note_once(stream, DROPPED, f"pictures come faster than {self._options.codec} is encoded")
             stream.queue.append((cdr, source_ns))
             return note
 
-        self._bring(topic, take)
+        self._enqueue(topic, take)
 
-    def _work(self, stream: _Stream[tuple[bytes, int]], item: tuple[bytes, int]) -> None:
+    def _process(self, stream: _VideoStream[tuple[bytes, int]], item: tuple[bytes, int]) -> None:
         cdr, source_ns = item
         image = Image.unpack(cdr)
         frame = _picture(self._av, image)
@@ -299,7 +299,7 @@ class VideoEncoder(_Worker[tuple[bytes, int]]):
         if stream.codec is None or not stream.codec.fits(frame, stamp_ns):
             rate = stream.codec.rate if stream.codec else _FIRST_RATE
             stream.codec = None  # should the next line fail
-            stream.codec = _Encoding(self._av, self._options, frame, rate, stamp_ns)
+            stream.codec = _OpenEncoder(self._av, self._options, frame, rate, stamp_ns)
         data = stream.codec.encode(frame)
         message = CompressedImage(image.header, self._options.codec, data).pack()
         with self._condition:
@@ -309,7 +309,7 @@ class VideoEncoder(_Worker[tuple[bytes, int]]):
         self._on_frame(stream.name, CompressedImage.TYPE, message, source_ns)
 
 
-class _Encoding:
+class _OpenEncoder:
     """An open encoder: for one size of pictures, one after the other.
 
     Attributes:
@@ -393,7 +393,7 @@ def _picture(av: Any, image: Image) -> Any:
 
 
 @dataclass(frozen=True, slots=True)
-class _Frame:
+class _EncodedFrame:
     """An encoded frame that waits."""
 
     header: Header
@@ -402,7 +402,7 @@ class _Frame:
     is_key: bool
 
 
-class VideoDecoder(_Worker[_Frame]):
+class VideoDecoder(_CodecThread[_EncodedFrame]):
     """sensor_msgs/CompressedImage that holds one encoded frame → sensor_msgs/Image, rgb8 (mono8 of grey video).
 
     Args:
@@ -426,10 +426,10 @@ class VideoDecoder(_Worker[_Frame]):
         if message.format not in _DECODERS:
             return
         key = is_key_frame(message.format, message.data)
-        frame = _Frame(message.header, message.format, message.data, key)
-        self._bring(name, lambda stream: self._take(stream, frame))
+        frame = _EncodedFrame(message.header, message.format, message.data, key)
+        self._enqueue(name, lambda stream: self._take(stream, frame))
 
-    def _take(self, stream: _Stream[_Frame], frame: _Frame) -> Note | None:
+    def _take(self, stream: _VideoStream[_EncodedFrame], frame: _EncodedFrame) -> Note | None:
         size = memoryview(frame.data).nbytes
         waiting_bytes = sum(memoryview(other.data).nbytes for other in stream.queue)
         stream.counts.encoded_bytes += size
@@ -437,7 +437,7 @@ class VideoDecoder(_Worker[_Frame]):
         note = None
         # one frame alone always fits
         if len(stream.queue) >= MAX_FRAMES or (stream.queue and waiting_bytes + size > MAX_FRAME_BYTES):
-            note = self._once(stream, DROPPED, f"{frame.codec} frames come faster than they are decoded")
+            note = self._note_once(stream, DROPPED, f"{frame.codec} frames come faster than they are decoded")
             if frame.is_key:  # all that waits is older than the picture that it stands for
                 self._drop_waiting(stream, "queue_full")
             elif not stream.waiting:
@@ -451,11 +451,11 @@ class VideoDecoder(_Worker[_Frame]):
         stream.queue.append(frame)
         return note
 
-    def _work(self, stream: _Stream[_Frame], item: _Frame) -> None:
+    def _process(self, stream: _VideoStream[_EncodedFrame], item: _EncodedFrame) -> None:
         try:
             if stream.codec is None or stream.codec.name != item.codec:
                 stream.codec = None  # should the next line fail
-                stream.codec = _Decoding(self._av, item.codec)
+                stream.codec = _OpenDecoder(self._av, item.codec)
             images = stream.codec.decode(item)
         except Exception:
             stream.codec = None
@@ -473,7 +473,7 @@ class VideoDecoder(_Worker[_Frame]):
             self._on_image(stream.name, image.pack())
 
 
-class _Decoding:
+class _OpenDecoder:
     """An open decoder.
 
     Attributes:
@@ -491,7 +491,7 @@ class _Decoding:
         self._headers: dict[int, Header] = {}  # of frames that no picture has come of yet
         self._count = 0
 
-    def decode(self, frame: _Frame) -> list[Image]:
+    def decode(self, frame: _EncodedFrame) -> list[Image]:
         """The pictures that this frame completes: one, mostly.  Raises FFmpegError."""
         data = bytes(frame.data)
         if not data:  # would mean the end of the stream to FFmpeg

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from igtl_gateway.exchange.source import Row
+from igtl_gateway.exchange.source import ImportedStream
 from igtl_gateway.session.entry import Entry, Kind
 
 #: Reasons that a row tells apart: those of hostile files can all be different.
@@ -12,7 +12,7 @@ _MAX_REASONS = 5
 
 
 @dataclass(slots=True)
-class Exported(Row):
+class ExportedStream(ImportedStream):
     """The account of one stream, or of one sort of parts of its messages: declared = taken + left out.
 
     Attributes:
@@ -43,7 +43,7 @@ class Exported(Row):
 
 
 @dataclass(slots=True)
-class Account:
+class ExportAccount:
     """What became of the streams that were asked for.
 
     Attributes:
@@ -54,29 +54,29 @@ class Account:
         notes: what else people should know.
     """
 
-    rows: list[Exported] = field(default_factory=list)
-    parts: list[Exported] = field(default_factory=list)
+    rows: list[ExportedStream] = field(default_factory=list)
+    parts: list[ExportedStream] = field(default_factory=list)
     others: dict[str, int] = field(default_factory=dict)
     files: int = 0
     notes: list[str] = field(default_factory=list)
-    _by_stream: dict[tuple[Kind, str, str], Exported] = field(default_factory=dict)
-    _by_part: dict[tuple[Kind, str, str, str], Exported] = field(default_factory=dict)
+    _by_stream: dict[tuple[Kind, str, str], ExportedStream] = field(default_factory=dict)
+    _by_part: dict[tuple[Kind, str, str, str], ExportedStream] = field(default_factory=dict)
 
-    def row(self, entry: Entry) -> Exported:
+    def row(self, entry: Entry) -> ExportedStream:
         """The row of an entry's stream, with the entry counted as one that the session has."""
         key = (entry.kind, entry.channel, entry.type)
         row = self._by_stream.get(key)
         if row is None:
-            row = self._by_stream[key] = Exported(entry.channel, 0, entry.type)
+            row = self._by_stream[key] = ExportedStream(entry.channel, 0, entry.type)
             self.rows.append(row)
         row.declared += 1
         return row
 
-    def part(self, entry: Entry, unit: str) -> Exported:
+    def part(self, entry: Entry, unit: str) -> ExportedStream:
         """The row of one sort of parts of a stream's messages; ``unit`` names it: ``attributes``."""
         key = (entry.kind, entry.channel, entry.type, unit)
         row = self._by_part.get(key)
         if row is None:
-            row = self._by_part[key] = Exported(entry.channel, 0, entry.type, unit=unit)
+            row = self._by_part[key] = ExportedStream(entry.channel, 0, entry.type, unit=unit)
             self.parts.append(row)
         return row

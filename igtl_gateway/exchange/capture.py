@@ -14,7 +14,16 @@ from pathlib import Path
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import DamagedRecording, MessageTooLarge, UnsupportedRecording
 from igtl_gateway.exchange.sequence import DEFAULT_EPOCH_NS
-from igtl_gateway.exchange.source import BYTES, Item, Row, Told, from_peer, link_down, link_up, reading
+from igtl_gateway.exchange.source import (
+    BYTES,
+    ImportedItem,
+    ImportedStream,
+    NonRosSource,
+    library_errors_as_damage,
+    link_down_item,
+    link_up_item,
+    peer_item,
+)
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.untrusted import files
 from igtl_gateway.wire.framer import Framer
@@ -27,14 +36,14 @@ _READ = 1 << 16
 _TYPE_NAME = re.compile("[!-~]+")
 
 
-class Capture(Told):
+class Capture(NonRosSource):
     """An open capture.  Raises UnsupportedRecording for bytes that are not OpenIGTLink."""
 
     def __init__(self, path: Path, epoch_ns: int | None = None) -> None:
         super().__init__(f"OpenIGTLink bytes {path.name}", {"imported_format": "igtl"})
         self._path = path
         self._epoch_ns = DEFAULT_EPOCH_NS if epoch_ns is None else epoch_ns
-        with reading(path):
+        with library_errors_as_damage(path):
             self._stream = files.open_file(path)
             start = self._stream.read(HEADER_SIZE)
             self._stream.seek(0)
@@ -42,29 +51,29 @@ class Capture(Told):
             self._stream.close()
             found = start[:DEVICE_NAME_AT]
             raise UnsupportedRecording(f"{path}: found {found!r}, expected the header of an OpenIGTLink message")
-        self._row = Row("(all)", files.size_of(path), unit=BYTES)
+        self._row = ImportedStream("(all)", files.size_of(path), unit=BYTES)
         self.rows = [self._row]
 
-    def items(self) -> Iterator[Item]:
+    def items(self) -> Iterator[ImportedItem]:
         role = "client" if ".s2c" in self._path.name else "server"
         peer = {"peer": f"file {self._path.name}", "local": "import", "role": role}
         time_ns = self._epoch_ns
         first = True
-        streams: dict[str, Row] = {}
+        streams: dict[str, ImportedStream] = {}
         for message in self._messages():
-            item = from_peer(time_ns, _LINK, message)
+            item = peer_item(time_ns, _LINK, message)
             if item.source_ns and (first or item.source_ns > time_ns):
                 time_ns = item.source_ns
             elif not first:
                 time_ns += NS_PER_MS
             if first:
-                yield link_up(time_ns, _LINK, peer)
+                yield link_up_item(time_ns, _LINK, peer)
                 first = False
             self._row.taken += len(message)
-            count(streams, self.rows, item)
-            yield Item(time_ns, item.kind, message, item.channel, item.type, item.links, item.source_ns)
+            count_message(streams, self.rows, item)
+            yield ImportedItem(time_ns, item.kind, message, item.channel, item.type, item.links, item.source_ns)
         if not first:
-            yield link_down(time_ns, _LINK, peer, "the end of the file")
+            yield link_down_item(time_ns, _LINK, peer, "the end of the file")
 
     def _messages(self) -> Iterator[Buffer]:
         framer = Framer()
@@ -90,16 +99,16 @@ def looks_like_igtl(start: bytes) -> bool:
     return header.version in HEADER_VERSIONS and _TYPE_NAME.fullmatch(header.type) is not None
 
 
-def count(streams: dict[str, Row], rows: list[Row], item: Item) -> None:
+def count_message(streams: dict[str, ImportedStream], rows: list[ImportedStream], item: ImportedItem) -> None:
     """Count a message in the row of its stream, which is made at the first; nobody declared how many there are."""
     row = streams.get(item.channel)
     if row is None and len(streams) >= MAX_STREAMS:
         row = streams.get("")
         if row is None:
-            row = streams[""] = Row("(further streams)", 0, why=f"more than {MAX_STREAMS} streams")
+            row = streams[""] = ImportedStream("(further streams)", 0, why=f"more than {MAX_STREAMS} streams")
             rows.append(row)
     if row is None:
-        row = streams[item.channel] = Row(item.channel.partition("/")[2], 0, item.type)
+        row = streams[item.channel] = ImportedStream(item.channel.partition("/")[2], 0, item.type)
         rows.append(row)
     row.declared += 1
     row.taken += 1

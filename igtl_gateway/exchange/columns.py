@@ -15,9 +15,9 @@ import numpy as np
 from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
 
-from igtl_gateway.convert.context import ToRos
+from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.poses import pose_of_matrix
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError, LimitExceeded
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted import limits
@@ -54,7 +54,7 @@ _NUMBERS: dict[str, tuple[str, ...]] = {
 }
 #: Field of a description → its name with the unit.
 _NAMED = {"diameter": "diameter_mm", "focal_length": "focal_length_mm", "resolution": "resolution_ms"}
-_AS_IT_IS = Lengths("mm", "mm")
+_AS_IT_IS = LengthUnits("mm", "mm")
 
 
 def of_description(fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,7 +79,7 @@ def _pose(rows: list[list[float]]) -> dict[str, Any]:
     matrix = tuple(rows[row][column] for column in range(4) for row in range(3))
     named: dict[str, Any] = dict(zip(_XYZ_MM, matrix[9:], strict=True))
     try:
-        pose = pose_of_matrix(matrix, ToRos("", 0, "", "", _AS_IT_IS), "TRANSFORM")
+        pose = pose_of_matrix(matrix, ToRosContext("", 0, "", "", _AS_IT_IS), "TRANSFORM")
         named |= zip(_QUATERNION, pose[3:], strict=True)
     except ConversionError:
         named |= dict.fromkeys(_QUATERNION, "")

@@ -19,12 +19,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.columns import HEAD, MAX_COLUMNS, Cells, TooLong, listed, of_description, of_message
-from igtl_gateway.exchange.folder import Folder, Names, new_folder, reason
-from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen
+from igtl_gateway.exchange.folder import FileNames, Folder, failure_text, new_folder
+from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.untrusted.decoding import Decoder
+from igtl_gateway.untrusted.decoding import MessageDecoder
 from igtl_gateway.wire import decode
 
 #: Files that are open at once; a session has some dozens of streams.
@@ -40,13 +40,13 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _UNWRITABLE = re.compile(r"[\x00\ud800-\udfff]")
 
 
-def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
+def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
     """Write the folder ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
-    account, names = Account(), Names()
+    account, names = ExportAccount(), FileNames()
     tables: dict[str, _Table] = {}
-    read = _Reader(recording.definitions)
+    read = _RowReader(recording.definitions)
     with new_folder(out, account) as folder, ExitStack() as stack:
-        for entry in chosen(recording, (*IGTL_KINDS, *ROS_KINDS), globs, account):
+        for entry in chosen_entries(recording, (*IGTL_KINDS, *ROS_KINDS), globs, account):
             row, name = account.row(entry), names.of(entry)
             try:
                 lines = list(read.rows(entry))
@@ -61,7 +61,7 @@ def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> Account
                 row.leave_out(str(error))
                 continue
             except Exception as error:  # whatever decoding makes of a damaged message costs that message
-                row.fail(reason(error))
+                row.fail(failure_text(error))
                 continue
             if name not in tables:
                 stack.callback(table.open(folder, f"{name}.csv").close)
@@ -142,12 +142,12 @@ class _Table:
             whole.unlink(missing_ok=True)
 
 
-class _Reader:
+class _RowReader:
     """Messages as rows of cells."""
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
         self._definitions = definitions
-        self._decoder = Decoder(lambda ros_type: definitions.get(ros_type, ""))
+        self._decoder = MessageDecoder(lambda ros_type: definitions.get(ros_type, ""))
 
     def rows(self, entry: Entry) -> Iterator[Cells]:
         """Raises TooLong, and whatever the decoders raise."""

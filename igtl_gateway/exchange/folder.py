@@ -10,8 +10,8 @@ from typing import BinaryIO, TypeVar
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import GatewayError, UnsupportedRecording
-from igtl_gateway.exchange.account import Account
-from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen
+from igtl_gateway.exchange.account import ExportAccount
+from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.session.entry import Entry, Kind
 
 #: Characters of a stream's name that a file's name keeps.
@@ -39,7 +39,7 @@ class Folder:
 
 
 @contextmanager
-def new_folder(path: Path, account: Account) -> Iterator[Folder]:
+def new_folder(path: Path, account: ExportAccount) -> Iterator[Folder]:
     """A folder for the files of an export: new, or empty.
 
     After an error, or where the account has no message that was written, it is as it was before.
@@ -72,7 +72,7 @@ def file_name(entry: Entry) -> str:
     return f"{entry.kind.value}.{token or 'unnamed'}"
 
 
-class Names:
+class FileNames:
     """Gives each stream a file name of its own, also where upper and lower case are the same."""
 
     def __init__(self) -> None:
@@ -106,8 +106,8 @@ def one_file_each(
     suffix: str,
     read: Callable[[Entry], Content],
     parts: Callable[[Content], Iterable[Buffer]],
-    count: Callable[[Content, Entry, Account], None] | None = None,
-) -> Account:
+    count: Callable[[Content, Entry, ExportAccount], None] | None = None,
+) -> ExportAccount:
     """Write the folder ``out`` with a file for each message of some types.
 
     Args:
@@ -119,15 +119,15 @@ def one_file_each(
 
     Raises UnsupportedRecording where the folder is not empty; OSError.
     """
-    account, names = Account(), Names()
+    account, names = ExportAccount(), FileNames()
     with new_folder(out, account) as folder:
-        for entry in chosen(recording, (*IGTL_KINDS, *ROS_KINDS), globs, account, types):
+        for entry in chosen_entries(recording, (*IGTL_KINDS, *ROS_KINDS), globs, account, types):
             row = account.row(entry)
             try:
                 content = read(entry)
                 buffers = list(parts(content))
             except Exception as error:  # whatever decoding makes of a damaged message costs that message
-                row.fail(reason(error))
+                row.fail(failure_text(error))
                 continue
             with folder.create(f"{names.of(entry)}.{row.declared:06}.{suffix}") as stream:
                 stream.writelines(buffers)
@@ -138,7 +138,7 @@ def one_file_each(
     return account
 
 
-def reason(error: Exception) -> str:
+def failure_text(error: Exception) -> str:
     """Why a message is not written: the error's own words where it is ours, else with its type."""
     if isinstance(error, GatewayError | ValueError) and str(error):
         return str(error)

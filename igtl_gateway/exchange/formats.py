@@ -14,7 +14,7 @@ from igtl_gateway.exchange.rosbag1 import Rosbag1
 from igtl_gateway.exchange.rosbag2 import Rosbag2
 from igtl_gateway.exchange.rosbag2_metadata import METADATA
 from igtl_gateway.exchange.sequence import Sequence
-from igtl_gateway.exchange.source import Source, reading
+from igtl_gateway.exchange.source import Source, library_errors_as_damage
 from igtl_gateway.untrusted import files
 
 _START = 512
@@ -22,7 +22,7 @@ _META_KEYS = (b"ObjectType", b"NDims", b"DimSize")
 
 
 @dataclass(frozen=True, slots=True)
-class Format:
+class ImportFormat:
     """A kind of file.
 
     Attributes:
@@ -39,27 +39,29 @@ class Format:
 
 
 FORMATS = (
-    Format("rosbag1", (".bag",), lambda start: start.startswith(b"#ROSBAG V"), lambda path, _epoch: Rosbag1(path)),
-    Format(
+    ImportFormat(
+        "rosbag1", (".bag",), lambda start: start.startswith(b"#ROSBAG V"), lambda path, _epoch: Rosbag1(path)
+    ),
+    ImportFormat(
         "rosbag2",
         (".mcap", ".db3"),
         lambda start: start.startswith((b"\x89MCAP0\r\n", b"SQLite format 3\0")),
         lambda path, _epoch: Rosbag2(path),
     ),
-    Format(
+    ImportFormat(
         "sequence",
         (".igs.mha", ".mha", ".mhd", ".igs.nrrd", ".seq.nrrd", ".nrrd", ".nhdr"),
         lambda start: start.startswith((b"NRRD000", *_META_KEYS)),
         Sequence,
     ),
-    Format("nifti", (".nii", ".nii.gz"), looks_like_nifti, lambda path, epoch: Sequence(path, epoch, read_nifti)),
-    Format(
+    ImportFormat("nifti", (".nii", ".nii.gz"), looks_like_nifti, lambda path, epoch: Sequence(path, epoch, read_nifti)),
+    ImportFormat(
         "pcap",
         (".pcap", ".cap"),
         lambda start: start[:4] in MAGICS or start[:4] == PCAPNG,
         lambda path, _epoch: Pcap(path),
     ),
-    Format("igtl", (".igtl",), looks_like_igtl, Capture),
+    ImportFormat("igtl", (".igtl",), looks_like_igtl, Capture),
 )
 
 
@@ -74,7 +76,7 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
         if (path / METADATA).exists() or any(path.glob("*.db3*")) or any(path.glob("*.mcap*")):
             return Rosbag2(path)
         raise UnsupportedRecording(f"{path}: found a directory without {METADATA}, expected a rosbag2 recording")
-    with reading(path), files.open_file(path) as stream:
+    with library_errors_as_damage(path), files.open_file(path) as stream:
         start = stream.read(_START)
     if path.name.endswith(".zstd"):
         return Rosbag2(path)

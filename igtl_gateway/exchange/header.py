@@ -20,7 +20,7 @@ Frames = dict[int, dict[str, str]]
 
 
 @dataclass(slots=True)
-class Header:
+class ImageFileHeader:
     """A header that was read: fields as they stand there, and of the frames by number.
 
     Attributes:
@@ -43,7 +43,7 @@ class Header:
 
 
 @dataclass(frozen=True, slots=True)
-class Imported:
+class ImageFile:
     """What an importer of images needs to know of a file.
 
     Attributes:
@@ -59,18 +59,18 @@ class Imported:
     notes: list[str]
 
 
-def lines(stream: BinaryIO, where: str) -> Iterator[str]:
+def header_lines(stream: BinaryIO, where: str) -> Iterator[str]:
     """Header lines; the stream stands behind each as it is given.  Raises LimitExceeded."""
-    bound, size = limits.current(), 0
+    bound, size = limits.current_limits(), 0
     deadline = limits.Deadline(os.fstat(stream.fileno()).st_size)
     for count in range(1, bound.count + 2):
         line = stream.readline(bound.document + 1)
         if not line:
             return
-        limits.check("document", len(line), f"{where}: bytes of a line of the header")
+        limits.check_limit("document", len(line), f"{where}: bytes of a line of the header")
         size += len(line)
-        limits.check("free", size, f"{where}: bytes of the header")
-        limits.check("count", count, f"{where}: fields of the header")
+        limits.check_limit("free", size, f"{where}: bytes of the header")
+        limits.check_limit("count", count, f"{where}: fields of the header")
         if count % 4096 == 0:
             deadline.check(where)
         yield line.decode("utf-8", "replace").rstrip("\r\n")

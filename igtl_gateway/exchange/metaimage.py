@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
-from igtl_gateway.exchange.header import Frames, Header, Imported, lines
-from igtl_gateway.exchange.place import Place
+from igtl_gateway.exchange.header import Frames, ImageFile, ImageFileHeader, header_lines
+from igtl_gateway.exchange.placement import ImagePlacement
 from igtl_gateway.exchange.raster import (
     COMPONENT,
     FRAME,
@@ -24,10 +24,10 @@ from igtl_gateway.exchange.raster import (
     SPACE,
     ZLIB,
     Raster,
-    axes_of,
-    number,
-    timed,
-    whole,
+    check_axes,
+    fourth_axis_as_time,
+    parse_number,
+    parse_whole,
 )
 from igtl_gateway.untrusted import files, limits
 
@@ -54,19 +54,19 @@ _DIRECTIONS = ("TransformMatrix", "Rotation", "Orientation")
 _SPACING = ("ElementSpacing", "ElementSize")
 
 
-def read_metaimage(path: Path, stream: BinaryIO) -> Imported:
+def read_metaimage(path: Path, stream: BinaryIO) -> ImageFile:
     """The header.  Raises DamagedRecording, UnsupportedRecording or LimitExceeded."""
     header = _read(path, stream)
     where = str(path)
     fields, notes = header.fields, list[str]()
-    sizes = [whole(word, "DimSize", where) for word in _words(fields, "DimSize", where)]
+    sizes = [parse_whole(word, "DimSize", where) for word in _words(fields, "DimSize", where)]
     roles = _roles(fields, header.frames, sizes, where, notes)
     if COMPONENT not in roles:
-        channels = whole(fields.get("ElementNumberOfChannels", "1"), "ElementNumberOfChannels", where)
+        channels = parse_whole(fields.get("ElementNumberOfChannels", "1"), "ElementNumberOfChannels", where)
         roles, sizes = [COMPONENT, *roles], [channels, *sizes]
     if _dims(fields, where) == len(roles) and FRAME not in roles:  # PLUS: one frame, still with an axis of time
         roles, sizes = [*roles, FRAME], [*sizes, 1]
-    axes = axes_of(roles, sizes, where)
+    axes = check_axes(roles, sizes, where)
     spatial = [role for role in roles if role != COMPONENT]
     data, offset = _data(path, fields, header.end, where)
     raster = Raster(
@@ -81,13 +81,13 @@ def read_metaimage(path: Path, stream: BinaryIO) -> Imported:
     )
     if len(spatial) == 4 and not header.frames:
         raster = replace(raster, times_s=_times(fields, spatial, raster.frames, where))
-    return Imported(fields, header.frames, raster, notes)
+    return ImageFile(fields, header.frames, raster, notes)
 
 
-def _read(path: Path, stream: BinaryIO) -> Header:
+def _read(path: Path, stream: BinaryIO) -> ImageFileHeader:
     """``Key = value`` lines, the last one ElementDataFile."""
-    header = Header()
-    for line in lines(stream, str(path)):
+    header = ImageFileHeader()
+    for line in header_lines(stream, str(path)):
         key, equals, value = (part.strip() for part in line.partition("="))
         if equals:
             header.add(key, value)
@@ -117,14 +117,14 @@ def _roles(fields: dict[str, str], frames: Frames, sizes: list[int], where: str,
             # what PLUS wrote of its reconstructed volumes before it had a third domain
             notes.append("Kinds calls the third axis a list, but no frame has fields: taken as one volume")
             return [SPACE, SPACE, SPACE]
-        return timed(roles, notes)
+        return fourth_axis_as_time(roles, notes)
     if frames and len(sizes) > 2:
         return [*([SPACE] * (len(sizes) - 1)), FRAME]
-    return timed([SPACE] * len(sizes), notes)
+    return fourth_axis_as_time([SPACE] * len(sizes), notes)
 
 
 def _dims(fields: dict[str, str], where: str) -> int:
-    return whole(fields.get("NDims", "0"), "NDims", where)
+    return parse_whole(fields.get("NDims", "0"), "NDims", where)
 
 
 def _dtype(fields: dict[str, str], pixels: int, where: str) -> str:
@@ -145,7 +145,7 @@ def _flag(fields: dict[str, str], *keys: str) -> bool:
 def _data(path: Path, fields: dict[str, str], end: int, where: str) -> tuple[Path, int]:
     """The file with the pixels, and where they begin in it."""
     name = fields["ElementDataFile"]
-    skip = whole(fields.get("HeaderSize", "0"), "HeaderSize", where)
+    skip = parse_whole(fields.get("HeaderSize", "0"), "HeaderSize", where)
     if name.upper() == "LOCAL":
         return path, end
     if name.upper().startswith("LIST") or "%" in name:
@@ -158,13 +158,13 @@ def _data(path: Path, fields: dict[str, str], end: int, where: str) -> tuple[Pat
 def _floats(fields: dict[str, str], keys: tuple[str, ...], count: int, where: str) -> list[float]:
     """Numbers of the first of these fields; none where there is none."""
     key = next((key for key in keys if key in fields), "")
-    values = [number(word, key, where) for word in fields.get(key, "").split()]
+    values = [parse_number(word, key, where) for word in fields.get(key, "").split()]
     if values and len(values) < count:
         raise DamagedRecording(f"{where}: {key}: found {len(values)} numbers, expected {count}")
     return values
 
 
-def _place(fields: dict[str, str], roles: list[str], where: str, notes: list[str]) -> Place | None:
+def _place(fields: dict[str, str], roles: list[str], where: str, notes: list[str]) -> ImagePlacement | None:
     """Where the image lies; None where no field says so.
 
     A slice in a file of three axes, the last one time, has three coordinates in each row: it lies in space.
@@ -192,12 +192,12 @@ def _place(fields: dict[str, str], roles: list[str], where: str, notes: list[str
     ):
         raise UnsupportedRecording(f"{where}: TransformMatrix: found axes of space with a part in time, expected none")
     axes = [[matrix[axis * dims + other] * spacing[axis] for other in coordinates] for axis in spaces]
-    return Place.of_file(axes, [offset[axis] for axis in coordinates], "LPS", where)
+    return ImagePlacement.of_file(axes, [offset[axis] for axis in coordinates], "LPS", where)
 
 
 def _times(fields: dict[str, str], roles: list[str], count: int, where: str) -> tuple[float, ...]:
     """Seconds of the frames of a plain image with four axes, by its spacing in time."""
     step = (_floats(fields, _SPACING, len(roles), where) or [0.0] * len(roles))[roles.index(FRAME)]
-    if not 0 < step < MAX_STEP_S or count > limits.current().count:
+    if not 0 < step < MAX_STEP_S or count > limits.current_limits().count:
         return ()
     return tuple(index * step for index in range(count))

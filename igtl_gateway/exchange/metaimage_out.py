@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 
 from igtl_gateway.exchange.metaimage import MET_NAMES
-from igtl_gateway.exchange.place import Place, Vector
+from igtl_gateway.exchange.placement import ImagePlacement, Vector
 from igtl_gateway.wire.image import SCALARS, Image
 
 #: Orientations of ultrasound images that PLUS knows, by the axes along rows and columns: Marked or Unmarked side, Far
@@ -32,10 +32,12 @@ _IN_NRRD = {
     "UltrasoundImageOrientation": "ultrasound image orientation",
     "UltrasoundImageType": "ultrasound image type",
 }
-_UNPLACED = Place(((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.0))
+_UNPLACED = ImagePlacement(((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.0))
 
 
-def header(image: Image | None, place: Place | None, count: int, session: Mapping[str, str], epoch: str) -> list[str]:
+def metaimage_header(
+    image: Image | None, place: ImagePlacement | None, count: int, session: Mapping[str, str], epoch: str
+) -> list[str]:
     """The lines before the fields of the frames.
 
     Args:

@@ -15,9 +15,9 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from igtl_gateway.errors import DamagedRecording, Unavailable, UnsupportedRecording
-from igtl_gateway.exchange.header import Imported
-from igtl_gateway.exchange.place import Place
-from igtl_gateway.exchange.raster import COMPONENT, FRAME, MAX_STEP_S, RAW, SPACE, ZLIB, Raster, axes_of
+from igtl_gateway.exchange.header import ImageFile
+from igtl_gateway.exchange.placement import ImagePlacement
+from igtl_gateway.exchange.raster import COMPONENT, FRAME, MAX_STEP_S, RAW, SPACE, ZLIB, Raster, check_axes
 from igtl_gateway.extras import missing
 from igtl_gateway.untrusted import limits
 
@@ -45,7 +45,7 @@ def looks_like_nifti(start: bytes) -> bool:
     return data[344:348] in {b"n+1\0", b"ni1\0"} or data[4:8] in {b"n+2\0", b"ni2\0"}
 
 
-def read_nifti(path: Path, stream: BinaryIO) -> Imported:
+def read_nifti(path: Path, stream: BinaryIO) -> ImageFile:
     """The header.  Raises DamagedRecording, UnsupportedRecording, LimitExceeded, or Unavailable without nibabel."""
     where = str(path)
     start = stream.read(1 << 16)
@@ -71,7 +71,7 @@ def read_nifti(path: Path, stream: BinaryIO) -> Imported:
         raise DamagedRecording(f"{where}: vox_offset: found {offset:g}, expected a number of bytes")
     raster = Raster(
         where,
-        axes_of(roles, shape, where),
+        check_axes(roles, shape, where),
         dtype if math.prod(shape) else "",
         order == ">",
         ZLIB if packed else RAW,
@@ -88,7 +88,7 @@ def read_nifti(path: Path, stream: BinaryIO) -> Imported:
         name: " ".join(str(value) for value in np.atleast_1d(header[name]))
         for name in ("dim", "pixdim", "datatype", "qform_code", "sform_code", "scl_slope", "scl_inter", "xyzt_units")
     }
-    return Imported(fields, {}, raster, notes)
+    return ImageFile(fields, {}, raster, notes)
 
 
 def _header(start: bytes, where: str) -> tuple[Any, str]:
@@ -129,7 +129,7 @@ def _dtype(header: Any, where: str) -> tuple[int, str]:
 
 
 @np.errstate(all="ignore")  # what is not finite is refused below; numpy would print a warning as well
-def _place(header: Any, axes: int, where: str, notes: list[str]) -> Place:
+def _place(header: Any, axes: int, where: str, notes: list[str]) -> ImagePlacement:
     scale = _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
     codes = {name: int(header[f"{name}_code"]) for name in ("sform", "qform")}
     if codes["sform"] > 0:
@@ -141,9 +141,9 @@ def _place(header: Any, axes: int, where: str, notes: list[str]) -> Place:
     else:
         notes.append("neither sform nor qform is set: axes are taken as left, posterior, superior, as ITK does")
         steps = [abs(float(step)) * scale for step in header["pixdim"][1 : 1 + axes]]
-        return Place.of_file(np.diag(steps).tolist(), [0.0] * axes, "LPS", where)
+        return ImagePlacement.of_file(np.diag(steps).tolist(), [0.0] * axes, "LPS", where)
     columns = (affine[:3, :axes] * scale).T.tolist()
-    return Place.of_file(columns, (affine[:3, 3] * scale).tolist(), "RAS", where)
+    return ImagePlacement.of_file(columns, (affine[:3, 3] * scale).tolist(), "RAS", where)
 
 
 def _times(header: Any, roles: list[str], shape: list[int]) -> tuple[float, ...]:
@@ -152,6 +152,6 @@ def _times(header: Any, roles: list[str], shape: list[int]) -> tuple[float, ...]
     count = shape[roles.index(FRAME)]
     scale = _SECONDS.get(int(header["xyzt_units"]) & 56, 0.0)
     step = float(header["pixdim"][4]) * scale
-    if not 0 < step < MAX_STEP_S or not 1 < count <= limits.current().count:
+    if not 0 < step < MAX_STEP_S or not 1 < count <= limits.current_limits().count:
         return ()
     return tuple(index * step for index in range(count))

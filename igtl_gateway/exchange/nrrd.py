@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
-from igtl_gateway.exchange.header import Frames, Header, Imported, lines
-from igtl_gateway.exchange.place import Place, Vector
+from igtl_gateway.exchange.header import Frames, ImageFile, ImageFileHeader, header_lines
+from igtl_gateway.exchange.placement import ImagePlacement, Vector
 from igtl_gateway.exchange.raster import (
     BZIP2,
     COMPONENT,
@@ -24,10 +24,10 @@ from igtl_gateway.exchange.raster import (
     SPACE,
     ZLIB,
     Raster,
-    axes_of,
-    number,
-    timed,
-    whole,
+    check_axes,
+    fourth_axis_as_time,
+    parse_number,
+    parse_whole,
 )
 from igtl_gateway.untrusted import files, limits
 
@@ -67,22 +67,22 @@ _VECTOR = re.compile(r"none|\(([^()]*)\)")
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6}
 
 
-def read_nrrd(path: Path, stream: BinaryIO) -> Imported:
+def read_nrrd(path: Path, stream: BinaryIO) -> ImageFile:
     """The header.  Raises DamagedRecording, UnsupportedRecording or LimitExceeded."""
     header, where = _read(path, stream), str(path)
     fields, notes = header.fields, list[str]()
-    sizes = [whole(word, "sizes", where) for word in fields.get("sizes", "").split()[:17]]
+    sizes = [parse_whole(word, "sizes", where) for word in fields.get("sizes", "").split()[:17]]
     if not 2 <= len(sizes) <= 16 or fields.get("dimension", str(len(sizes))) != str(len(sizes)):
         raise DamagedRecording(
             f"{where}: found {len(sizes)} sizes and dimension {fields.get('dimension', '')[:20]!r}, "
             "expected one size for each of 2 or more"
         )
     vectors = _vectors(fields, len(sizes), where)
-    roles = timed(_roles(fields, vectors, len(sizes), header.frames, where), notes)
+    roles = fourth_axis_as_time(_roles(fields, vectors, len(sizes), header.frames, where), notes)
     data, offset, skip = _data(path, fields, header.end, where)
     raster = Raster(
         where,
-        axes_of(roles, sizes, where),
+        check_axes(roles, sizes, where),
         _dtype(fields, math.prod(sizes), where),
         fields.get("endian", "little").lower() == "big",
         _packing(fields, where),
@@ -92,13 +92,13 @@ def read_nrrd(path: Path, stream: BinaryIO) -> Imported:
         skip,
         _times(fields, roles, sizes, vectors, where, notes),
     )
-    return Imported(fields, header.frames, raster, notes)
+    return ImageFile(fields, header.frames, raster, notes)
 
 
-def _read(path: Path, stream: BinaryIO) -> Header:
+def _read(path: Path, stream: BinaryIO) -> ImageFileHeader:
     """``field: value`` and ``key:=value`` lines up to an empty one, or to the end of a detached header."""
-    header = Header()
-    for line in lines(stream, str(path)):
+    header = ImageFileHeader()
+    for line in header_lines(stream, str(path)):
         if not line:
             break
         if line.startswith(("#", "NRRD")):
@@ -125,7 +125,7 @@ def _vectors(fields: dict[str, str], count: int, where: str) -> list[list[float]
         raise DamagedRecording(f"{where}: space directions: found {len(found)} vectors, expected {count}")
     vectors: list[list[float] | None] = []
     for match in found:
-        values = [number(word, "space directions", where) for word in (match[1] or "").split(",") if word.strip()]
+        values = [parse_number(word, "space directions", where) for word in (match[1] or "").split(",") if word.strip()]
         vectors.append(None if not values or all(map(math.isnan, values)) else values)
     return vectors
 
@@ -174,9 +174,9 @@ def _packing(fields: dict[str, str], where: str) -> str:
 def _data(path: Path, fields: dict[str, str], end: int, where: str) -> tuple[Path, int, int]:
     """The file with the pixels, where they begin in it, and the unpacked bytes before them."""
     name = fields.get("data file", "")
-    skip = whole(fields.get("byte skip", "0"), "byte skip", where)
+    skip = parse_whole(fields.get("byte skip", "0"), "byte skip", where)
     packed = _packing(fields, where) != RAW
-    if whole(fields.get("line skip", "0"), "line skip", where):
+    if parse_whole(fields.get("line skip", "0"), "line skip", where):
         raise UnsupportedRecording(f"{where}: line skip: found {fields['line skip'][:20]}, expected 0")
     if skip < 0 and (packed or skip != -1):
         raise UnsupportedRecording(f"{where}: byte skip: found {skip}, expected 0 or more, or -1 for raw pixels")
@@ -190,7 +190,7 @@ def _data(path: Path, fields: dict[str, str], end: int, where: str) -> tuple[Pat
 
 def _place(
     fields: dict[str, str], roles: list[str], vectors: list[list[float] | None], where: str, notes: list[str]
-) -> Place | None:
+) -> ImagePlacement | None:
     spaces = [axis for axis, role in enumerate(roles) if role == SPACE]
     directions = [vector for axis in spaces if (vector := vectors[axis]) is not None]
     space = _space(fields, where, notes)
@@ -200,7 +200,7 @@ def _place(
         raise DamagedRecording(f"{where}: space directions: found none for an axis of space, expected a vector")
     dims = {len(vector) for vector in directions}
     text = fields.get("space origin", "")
-    origin = [number(word, "space origin", where) for word in text.strip(" ()").split(",") if word.strip()]
+    origin = [parse_number(word, "space origin", where) for word in text.strip(" ()").split(",") if word.strip()]
     count = dims.pop()
     if dims or not 2 <= count <= 4 or (origin and len(origin) != count):
         raise DamagedRecording(
@@ -214,7 +214,7 @@ def _place(
     units = set(re.findall(r'"([^"]*)"', fields.get("space units", ""))) - {"mm", "", "s", "ms", "???"}
     if units:
         notes.append(f"space units {', '.join(sorted(units))[:40]}: numbers are taken as millimetres, as ITK does")
-    return Place.of_file([vector[:3] for vector in directions], origin[:3], space, where)
+    return ImagePlacement.of_file([vector[:3] for vector in directions], origin[:3], space, where)
 
 
 def _space(fields: dict[str, str], where: str, notes: list[str]) -> str:
@@ -229,7 +229,9 @@ def _space(fields: dict[str, str], where: str, notes: list[str]) -> str:
     return "LPS"
 
 
-def _plain_place(fields: dict[str, str], spaces: list[int], count: int, where: str, notes: list[str]) -> Place | None:
+def _plain_place(
+    fields: dict[str, str], spaces: list[int], count: int, where: str, notes: list[str]
+) -> ImagePlacement | None:
     """Of ``spacings`` and ``axis mins``, which know no directions."""
     words = fields.get("spacings", "").split()
     if not words:
@@ -237,11 +239,11 @@ def _plain_place(fields: dict[str, str], spaces: list[int], count: int, where: s
         return None
     if len(words) != count:
         raise DamagedRecording(f"{where}: spacings: found {len(words)} numbers, expected {count}")
-    steps = [number(words[axis], "spacings", where) for axis in spaces]
+    steps = [parse_number(words[axis], "spacings", where) for axis in spaces]
     if any(not step > 0 for step in steps):
         raise DamagedRecording(f"{where}: spacings: found {' '.join(words)[:60]}, expected numbers above 0")
     mins = fields.get("axis mins", "").split()
-    first = [number(mins[axis], "axis mins", where) for axis in spaces] if len(mins) == count else []
+    first = [parse_number(mins[axis], "axis mins", where) for axis in spaces] if len(mins) == count else []
     centred = "node" not in (fields.get("centers", "") or fields.get("centerings", "")).lower()
     # cells begin half a step before their centre
     origin = [low + (step / 2 if centred else 0.0) for low, step in zip(first, steps, strict=True)] if first else []
@@ -249,7 +251,7 @@ def _plain_place(fields: dict[str, str], spaces: list[int], count: int, where: s
     if len(steps) == 3:
         axes.append((0.0, 0.0, steps[2]))
     notes.append("the header has spacings without directions: axes are taken as left, posterior, superior, as ITK does")
-    return Place.of_file(axes, origin or [0.0] * len(axes), "LPS", where)
+    return ImagePlacement.of_file(axes, origin or [0.0] * len(axes), "LPS", where)
 
 
 def _times(
@@ -261,7 +263,7 @@ def _times(
     notes: list[str],
 ) -> tuple[float, ...]:
     """Seconds of the frames, as Slicer's ``axis 3 index values`` have them, or by an even step."""
-    if FRAME not in roles or sizes[roles.index(FRAME)] > limits.current().count:
+    if FRAME not in roles or sizes[roles.index(FRAME)] > limits.current_limits().count:
         return ()
     axis = roles.index(FRAME)
     values = fields.get(f"axis {axis} index values", "").split()
@@ -270,12 +272,12 @@ def _times(
         label = _word(fields.get("labels", ""), axis)
         scale = _SECONDS.get(unit.lower(), 1.0 if "time" in label.lower() else 0.0)
         if scale:
-            return tuple(number(value, f"axis {axis} index values", where) * scale for value in values)
+            return tuple(parse_number(value, f"axis {axis} index values", where) * scale for value in values)
         notes.append(f"index values of the frames ({label[:40] or 'no label'}, {unit[:20] or 'no unit'}) are no times")
         return ()
     vector = vectors[axis]
     words = fields.get("spacings", "").split()
-    step = vector[-1] if vector else number(words[axis], "spacings", where) if len(words) == len(sizes) else 0.0
+    step = vector[-1] if vector else parse_number(words[axis], "spacings", where) if len(words) == len(sizes) else 0.0
     return tuple(index * step for index in range(sizes[axis])) if 0 < step < MAX_STEP_S else ()
 
 

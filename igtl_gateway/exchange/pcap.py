@@ -24,8 +24,17 @@ from pathlib import Path
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import DamagedRecording, MessageTooLarge, UnsupportedRecording
-from igtl_gateway.exchange.capture import count, looks_like_igtl
-from igtl_gateway.exchange.source import BYTES, Item, Row, Told, from_peer, link_down, link_up, reading
+from igtl_gateway.exchange.capture import count_message, looks_like_igtl
+from igtl_gateway.exchange.source import (
+    BYTES,
+    ImportedItem,
+    ImportedStream,
+    NonRosSource,
+    library_errors_as_damage,
+    link_down_item,
+    link_up_item,
+    peer_item,
+)
 from igtl_gateway.untrusted import files, limits
 from igtl_gateway.wire import HEADER_SIZE
 from igtl_gateway.wire.framer import Framer
@@ -93,7 +102,7 @@ class _Direction:
 
     link: int
     name: str
-    row: Row
+    row: ImportedStream
     is_listed: bool
     start: int | None = None  # sequence number of the first byte
     taken: int = 0  # bytes in order
@@ -157,24 +166,24 @@ class _Connection:
     up: set[_Address] = field(default_factory=set)
 
 
-class Pcap(Told):
+class Pcap(NonRosSource):
     """An open capture of packets.  Raises UnsupportedRecording for pcapng and unknown link types."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"captured packets {path.name}", {"imported_format": "pcap"})
         self._path = path
-        self._streams: dict[str, Row] = {}
+        self._streams: dict[str, ImportedStream] = {}
         self._links = 0
         self._last_ns = 0
         self._cut = self._fragments = self._dropped = 0
         self._connections: dict[frozenset[_Address], _Connection] = {}
         self._waiting = self._begun = 0  # bytes, in all connections
-        self._further: dict[bool, Row] = {}
-        with reading(path):
+        self._further: dict[bool, ImportedStream] = {}
+        with library_errors_as_damage(path):
             self._stream = files.open_file(path)
             self._deadline = limits.Deadline(files.size_of(path))
         try:
-            with reading(path):
+            with library_errors_as_damage(path):
                 self._open()
         except BaseException:
             self._stream.close()
@@ -193,7 +202,7 @@ class Pcap(Told):
                 f"{self._path}: found link type {self._link_type}, expected one of {', '.join(map(str, _LINKS))}"
             )
 
-    def items(self) -> Iterator[Item]:
+    def items(self) -> Iterator[ImportedItem]:
         connections = self._connections  # the one that was silent for longest comes first
         for segment in self._segments():
             key = frozenset((segment.source, segment.target))
@@ -236,7 +245,7 @@ class Pcap(Told):
         for source, target in (ends, ends[::-1]):
             self._links += 1
             name = f"{_text(source)} to {_text(target)}"
-            row = Row(name, 0, unit=BYTES)
+            row = ImportedStream(name, 0, unit=BYTES)
             is_listed = len(self.rows) < MAX_ROWS
             if is_listed:
                 self.rows.append(row)
@@ -245,7 +254,7 @@ class Pcap(Told):
             facts[source] = {"peer": _text(source), "local": _text(target), "role": role}
         return _Connection(directions, facts)
 
-    def _receive(self, connection: _Connection, segment: Segment) -> Iterator[Item]:
+    def _receive(self, connection: _Connection, segment: Segment) -> Iterator[ImportedItem]:
         direction = connection.directions[segment.source]
         at = direction.place(segment)
         held = direction.waiting_cost
@@ -258,10 +267,10 @@ class Pcap(Told):
         for message in self._framed(direction, data):
             if segment.source not in connection.up:
                 connection.up.add(segment.source)
-                yield link_up(segment.time_ns, direction.link, connection.facts[segment.source])
+                yield link_up_item(segment.time_ns, direction.link, connection.facts[segment.source])
             direction.row.taken += len(message)
-            item = from_peer(segment.time_ns, direction.link, message)
-            count(self._streams, self.rows, item)
+            item = peer_item(segment.time_ns, direction.link, message)
+            count_message(self._streams, self.rows, item)
             yield item
 
     def _framed(self, direction: _Direction, data: bytes) -> Iterator[Buffer]:
@@ -296,7 +305,7 @@ class Pcap(Told):
         self._begun -= most.begun
         most.give_up(f"{why}: given up after {most.taken} bytes")
 
-    def _close(self, connection: _Connection, reason: str) -> Iterator[Item]:
+    def _close(self, connection: _Connection, reason: str) -> Iterator[ImportedItem]:
         for source, direction in connection.directions.items():
             row = direction.row
             row.declared = direction.end
@@ -315,13 +324,13 @@ class Pcap(Told):
             if not direction.is_listed:
                 self._add(row, is_igtl=bool(direction.is_igtl))
             if source in connection.up:
-                yield link_down(self._last_ns, direction.link, connection.facts[source], reason)
+                yield link_down_item(self._last_ns, direction.link, connection.facts[source], reason)
 
-    def _add(self, row: Row, *, is_igtl: bool) -> None:
+    def _add(self, row: ImportedStream, *, is_igtl: bool) -> None:
         """Count a connection that has no row of its own."""
         if is_igtl not in self._further:
             kind = "OpenIGTLink" if is_igtl else "not OpenIGTLink"
-            self._further[is_igtl] = Row(
+            self._further[is_igtl] = ImportedStream(
                 f"(further connections, {kind})", 0, unit=BYTES, why=f"more than {MAX_ROWS} rows"
             )
             self.rows.append(self._further[is_igtl])

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.exchange.raster import BZIP2, COMPONENT, FRAME, RAW, WIDER, Raster, check_room
-from igtl_gateway.exchange.source import reading
+from igtl_gateway.exchange.source import library_errors_as_damage
 from igtl_gateway.untrusted import files, limits
 
 _READ = 1 << 20
@@ -25,7 +25,7 @@ _READ = 1 << 20
 _EXACT = 1 << 53
 
 
-def frames(raster: Raster, notes: list[str]) -> Iterator[bytes]:
+def read_frames(raster: Raster, notes: list[str]) -> Iterator[bytes]:
     """The frames in order; ``notes`` gets what is behind the last one.
 
     Raises DamagedRecording where pixels are missing, LimitExceeded.
@@ -43,7 +43,7 @@ def frames(raster: Raster, notes: list[str]) -> Iterator[bytes]:
             pieces.tell_rest(notes)
             return
         total = raster.frame_bytes * raster.frames
-        limits.check("memory", total, f"{raster.where}: bytes of all frames, which are not one after the other")
+        limits.check_limit("memory", total, f"{raster.where}: bytes of all frames, which are not one after the other")
         data = pieces.read(total, "all frames")
         pieces.tell_rest(notes)
         for index in range(raster.frames):
@@ -106,7 +106,7 @@ class _Pieces:
 
     def read(self, size: int, what: str) -> bytes:
         data = bytearray()
-        with reading(self._raster.data):
+        with library_errors_as_damage(self._raster.data):
             while len(data) < size:
                 part = self._some(size - len(data))
                 if not part:

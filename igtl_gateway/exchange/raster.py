@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
-from igtl_gateway.exchange.place import Place
+from igtl_gateway.exchange.placement import ImagePlacement
 from igtl_gateway.untrusted import limits
 
 SPACE, COMPONENT, FRAME = "space", "component", "frame"
@@ -59,7 +59,7 @@ class Raster:
     packing: str
     data: Path
     offset: int
-    place: Place | None
+    place: ImagePlacement | None
     skip: int = 0
     times_s: tuple[float, ...] = ()
 
@@ -83,7 +83,7 @@ class Raster:
         return math.prod(self.size) * self.components * np.dtype(self.dtype).itemsize if self.dtype else 0
 
 
-def axes_of(roles: list[str], sizes: list[int], where: str) -> tuple[Axis, ...]:
+def check_axes(roles: list[str], sizes: list[int], where: str) -> tuple[Axis, ...]:
     """Axes, checked against what an IMAGE holds.  Raises DamagedRecording, UnsupportedRecording or LimitExceeded."""
     axes = tuple(Axis(role, size) for role, size in zip(roles, sizes, strict=True))
     spaces = [axis.size for axis in axes if axis.role == SPACE]
@@ -103,7 +103,7 @@ def axes_of(roles: list[str], sizes: list[int], where: str) -> tuple[Axis, ...]:
     return axes
 
 
-def timed(roles: list[str], notes: list[str]) -> list[str]:
+def fourth_axis_as_time(roles: list[str], notes: list[str]) -> list[str]:
     """Roles in which a fourth axis of space is time: an IMAGE has three."""
     if roles.count(SPACE) != 4 or FRAME in roles:
         return roles
@@ -112,7 +112,7 @@ def timed(roles: list[str], notes: list[str]) -> list[str]:
     return [*roles[:last], FRAME, *roles[last + 1 :]]
 
 
-def number(word: str, what: str, where: str) -> float:
+def parse_number(word: str, what: str, where: str) -> float:
     """A number of a header.  Raises DamagedRecording."""
     try:
         return float(word)
@@ -120,7 +120,7 @@ def number(word: str, what: str, where: str) -> float:
         raise DamagedRecording(f"{where}: {what}: found {word[:40]!r}, expected a number") from None
 
 
-def whole(word: str, what: str, where: str) -> int:
+def parse_whole(word: str, what: str, where: str) -> int:
     """A whole number of a header, of at most 18 digits.  Raises DamagedRecording."""
     digits = word.removeprefix("-").removeprefix("+")
     if not (digits.isascii() and digits.isdigit() and len(digits) <= 18):
@@ -130,11 +130,11 @@ def whole(word: str, what: str, where: str) -> int:
 
 def check_room(raster: Raster, packed: int) -> None:
     """Raise LimitExceeded where the pixels take more memory than they may, or unpack to too much."""
-    limits.check("memory", raster.frame_bytes, f"{raster.where}: bytes of a frame")
+    limits.check_limit("memory", raster.frame_bytes, f"{raster.where}: bytes of a frame")
     if raster.packing != RAW:
         total = raster.skip + raster.frame_bytes * raster.frames
-        allowed = max(limits.current().free, limits.current().ratio * packed)
-        limits.check("ratio", total, f"{raster.where}: {packed} packed bytes, unpacked", allowed)
+        allowed = max(limits.current_limits().free, limits.current_limits().ratio * packed)
+        limits.check_limit("ratio", total, f"{raster.where}: {packed} packed bytes, unpacked", allowed)
 
 
 def _shown(sizes: list[int]) -> str:

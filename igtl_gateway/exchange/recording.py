@@ -7,12 +7,12 @@ from hashlib import blake2b
 from typing import Protocol
 
 from igtl_gateway.errors import WireError
-from igtl_gateway.exchange.account import Account, Exported
+from igtl_gateway.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.wire.header import HEADER_SIZE, Header
-from igtl_gateway.wire.message import Extended
+from igtl_gateway.wire.message import ExtendedHeader
 
 IGTL_KINDS = (Kind.IGTL_IN, Kind.IGTL_OUT)
 ROS_KINDS = (Kind.ROS_IN, Kind.ROS_OUT)
@@ -60,11 +60,11 @@ class Recording(Protocol):
     def entries(self) -> Iterator[Entry]: ...
 
 
-def chosen(
+def chosen_entries(
     recording: Recording,
     kinds: Iterable[Kind],
     globs: Sequence[str],
-    account: Account | None = None,
+    account: ExportAccount | None = None,
     types: Container[str] | None = None,
 ) -> Iterator[Entry]:
     """Entries of some kinds whose stream fits a glob, if there is any: ``TYPE/device``, the device alone, or the topic.
@@ -76,15 +76,15 @@ def chosen(
         types: only these types of messages.
     """
     wanted, fitting = frozenset(kinds), dict[tuple[Kind, str], bool]()
-    forms = _Forms()
+    forms = _VersionFilter()
     for entry in recording.entries():
         if entry.kind.is_input:
-            forms = _Forms()
+            forms = _VersionFilter()
         if entry.kind not in wanted and (account is None or entry.kind not in _MESSAGES):
             continue
         key = (entry.kind, entry.channel)
         if key not in fitting:
-            fitting[key] = fits(entry.channel, entry.kind, globs)
+            fitting[key] = matches_stream(entry.channel, entry.kind, globs)
         if not fitting[key]:
             continue
         if entry.kind not in wanted or (types is not None and entry.type not in types):
@@ -98,16 +98,16 @@ def chosen(
         yield entry
 
 
-def count_skipped(recording: Recording, globs: Sequence[str], account: Account) -> None:
+def count_skipped(recording: Recording, globs: Sequence[str], account: ExportAccount) -> None:
     """Count as left out the channels of the file that cannot be read, such as those that are not CDR."""
     for channel in recording.skipped:
-        if channel.count and fits(channel.topic, Kind.ROS_IN, globs):
-            row = Exported(channel.topic, channel.count, channel.type)
+        if channel.count and matches_stream(channel.topic, Kind.ROS_IN, globs):
+            row = ExportedStream(channel.topic, channel.count, channel.type)
             row.leave_out(channel.why, channel.count)
             account.rows.append(row)
 
 
-class _Forms:
+class _VersionFilter:
     """The messages that one input caused, to find those that went out in both header versions."""
 
     def __init__(self) -> None:
@@ -127,7 +127,7 @@ class _Forms:
         data = memoryview(entry.data())
         try:
             header, body = Header.unpack(data), data[HEADER_SIZE:]
-            content = Extended.unpack(body).split(body)[0] if header.version > 1 else body
+            content = ExtendedHeader.unpack(body).split(body)[0] if header.version > 1 else body
         except WireError:
             return set()  # a damaged message is no form of another
         key = entry.channel, header.ticks, blake2b(content).digest()
@@ -136,7 +136,7 @@ class _Forms:
         return versions
 
 
-def fits(channel: str, kind: Kind, globs: Sequence[str]) -> bool:
+def matches_stream(channel: str, kind: Kind, globs: Sequence[str]) -> bool:
     """Whether a stream fits a glob, or there is none.  Notes are of no stream and always do."""
     if not globs or not channel:
         return True

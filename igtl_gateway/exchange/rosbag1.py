@@ -22,14 +22,14 @@ from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
 from igtl_gateway.errors import DamagedRecording
-from igtl_gateway.exchange.rosbag1_file import BagFile, Connection
-from igtl_gateway.exchange.source import Item, Row, Told
+from igtl_gateway.exchange.rosbag1_file import BagConnection, BagFile
+from igtl_gateway.exchange.source import ImportedItem, ImportedStream, NonRosSource
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.untrusted import definitions, limits
-from igtl_gateway.untrusted.decoding import new_store, register
+from igtl_gateway.untrusted.decoding import new_store, register_types
 from igtl_gateway.untrusted.definition_checks import Types, weight
-from igtl_gateway.untrusted.elements import Elements
+from igtl_gateway.untrusted.elements import ElementCounter
 
 #: Types that have another name in ROS 2.
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
@@ -38,7 +38,7 @@ _HEADER = "std_msgs/msg/Header"
 _Convert = Callable[[bytes], memoryview]
 
 
-class Rosbag1(Told):
+class Rosbag1(NonRosSource):
     """An open ROS 1 bag.  Raises UnsupportedRecording, DamagedRecording."""
 
     def __init__(self, path: Path) -> None:
@@ -47,7 +47,7 @@ class Rosbag1(Told):
         self._known = frozenset(self._target.fielddefs)
         self._fields = 0
         self._latched: set[tuple[str, str]] = set()
-        self._converters: dict[int, tuple[str, str, Row, _Convert | None]] = {}
+        self._converters: dict[int, tuple[str, str, ImportedStream, _Convert | None]] = {}
         self._bag = BagFile(path)
         try:
             self._open()
@@ -60,13 +60,13 @@ class Rosbag1(Told):
         for chunk in self._bag.chunks:
             for number, count in chunk.counts.items():
                 declared[number] = declared.get(number, 0) + count
-        rows: dict[tuple[str, str], Row] = {}
+        rows: dict[tuple[str, str], ImportedStream] = {}
         made: dict[tuple[str, str], tuple[_Convert | None, str]] = {}
         for connection in self._bag.connections:
             topic = "/" + "/".join(word for word in connection.topic.split("/") if word)
             name = ros2_name(connection.ros1_type)
             ros_type = RENAMED.get(name, name)
-            row = rows.setdefault((topic, ros_type), Row(topic, 0, ros_type))
+            row = rows.setdefault((topic, ros_type), ImportedStream(topic, 0, ros_type))
             row.declared += declared.get(connection.number, 0)
             key = (name, connection.definition)
             if key not in made:
@@ -80,14 +80,14 @@ class Rosbag1(Told):
             self._converters[connection.number] = (topic, ros_type, row, convert)
         self.rows = [rows[key] for key in sorted(rows)]
 
-    def _converter(self, connection: Connection, name: str, ros_type: str) -> tuple[_Convert | None, str]:
+    def _converter(self, connection: BagConnection, name: str, ros_type: str) -> tuple[_Convert | None, str]:
         """What makes CDR of this connection's messages; or None, and why nothing can."""
         try:
-            types = definitions.parse(connection.definition, name)
+            types = definitions.parse_definition(connection.definition, name)
             source = new_store()
             source.fielddefs.update(types)
             if ros_type not in self._target.fielddefs:
-                own = definitions.parse(definitions.text_of(source.fielddefs, name), ros_type)
+                own = definitions.parse_definition(definitions.definition_text(source.fielddefs, name), ros_type)
                 # what ROS 2 knows stays as ROS 2 has it, such as the Header
                 self._register(self._target, {key: fields for key, fields in own.items() if key not in self._known})
             if is_same_wireformat(source, self._target, name, ros_type):
@@ -97,17 +97,17 @@ class Rosbag1(Told):
             lost = sorted(lost_fields(source, self._target, name, ros_type))
             if lost:
                 self.notes.append(f"{ros_type}: ROS 2 has no counterpart of {', '.join(lost)}")
-            elements = Elements(types, name, ros1=True)
+            elements = ElementCounter(types, name, ros1=True)
             return partial(_migrated, source, self._target, name, ros_type, {}, elements), ""
         except (DamagedRecording, TypesysError, KeyError, AssertionError) as error:
             return None, f"its definition cannot be used: {error}"
 
     def _register(self, store: Typestore, types: Types) -> None:
         self._fields += sum(map(weight, types.values()))
-        limits.check("fields", self._fields, "definitions of the bag", 2 * limits.current().fields)
-        register(store, types)
+        limits.check_limit("fields", self._fields, "definitions of the bag", 2 * limits.current_limits().fields)
+        register_types(store, types)
 
-    def items(self) -> Iterator[Item]:
+    def items(self) -> Iterator[ImportedItem]:
         for message in self._bag.messages():
             if message.connection not in self._converters:
                 raise DamagedRecording(
@@ -122,7 +122,7 @@ class Rosbag1(Told):
                 row.why = f"not convertible, the first at {message.time_ns} ns: {type(error).__name__}: {error}"
                 continue
             row.taken += 1
-            yield Item(message.time_ns, Kind.ROS_IN, payload, topic, ros_type)
+            yield ImportedItem(message.time_ns, Kind.ROS_IN, payload, topic, ros_type)
 
     def qos_of(self, topic: str, ros_type: str) -> Qos | None:
         return Qos(latched=True) if (topic, ros_type) in self._latched else None
@@ -132,7 +132,7 @@ class Rosbag1(Told):
             return None
         types = self._target.fielddefs
         try:
-            return definitions.text_of(types, ros_type), definitions.type_hash(types, ros_type)
+            return definitions.definition_text(types, ros_type), definitions.type_hash(types, ros_type)
         except (TypesysError, KeyError):
             return None  # a type that it needs is missing
 
@@ -180,7 +180,7 @@ def _migrated(
     old: str,
     new: str,
     cache: dict[str, object],
-    elements: Elements,
+    elements: ElementCounter,
     data: bytes,
 ) -> memoryview:
     elements.check(data)

@@ -32,7 +32,7 @@ _UNPACK: dict[bytes, Callable[[bytes, int, str], bytes]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Connection:
+class BagConnection:
     """A publisher's connection: topic and type as ROS 1 has them, with the type's definition."""
 
     number: int
@@ -51,7 +51,7 @@ class ChunkInfo:
     counts: dict[int, int]
 
 
-class Message(NamedTuple):
+class BagMessage(NamedTuple):
     """A message; sorted by time, and in the order of the file where times are equal."""
 
     time_ns: int
@@ -68,7 +68,7 @@ class BagFile:
         self._size = files.size_of(path)
         self._deadline = limits.Deadline(self._size)
         self._stream = files.open_file(path)
-        self.connections: list[Connection] = []
+        self.connections: list[BagConnection] = []
         self.chunks: list[ChunkInfo] = []
         try:
             self._open()
@@ -80,16 +80,16 @@ class BagFile:
         """Close the file."""
         self._stream.close()
 
-    def messages(self) -> Iterator[Message]:
+    def messages(self) -> Iterator[BagMessage]:
         """All messages in order of time.  Raises DamagedRecording."""
         chunks = sorted(self.chunks, key=lambda chunk: (chunk.start_ns, chunk.at))
-        waiting: list[tuple[int, int, int, Iterator[Message], Message]] = []
+        waiting: list[tuple[int, int, int, Iterator[BagMessage], BagMessage]] = []
         held = 0
         for index, chunk in enumerate(chunks):
             found, size = self._chunk(chunk, index)
             held += size
             if waiting:
-                limits.check("free", held, f"{self._path}: chunks that overlap in time")
+                limits.check_limit("free", held, f"{self._path}: chunks that overlap in time")
             rest = iter(found)
             if first := next(rest, None):
                 heapq.heappush(waiting, (first.time_ns, index, size, rest, first))
@@ -122,8 +122,8 @@ class BagFile:
             raise DamagedRecording(f"{self._path}: has no index, so recording was cut off: `rosbag reindex` makes one")
         if index > self._size:
             raise DamagedRecording(f"{self._path}: cut off: found {self._size} bytes, expected an index at {index}")
-        limits.check("topics", connections, f"{self._path}: connections")
-        limits.check("count", chunks, f"{self._path}: chunks")
+        limits.check_limit("topics", connections, f"{self._path}: connections")
+        limits.check_limit("count", chunks, f"{self._path}: chunks")
         self._stream.seek(index)
         self.connections = [self._connection() for _ in range(connections)]
         self.chunks = [self._chunk_info() for _ in range(chunks)]
@@ -132,13 +132,13 @@ class BagFile:
         if len({one.number for one in self.connections}) < connections:
             raise DamagedRecording(f"{self._path}: index: found a connection twice, expected each once")
 
-    def _connection(self) -> Connection:
+    def _connection(self) -> BagConnection:
         head = self._header(_CONNECTION)
         facts = self._fields(self._read(self._length("a connection"), "a connection"))
         for name in (b"type", b"message_definition"):
             if name not in facts:
                 raise DamagedRecording(f"{self._place()}: found a connection without {name.decode()}")
-        return Connection(
+        return BagConnection(
             self._u32(head, b"conn"),
             _text(head.get(b"topic", b"")),
             _text(facts[b"type"]),
@@ -157,7 +157,7 @@ class BagFile:
 
     # -- chunks --------------------------------------------------------------------------------------------------
 
-    def _chunk(self, chunk: ChunkInfo, index: int) -> tuple[list[Message], int]:
+    def _chunk(self, chunk: ChunkInfo, index: int) -> tuple[list[BagMessage], int]:
         """The messages of a chunk in order of time, and its size."""
         self._deadline.check(str(self._path))
         self._stream.seek(min(chunk.at, self._size))
@@ -170,8 +170,8 @@ class BagFile:
         data = _UNPACK[how](packed, size, place)
         return sorted(self._messages(data, index << 32, place)), len(data)
 
-    def _messages(self, data: bytes, order: int, place: str) -> Iterator[Message]:
-        at, count, most = 0, 0, limits.current().count
+    def _messages(self, data: bytes, order: int, place: str) -> Iterator[BagMessage]:
+        at, count, most = 0, 0, limits.current_limits().count
         while at < len(data):
             try:
                 (length,) = _U32.unpack_from(data, at)
@@ -185,9 +185,11 @@ class BagFile:
                 raise DamagedRecording(f"{place}: found a record of {length} bytes, {len(data) - at} are left")
             count += 1
             if count > most:
-                limits.check("count", count, f"{place}: records")
+                limits.check_limit("count", count, f"{place}: records")
             if head.get(b"op") == bytes([_MESSAGE]):
-                yield Message(self._time(head, b"time"), order + at, self._u32(head, b"conn"), data[at : at + length])
+                yield BagMessage(
+                    self._time(head, b"time"), order + at, self._u32(head, b"conn"), data[at : at + length]
+                )
             at += length
 
     # -- records -------------------------------------------------------------------------------------------------
@@ -222,7 +224,7 @@ class BagFile:
         left = self._size - self._stream.tell()
         if size > left:
             raise DamagedRecording(f"{self._place()}: cut off: {what} has {size} bytes, {left} are left")
-        limits.check("memory", size, f"{self._place()}: {what}")
+        limits.check_limit("memory", size, f"{self._place()}: {what}")
         data = self._stream.read(size)
         if len(data) < size:
             raise DamagedRecording(f"{self._place()}: cut off inside {what}")

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Protocol
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
-from igtl_gateway.exchange.rosbag2_metadata import METADATA, Key, Metadata, read_metadata, storage_files
+from igtl_gateway.exchange.rosbag2_metadata import METADATA, BagMetadata, Key, read_metadata, storage_files
 from igtl_gateway.exchange.rosbag2_sqlite import Message, SqliteStorage
 from igtl_gateway.exchange.rostypes import definition
-from igtl_gateway.exchange.source import Item, Row, Told, reading
+from igtl_gateway.exchange.source import ImportedItem, ImportedStream, NonRosSource, library_errors_as_damage
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile import layout
@@ -38,7 +38,7 @@ _MAX_NS = 1 << 62
 _ROS_TYPE = re.compile(r"\w+/msg/\w+", re.ASCII)
 
 
-class _Part(Protocol):
+class _StorageFile(Protocol):
     """One storage file: what it declares by topic, and what of it cannot be read."""
 
     counts: Counter[Key]
@@ -52,17 +52,17 @@ class _Part(Protocol):
     def close(self) -> None: ...
 
 
-class Rosbag2(Told):
+class Rosbag2(NonRosSource):
     """An open rosbag2 recording.  Raises UnsupportedRecording or DamagedRecording."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"rosbag2 recording {path.name}", {"imported_format": "rosbag2"})
         self._path = path
-        self._parts: list[_Part] = []
+        self._parts: list[_StorageFile] = []
         self._unpacked: tempfile.TemporaryDirectory[str] | None = None
         self._bad_types: set[str] = set()
         try:
-            self._metadata = read_metadata(path) if path.is_dir() else Metadata()
+            self._metadata = read_metadata(path) if path.is_dir() else BagMetadata()
             for file in storage_files(path, self._metadata) if path.is_dir() else [path]:
                 self._parts.append(self._open_part(file))
             self._account()
@@ -70,7 +70,7 @@ class Rosbag2(Told):
             self.close()
             raise
 
-    def _open_part(self, path: Path) -> _Part:
+    def _open_part(self, path: Path) -> _StorageFile:
         plain = self._unpack(path) if path.suffix == ".zstd" else path
         with files.open_file(plain) as stream:
             start = stream.read(16)
@@ -85,7 +85,7 @@ class Rosbag2(Told):
         if self._unpacked is None:
             self._unpacked = tempfile.TemporaryDirectory(prefix="igtl-gateway-import-")
         plain, size = Path(self._unpacked.name, f"{len(self._parts)}-{path.stem[-100:]}"), files.size_of(path)
-        bounds = limits.current()
+        bounds = limits.current_limits()
         # it goes to the disk, so that the limit of memory says nothing of it
         allowed = min(max(bounds.free, bounds.ratio * size), shutil.disk_usage(self._unpacked.name).free // 2)
         try:
@@ -106,7 +106,7 @@ class Rosbag2(Told):
             formats.update(part.formats)
         self._rows = {}
         for key in sorted({*stored, *metadata.counts, *skipped}):
-            row = Row(key[0], metadata.counts.get(key, stored[key]), key[1], why=skipped.get(key, ""))
+            row = ImportedStream(key[0], metadata.counts.get(key, stored[key]), key[1], why=skipped.get(key, ""))
             row.left_out = stored[key] if key in skipped else 0
             self._rows[key] = row
             if metadata.found and key not in metadata.counts:
@@ -121,9 +121,9 @@ class Rosbag2(Told):
                 )
         self.rows = list(self._rows.values())
 
-    def items(self) -> Iterator[Item]:
+    def items(self) -> Iterator[ImportedItem]:
         packed = unpacked = 0
-        bounds = limits.current()
+        bounds = limits.current_limits()
         for time_ns, key, data, source_ns in heapq.merge(*(part.messages() for part in self._parts), key=_time):
             row, payload = self._rows[key], data
             if not 0 <= time_ns < _MAX_NS:
@@ -133,10 +133,12 @@ class Rosbag2(Told):
                 place = f"{self._path}: {key[0]} at {time_ns} ns"
                 payload = zstd_of_any_size(data, place)
                 packed, unpacked = packed + len(data), unpacked + len(payload)
-                limits.check("ratio", unpacked, f"{place}: all messages so far", bounds.free + bounds.ratio * packed)
+                limits.check_limit(
+                    "ratio", unpacked, f"{place}: all messages so far", bounds.free + bounds.ratio * packed
+                )
             row.taken += 1
             known_ns = source_ns if 0 <= source_ns < _MAX_NS else 0
-            yield Item(time_ns, Kind.ROS_IN, payload, key[0], key[1], source_ns=known_ns)
+            yield ImportedItem(time_ns, Kind.ROS_IN, payload, key[0], key[1], source_ns=known_ns)
 
     def qos_of(self, topic: str, ros_type: str) -> Qos | None:
         texts = (part.qos.get((topic, ros_type), "") for part in self._parts)
@@ -187,7 +189,7 @@ class _Mcap:
         self.definitions: dict[str, tuple[str, str]] = {}
         self._keys: dict[int, Key] = {}
         try:
-            with reading(path):
+            with library_errors_as_damage(path):
                 self._open()
         except BaseException:
             self.close()

@@ -24,7 +24,7 @@ Key = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Metadata:
+class BagMetadata:
     """What the file declares.
 
     Attributes:
@@ -44,16 +44,16 @@ class Metadata:
     formats: dict[Key, str] = field(default_factory=dict)
 
 
-def read_metadata(folder: Path) -> Metadata:
+def read_metadata(folder: Path) -> BagMetadata:
     """That of a recording's folder.  Raises UnsupportedRecording, DamagedRecording."""
     path = folder / METADATA
     if not path.exists() and not path.is_symlink():
-        return Metadata()
+        return BagMetadata()
     try:
         text = files.read_bytes(path).decode("utf-8")
     except UnicodeDecodeError as error:
         raise DamagedRecording(f"{path}: found a byte that is no UTF-8 at {error.start}, expected a text") from None
-    reader = _Reader(path)
+    reader = _ShapeReader(path)
     content = reader.mapping(reader.mapping(parse_yaml(text, str(path)), "document").get(_ROOT), _ROOT)
     version = reader.number(content.get("version"), "version")
     if version > _NEWEST:
@@ -67,7 +67,7 @@ def read_metadata(folder: Path) -> Metadata:
         counts[key] = counts.get(key, 0) + reader.number(row.get("message_count"), f"{at}.message_count")
         formats[key] = reader.text(topic.get("serialization_format", ""), f"{at}.serialization_format")
     names = [reader.text(name, "relative_file_paths") for name in reader.rows(content, "relative_file_paths")]
-    return Metadata(
+    return BagMetadata(
         True,
         tuple(names),
         reader.text(content.get("storage_identifier", ""), "storage_identifier"),
@@ -77,13 +77,13 @@ def read_metadata(folder: Path) -> Metadata:
     )
 
 
-def storage_files(folder: Path, metadata: Metadata) -> list[Path]:
+def storage_files(folder: Path, metadata: BagMetadata) -> list[Path]:
     """The storage files of a recording: those that its metadata names, else all that lie in the folder.
 
     Old metadata puts the folder's name in front; what is opened lies in the folder, whatever a name says.
     Raises DamagedRecording, UnsupportedRecording.
     """
-    limits.check("count", len(metadata.names), f"{folder / METADATA}: files")
+    limits.check_limit("count", len(metadata.names), f"{folder / METADATA}: files")
     names = [PurePosixPath(name).name for name in metadata.names]
     if len(set(names)) < len(names):
         raise DamagedRecording(f"{folder / METADATA}: found a file twice, expected each once")
@@ -111,7 +111,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(word), "") if word.isascii() and word.isdigit() else (0, word) for word in words]
 
 
-class _Reader:
+class _ShapeReader:
     """Values of the shape that they should have."""
 
     def __init__(self, path: Path) -> None:

@@ -16,9 +16,9 @@ from mcap.writer import CompressionType, Writer
 
 from igtl_gateway import __version__
 from igtl_gateway.errors import DamagedRecording
-from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.folder import new_folder
-from igtl_gateway.exchange.recording import ROS_KINDS, Recording, chosen
+from igtl_gateway.exchange.recording import ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.exchange.rostypes import definition
 from igtl_gateway.qos import Qos
 from igtl_gateway.sessionfile import layout
@@ -39,18 +39,18 @@ _NUMBERS = {
 _POLICY = re.compile(rf"^([ -]*(?:history|reliability|durability|liveliness): )({'|'.join(_NUMBERS)})$", re.MULTILINE)
 
 
-def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
+def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
     """Write the directory ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
-    account = Account()
+    account = ExportAccount()
     name = f"{out.resolve().name or 'rosbag2'}_0.mcap"
-    topics: dict[tuple[str, str], _Topic] = {}
+    topics: dict[tuple[str, str], _BagTopic] = {}
     first = last = 0
     with new_folder(out, account) as folder:
         with folder.create(name) as stream:
             writer = Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
             writer.start(layout.MCAP_PROFILE, f"igtl-gateway {__version__}")
-            register = _Register(writer, recording, account)
-            for sequence, entry in enumerate(chosen(recording, ROS_KINDS, globs, account), 1):
+            register = _TopicRegistry(writer, recording, account)
+            for sequence, entry in enumerate(chosen_entries(recording, ROS_KINDS, globs, account), 1):
                 row, key = account.row(entry), (entry.channel, entry.type)
                 try:
                     topic = topics.get(key) or register.topic(*key)
@@ -83,7 +83,7 @@ def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> Acc
 
 
 @dataclass(slots=True)
-class _Topic:
+class _BagTopic:
     """A channel of the bag: its number there, its facts for ``metadata.yaml``, and its messages so far."""
 
     channel: int
@@ -94,15 +94,15 @@ class _Topic:
     count: int = 0
 
 
-class _Register:
+class _TopicRegistry:
     """Registers schemas and channels with the writer."""
 
-    def __init__(self, writer: Writer, recording: Recording, account: Account) -> None:
+    def __init__(self, writer: Writer, recording: Recording, account: ExportAccount) -> None:
         self._writer, self._definitions, self._account = writer, recording.definitions, account
         self._offered = {(channel.topic, channel.type): channel.qos for channel in recording.channels}
         self._schemas: dict[str, tuple[int, str] | DamagedRecording] = {}
 
-    def topic(self, name: str, ros_type: str) -> _Topic:
+    def topic(self, name: str, ros_type: str) -> _BagTopic:
         """A new channel.  Raises DamagedRecording for a type whose definition is none, or above the limits."""
         if ros_type not in self._schemas:
             self._schemas[ros_type] = self._schema(ros_type)
@@ -113,7 +113,7 @@ class _Register:
         qos = numbered_qos(layout.qos_yaml(self._offered.get((name, ros_type)) or Qos()))
         facts = {layout.QOS_KEY: qos, layout.TYPE_HASH_KEY: type_hash}
         channel = self._writer.register_channel(name, layout.MESSAGE_ENCODING, number, facts)
-        return _Topic(channel, name, ros_type, qos, type_hash)
+        return _BagTopic(channel, name, ros_type, qos, type_hash)
 
     def _schema(self, ros_type: str) -> tuple[int, str] | DamagedRecording:
         try:
@@ -132,7 +132,7 @@ def numbered_qos(text: str) -> str:
     return _POLICY.sub(lambda match: f"{match[1]}{_NUMBERS[match[2]]}", text)
 
 
-def _metadata(name: str, first: int, last: int, topics: list[_Topic]) -> str:
+def _metadata(name: str, first: int, last: int, topics: list[_BagTopic]) -> str:
     """Version 8 of rosbag2's side file, that of Iron: Humble reads it too, and Jazzy and later know the older form.
 
     They tell by the version that profiles are a text, with numbers for policies; Humble and Iron refuse names.

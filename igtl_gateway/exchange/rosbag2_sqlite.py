@@ -88,7 +88,7 @@ class SqliteStorage:
         base.text_factory = _text
         for setting in ("trusted_schema=OFF", "query_only=ON", "cell_size_check=ON", "mmap_size=0"):
             base.execute(f"PRAGMA {setting}")
-        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(limits.current().memory, max(self._size, 1 << 16)))
+        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(limits.current_limits().memory, max(self._size, 1 << 16)))
         base.set_progress_handler(self._is_over, _EVERY)
         base.set_authorizer(_authorized)
         self._check_tables()
@@ -154,7 +154,7 @@ class SqliteStorage:
     def _rows(self, query: str, limit: str = "count") -> list[Any]:
         rows: list[Any] = []
         for row in self._base.execute(query):
-            limits.check(limit, len(rows) + 1, f"{self._path}: rows of a table")
+            limits.check_limit(limit, len(rows) + 1, f"{self._path}: rows of a table")
             rows.append(row)
         return rows
 

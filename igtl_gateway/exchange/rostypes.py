@@ -24,9 +24,9 @@ def definition(ros_type: str, text: str, encoding: str) -> tuple[str, str] | Non
     if not text.strip() or encoding not in (definitions.MSG, definitions.IDL):
         return None
     try:
-        types = definitions.parse(text, ros_type, encoding)
+        types = definitions.parse_definition(text, ros_type, encoding)
         known = {**new_store().fielddefs, **types}  # Time and Duration are known without a definition
-        made = text if encoding == definitions.MSG else definitions.text_of(known, ros_type)
+        made = text if encoding == definitions.MSG else definitions.definition_text(known, ros_type)
         return made, definitions.type_hash(known, ros_type)
     except (definitions.UnreadableDefinition, TypesysError, KeyError, AssertionError):
         return (text, "") if encoding == definitions.MSG else None

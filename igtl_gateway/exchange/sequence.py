@@ -21,12 +21,21 @@ from typing import BinaryIO
 from igtl_gateway.buffers import join
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.exchange import pixels
-from igtl_gateway.exchange.header import Imported
+from igtl_gateway.exchange.header import ImageFile
 from igtl_gateway.exchange.metaimage import read_metaimage
 from igtl_gateway.exchange.nrrd import read_nrrd
-from igtl_gateway.exchange.place import COORDINATE
+from igtl_gateway.exchange.placement import COORDINATE
 from igtl_gateway.exchange.raster import WIDER, check_room
-from igtl_gateway.exchange.source import Item, Row, Told, fact, from_peer, link_down, link_up, reading
+from igtl_gateway.exchange.source import (
+    ImportedItem,
+    ImportedStream,
+    NonRosSource,
+    library_errors_as_damage,
+    link_down_item,
+    link_up_item,
+    note_item,
+    peer_item,
+)
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.untrusted import files, limits
 from igtl_gateway.wire import Message, encode
@@ -53,16 +62,16 @@ _STAMPS_END = NS_PER_S << 32
 _KEPT = 10_000
 _SCALAR_OF = {dtype: number for number, dtype in SCALARS.items()}
 
-Reader = Callable[[Path, BinaryIO], Imported]
+Reader = Callable[[Path, BinaryIO], ImageFile]
 
 
-class Sequence(Told):
+class Sequence(NonRosSource):
     """An open file.  Raises DamagedRecording, or UnsupportedRecording for what an IMAGE cannot hold."""
 
     def __init__(self, path: Path, epoch_ns: int | None = None, read: Reader | None = None) -> None:
         super().__init__("", {})
         self._path = path
-        with reading(path), files.open_file(path) as stream:
+        with library_errors_as_damage(path), files.open_file(path) as stream:
             if read is None:
                 start = stream.read(4)
                 stream.seek(0)
@@ -84,7 +93,7 @@ class Sequence(Told):
             "sequence_header": json.dumps(kept, sort_keys=True),
         }
         self._transform_rows = self._rows_of_transforms()
-        self._image_row = Row(IMAGE_DEVICE, raster.frames, "IMAGE")
+        self._image_row = ImportedStream(IMAGE_DEVICE, raster.frames, "IMAGE")
         if not raster.frame_bytes:
             self._image_row.left_out, self._image_row.why = raster.frames, "the file has no pixels"
         self.rows = [*self._transform_rows.values(), self._image_row]
@@ -92,7 +101,7 @@ class Sequence(Told):
         self._stampless, self._tracked = 0, tracked
         self._tell()
 
-    def _numbered(self, imported: Imported) -> dict[int, dict[str, str]]:
+    def _numbered(self, imported: ImageFile) -> dict[int, dict[str, str]]:
         """Fields of the frames by index; numbers of what was cut from a sequence need not begin at 0."""
         numbers, frames = sorted(imported.frames), self._raster.frames
         if numbers and numbers[-1] >= frames > numbers[-1] - numbers[0]:
@@ -104,16 +113,16 @@ class Sequence(Told):
         good = declared.isascii() and declared.isdigit() and len(declared) < 20 and int(declared) < _STAMPS_END
         return int(declared) if good else DEFAULT_EPOCH_NS
 
-    def _rows_of_transforms(self) -> dict[str, Row]:
-        rows: dict[str, Row] = {}
+    def _rows_of_transforms(self) -> dict[str, ImportedStream]:
+        rows: dict[str, ImportedStream] = {}
         for fields in self._frames.values():
             for name in _transforms_of(fields):
-                row = rows.setdefault(name, Row(name, 0, "TRANSFORM"))
+                row = rows.setdefault(name, ImportedStream(name, 0, "TRANSFORM"))
                 row.declared += 1
                 if _transform_status(fields, name) != OK:
                     row.left_out += 1
                     row.why = "status not OK"
-        limits.check("fields", len(rows), f"{self._path}: transforms")
+        limits.check_limit("fields", len(rows), f"{self._path}: transforms")
         self._devices = _device_names(sorted(rows))
         for name, device in self._devices.items():
             if device != name:
@@ -138,14 +147,14 @@ class Sequence(Told):
         if raster.dtype in WIDER:
             self.notes.append("whole numbers of 64 bits, which IMAGE does not have, become float64 of the same values")
 
-    def items(self) -> Iterator[Item]:
+    def items(self) -> Iterator[ImportedItem]:
         peer = {"peer": f"file {self._path.name}", "local": "import", "role": "server"}
         raster = self._raster
-        images = pixels.frames(raster, self.notes) if raster.frame_bytes else iter(())
+        images = pixels.read_frames(raster, self.notes) if raster.frame_bytes else iter(())
         count = raster.frames if raster.frame_bytes else 0
         start_ns = time_ns = self._time_ns(0, self.epoch_ns)
-        yield link_up(start_ns, _LINK, peer)
-        yield fact(start_ns, "imported", f"imported from {self._path.name}: nothing of this was sent to a gateway")
+        yield link_up_item(start_ns, _LINK, peer)
+        yield note_item(start_ns, "imported", f"imported from {self._path.name}: nothing of this was sent to a gateway")
         self._stampless = 0
         invalid: set[str] = set()
         for index in self._indices(count):
@@ -161,8 +170,8 @@ class Sequence(Told):
                 continue
             self._image_row.taken += 1
             message = Message("IMAGE", IMAGE_DEVICE, self._image(data), ns_to_ticks(time_ns))
-            yield from_peer(time_ns, _LINK, join(encode(message)))
-        yield link_down(time_ns, _LINK, peer, "the end of the file")
+            yield peer_item(time_ns, _LINK, join(encode(message)))
+        yield link_down_item(time_ns, _LINK, peer, "the end of the file")
         next(images, None)  # notes what lies behind the last frame
         if self._stampless:
             self.notes.append(f"frames without a time stamp: {self._stampless}; they have that of the frame before")
@@ -172,7 +181,9 @@ class Sequence(Told):
         yield from range(images)
         yield from (index for index in self._frames if index >= images)
 
-    def _transforms(self, index: int, time_ns: int, fields: dict[str, str], invalid: set[str]) -> Iterator[Item]:
+    def _transforms(
+        self, index: int, time_ns: int, fields: dict[str, str], invalid: set[str]
+    ) -> Iterator[ImportedItem]:
         """The TRANSFORMs of a frame; ``invalid`` has the names of those that are not OK by now."""
         ticks = ns_to_ticks(time_ns)
         for name in _transforms_of(fields):
@@ -182,12 +193,12 @@ class Sequence(Told):
                 text, place = fields[f"{name}Transform"], f"{self._path}: frame {index}, {name}Transform"
                 content = Transform.from_rows(_matrix(text, place))
                 self._transform_rows[name].taken += 1
-                yield from_peer(time_ns, _LINK, join(encode(Message("TRANSFORM", device, content, ticks))))
+                yield peer_item(time_ns, _LINK, join(encode(Message("TRANSFORM", device, content, ticks))))
             elif name not in invalid:
                 invalid.add(name)
                 told = f"{name} is {status} from frame {index} on"
                 data: dict[str, object] = {"status": status, "transform": name}
-                yield fact(time_ns, TRANSFORM_STATUS, told, stream=f"TRANSFORM/{device}", data=data)
+                yield note_item(time_ns, TRANSFORM_STATUS, told, stream=f"TRANSFORM/{device}", data=data)
 
     def _time_ns(self, index: int, before_ns: int) -> int:
         """When a frame was taken; a frame without a stamp is as late as the one before."""

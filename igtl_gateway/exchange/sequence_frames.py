@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
-from igtl_gateway.exchange.account import Account, Exported
-from igtl_gateway.exchange.folder import reason
-from igtl_gateway.exchange.recording import Recording, chosen, fits, time_of
+from igtl_gateway.exchange.account import ExportAccount, ExportedStream
+from igtl_gateway.exchange.folder import failure_text
+from igtl_gateway.exchange.recording import Recording, chosen_entries, matches_stream, time_of
 from igtl_gateway.exchange.sequence import TRANSFORM_STATUS
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
@@ -40,7 +40,7 @@ class _Tracked:
     time_ns: int = 0
     matrix: str = IDENTITY
     valid: bool = False
-    row: Exported | None = None
+    row: ExportedStream | None = None
     why: str = ""
     held: bool = False
 
@@ -51,7 +51,7 @@ class _Tracked:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class SequenceFrame:
     """One frame.
 
     Attributes:
@@ -66,7 +66,7 @@ class Frame:
 
 
 @dataclass(slots=True)
-class Found:
+class SequenceSurvey:
     """What going through all frames told.
 
     Attributes:
@@ -80,7 +80,7 @@ class Found:
     matrices: set[tuple[int, tuple[float, ...]]] = field(default_factory=set)
 
 
-class Frames:
+class SequenceFrames:
     """The frames of a session; each call of ``frames`` goes through all of it.
 
     Raises UnsupportedRecording without any IMAGE or TRANSFORM, ConfigError where there are several IMAGE streams.
@@ -88,13 +88,13 @@ class Frames:
 
     def __init__(self, recording: Recording, globs: Sequence[str]) -> None:
         self._recording, self._globs = recording, globs
-        self.account = Account()
+        self.account = ExportAccount()
         kinds: dict[Kind, set[str]] = {Kind.IGTL_IN: set(), Kind.IGTL_OUT: set()}
         invalid: set[str] = set()
-        for entry in chosen(recording, (*kinds, Kind.EDGE_NOTE), globs):
+        for entry in chosen_entries(recording, (*kinds, Kind.EDGE_NOTE), globs):
             if entry.kind is Kind.EDGE_NOTE:
                 stream = _invalid_stream(entry)
-                invalid |= {stream} if stream and fits(stream, Kind.IGTL_IN, globs) else set()
+                invalid |= {stream} if stream and matches_stream(stream, Kind.IGTL_IN, globs) else set()
             elif entry.type in ("IMAGE", "TRANSFORM"):
                 kinds[entry.kind].add(entry.channel)
         self.kind = next((kind for kind, streams in kinds.items() if streams), Kind.IGTL_IN)
@@ -114,11 +114,11 @@ class Frames:
                 self.names[stream] = name
         self.first: Image | None = None
 
-    def frames(self, account: Account) -> Iterator[Frame]:
+    def frames(self, account: ExportAccount) -> Iterator[SequenceFrame]:
         """All frames; ``account`` counts what is in them."""
         tracked = {stream: _Tracked() for stream in self.names}
         moment: int | None = None  # of the frame that is being put together, where there are no images
-        for entry in chosen(self._recording, (self.kind, Kind.EDGE_NOTE), self._globs, account, _TYPES):
+        for entry in chosen_entries(self._recording, (self.kind, Kind.EDGE_NOTE), self._globs, account, _TYPES):
             if entry.kind is Kind.EDGE_NOTE:
                 if (stream := _invalid_stream(entry)) in tracked:
                     tracked[stream].valid = False
@@ -130,7 +130,7 @@ class Frames:
             try:
                 content = decode(entry.data()).content
             except Exception as error:  # whatever decoding makes of a damaged message costs that message
-                row.fail(reason(error))
+                row.fail(failure_text(error))
                 continue
             if isinstance(content, Transform):
                 at = time_of(entry)
@@ -152,7 +152,7 @@ class Frames:
         for one in tracked.values():
             one.done()
 
-    def _frame(self, time_ns: int, tracked: dict[str, _Tracked], image: Image | None) -> Frame:
+    def _frame(self, time_ns: int, tracked: dict[str, _Tracked], image: Image | None) -> SequenceFrame:
         told = {}
         for stream, one in tracked.items():
             valid = one.valid and time_ns - one.time_ns <= MAX_AGE_NS
@@ -162,12 +162,12 @@ class Frames:
                 one.held = True
             elif one.valid and not valid:
                 one.why = f"older than {MAX_AGE_NS // NS_PER_S} s at the next image"
-        return Frame(time_ns, told, image)
+        return SequenceFrame(time_ns, told, image)
 
-    def found(self) -> Found:
+    def found(self) -> SequenceSurvey:
         """Go through all frames once."""
-        told = Found(valid=dict.fromkeys(self.names.values(), 0))
-        for frame in self.frames(Account()):
+        told = SequenceSurvey(valid=dict.fromkeys(self.names.values(), 0))
+        for frame in self.frames(ExportAccount()):
             told.frames += 1
             for name, (_, valid) in frame.transforms.items():
                 told.valid[name] += valid
@@ -186,7 +186,7 @@ class Frames:
         return "" if mine == its else f"unlike the first image of {first.dimensions}"
 
 
-def _tracked(content: Transform, at: int, row: Exported, frames: str) -> _Tracked:
+def _tracked(content: Transform, at: int, row: ExportedStream, frames: str) -> _Tracked:
     """A transform that came; one with numbers that are not finite stands as the identity, INVALID."""
     if not all(map(math.isfinite, content.wire_matrix)):
         return _Tracked(at, row=row, why="not finite")

@@ -16,12 +16,12 @@ import numpy as np
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import UnsupportedRecording
-from igtl_gateway.exchange.account import Account
-from igtl_gateway.exchange.metaimage_out import SIZE_KEY, SIZE_WIDTH, header
-from igtl_gateway.exchange.place import Place
+from igtl_gateway.exchange.account import ExportAccount
+from igtl_gateway.exchange.metaimage_out import SIZE_KEY, SIZE_WIDTH, metaimage_header
+from igtl_gateway.exchange.placement import ImagePlacement
 from igtl_gateway.exchange.recording import Recording
 from igtl_gateway.exchange.sequence import EPOCH_FIELD
-from igtl_gateway.exchange.sequence_frames import IDENTITY, Frame, Frames
+from igtl_gateway.exchange.sequence_frames import IDENTITY, SequenceFrame, SequenceFrames
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.image import BIG_ENDIAN, SCALARS, Image
 
@@ -31,9 +31,9 @@ _IMAGE_PLACE = "ImageToRas"
 _NO_PIXEL = b"\0"
 
 
-def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
+def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
     """Write the file ``out``, which must not be there.  Raises UnsupportedRecording, ConfigError, OSError."""
-    sequence = Frames(recording, globs)
+    sequence = SequenceFrames(recording, globs)
     found = sequence.found()
     if not found.frames:
         raise UnsupportedRecording("found no whole IMAGE and no TRANSFORM that can be read, expected some")
@@ -42,10 +42,10 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ac
     account = sequence.account
     account.files = 1
     first, moving = sequence.first, len(found.matrices) > 1
-    place = Place.of_image(first) if first and not moving else None
+    place = ImagePlacement.of_image(first) if first and not moving else None
     epoch = f"{EPOCH_FIELD} = {epoch_ns}"
     with out.open("xb") as stream, _whole(out):
-        text = "\n".join(header(first, place, found.frames, recording.session, epoch)) + "\n"
+        text = "\n".join(metaimage_header(first, place, found.frames, recording.session, epoch)) + "\n"
         size_at = text.index(SIZE_KEY) + len(SIZE_KEY)
         stream.write(text.encode("ascii", "replace"))
         for number, frame in enumerate(sequence.frames(account)):
@@ -54,7 +54,7 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ac
         stream.write(b"ElementDataFile = LOCAL\n")
         start = stream.tell()
         packer = zlib.compressobj()
-        for frame in sequence.frames(Account()):
+        for frame in sequence.frames(ExportAccount()):
             stream.write(packer.compress(_pixels(frame.image) if frame.image else _NO_PIXEL))
         stream.write(packer.flush())
         size = stream.tell() - start
@@ -89,12 +89,12 @@ def _pixels(image: Image) -> Buffer:
     return image.array.byteswap().tobytes()
 
 
-def _fields(frame: Frame, epoch_ns: int, moving: bool) -> Iterator[str]:
+def _fields(frame: SequenceFrame, epoch_ns: int, moving: bool) -> Iterator[str]:
     for name, (matrix, valid) in frame.transforms.items():
         yield f"{name}Transform = {matrix}"
         yield f"{name}TransformStatus = {'OK' if valid else 'INVALID'}"
     if moving and frame.image:
-        place = Place.of_image(frame.image)
+        place = ImagePlacement.of_image(frame.image)
         yield f"{_IMAGE_PLACE}Transform = {_matrix(place) if place else IDENTITY}"
         yield f"{_IMAGE_PLACE}TransformStatus = {'OK' if place else 'INVALID'}"
     seconds, rest = divmod(frame.time_ns - epoch_ns, NS_PER_S)
@@ -102,7 +102,7 @@ def _fields(frame: Frame, epoch_ns: int, moving: bool) -> Iterator[str]:
     yield f"ImageStatus = {'OK' if frame.image else 'INVALID'}"
 
 
-def _matrix(place: Place) -> str:
+def _matrix(place: ImagePlacement) -> str:
     """From voxel numbers to RAS millimetres."""
     columns = (*place.axes, place.origin)
     return " ".join(f"{column[row]:.9g}" for row in range(3) for column in columns) + " 0 0 0 1"

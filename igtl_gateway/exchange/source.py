@@ -1,6 +1,6 @@
 """What every importer gives: items in the order of time, and an account of what the source declared.
 
-An importer reads a file of another program as a stream of :class:`Item`, with bounded memory, and keeps count.
+An importer reads a file of another program as a stream of :class:`ImportedItem`, with bounded memory, and keeps count.
 :func:`numbered` makes entries of a session of them.  The gateway is not asked: an imported session has inputs
 only, and whoever wants outputs replays it through the gateway.
 """
@@ -15,7 +15,7 @@ from typing import Protocol
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import DamagedRecording, GatewayError
-from igtl_gateway.gateway import LINK_DOWN, LINK_UP, head_of
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP, header_names
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
@@ -24,7 +24,7 @@ MESSAGES, BYTES = "messages", "bytes"
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class ImportedItem:
     """An input at ``time_ns`` (UTC); the other fields as those of ``Entry``."""
 
     time_ns: int
@@ -37,7 +37,7 @@ class Item:
 
 
 @dataclass(slots=True)
-class Row:
+class ImportedStream:
     """The account of one stream, in messages or in bytes.
 
     Attributes:
@@ -75,10 +75,10 @@ class Source(Protocol):
 
     title: str
     facts: dict[str, str]
-    rows: list[Row]
+    rows: list[ImportedStream]
     notes: list[str]
 
-    def items(self) -> Iterator[Item]:
+    def items(self) -> Iterator[ImportedItem]:
         """Everything, in order.  Raises DamagedRecording where the file cannot be read any further."""
         ...
 
@@ -96,12 +96,12 @@ class Source(Protocol):
 
 
 @dataclass(slots=True)
-class Told:
+class NonRosSource:
     """What the importers of files without ROS have in common: nothing to say of topics and types."""
 
     title: str = ""
     facts: dict[str, str] = field(default_factory=dict)
-    rows: list[Row] = field(default_factory=list)
+    rows: list[ImportedStream] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def qos_of(self, _topic: str, _type: str) -> Qos | None:
@@ -111,7 +111,7 @@ class Told:
         return None
 
 
-def numbered(items: Iterable[Item]) -> Iterator[Entry]:
+def numbered(items: Iterable[ImportedItem]) -> Iterator[Entry]:
     """The entries of a session; what is not later than the one before gets the next nanosecond."""
     stamp_ns = -1
     for seq, item in enumerate(items, 1):
@@ -121,31 +121,33 @@ def numbered(items: Iterable[Item]) -> Iterator[Entry]:
         )
 
 
-def from_peer(time_ns: int, link: int, message: Buffer) -> Item:
+def peer_item(time_ns: int, link: int, message: Buffer) -> ImportedItem:
     """A message of an OpenIGTLink peer, named and stamped by its header."""
-    stream, igtl_type, source_ns = head_of(message)
-    return Item(time_ns, Kind.IGTL_IN, message, stream, igtl_type, (link,), source_ns)
+    stream, igtl_type, source_ns = header_names(message)
+    return ImportedItem(time_ns, Kind.IGTL_IN, message, stream, igtl_type, (link,), source_ns)
 
 
-def link_up(time_ns: int, link: int, facts: dict[str, str]) -> Item:
+def link_up_item(time_ns: int, link: int, facts: dict[str, str]) -> ImportedItem:
     """A peer came; ``facts`` has ``peer``, ``local`` and ``role`` (ours)."""
     note = Note(Level.INFO, LINK_UP, f"{facts['peer']} connected", data=dict(facts))
-    return Item(time_ns, Kind.LINK, note.pack(), links=(link,))
+    return ImportedItem(time_ns, Kind.LINK, note.pack(), links=(link,))
 
 
-def link_down(time_ns: int, link: int, facts: dict[str, str], reason: str) -> Item:
+def link_down_item(time_ns: int, link: int, facts: dict[str, str], reason: str) -> ImportedItem:
     """A peer went."""
     note = Note(Level.INFO, LINK_DOWN, f"{facts['peer']} gone: {reason}", data={**facts, "reason": reason})
-    return Item(time_ns, Kind.LINK, note.pack(), links=(link,))
+    return ImportedItem(time_ns, Kind.LINK, note.pack(), links=(link,))
 
 
-def fact(time_ns: int, code: str, text: str, *, stream: str = "", data: dict[str, object] | None = None) -> Item:
+def note_item(
+    time_ns: int, code: str, text: str, *, stream: str = "", data: dict[str, object] | None = None
+) -> ImportedItem:
     """Something that the source tells besides messages."""
-    return Item(time_ns, Kind.EDGE_NOTE, Note(Level.INFO, code, text, stream, dict(data or {})).pack())
+    return ImportedItem(time_ns, Kind.EDGE_NOTE, Note(Level.INFO, code, text, stream, dict(data or {})).pack())
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
+def library_errors_as_damage(path: Path) -> Iterator[None]:
     """Around what reads foreign bytes: whatever a library makes of damaged ones becomes DamagedRecording."""
     try:
         yield

@@ -18,12 +18,12 @@ import numpy.typing as npt
 
 from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.clouds import cloud_to_polydata, colour_bytes, colour_field
-from igtl_gateway.convert.context import Outgoing, ToIgtl
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.convert.polydata import polydata_to_igtl
 from igtl_gateway.convert.rosmsg import Marker, Mesh, PointCloud2
 from igtl_gateway.convert.surfaces import marker_to_igtl, mesh_to_igtl
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.folder import one_file_each
 from igtl_gateway.exchange.recording import Recording
 from igtl_gateway.session.entry import Entry
@@ -32,7 +32,7 @@ from igtl_gateway.wire.polydata import CELL, NORMAL, Attribute, PolyData
 
 Array = npt.NDArray[Any]
 
-_TO_POLYDATA: dict[str, Callable[[bytes, ToIgtl], Outgoing]] = {
+_TO_POLYDATA: dict[str, Callable[[bytes, ToIgtlContext], ConvertedMessage]] = {
     Mesh.TYPE: lambda data, to: mesh_to_igtl(Mesh.unpack(data), to),
     Marker.TYPE: lambda data, to: marker_to_igtl(Marker.unpack(data), to),
     igtl_msgs.PolyData.TYPE: lambda data, to: polydata_to_igtl(igtl_msgs.PolyData.unpack(data), to),
@@ -45,7 +45,7 @@ _MAX_NOTES = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class ExportSurface:
     """A message as POLYDATA.
 
     Attributes:
@@ -60,26 +60,26 @@ class Surface:
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
+class WrittenFile:
     """A file, and how many parts of the message are in it or, with a reason, are not."""
 
     data: bytes
     parts: tuple[tuple[str, int, str], ...]
 
 
-def export_ply(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
+def export_ply(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
     """Write the folder ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
     return one_file_each(recording, out, globs, _READ, "ply", lambda entry: _file(entry, ply), _data, _count)
 
 
-def export_vtk(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
+def export_vtk(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
     """As ``export_ply``."""
     return one_file_each(recording, out, globs, _READ, "vtk", lambda entry: _file(entry, vtk), _data, _count)
 
 
-def surface_of(entry: Entry) -> Surface:
+def export_surface_of(entry: Entry) -> ExportSurface:
     """The surface or cloud of a message.  Raises WireError or ConversionError where it has none."""
-    to, holes = ToIgtl(), 0
+    to, holes = ToIgtlContext(), 0
     if entry.type == PointCloud2.TYPE:
         message = PointCloud2.unpack(entry.data())
         content = cloud_to_polydata(message, to).content
@@ -90,19 +90,19 @@ def surface_of(entry: Entry) -> Surface:
         content = decode(entry.data()).content
     if not isinstance(content, PolyData):
         raise ConversionError(f"{entry.channel}: found {type(content).__name__}, expected POLYDATA")
-    return Surface(content, holes, tuple(text for _, text in to.warnings))
+    return ExportSurface(content, holes, tuple(text for _, text in to.warnings))
 
 
-def _file(entry: Entry, write: Callable[[PolyData], Written]) -> tuple[Surface, Written]:
-    surface = surface_of(entry)
+def _file(entry: Entry, write: Callable[[PolyData], WrittenFile]) -> tuple[ExportSurface, WrittenFile]:
+    surface = export_surface_of(entry)
     return surface, write(surface.content)
 
 
-def _data(file: tuple[Surface, Written]) -> tuple[bytes]:
+def _data(file: tuple[ExportSurface, WrittenFile]) -> tuple[bytes]:
     return (file[1].data,)
 
 
-def _count(file: tuple[Surface, Written], entry: Entry, account: Account) -> None:
+def _count(file: tuple[ExportSurface, WrittenFile], entry: Entry, account: ExportAccount) -> None:
     surface, written = file
     holes = (("points", surface.holes, "no finite coordinates"),) if surface.holes else ()
     for unit, number, why in (("points", len(surface.content.points), ""), *holes, *written.parts):
@@ -120,7 +120,7 @@ def _count(file: tuple[Surface, Written], entry: Entry, account: Account) -> Non
             account.notes.append(note)
 
 
-def ply(content: PolyData) -> Written:
+def ply(content: PolyData) -> WrittenFile:
     """A PLY file, binary little-endian: vertices with normals and colours, faces."""
     count = len(content.points)
     columns: dict[str, tuple[str, Array]] = {
@@ -159,10 +159,10 @@ def ply(content: PolyData) -> Written:
         "",
     ]
     data = "\n".join(head).encode() + vertices.tobytes() + faces.data.astype("<u4").tobytes()
-    return Written(data, tuple(parts))
+    return WrittenFile(data, tuple(parts))
 
 
-def vtk(content: PolyData) -> Written:
+def vtk(content: PolyData) -> WrittenFile:
     """A legacy VTK file, version 3.0, binary (big-endian)."""
     head = "# vtk DataFile Version 3.0\nigtl-gateway, millimetres\nBINARY\nDATASET POLYDATA\n"
     data = [f"{head}POINTS {len(content.points)} float\n".encode(), content.points.astype(">f4").tobytes(), b"\n"]
@@ -178,7 +178,7 @@ def vtk(content: PolyData) -> Written:
             written[attribute.type & CELL].append(attribute)
     data += _fields(f"POINT_DATA {len(content.points)}", written[0])
     data += _fields(f"CELL_DATA {sum(cells.count for cells in content.cells)}", written[CELL])
-    return Written(b"".join(data), tuple(parts))
+    return WrittenFile(b"".join(data), tuple(parts))
 
 
 def _misfit(attribute: Attribute, content: PolyData) -> str:

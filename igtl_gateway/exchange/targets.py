@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.csv_out import export_csv
 from igtl_gateway.exchange.recording import Recording, count_skipped
 from igtl_gateway.exchange.rosbag2_out import export_rosbag2
@@ -16,14 +16,14 @@ from igtl_gateway.exchange.volume_out import export_nrrd
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class ExportFormat:
     """A format: what of a session goes there, and what does it."""
 
     text: str
-    export: Callable[[Recording, Path, Sequence[str]], Account]
+    export: Callable[[Recording, Path, Sequence[str]], ExportAccount]
 
 
-def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str]) -> Account:
+def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
     """Write a recording to ``out`` in a format of the table, and count what was written and what was left out.
 
     Raises GatewayError and OSError.
@@ -34,10 +34,10 @@ def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str]) 
 
 
 TARGETS = {
-    "rosbag2": Target("ROS topics, as a directory for `ros2 bag`", export_rosbag2),
-    "igs.mha": Target("an IMAGE and its TRANSFORMs, as one tracked sequence", export_sequence),
-    "csv": Target("poses, texts, numbers: a folder with one table per stream", export_csv),
-    "ply": Target("surfaces and clouds: a folder with one file per message", export_ply),
-    "vtk": Target("the same with all attributes", export_vtk),
-    "nrrd": Target("images and volumes: a folder with one file per message", export_nrrd),
+    "rosbag2": ExportFormat("ROS topics, as a directory for `ros2 bag`", export_rosbag2),
+    "igs.mha": ExportFormat("an IMAGE and its TRANSFORMs, as one tracked sequence", export_sequence),
+    "csv": ExportFormat("poses, texts, numbers: a folder with one table per stream", export_csv),
+    "ply": ExportFormat("surfaces and clouds: a folder with one file per message", export_ply),
+    "vtk": ExportFormat("the same with all attributes", export_vtk),
+    "nrrd": ExportFormat("images and volumes: a folder with one file per message", export_nrrd),
 }

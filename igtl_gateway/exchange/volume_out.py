@@ -15,21 +15,21 @@ from pathlib import Path
 
 import numpy as np
 
-from igtl_gateway.convert.context import Outgoing, ToIgtl
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.images import image_to_igtl
 from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.convert.volumes import volume_to_image
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.folder import one_file_each
-from igtl_gateway.exchange.place import Place, Vector, has_own_normal
+from igtl_gateway.exchange.placement import ImagePlacement, Vector, has_own_normal
 from igtl_gateway.exchange.recording import Recording
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import BIG_ENDIAN, LPS, SCALARS, Image
 
-_TO_IMAGE: dict[str, Callable[[bytes, ToIgtl], Outgoing]] = {
+_TO_IMAGE: dict[str, Callable[[bytes, ToIgtlContext], ConvertedMessage]] = {
     Volume.TYPE: lambda data, to: volume_to_image(Volume.unpack(data), to),
     RosImage.TYPE: lambda data, to: image_to_igtl(RosImage.unpack(data), to),
 }
@@ -38,17 +38,17 @@ _TYPES = {"i": "int", "u": "uint"}
 _SPACES = {"LPS": "left-posterior-superior", "RAS": "right-anterior-superior"}
 
 
-def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Account:
+def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
     """Write the folder ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
     unplaced: Counter[str] = Counter()
     completed: Counter[str] = Counter()
 
-    def count(image: Image, entry: Entry, _account: Account) -> None:
-        unplaced[entry.channel] += Place.of_image(image) is None
-        completed[entry.channel] += Place.of_image(image) is not None and not has_own_normal(image)
+    def count(image: Image, entry: Entry, _account: ExportAccount) -> None:
+        unplaced[entry.channel] += ImagePlacement.of_image(image) is None
+        completed[entry.channel] += ImagePlacement.of_image(image) is not None and not has_own_normal(image)
 
     account = one_file_each(
-        recording, out, globs, _READ, "nrrd", _image, lambda content: (header(content), content.pixels), count
+        recording, out, globs, _READ, "nrrd", _image, lambda content: (nrrd_header(content), content.pixels), count
     )
     for stream, number in sorted((+unplaced).items()):
         account.notes.append(
@@ -61,7 +61,7 @@ def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Accoun
 
 def _image(entry: Entry) -> Image:
     if entry.type in _TO_IMAGE:
-        content = _TO_IMAGE[entry.type](entry.data(), ToIgtl()).content
+        content = _TO_IMAGE[entry.type](entry.data(), ToIgtlContext()).content
     else:
         content = decode(entry.data()).content
     if not isinstance(content, Image) or not content.expected_bytes:
@@ -71,9 +71,9 @@ def _image(entry: Entry) -> Image:
     return content
 
 
-def header(image: Image) -> bytes:
+def nrrd_header(image: Image) -> bytes:
     """What stands before the pixels of an image."""
-    place, space = Place.of_image(image), "LPS" if image.coordinate == LPS else "RAS"
+    place, space = ImagePlacement.of_image(image), "LPS" if image.coordinate == LPS else "RAS"
     dtype = np.dtype(SCALARS[image.scalar_type])
     kind = (
         _TYPES[dtype.kind] + f"{dtype.itemsize * 8}"
@@ -97,7 +97,7 @@ def header(image: Image) -> bytes:
     return "\n".join(lines).encode() + b"\n\n"
 
 
-def _placed(place: Place, space: str, *, many: bool) -> list[str]:
+def _placed(place: ImagePlacement, space: str, *, many: bool) -> list[str]:
     axes, origin = place.in_space(space)
     return [
         f"space directions: {'none ' if many else ''}{' '.join(map(_vector, axes))}",

@@ -8,7 +8,7 @@ in a verification.  ``Session`` adds the numbering and is the door that all thre
 from igtl_gateway.gateway.core import LISTENED, TICK, Gateway
 from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP, LINKS_TOPIC
 from igtl_gateway.gateway.relay import CUT, FAULT, PARTNER, RelayGateway
-from igtl_gateway.gateway.session import Core, Session, gateway_of, head_of
+from igtl_gateway.gateway.session import Core, Session, header_names, make_core
 
 __all__ = [
     "CUT",
@@ -23,6 +23,6 @@ __all__ = [
     "Gateway",
     "RelayGateway",
     "Session",
-    "gateway_of",
-    "head_of",
+    "header_names",
+    "make_core",
 ]

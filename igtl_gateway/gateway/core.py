@@ -19,15 +19,15 @@ from igtl_gateway.gateway.dialogue.links import LINKS_QOS, LINKS_TOPIC, Links
 from igtl_gateway.gateway.dialogue.querying import Queries
 from igtl_gateway.gateway.fastpath import Fast, FastPath
 from igtl_gateway.gateway.guard import Guard
-from igtl_gateway.gateway.outcome import Accounts, Finding, Outcome, Tally
+from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Outcome, Tally
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams
 from igtl_gateway.gateway.to_igtl.composer import Composer
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
-from igtl_gateway.gateway.to_igtl.frames import Frames
 from igtl_gateway.gateway.to_igtl.latest import Latest
 from igtl_gateway.gateway.to_igtl.receive import RosReceiver
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS, TfOut
+from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
 from igtl_gateway.gateway.to_igtl.tracking import Tracking
 from igtl_gateway.gateway.to_ros.convert import RAW_QOS, Converter
 from igtl_gateway.gateway.to_ros.receive import IgtlReceiver
@@ -66,7 +66,7 @@ class Gateway:
     def __init__(self, config: Config, *, fast_path: bool = True) -> None:
         self.config = config
         self._peers = peers = Peers(config)
-        self._accounts = Accounts(peers)
+        self._accounts = Bookkeeper(peers)
         self._streams = streams = Streams(config)
         self._guard = guard = Guard(watch=config.watch is True)
         denied_in, denied_out = Denials(config.deny_in), Denials(config.deny_out)
@@ -78,7 +78,7 @@ class Gateway:
         latest = Latest(streams, guard, tf, composer)
         delivery = Delivery(denied_out, tf.tree)
         tracking = Tracking(peers, latest, delivery)
-        self._frames = frames = Frames(tf, guard, peers, delivery, tracking)
+        self._frames = frames = TfReceiver(tf, guard, peers, delivery, tracking)
         self._converter = Converter(streams, subscribers, frames)
         router = Router(config, streams, guard, volumes, self._converter)
 
@@ -138,7 +138,7 @@ class Gateway:
                 self.fast_path.learn(entry, outcome)
             outputs = self._accounts.settle(entry, outcome)  # last: what fails above has counted nothing yet
         except Exception as error:  # a defect of ours must cost one message, not the session
-            self._streams.news.clear()
+            self._streams.reportable.clear()
             outputs = self._accounts.fail(entry, error)
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
 
@@ -205,9 +205,9 @@ class Gateway:
 
     def _opened_streams(self) -> list[Finding]:
         """Findings for the streams that this entry opened."""
-        if not self._streams.news:
+        if not self._streams.reportable:
             return []
-        news, self._streams.news = self._streams.news, []
+        news, self._streams.reportable = self._streams.reportable, []
         return [Finding(Level.INFO, "stream", f"{stream} goes {text}", stream) for stream, text in news]
 
 

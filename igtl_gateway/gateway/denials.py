@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from igtl_gateway.errors import WireError
 from igtl_gateway.globs import matches
 from igtl_gateway.wire import Message
-from igtl_gateway.wire.bind import Bind, Child
+from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.query import split_query
@@ -55,7 +55,7 @@ class Denials:
             return next(filter(None, map(self._child, content.children)), "")
         return ""
 
-    def _child(self, child: Child) -> str:
+    def _child(self, child: BindChild) -> str:
         name = visible(child.type)
         if self.type(name):
             return name

@@ -13,7 +13,7 @@ from typing import Any
 
 from igtl_gateway.convert.common_msgs import DiagnosticArray
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
-from igtl_gateway.gateway.watched import FUTURE, Watched
+from igtl_gateway.gateway.guarded_stream import FUTURE, GuardedStream
 from igtl_gateway.session.timing import best
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 
@@ -48,7 +48,7 @@ class PeerFacts:
 
 
 @dataclass(slots=True)
-class _Seen:
+class _Baseline:
     """A stream when it was last told of."""
 
     received: int = 0
@@ -62,7 +62,7 @@ class Diagnostics:
 
     def __init__(self, hardware_id: str) -> None:
         self._hardware_id = hardware_id
-        self._seen: dict[tuple[str, str], _Seen] = {}
+        self._seen: dict[tuple[str, str], _Baseline] = {}
         self._dropped: dict[str, int] = {}  # of peers and of the recorder, by name
         self._last_ns = 0
 
@@ -71,7 +71,7 @@ class Diagnostics:
         utc_ns: int,
         now_ns: int,
         streams: Mapping[str, Mapping[str, Any]],
-        watched: Iterable[tuple[tuple[int, str], Watched]],
+        watched: Iterable[tuple[tuple[int, str], GuardedStream]],
         peers: Iterable[PeerFacts],
         recorder: Mapping[str, Any] | None,
     ) -> DiagnosticArray:
@@ -87,8 +87,8 @@ class Diagnostics:
         """
         seconds = (now_ns - self._last_ns) / NS_PER_S if self._last_ns else 0.0
         self._last_ns = now_ns
-        by_stream: dict[tuple[str, str], list[Watched]] = {}
-        by_link: dict[int, list[Watched]] = {}
+        by_stream: dict[tuple[str, str], list[GuardedStream]] = {}
+        by_link: dict[int, list[GuardedStream]] = {}
         for (link, stream), one in watched:
             by_stream.setdefault(("igtl_in" if link else "ros_in", stream), []).append(one)
             by_link.setdefault(link, []).append(one)
@@ -104,16 +104,22 @@ class Diagnostics:
             statuses.append(DiagnosticStatus(WARN, "igtl_gateway: further streams", text, self._hardware_id))
         return DiagnosticArray(Header(utc_ns, ""), tuple(statuses))
 
-    def _frame(self, stream: str, watched: list[Watched]) -> DiagnosticStatus:
+    def _frame(self, stream: str, watched: list[GuardedStream]) -> DiagnosticStatus:
         """What is judged by its age, but no stream of the ledger: a frame of the tf tree, a message inside another."""
         stale = sum(one.stale for one in watched)
         level, text = (ERROR, f"stale: withheld {stale:,} times so far (max_age_s)") if stale else (OK, "fresh")
         return DiagnosticStatus(level, f"igtl_gateway: {stream}", text, self._hardware_id)
 
     def _stream(
-        self, now_ns: int, seconds: float, side: str, stream: str, fates: Mapping[str, Any], watched: list[Watched]
+        self,
+        now_ns: int,
+        seconds: float,
+        side: str,
+        stream: str,
+        fates: Mapping[str, Any],
+        watched: list[GuardedStream],
     ) -> DiagnosticStatus:
-        seen = self._seen.setdefault((side, stream), _Seen(moved_ns=now_ns))
+        seen = self._seen.setdefault((side, stream), _Baseline(moved_ns=now_ns))
         received, dropped = fates.get("received", 0), fates.get("dropped", {})
         rate_hz = (received - seen.received) / seconds if seconds else 0.0
         troubles = sum(number for reason, number in dropped.items() if reason not in _HARMLESS)
@@ -143,9 +149,9 @@ class Diagnostics:
         values += [(f"dropped.{reason}", f"{number}") for reason, number in dropped.items()]
         return DiagnosticStatus(level, f"igtl_gateway: {_SIDES[side]} {stream}", text, self._hardware_id, tuple(values))
 
-    def _peer(self, peer: PeerFacts, watched: list[Watched]) -> DiagnosticStatus:
+    def _peer(self, peer: PeerFacts, watched: list[GuardedStream]) -> DiagnosticStatus:
         name = f"igtl_gateway: peer {peer.link} {peer.address}"
-        lost = self._more(name, peer.dropped)
+        lost = self._increase(name, peer.dropped)
         clock = best(one.timing for one in watched)
         level, text = (ERROR, f"reads too slowly: {lost:,} messages dropped") if lost else (OK, "connected")
         if not lost and any(FUTURE in one.episodes for one in watched):
@@ -159,7 +165,7 @@ class Diagnostics:
         name = "igtl_gateway: recorder"
         if counters is None:
             return DiagnosticStatus(OK, name, "not recording", self._hardware_id)
-        lost = self._more(name, counters["dropped_entries"])
+        lost = self._increase(name, counters["dropped_entries"])
         level, text = (ERROR, f"lost {lost:,} entries") if lost else (OK, "recording")
         if counters["failure"]:
             level, text = ERROR, str(counters["failure"])
@@ -167,7 +173,7 @@ class Diagnostics:
         values = tuple((key, f"{counters[key]}") for key in keys if key in counters)
         return DiagnosticStatus(level, name, text, self._hardware_id, values)
 
-    def _more(self, name: str, number: int) -> int:
+    def _increase(self, name: str, number: int) -> int:
         """By how much a count has grown."""
         before, self._dropped[name] = self._dropped.get(name, 0), number
         return number - before

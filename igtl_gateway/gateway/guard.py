@@ -16,13 +16,13 @@ from collections.abc import Iterable
 
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.rosmsg import TransformStamped
+from igtl_gateway.gateway.guarded_stream import CODES, STALE, GuardedStream, Place, Remark
 from igtl_gateway.gateway.outcome import Finding, Item
-from igtl_gateway.gateway.watched import CODES, STALE, Place, Remark, Watched
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.transform import Position, Transform
 
-__all__ = ["CODES", "MAX_WATCHED", "STALE", "Guard", "Watched", "looked_at", "place_of", "reported"]
+__all__ = ["CODES", "MAX_WATCHED", "STALE", "Guard", "GuardedStream", "check_stamp", "findings_of", "translation_of"]
 
 #: Streams with a memory of their own, 1 kB each: eight peers that each use up ``max_streams``.  Those beyond share one
 #: for what is withheld, and are not watched.
@@ -39,10 +39,10 @@ class Guard:
     def __init__(self, *, watch: bool) -> None:
         self.watch = watch
         self.ahead_ns = 0
-        self._streams: dict[tuple[int, str], Watched] = {}
-        self._others: dict[int, Watched] = {}
+        self._streams: dict[tuple[int, str], GuardedStream] = {}
+        self._others: dict[int, GuardedStream] = {}
 
-    def of(self, link: int, stream: str, max_age_s: float) -> Watched | None:
+    def of(self, link: int, stream: str, max_age_s: float) -> GuardedStream | None:
         """A stream of a link (0: of ROS); None where there is nothing to be looked at."""
         if not (self.watch or max_age_s):
             return None
@@ -50,9 +50,9 @@ class Guard:
         if watched is None:
             max_age_ns = round(max_age_s * NS_PER_S)
             if len(self._streams) >= MAX_WATCHED:  # they share a memory for what is withheld; nothing else is said
-                watched = self._others.setdefault(max_age_ns, Watched("(other streams)", max_age_ns, watch=False))
+                watched = self._others.setdefault(max_age_ns, GuardedStream("(other streams)", max_age_ns, watch=False))
             else:
-                watched = self._streams[link, stream] = Watched(stream, max_age_ns, watch=self.watch)
+                watched = self._streams[link, stream] = GuardedStream(stream, max_age_ns, watch=self.watch)
             watched.ahead_ns = self.ahead_ns
         return watched
 
@@ -61,20 +61,20 @@ class Guard:
         self.ahead_ns = ahead_ns
         for watched in (*self._streams.values(), *self._others.values()):
             watched.ahead_ns = ahead_ns
-            watched.timing.begin_again()
+            watched.timing.reset()
 
-    def gone(self, link: int) -> None:
+    def on_link_down(self, link: int) -> None:
         """A link has gone, its streams with it."""
         for key in [key for key in self._streams if key[0] == link]:
             del self._streams[key]
 
-    def items(self) -> Iterable[tuple[tuple[int, str], Watched]]:
+    def items(self) -> Iterable[tuple[tuple[int, str], GuardedStream]]:
         """Link and name → stream, in the order in which they came; for any thread."""
         return list(self._streams.items())
 
 
-def looked_at(
-    entry: Entry, watched: Watched, own_ns: int, shown_ns: int, place: Place | None
+def check_stamp(
+    entry: Entry, watched: GuardedStream, own_ns: int, shown_ns: int, place: Place | None
 ) -> tuple[bool, list[Item]]:
     """Whether a message is too old to be forwarded, and the findings about it.
 
@@ -86,16 +86,16 @@ def looked_at(
         place: its translation, of a pose.
     """
     withheld, remarks = watched.judge(entry.stamp_ns, own_ns)
-    remarks += watched.see(entry.stamp_ns, shown_ns, place)
-    return withheld, reported(entry, remarks) if remarks else []
+    remarks += watched.observe(entry.stamp_ns, shown_ns, place)
+    return withheld, findings_of(entry, remarks) if remarks else []
 
 
-def reported(entry: Entry, remarks: Iterable[Remark]) -> list[Item]:
+def findings_of(entry: Entry, remarks: Iterable[Remark]) -> list[Item]:
     """The findings for what was seen of a stream."""
     return [Finding(level, code, text, entry.channel, entry.links) for level, code, text in remarks]
 
 
-def place_of(content: object) -> Place | None:
+def translation_of(content: object) -> Place | None:
     """The translation of a single pose, in the unit of its side."""
     match content:
         case Transform():

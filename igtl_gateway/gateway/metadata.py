@@ -29,7 +29,7 @@ _MAX_STAMP_NS = (1 << 32) * 1_000_000_000
 
 
 @value(frozen=True, slots=True)
-class Restored:
+class RestoredMetadata:
     """What the metadata of a received message says.
 
     Attributes:
@@ -46,19 +46,19 @@ class Restored:
     items: tuple[MetadataItem, ...] = ()
 
 
-def restore(message: Message) -> Restored:
+def restore_metadata(message: Message) -> RestoredMetadata:
     """Read the metadata of a message; what is not as we write it is taken for the user's."""
     name = visible(message.device_name)
     if not message.metadata:
-        return Restored(name)
+        return RestoredMetadata(name)
     ours: dict[str, str] = {}
     items = []
     for item in message.metadata:
         if item.key in OURS and item.key not in ours and _is_valid(item, message.device_name):
             ours[item.key] = item.text
         else:
-            items.append(_exposed(item))
-    return Restored(
+            items.append(_decoded_value(item))
+    return RestoredMetadata(
         ours.get(FULL_NAME, name),
         int(ours.get(STAMP, "0")),
         ours.get(FRAME_ID, ""),
@@ -75,14 +75,14 @@ def _is_valid(item: Item, device_name: str) -> bool:
     return bool(item.text)
 
 
-def _exposed(item: Item) -> MetadataItem:
+def _decoded_value(item: Item) -> MetadataItem:
     """The value in its named encoding; undecodable bytes are replaced."""
     codec = CODECS.get(item.encoding, "utf-8")
     value = item.value.decode("utf-8" if item.encoding == US_ASCII else codec, "replace")
     return MetadataItem(visible(item.key), item.encoding, value.replace("\x00", "\ufffd"))
 
 
-def composed(
+def compose_metadata(
     device_name: str,
     full_name: str,
     stamp_ns: int,
@@ -91,7 +91,7 @@ def composed(
     users: Iterable[MetadataItem],
 ) -> tuple[Item, ...]:
     """The metadata of an outgoing message: the user's, then ours, one value for each key, sorted."""
-    items = [_packed(item) for item in users]
+    items = [_encoded_value(item) for item in users]
     if device_name != full_name:
         items.append(Item.of(FULL_NAME, full_name))
     if stamp_ns:
@@ -103,7 +103,7 @@ def composed(
     return sorted_items(items)
 
 
-def _packed(item: MetadataItem) -> Item:
+def _encoded_value(item: MetadataItem) -> Item:
     """In the encoding that the item names where that can hold it, else as US-ASCII or UTF-8 by content."""
     codec = CODECS.get(item.encoding)
     if codec is None or item.encoding in (US_ASCII, UTF_8):

@@ -1,7 +1,7 @@
 """What a stage of the gateway makes of a message, and the one place where that is settled.
 
 A stage changes no count and writes no note.  It returns an :class:`Outcome`: outputs and findings in the order of the
-log, and the fate of the message.  :class:`Accounts` settles each outcome once: it counts the outputs, turns findings
+log, and the fate of the message.  :class:`Bookkeeper` settles each outcome once: it counts the outputs, turns findings
 into notes, and adds the fate to the loss ledger.
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.gateway.output import Output, note
+from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
@@ -90,7 +90,7 @@ class Outcome:
         return self.fate in _GOOD
 
 
-class Accounts:
+class Bookkeeper:
     """The loss ledger and the notes of a session."""
 
     def __init__(self, peers: Peers) -> None:
@@ -125,7 +125,7 @@ class Accounts:
             self.ledger.count(entry.kind.value, entry.channel, "received")
         self.ledger.drop(entry.kind.value, entry.channel, "internal_error")
         text = f"message lost to a defect of the gateway: {type(error).__name__}: {error}"
-        return [note(Level.ERROR, "internal_error", text, entry.channel, entry.links)]
+        return [note_output(Level.ERROR, "internal_error", text, entry.channel, entry.links)]
 
     def _settled(self, items: Iterable[Item]) -> list[Output]:
         outputs: list[Output] = []
@@ -140,7 +140,7 @@ class Accounts:
             if item.loss:
                 self.ledger.drop(_IGTL_OUT, *item.loss)
             if item.subject is None or self._is_new(item.by, item.code, item.subject):
-                outputs.append(note(item.level, item.code, item.text, item.stream, item.links))
+                outputs.append(note_output(item.level, item.code, item.text, item.stream, item.links))
         return outputs
 
     def _count_sent(self, output: Output) -> None:
@@ -156,11 +156,11 @@ class Accounts:
         return True
 
 
-def warned(warnings: Iterable[tuple[str, str]], entry: Entry) -> list[Item]:
+def warning_findings(warnings: Iterable[tuple[str, str]], entry: Entry) -> list[Item]:
     """What a conversion had to change, noted once for each stream and cause."""
     return [Finding(Level.WARN, code, text, entry.channel, entry.links, entry.channel) for code, text in warnings]
 
 
-def refused(error: Exception, text: str, entry: Entry, code: str = "conversion") -> Finding:
+def conversion_failure(error: Exception, text: str, entry: Entry, code: str = "conversion") -> Finding:
     """A message, or a part of it, that cannot be converted: ``text`` and the error say why."""
     return Finding(Level.ERROR, code, f"{text}: {error}", entry.channel, entry.links)

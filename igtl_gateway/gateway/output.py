@@ -36,11 +36,11 @@ class Output:
         )
 
 
-def published(topic: str, message: RosMessage, stamp_ns: int) -> Output:
+def ros_output(topic: str, message: RosMessage, stamp_ns: int) -> Output:
     """A ROS message on a topic; ``stamp_ns`` is that of its header, UTC ns."""
     return Output(Kind.ROS_OUT, topic, message.TYPE, (message.pack(),), (), stamp_ns)
 
 
-def note(level: Level, code: str, text: str, stream: str = "", links: tuple[int, ...] = ()) -> Output:
+def note_output(level: Level, code: str, text: str, stream: str = "", links: tuple[int, ...] = ()) -> Output:
     """A note of the gateway."""
     return Output(Kind.NOTE, payload=(Note(level, code, text, stream).pack(),), links=links)

@@ -8,7 +8,7 @@ from typing import Any
 
 from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatus
-from igtl_gateway.gateway.profiles import AUTO, BY_NAME, DEFAULT, Profile, shown_by
+from igtl_gateway.gateway.profiles import AUTO, BY_NAME, DEFAULT, PeerProfile, profile_shown_by
 from igtl_gateway.globs import matches
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire import Message
@@ -18,7 +18,7 @@ MAX_WISHES = 256
 
 
 @dataclass(slots=True)
-class Wish:
+class StreamRequest:
     """A stream that a peer asked for (STT_) or asked to end (STP_).
 
     Attributes:
@@ -52,60 +52,60 @@ class Peer:
     link: int
     address: str
     role: str
-    profile: Profile
+    profile: PeerProfile
     chosen: bool
     shown: int = 0
     said_ns: int = 0
     sent: int = 0
-    wishes: dict[tuple[str, str], Wish] = field(default_factory=dict)
+    stream_requests: dict[tuple[str, str], StreamRequest] = field(default_factory=dict)
 
     @property
     def version(self) -> int:
         """Header version of what it is sent: the highest that it has shown, within its profile."""
         return min(max(self.profile.first_version, self.shown), self.profile.max_version)
 
-    def hear(self, message: Message) -> bool:
+    def learn_from(self, message: Message) -> bool:
         """Learn from a message; returns whether that changed what the peer is taken for."""
         before = (self.profile, self.shown)
         self.shown = max(self.shown, message.header_version)
-        if not self.chosen and (profile := shown_by(message)):
+        if not self.chosen and (profile := profile_shown_by(message)):
             self.profile, self.chosen = profile, True
         return (self.profile, self.shown) != before
 
-    def wish(self, igtl_type: str, device: str) -> Wish | None:
+    def stream_request(self, igtl_type: str, device: str) -> StreamRequest | None:
         """What the peer said of a stream: of this device, or of any."""
-        if not self.wishes:
+        if not self.stream_requests:
             return None
-        return self.wishes.get((igtl_type, device)) or self.wishes.get((igtl_type, ""))
+        return self.stream_requests.get((igtl_type, device)) or self.stream_requests.get((igtl_type, ""))
 
-    def wants(self, igtl_type: str, device: str, now_ns: int) -> bool:
+    def claim_due(self, igtl_type: str, device: str, now_ns: int) -> bool:
         """Whether a message of a stream is due; what was never asked for is always."""
         if not self.is_due(igtl_type, device, now_ns):
             return False
-        if wish := self.wish(igtl_type, device):
+        if wish := self.stream_request(igtl_type, device):
             wish.sent_ns[device] = now_ns
         return True
 
     def is_due(self, igtl_type: str, device: str, now_ns: int) -> bool:
         """The same question, with nothing to follow."""
-        wish = self.wish(igtl_type, device)
+        wish = self.stream_request(igtl_type, device)
         if wish is None:
             return True
         return wish.wanted and now_ns - wish.sent_ns.get(device, -wish.interval_ns) >= wish.interval_ns
 
-    def start(self, igtl_type: str, device: str, interval_ns: int, frame: str) -> bool:
+    def start_stream(self, igtl_type: str, device: str, interval_ns: int, frame: str) -> bool:
         """STT_; False where the peer has too many already."""
-        if (igtl_type, device) not in self.wishes and len(self.wishes) >= MAX_WISHES:
+        if (igtl_type, device) not in self.stream_requests and len(self.stream_requests) >= MAX_WISHES:
             return False
-        self.wishes[igtl_type, device] = Wish(True, interval_ns, frame)
+        self.stream_requests[igtl_type, device] = StreamRequest(True, interval_ns, frame)
         return True
 
-    def stop(self, igtl_type: str, device: str) -> None:
+    def stop_stream(self, igtl_type: str, device: str) -> None:
         """STP_; without a device it ends all streams of the type."""
-        for key in [key for key in self.wishes if key[0] == igtl_type and device in ("", key[1])]:
-            del self.wishes[key]
-        if len(self.wishes) < MAX_WISHES:
-            self.wishes[igtl_type, device] = Wish(False)
+        for key in [key for key in self.stream_requests if key[0] == igtl_type and device in ("", key[1])]:
+            del self.stream_requests[key]
+        if len(self.stream_requests) < MAX_WISHES:
+            self.stream_requests[igtl_type, device] = StreamRequest(False)
 
     def status(self) -> LinkStatus:
         """As ROS is told."""

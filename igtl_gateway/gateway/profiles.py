@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.convert.geometry import flipped
+from igtl_gateway.convert.geometry import flip_lps_ras
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.image import LPS, RAS, Image
@@ -42,7 +42,7 @@ def _readable_pixels(image: Image) -> Adapted:
             warning = "32-bit pixels beyond 2^24 are rounded: 3D Slicer takes them as float32 only"
         image = replace(image, scalar_type=10, endian=2, pixels=values.reshape(-1).view(np.uint8).data)
     if image.coordinate == LPS:
-        image = replace(image, coordinate=RAS, wire_matrix=flipped(image.wire_matrix))
+        image = replace(image, coordinate=RAS, wire_matrix=flip_lps_ras(image.wire_matrix))
     return image, warning
 
 
@@ -62,7 +62,7 @@ def _widened(attribute: Attribute) -> Attribute:
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class PeerProfile:
     """What is known of a kind of peer.
 
     Attributes:
@@ -120,7 +120,7 @@ def _is_plus(message: Message) -> bool:
     return message.type in ("TRACKEDFRAME", "USMESSAGE") or "TransformValid" in _metadata(message)
 
 
-DEFAULT = Profile(
+DEFAULT = PeerProfile(
     "default",
     facts=(
         ("old readers interpret the extended header as content: wrong poses without an error", "§5, reproduced"),
@@ -128,9 +128,9 @@ DEFAULT = Profile(
     ),
 )
 
-PROFILES: tuple[Profile, ...] = (
+PROFILES: tuple[PeerProfile, ...] = (
     DEFAULT,
-    Profile(
+    PeerProfile(
         "slicer",
         facts=(
             ("sends first a version 2 STATUS without name, metadata dummy=dummy", "§10.2; SlicerOpenIGTLink#110"),
@@ -146,7 +146,7 @@ PROFILES: tuple[Profile, ...] = (
         adapt={Image: _readable_pixels, PolyData: _nine_components},
         shows=_is_slicer,
     ),
-    Profile(
+    PeerProfile(
         "plus",
         facts=(
             ("loses the stream at a type that its factory does not know", "§10.4"),
@@ -161,7 +161,7 @@ PROFILES: tuple[Profile, ...] = (
         adapt={PolyData: _nine_components},
         shows=_is_plus,
     ),
-    Profile(
+    PeerProfile(
         "brainlab",
         facts=(
             ("the operator must approve every connection", "PLUS documents"),
@@ -171,7 +171,7 @@ PROFILES: tuple[Profile, ...] = (
         ),
         max_version=1,
     ),
-    Profile(
+    PeerProfile(
         "holoscan",
         facts=(
             ("its receiver throws an exception on header version 1", "holohub, openigtlink operator"),
@@ -182,7 +182,7 @@ PROFILES: tuple[Profile, ...] = (
         queries=frozenset(),
         replies=frozenset(),
     ),
-    Profile(
+    PeerProfile(
         "legacy-v1",
         facts=(
             ("libopenigtlink up to 2.x loses the stream at a version 2 header", "§5, §10.6, reproduced with 1.11"),
@@ -201,6 +201,6 @@ AUTO = "auto"
 _SHOWING = tuple((profile, profile.shows) for profile in PROFILES if profile.shows)
 
 
-def shown_by(message: Message) -> Profile | None:
+def profile_shown_by(message: Message) -> PeerProfile | None:
     """The profile that only such a message can come from, None if many could have sent it."""
     return next((profile for profile, shows in _SHOWING if shows(message)), None)

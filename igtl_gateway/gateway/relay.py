@@ -18,12 +18,12 @@ from collections.abc import Sequence
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.errors import WireError
-from igtl_gateway.faults import BothWays, Fate, FaultLine
+from igtl_gateway.faults import Fate, FaultLine, RelayFaults
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP
-from igtl_gateway.gateway.fastpath import Fast, never
+from igtl_gateway.gateway.fastpath import Fast, no_fast_path
 from igtl_gateway.gateway.guard import Guard
-from igtl_gateway.gateway.output import Output, note
+from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.stamps import moved
 from igtl_gateway.gateway.to_ros.subscribers import Ask
 from igtl_gateway.qos import Qos
@@ -47,7 +47,7 @@ class RelayGateway:
 
     def __init__(self, config: Config) -> None:
         self.config = config
-        self.fast: Fast = never
+        self.fast: Fast = no_fast_path
         self.has_subscriber: Ask | None = None
         self.guard = Guard(watch=False)
         self.ledger = Ledger()
@@ -55,7 +55,7 @@ class RelayGateway:
         self._servers: set[int] = set()  # links to the server
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)
         self._said: set[tuple[str, str, int]] = set()
-        self._faults = BothWays.parse(config.faults)
+        self._faults = RelayFaults.parse(config.faults)
         self._lines: dict[int, FaultLine[Entry]] = {}  # link → the way of the messages to it
         self._cut: set[int] = set()  # links that are being closed
 
@@ -63,7 +63,7 @@ class RelayGateway:
         """The entries that ``entry`` causes, numbered and stamped directly behind it."""
         outputs: list[Output] = []
         for link, line in self._lines.items():
-            outputs += self._leave(link, line.due(entry.stamp_ns))
+            outputs += self._forward(link, line.due(entry.stamp_ns))
         if entry.kind is Kind.LINK:
             outputs += self._on_link(entry)
         elif entry.kind is Kind.IGTL_IN:
@@ -106,9 +106,9 @@ class RelayGateway:
             self._cut.discard(link)
             self._said = {said for said in self._said if said[2] != link}
             if line := self._lines.pop(link, None):
-                self._lose(line, LINK_DOWN)
+                self._drop_waiting(line, LINK_DOWN)
             if line := self._lines.get(partner):  # what it said last is still to arrive
-                return self._leave(partner, line.rest())
+                return self._forward(partner, line.rest())
         return []
 
     def _relay(self, entry: Entry) -> list[Output]:
@@ -129,7 +129,7 @@ class RelayGateway:
             line = self._lines.get(partner)
             if line is None:
                 line = self._lines[partner] = FaultLine(faults, self.config.fault_seed, f"{partner}", moved)
-            return self._leave(partner, line.take(entry.stamp_ns, entry, entry.data()))
+            return self._forward(partner, line.take(entry.stamp_ns, entry, entry.data()))
         return self._sent(entry, entry.payload, partner)
 
     def _sent(self, entry: Entry, payload: Sequence[Buffer], partner: int) -> list[Output]:
@@ -144,7 +144,7 @@ class RelayGateway:
             return [sent, *self._once(entry, error.code, f"relayed as it is: {error}")]
         return [sent]
 
-    def _leave(self, link: int, fates: list[Fate[Entry]]) -> list[Output]:
+    def _forward(self, link: int, fates: list[Fate[Entry]]) -> list[Output]:
         """Messages leave a line with faults, or are lost."""
         outputs: list[Output] = []
         for fate in fates:
@@ -152,9 +152,9 @@ class RelayGateway:
             if link in self._cut:
                 self.ledger.drop(_IN, entry.channel, CUT)
                 continue
-            for fault, words in fate.news.items():
+            for fault, words in fate.reportable.items():
                 text = f"{fault}: {entry.channel}, message {entry.seq}: {words}"
-                outputs.append(note(Level.INFO, FAULT, text, entry.channel, (link,)))
+                outputs.append(note_output(Level.INFO, FAULT, text, entry.channel, (link,)))
             if fate.lost:
                 self.ledger.drop(_IN, entry.channel, "fault_loss")
             else:
@@ -163,11 +163,11 @@ class RelayGateway:
             if fate.disconnect:
                 self._cut.add(link)
                 text = "connection closed on purpose: --fault"
-                outputs.append(note(Level.INFO, CUT, text, entry.channel, (link,)))
-                self._lose(self._lines[link], CUT)
+                outputs.append(note_output(Level.INFO, CUT, text, entry.channel, (link,)))
+                self._drop_waiting(self._lines[link], CUT)
         return outputs
 
-    def _lose(self, line: FaultLine[Entry], reason: str) -> None:
+    def _drop_waiting(self, line: FaultLine[Entry], reason: str) -> None:
         """What still waits in a line does not arrive."""
         for fate in line.rest():
             self.ledger.drop(_IN, fate.message.channel, reason)
@@ -192,4 +192,4 @@ class RelayGateway:
         if said in self._said:
             return []
         self._said.add(said)
-        return [note(Level.WARN, code, text, entry.channel, entry.links)]
+        return [note_output(Level.WARN, code, text, entry.channel, entry.links)]

@@ -52,7 +52,7 @@ class Core(Protocol):
     def keep(self, entry: Entry) -> bool: ...
 
 
-def gateway_of(config: Config, *, fast_path: bool = True) -> Core:
+def make_core(config: Config, *, fast_path: bool = True) -> Core:
     """The gateway that a configuration asks for; for ``fast_path`` see ``Gateway``."""
     return RelayGateway(config) if config.relay else Gateway(config, fast_path=fast_path)
 
@@ -85,7 +85,7 @@ class Session:
         entries = self._fast(self._seq + 1, stamp_ns, kind, payload, channel, type_name, links, source_ns)
         if not entries:
             if kind is Kind.IGTL_IN:
-                channel, type_name, source_ns = head_of(payload[0])
+                channel, type_name, source_ns = header_names(payload[0])
             entry = Entry(self._seq + 1, stamp_ns, kind, channel, type_name, payload, links, source_ns)
             entries = [entry, *self.gateway.handle(entry)]
         self._seq, self._stamp_ns = entries[-1].seq, entries[-1].stamp_ns
@@ -102,7 +102,7 @@ class Session:
         return outputs
 
 
-def head_of(message: Buffer) -> tuple[str, str, int]:
+def header_names(message: Buffer) -> tuple[str, str, int]:
     """What the header of an OpenIGTLink message names: stream, type, and its stamp in UTC ns.
 
     Raises TruncatedMessage below 58 bytes.

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 from igtl_gateway.config import IN_TOPIC, Config, ToIgtlRow, ToRosRow, device_of_topic
 from igtl_gateway.convert.igtl_msgs import MetadataItem
-from igtl_gateway.convert.names import frames_of, hashed, short_device_name, topic_token
-from igtl_gateway.convert.table import IgtlRow, Role, RosRow, row_to_igtl, rows_to_ros
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.names import frames_of, name_hash, short_device_name, topic_token
+from igtl_gateway.convert.table import ConversionToIgtl, ConversionToRos, Role, row_to_igtl, rows_to_ros
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.qos import Qos
 
 #: Kind of the topic of a type without a conversion, and of what metadata says beside a standard message.
@@ -38,10 +38,10 @@ class ToIgtlStream:
     """
 
     row: ToIgtlRow
-    conversion: IgtlRow
+    conversion: ConversionToIgtl
     device: str
     full_name: str
-    lengths: Lengths
+    lengths: LengthUnits
     latched: bool
     row_metadata: tuple[MetadataItem, ...]
 
@@ -59,12 +59,12 @@ class ToRosStream:
     """
 
     row: ToRosRow
-    outputs: tuple[tuple[RosRow, str], ...]
+    outputs: tuple[tuple[ConversionToRos, str], ...]
     raw_topic: str
     metadata_topic: str
     frame_id: str
     child_frame_id: str
-    lengths: Lengths
+    lengths: LengthUnits
 
 
 class Streams:
@@ -77,7 +77,7 @@ class Streams:
         self._tokens: dict[str, str] = {}  # topic token → device that owns it
         self._devices: dict[str, str] = {}  # short device name → full name that owns it
         self._qos: dict[str, Qos] = {}
-        self.news: list[tuple[str, str]] = []  # (stream, where it goes) of those that were opened since
+        self.reportable: list[tuple[str, str]] = []  # (stream, where it goes) of those that were opened since
 
     def qos(self, topic: str) -> Qos | None:
         """The QoS of a topic that the gateway publishes."""
@@ -114,7 +114,7 @@ class Streams:
             self._qos.setdefault(topic, row.qos or conversion.qos)
         poses = any(conversion.kind == "transform" for conversion in rows_to_ros(igtl_type))
         topics = ", ".join(dict.fromkeys(topic for _, topic in outputs)) or topic_of(RAW)
-        self.news.append((f"{igtl_type}/{device}", f"to {topics}"))
+        self.reportable.append((f"{igtl_type}/{device}", f"to {topics}"))
         return ToRosStream(
             row,
             tuple(outputs),
@@ -125,7 +125,7 @@ class Streams:
             config.lengths(row),
         )
 
-    def _chosen(self, row: ToRosRow, conversions: Sequence[RosRow]) -> Sequence[RosRow]:
+    def _chosen(self, row: ToRosRow, conversions: Sequence[ConversionToRos]) -> Sequence[ConversionToRos]:
         """The rows of the conversion table that a stream with that row of the configuration goes by."""
         added = {kind.removeprefix("+") for kind in row.kinds if kind.startswith("+")}
         if row.kinds and len(added) < len(row.kinds):
@@ -142,12 +142,12 @@ class Streams:
         """The topic token of a device; a second device that would get the same one gets its hash added."""
         token = topic_token(device)
         while self._tokens.setdefault(token, device) != device:
-            token = f"{token}_{hashed(device)}"
+            token = f"{token}_{name_hash(device)}"
         return token
 
     # -- ROS → OpenIGTLink --------------------------------------------------------------------------------------
 
-    def rows(self, topic: str, ros_type: str) -> tuple[ToIgtlRow | None, IgtlRow | None]:
+    def rows(self, topic: str, ros_type: str) -> tuple[ToIgtlRow | None, ConversionToIgtl | None]:
         """The row of the configuration for a topic, and the one of the conversion table that it leads to."""
         row = self._config.row_to_igtl(topic)
         return row, row_to_igtl(ros_type, row.type) if row else None
@@ -155,7 +155,7 @@ class Streams:
     def to_igtl(self, topic: str, ros_type: str) -> ToIgtlStream | None:
         """The stream of a topic, resolved on its first message; None where the topic is not bridged.
 
-        None, too, beyond the limit of streams; ``beyond`` tells that apart.
+        None, too, beyond the limit of streams; ``is_over_limit`` tells that apart.
         """
         key = (topic, ros_type)
         if key in self._to_igtl:
@@ -165,7 +165,7 @@ class Streams:
         stream = self._to_igtl[key] = self._resolve_topic(topic, ros_type)
         return stream
 
-    def beyond(self, topic: str, ros_type: str) -> bool:
+    def is_over_limit(self, topic: str, ros_type: str) -> bool:
         """Whether a topic would be bridged, had there not been so many streams before it."""
         return (topic, ros_type) not in self._to_igtl and self.rows(topic, ros_type)[1] is not None
 
@@ -178,7 +178,7 @@ class Streams:
         full_name = row.device or device_of_topic(topic, last if last in kinds else "")
         device = self.device(full_name)
         name = f"{conversion.igtl_type}/{device}"
-        self.news.append((topic, f"to {name}" + (f" (for {full_name})" if device != full_name else "")))
+        self.reportable.append((topic, f"to {name}" + (f" (for {full_name})" if device != full_name else "")))
         latched = (row.qos or conversion.qos).latched
         metadata = tuple(MetadataItem(key, 0, value) for key, value in row.metadata)
         return ToIgtlStream(row, conversion, device, full_name, self._config.lengths(row), latched, metadata)
@@ -187,7 +187,7 @@ class Streams:
         """The name of at most 20 bytes that stands for a full one."""
         device = short_device_name(full_name)
         while self._devices.get(device, full_name) != full_name:
-            device = short_device_name(f"{full_name[:8]}_{hashed(device + full_name)}_{full_name}")
+            device = short_device_name(f"{full_name[:8]}_{name_hash(device + full_name)}_{full_name}")
         if len(self._devices) < MAX_NAMES:
             self._devices[device] = full_name
         return device

@@ -24,8 +24,8 @@ from pathlib import Path
 
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.record.options import LARGEST_BYTES, RecordOptions
-from igtl_gateway.record.shared_queue import Getter, Putter, memory, shared_memory
-from igtl_gateway.record.worker import Settings, work
+from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory, shared_memory
+from igtl_gateway.record.worker import WorkerSettings, run_worker
 
 #: The bridge goes first where there is not processor time enough for both; the queue bridges that.
 _NICENESS = 5
@@ -37,7 +37,7 @@ _BEHIND, _LEVEL = 10, 0
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class WorkerHost:
     """A worker at work.
 
     Attributes:
@@ -48,15 +48,15 @@ class Place:
     """
 
     pipe: Connection
-    queue: Putter
+    queue: QueueWriter
     wait: Callable[[], str]
     warning: str = ""
 
 
-Host = Callable[[Settings, Clock], Place]
+Host = Callable[[WorkerSettings, Clock], WorkerHost]
 
 
-def in_process(settings: Settings, clock: Clock) -> Place:
+def in_process(settings: WorkerSettings, clock: Clock) -> WorkerHost:
     """A process of its own, which outlives this one until all is written; a thread where the system refuses that."""
     try:
         child, ours, queue = _start(settings.options)
@@ -74,10 +74,10 @@ def in_process(settings: Settings, clock: Clock) -> Place:
         ours.send(settings)
     except BrokenPipeError:
         pass
-    return Place(ours, queue, wait)
+    return WorkerHost(ours, queue, wait)
 
 
-def _start(options: RecordOptions) -> tuple[subprocess.Popen[bytes], Connection, Putter]:
+def _start(options: RecordOptions) -> tuple[subprocess.Popen[bytes], Connection, QueueWriter]:
     """The process, our end of the pipe, and the queue to it.  Raises OSError."""
     handle = shared_memory(options.queue_bytes, LARGEST_BYTES)
     try:
@@ -103,15 +103,15 @@ def _python_path() -> list[str]:
     return [str(Path(entry).absolute()) for entry in sys.path]
 
 
-def in_thread(settings: Settings, clock: Clock) -> Place:
+def in_thread(settings: WorkerSettings, clock: Clock) -> WorkerHost:
     """A thread of this process, with its clock."""
     ours, theirs = Pipe()
     place = memory(settings.options.queue_bytes, LARGEST_BYTES)
-    getter, queue = Getter(place), _putter(place, settings.options)
+    getter, queue = QueueReader(place), _putter(place, settings.options)
 
     def run() -> None:
         with theirs:
-            work(settings, getter, theirs, clock)
+            run_worker(settings, getter, theirs, clock)
 
     thread = threading.Thread(target=run, name="recorder-worker", daemon=True)
     thread.start()
@@ -120,11 +120,11 @@ def in_thread(settings: Settings, clock: Clock) -> Place:
         thread.join()
         return "its thread has ended"
 
-    return Place(ours, queue, wait)
+    return WorkerHost(ours, queue, wait)
 
 
-def _putter(place: mmap.mmap, options: RecordOptions) -> Putter:
-    return Putter(place, options.queue_entries, options.queue_bytes)
+def _putter(place: mmap.mmap, options: RecordOptions) -> QueueWriter:
+    return QueueWriter(place, options.queue_entries, options.queue_bytes)
 
 
 def main() -> None:
@@ -137,14 +137,14 @@ def main() -> None:
     with Connection(pipe) as connection, suppress(EOFError):  # it was gone before it could say anything
         settings = connection.recv()
         try:
-            queue = Getter(mmap.mmap(handle, 0))
+            queue = QueueReader(mmap.mmap(handle, 0))
         except OSError as error:
             connection.send(f"cannot record to {settings.path}: no memory for its queue: {error.strerror}")
             return
-        work(settings, queue, connection, SystemClock(), lambda: os.getppid() != bridge, _rank)
+        run_worker(settings, queue, connection, SystemClock(), lambda: os.getppid() != bridge, _set_priority)
 
 
-def _rank(hurried: bool) -> bool:
+def _set_priority(hurried: bool) -> bool:
     """See to it that the bridge, and all else, goes first, or not; False if that is to be tried again.
 
     Where the system does not know of sessions, the niceness of the process is all there is.

@@ -19,7 +19,7 @@ from igtl_gateway.errors import RecordingError
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.writer import SessionWriter, TopicCount, refusal
+from igtl_gateway.sessionfile.writer import SessionWriter, TopicCount, cannot_begin
 from igtl_gateway.stamp import NS_PER_S
 
 SIDE_FILE = "metadata.yaml"
@@ -29,7 +29,7 @@ Open = Callable[[Path, dict[str, str], Sequence[Entry]], SessionWriter]
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class RecordingPart:
     """A complete part: first and last stamp in UTC ns (0: no entries), entries, and bytes of the file."""
 
     path: Path
@@ -65,12 +65,12 @@ class PartsWriter:
         overwrite: bool,
         counters: Callable[[], dict[str, Any]],
     ) -> None:
-        self.path = folder_of(path)
+        self.path = parts_folder(path)
         self._open_part = open_part
         self._prologue = prologue
         self._max_bytes, self._max_ns = max_bytes, int(max_s * NS_PER_S)
         self._counters = counters
-        self._parts: list[Part] = []
+        self._parts: list[RecordingPart] = []
         _make_folder(self.path, overwrite)
         try:
             self._part = self._open()
@@ -101,7 +101,7 @@ class PartsWriter:
             self._part = self._open()
             self._ended = False
         self._part.write(entry)
-        self._prologue.see(entry)
+        self._prologue.observe(entry)
 
     def flush(self) -> None:
         """As SessionWriter.flush."""
@@ -133,24 +133,24 @@ class PartsWriter:
             if not self._ended:
                 self._ended = True
                 self._parts.append(
-                    Part(part.path, part.start_ns, part.end_ns, part.entries, tuple(part.topics()), size)
+                    RecordingPart(part.path, part.start_ns, part.end_ns, part.entries, tuple(part.topics()), size)
                 )
             write_side_file(self.path, self._parts)
         except OSError as error:
             raise RecordingError(f"recording to {self.path} failed: {error.strerror or error}") from error
 
 
-def folder_of(path: Path) -> Path:
+def parts_folder(path: Path) -> Path:
     """The folder of the parts of ``name.mcap``."""
     return path.with_suffix("") if path.suffix == ".mcap" else path
 
 
-def write_side_file(folder: Path, parts: Sequence[Part]) -> None:
+def write_side_file(folder: Path, parts: Sequence[RecordingPart]) -> None:
     """Write ``metadata.yaml``, so that at any moment there is the old one or the new one.  Raises OSError."""
     _replace(folder / SIDE_FILE, _side_file(parts))
 
 
-def _side_file(parts: Sequence[Part]) -> str:
+def _side_file(parts: Sequence[RecordingPart]) -> str:
     """``metadata.yaml`` as rosbag2 (Jazzy, version 9) writes it."""
     full = [part for part in parts if part.entries]
     start_ns = min((part.start_ns for part in full), default=0)
@@ -194,7 +194,7 @@ def _span(indent: str, start_ns: int, duration_ns: int, messages: int) -> list[s
     ]
 
 
-def _merged(parts: Sequence[Part]) -> list[TopicCount]:
+def _merged(parts: Sequence[RecordingPart]) -> list[TopicCount]:
     topics: dict[tuple[str, str], TopicCount] = {}
     for topic in (topic for part in parts for topic in part.topics):
         before = topics.get((topic.topic, topic.type))
@@ -220,7 +220,7 @@ def _make_folder(folder: Path, overwrite: bool) -> None:
         for path in ours:
             path.unlink()
     except (OSError, ValueError) as error:
-        raise refusal(folder, error) from None
+        raise cannot_begin(folder, error) from None
 
 
 def _replace(path: Path, text: str) -> None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Hashable
 
-from igtl_gateway.record.selection import StateRule
+from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.session.entry import Entry, Kind
 
 MAX_ENTRIES = 5_000
@@ -26,7 +26,7 @@ MAX_MIXED = 1_000
 class Prologue:
     """Sees all entries in their order; remembers the inputs that matter."""
 
-    def __init__(self, rule: StateRule, max_entries: int = MAX_ENTRIES, max_bytes: int = MAX_BYTES) -> None:
+    def __init__(self, rule: StateInputRule, max_entries: int = MAX_ENTRIES, max_bytes: int = MAX_BYTES) -> None:
         self._rule = rule
         self._max_entries, self._max_bytes = max_entries, max_bytes
         self._input: Entry | None = None
@@ -37,7 +37,7 @@ class Prologue:
         self._mixed: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
         self._bytes = 0
 
-    def see(self, entry: Entry) -> None:
+    def observe(self, entry: Entry) -> None:
         """Take notice of the next entry."""
         if entry.kind is Kind.LINK:
             self._input = None

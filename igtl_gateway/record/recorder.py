@@ -26,8 +26,8 @@ from igtl_gateway.clock import Clock
 from igtl_gateway.errors import RecordingError
 from igtl_gateway.record.host import Host, in_process
 from igtl_gateway.record.options import RecordOptions
-from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, StateRule
-from igtl_gateway.record.worker import FAILED, THREAD, RecordingSummary, Settings, State
+from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, StateInputRule
+from igtl_gateway.record.worker import FAILED, THREAD, RecordingSummary, WorkerSettings, WorkerState
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.writer import QosOf
@@ -60,7 +60,7 @@ class Recorder:
         on_note: Callable[[Note], None],
         clock: Clock,
         options: RecordOptions | None = None,
-        rule: StateRule | None = None,
+        rule: StateInputRule | None = None,
         host: Host = in_process,
     ) -> None:
         self.options = options or RecordOptions()
@@ -74,11 +74,11 @@ class Recorder:
         self._snapshots: dict[int, Future[Path]] = {}
         self._asked_snapshots = 0
 
-        self._state = State()
+        self._state = WorkerState()
         self._ended = False
         self._summary: RecordingSummary | None = None
         self._sending = threading.Lock()  # of the pipe
-        settings = Settings(path, dict(session), self.options, rule or StateRule())
+        settings = WorkerSettings(path, dict(session), self.options, rule or StateInputRule())
         try:
             self._place = host(settings, clock)
         except OSError as error:
@@ -172,7 +172,7 @@ class Recorder:
         return True
 
     def _wake(self) -> None:
-        if self._queue.ring_bell():
+        if self._queue.signal():
             self._send("wake")
 
     def _send(self, answer: Any) -> None:
@@ -199,7 +199,7 @@ class Recorder:
             try:
                 topic, *told = self._pipe.recv()
             except (EOFError, OSError):
-                self._lost()
+                self._on_worker_death()
                 return
             self._take(topic, told)
         self._place.wait()
@@ -234,7 +234,7 @@ class Recorder:
         except Exception as error:
             return f"{type(error).__name__}: {error}"
 
-    def _lost(self) -> None:
+    def _on_worker_death(self) -> None:
         """The worker ended without a word: it was killed."""
         failure = f"recording to {self._path} failed: the recorder's process has ended: {self._place.wait()}"
         with self._lock:
@@ -243,7 +243,7 @@ class Recorder:
                 lost, _ = self._queue.waiting
             else:  # what it had taken, and not yet told of, may be in the file, or not
                 accounted = told.written_entries + sum(told.dropped.values()) + sum(told.left_out.values())
-                lost = self._queue.given - accounted
+                lost = self._queue.entries_put - accounted
             self._dropped["(with the recorder's process)"] += lost
             self._state = replace(told, failure=failure)
             self._ended = True

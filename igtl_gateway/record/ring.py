@@ -56,16 +56,16 @@ class Ring:
         self._entries.append(entry)
         self._bytes += entry.size + _ENTRY_BYTES
         while self._bytes > self._max_bytes or entry.stamp_ns - self._entries[0].stamp_ns > self._max_ns:
-            if not self._let_go():
+            if not self._forget_oldest():
                 break
 
-    def _let_go(self) -> bool:
+    def _forget_oldest(self) -> bool:
         """Forget the oldest input with its outputs; False if there is nothing else."""
         following = next((at for at, entry in enumerate(self._entries) if at and entry.kind.is_input), 0)
         for _ in range(following):
             gone = self._entries.popleft()
             self._bytes -= gone.size + _ENTRY_BYTES
-            self._prologue.see(gone)
+            self._prologue.observe(gone)
         return following > 0
 
     def take(self, ledger: dict[str, Any], utc_ns: int) -> Path:

@@ -53,7 +53,7 @@ class Selection:
 
 
 @dataclass(frozen=True, slots=True)
-class StateRule:
+class StateInputRule:
     """How to see that an input changes what the gateway will say to others.
 
     Attributes:
@@ -81,10 +81,10 @@ class StateRule:
         return entry.channel in self.mixed
 
 
-class Gate:
+class SelectionFilter:
     """Lets entries pass, in their order; counts what it does not."""
 
-    def __init__(self, selection: Selection, rule: StateRule) -> None:
+    def __init__(self, selection: Selection, rule: StateInputRule) -> None:
         #: Entries left out so far, by stream.
         self.left_out: Counter[str] = Counter()
         self.paused = False
@@ -100,7 +100,7 @@ class Gate:
         if self._all and self._open and not self.paused:
             return (entry,)
         if entry.kind.is_input:
-            self._leave_out()
+            self._drop_held()
             self._open = self._wanted(entry)
         elif not self._open and (self._rule.by_output(entry) or self._rule.mixes(entry)):
             self._open = True
@@ -113,9 +113,9 @@ class Gate:
 
     def end(self) -> None:
         """No more entries."""
-        self._leave_out()
+        self._drop_held()
 
-    def _leave_out(self) -> None:
+    def _drop_held(self) -> None:
         """Count what was held, and is not wanted after all."""
         for entry in self._held:
             known = entry.channel in self.left_out or len(self.left_out) < MAX_STREAMS

@@ -111,7 +111,7 @@ def _size(queue_bytes: int, largest: int) -> int:
     return _PAGE + queue_bytes + largest + _SLACK_BYTES
 
 
-class _End:
+class _QueueEnd:
     """What both ends know.  Args: ``place``: from ``memory``, or mapped from ``shared_memory``."""
 
     def __init__(self, place: mmap.mmap) -> None:
@@ -121,7 +121,7 @@ class _End:
         self._size = len(self._room)
 
 
-class Putter(_End):
+class QueueWriter(_QueueEnd):
     """The end that puts.  Its caller sees to it that one thread at a time does.
 
     Args:
@@ -155,7 +155,7 @@ class Putter(_End):
         return self._entries - self._counters[_DONE_ENTRIES], self._taken - self._counters[_DONE_BYTES]
 
     @property
-    def given(self) -> int:
+    def entries_put(self) -> int:
         """Entries that were put so far."""
         return self._entries
 
@@ -221,7 +221,7 @@ class Putter(_End):
         """Add a command, whatever waits already; False if even the room for commands is taken."""
         return self._add_words(_COMMAND, (name, *words))
 
-    def ring_bell(self) -> bool:
+    def signal(self) -> bool:
         """Ask for the getter's attention; False if it was asked already, and has not looked since."""
         if self._counters[_BELL]:
             return False
@@ -235,7 +235,7 @@ class Putter(_End):
     def _add(self, what: int, size: int, numbers: tuple[int, int, int], parts: Sequence[Buffer], length: int) -> bool:
         """Add a record with these bytes, ``length`` of them together; False if there is no room."""
         need = (_RECORD_BYTES + length + _ALIGN - 1) & -_ALIGN
-        if self._place + need > self._limit and not self._make_way(need):
+        if self._place + need > self._limit and not self._reserve(need):
             return False
         room, place = self._room, self._place
         _RECORD.pack_into(room, place, what, size, *numbers)
@@ -251,7 +251,7 @@ class Putter(_End):
         self._counters[_HEAD] = self._position
         return True
 
-    def _make_way(self, need: int) -> bool:
+    def _reserve(self, need: int) -> bool:
         """See to it that a record of this size fits at the place where it goes on; False if there is no room."""
         tail = self._counters[_TAIL]
         while self._runs and self._runs[0][0] + self._runs[0][2] - self._runs[0][1] <= tail:
@@ -310,7 +310,7 @@ def owned(entry: Entry) -> Entry:
     return replace(entry, payload=(entry.data(),)) if any(type(part) is memoryview for part in entry.payload) else entry
 
 
-class Getter(_End):
+class QueueReader(_QueueEnd):
     """The end that gets."""
 
     def __init__(self, place: mmap.mmap) -> None:
@@ -336,14 +336,14 @@ class Getter(_End):
         """About as much waits to be got."""
         return self._counters[_HEAD] - self._position
 
-    def answer_bell(self) -> None:
+    def clear_signal(self) -> None:
         """From here on it may be rung again."""
         self._counters[_BELL] = 0
 
     def get(self) -> Entry | tuple[Any, ...] | None:
         """The next entry or the words of the next command; None if nothing waits.  To be followed by :meth:`done`."""
         while True:
-            if self._position == self._head and not self._look():
+            if self._position == self._head and not self._poll():
                 return None
             room, place = self._room, self._place
             what, size, number, stamp_ns, source_ns = _RECORD.unpack_from(room, place)
@@ -362,7 +362,7 @@ class Getter(_End):
                 number, stamp_ns, kind_number, channel, type_name, links, source_ns = words
                 kind = _KINDS[kind_number]
                 break
-            self._pass(place, begin)
+            self._advance(place, begin)
             if what == _COMMAND:
                 return tuple(words)
             kind_number, channel, type_name, links = words
@@ -370,7 +370,7 @@ class Getter(_End):
                 self._streams.clear()
             self._streams.append((_KINDS[kind_number], channel, type_name, links))
         end = begin + size
-        self._pass(place, end)
+        self._advance(place, end)
         self._entries += 1
         self._done += size + ENTRY_BYTES
         payload = room[begin:end]
@@ -379,13 +379,13 @@ class Getter(_End):
             number, stamp_ns, kind, channel, type_name, (payload if lent else bytes(payload),), links, source_ns
         )
 
-    def _pass(self, place: int, end: int) -> None:
+    def _advance(self, place: int, end: int) -> None:
         """Go on behind a record."""
         need = (end - place + _ALIGN - 1) & -_ALIGN
         self._position += need
         self._place = place + need
 
-    def _look(self) -> bool:
+    def _poll(self) -> bool:
         """Whether there is more than was there when this looked last."""
         self._head = self._counters[_HEAD]
         with self._barrier:
@@ -393,7 +393,7 @@ class Getter(_End):
         if self._position != self._head:
             return True
         if self._free != self._head:
-            self._make_free()
+            self._release()
         return False
 
     def done(self) -> None:
@@ -401,9 +401,9 @@ class Getter(_End):
         self._counters[_DONE_ENTRIES] = self._entries
         self._counters[_DONE_BYTES] = self._done
         if self._position - self._free >= _FREE_BYTES:
-            self._make_free()
+            self._release()
 
-    def _make_free(self) -> None:
+    def _release(self) -> None:
         """Give the putter its room back, and the system the memory that only a burst needs: before, not after."""
         for begin, end in (*self._gone, (self._begin, self._place)):
             start = -(-(_PAGE + max(begin, _KEPT_BYTES)) // _PAGE) * _PAGE

@@ -26,8 +26,8 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.ring import Ring
-from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, Gate, StateRule
-from igtl_gateway.record.shared_queue import Getter
+from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, SelectionFilter, StateInputRule
+from igtl_gateway.record.shared_queue import QueueReader
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile import layout
@@ -81,17 +81,17 @@ class RecordingSummary:
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class WorkerSettings:
     """What the worker is told at the beginning; fields as the arguments of ``Recorder``."""
 
     path: Path
     session: dict[str, str]
     options: RecordOptions
-    rule: StateRule
+    rule: StateInputRule
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class WorkerState:
     """What the worker tells of itself.
 
     Attributes:
@@ -121,9 +121,9 @@ class State:
         }
 
 
-def work(
-    settings: Settings,
-    queue: Getter,
+def run_worker(
+    settings: WorkerSettings,
+    queue: QueueReader,
     pipe: Connection,
     clock: Clock,
     orphaned: Callable[[], bool] = lambda: False,
@@ -136,7 +136,7 @@ def work(
     """
     worker, refused = None, ""
     try:
-        worker = _Worker(settings, queue, pipe, clock, orphaned, rank)
+        worker = _RecorderWorker(settings, queue, pipe, clock, orphaned, rank)
     except RecordingError as error:
         refused = str(error)
     with suppress(OSError):  # gone already: the file is closed like any other
@@ -145,7 +145,7 @@ def work(
         worker.run()
 
 
-class _Nothing:
+class _NullWriter:
     """In place of a writer where the disk refused from the start: everything counts as dropped."""
 
     entries = 0
@@ -166,15 +166,15 @@ class _Nothing:
         """Nothing is open."""
 
 
-class _Gone(Exception):
+class _BridgeGone(Exception):
     """The bridge is no longer there to be asked."""
 
 
-class _Worker:
+class _RecorderWorker:
     def __init__(
         self,
-        settings: Settings,
-        queue: Getter,
+        settings: WorkerSettings,
+        queue: QueueReader,
         pipe: Connection,
         clock: Clock,
         orphaned: Callable[[], bool],
@@ -197,7 +197,7 @@ class _Worker:
         self._clock = clock
         self._flush_ns = int(self.options.flush_s * 1_000_000_000)
         self._types = RosTypes()
-        self._gate = Gate(self.options.selection, settings.rule)
+        self._gate = SelectionFilter(self.options.selection, settings.rule)
         self._dropped: Counter[str] = Counter()  # by the file; what the queue did not take is known to the recorder
         self._not_queued: Counter[str] = Counter()  # when it was last asked
         self._failure = ""
@@ -206,20 +206,20 @@ class _Worker:
         self._told_ns: int | None = None
         self._told_undefined: set[str] = set()
         self._told_refused: set[str] = set()
-        self._told_state = State()
+        self._told_state = WorkerState()
         self._left_out_before = 0  # of the pause that is on
         self._flushed_ns = self._stated_ns = self._due_ns = clock.monotonic_ns()
         self._seen_refused = 0
         self._asked: list[tuple[int, int]] = []  # snapshots: number, and UTC ns of the request
-        self._writer: SessionWriter | PartsWriter | Ring | _Nothing
+        self._writer: SessionWriter | PartsWriter | Ring | _NullWriter
         try:
             self._writer = self._open(settings.path, settings.rule)
         except DiskRefused as error:
             if self.options.stop_on_failure:
                 raise
-            self._writer = _Nothing(settings.path, str(error))
+            self._writer = _NullWriter(settings.path, str(error))
 
-    def _open(self, path: Path, rule: StateRule) -> SessionWriter | PartsWriter | Ring:
+    def _open(self, path: Path, rule: StateInputRule) -> SessionWriter | PartsWriter | Ring:
         """What writes, as the options say."""
         options = self.options
         if options.snapshot_s:
@@ -257,11 +257,11 @@ class _Worker:
 
     def run(self) -> None:
         """Write what comes, until the end."""
-        if isinstance(self._writer, _Nothing):
+        if isinstance(self._writer, _NullWriter):
             self._fail(self._writer.why)
         while self._ledger is None and not self._gone:
-            self._guarded(self._round)
-        self._hurry(True)
+            self._guarded(self._run_once)
+        self._set_hurried(True)
         if self._ledger is None:  # what it left behind
             self._guarded(self._drain)
         self._finish()
@@ -286,10 +286,10 @@ class _Worker:
                 self._gone = self._gone or self._orphaned()
         except (EOFError, OSError):
             self._gone = True
-        self._queue.answer_bell()
+        self._queue.clear_signal()
         return rested
 
-    def _tell(self, *words: Any) -> None:
+    def _send(self, *words: Any) -> None:
         if self._gone:
             return
         try:
@@ -299,7 +299,7 @@ class _Worker:
 
     def _ask(self, *words: Any) -> Any:
         """Ask something and wait for the answer.  Raises _Gone."""
-        self._tell(*words)
+        self._send(*words)
         try:
             while not self._gone:
                 if not self._pipe.poll(_LOOK_S):
@@ -308,27 +308,27 @@ class _Worker:
                     return answer
         except (EOFError, OSError):
             self._gone = True
-        raise _Gone
+        raise _BridgeGone
 
     def _note(self, note: Note) -> None:
-        self._tell_state()
-        self._tell("note", note)
+        self._send_state()
+        self._send("note", note)
 
-    def _tell_state(self) -> None:
+    def _send_state(self) -> None:
         state = self._state()
         if state != self._told_state:
             self._told_state = state
-            self._tell("state", state)
+            self._send("state", state)
 
-    def _state(self) -> State:
-        return State(
+    def _state(self) -> WorkerState:
+        return WorkerState(
             self._writer.entries, dict(self._dropped), dict(self._gate.left_out), self._failure, self._gate.paused
         )
 
     def _qos_of(self, topic: str, ros_type: str) -> Qos | None:
         try:
             answer: Qos | str | None = self._ask("qos", topic, ros_type)
-        except _Gone:
+        except _BridgeGone:
             return None
         if isinstance(answer, str):
             raise RuntimeError(answer)
@@ -342,17 +342,17 @@ class _Worker:
         """What the queue did not take, by stream."""
         try:
             self._not_queued = Counter(self._ask("drops"))
-        except _Gone:  # how many there were is known here, too
+        except _BridgeGone:  # how many there were is known here, too
             self._not_queued[OTHERS] += max(0, self._queue.refused - self._not_queued.total())
 
     # -- the work ---------------------------------------------------------------------------------------------
 
-    def _round(self) -> None:
+    def _run_once(self) -> None:
         rested = self._wait()
         if not self._drain() and rested:
-            self._take_asked()
-        self._see_to()
-        self._tell_state()
+            self._take_requested_snapshots()
+        self._run_periodic()
+        self._send_state()
 
     def _drain(self) -> bool:
         """All that waits, up to the end of the recording: what comes behind that is not of it.  False: nothing did."""
@@ -363,41 +363,41 @@ class _Worker:
             try:
                 if isinstance(item, Entry):
                     if self._asked and item.kind.is_input:
-                        self._take_asked()
+                        self._take_requested_snapshots()
                     for passed in take(item):
                         self._write(passed)
                 else:
-                    self._obey(*item)
+                    self._apply_command(*item)
             finally:
                 queue.done()
             # what time brings, between any two entries: if the disk is too slow, there is always another one
             if monotonic_ns() >= self._due_ns or queue.refused != self._seen_refused:
-                self._see_to()
+                self._run_periodic()
         now_ns = monotonic_ns()
         self._late_ns, self._empty_ns = now_ns - self._empty_ns, now_ns
         return some
 
-    def _see_to(self) -> None:
+    def _run_periodic(self) -> None:
         """What time brings."""
         now_ns = self._clock.monotonic_ns()
         self._seen_refused = self._queue.refused
         self._flush_if_due(now_ns)
-        self._tell_drops(now_ns)
+        self._report_drops(now_ns)
         if now_ns - self._stated_ns >= _LOOK_NS:
             self._stated_ns = now_ns
-            self._tell_state()
+            self._send_state()
             if self._ledger is None:
                 part = _CALM_PART if self._hurried else _HURRY_PART
                 late_ns = max(self._late_ns, now_ns - self._empty_ns)
-                self._hurry(late_ns > _LATE_NS or self._queue.waiting_bytes > self.options.queue_bytes // part)
+                self._set_hurried(late_ns > _LATE_NS or self._queue.waiting_bytes > self.options.queue_bytes // part)
         self._due_ns = min(self._flushed_ns + self._flush_ns, self._stated_ns + _LOOK_NS)
 
-    def _hurry(self, hurried: bool) -> None:
+    def _set_hurried(self, hurried: bool) -> None:
         """Go behind all others, as long as that does not cost entries."""
         if hurried != self._hurried and self._rank(hurried):
             self._hurried = hurried
 
-    def _obey(self, command: str, *words: Any) -> None:
+    def _apply_command(self, command: str, *words: Any) -> None:
         match command:
             case "pause":
                 self._set_paused(True)
@@ -408,7 +408,7 @@ class _Worker:
             case "fail":
                 self._fail(*words)
             case "close":
-                self._take_asked()
+                self._take_requested_snapshots()
                 self._ledger = json.loads(*words)
 
     def _write(self, entry: Entry) -> None:
@@ -448,16 +448,16 @@ class _Worker:
         text = f"the recording goes on; {missed:,} entries were left out"
         self._note(Note(Level.INFO, RESUMED, text, data={"left_out": missed}))
 
-    def _take_asked(self) -> None:
+    def _take_requested_snapshots(self) -> None:
         """Write the snapshots that were asked for: before an input, or when no output can follow the last one.
 
         They are asked for from another thread than that which gives an input and its outputs, so perhaps in between.
         """
         asked, self._asked = self._asked, []
         for number, utc_ns in asked:
-            self._take(number, utc_ns)
+            self._take_snapshot(number, utc_ns)
 
-    def _take(self, number: int, utc_ns: int) -> None:
+    def _take_snapshot(self, number: int, utc_ns: int) -> None:
         """Write a snapshot.  That one fails does not end the recording: the ring is still there."""
         try:
             if not isinstance(self._writer, Ring):
@@ -465,11 +465,11 @@ class _Worker:
             path = self._writer.take({"recorder": self._counters()}, utc_ns)
         except (RecordingError, OSError) as error:
             self._note(Note(Level.ERROR, FAILED, f"no snapshot: {error}"))
-            self._tell("snapshot", number, None, str(error))
+            self._send("snapshot", number, None, str(error))
             return
         seconds = f"{self.options.snapshot_s:g}"
         self._note(Note(Level.INFO, SNAPSHOT, f"the last {seconds} s are in {path}", data={"path": str(path)}))
-        self._tell("snapshot", number, path, "")
+        self._send("snapshot", number, path, "")
 
     def _refused(self, entry: Entry, error: LayoutError) -> None:
         """Tell once per stream of entries that the format cannot hold."""
@@ -487,7 +487,7 @@ class _Worker:
         except RecordingError as error:
             self._fail(str(error))
 
-    def _tell_drops(self, now_ns: int) -> None:
+    def _report_drops(self, now_ns: int) -> None:
         """At most once a second, of what the queue did not take since the last time."""
         if self._failure or (self._told_ns is not None and now_ns - self._told_ns < _NOTE_NS):
             return
@@ -529,7 +529,7 @@ class _Worker:
             tuple(files),
             self._failure,
         )
-        self._tell("closed", self._state(), summary)
+        self._send("closed", self._state(), summary)
 
 
 def _size(path: Path) -> int:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.convert.units import UNITS, Lengths
+from igtl_gateway.convert.units import UNITS, LengthUnits
 from igtl_gateway.errors import ChecksumMismatch, DamagedRecording, GatewayError
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
@@ -33,7 +33,7 @@ from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.transform import Position, Transform
 
 if TYPE_CHECKING:
-    from igtl_gateway.untrusted.decoding import Decoder as RosDecoder
+    from igtl_gateway.untrusted.decoding import MessageDecoder as RosDecoder
 
 Array = npt.NDArray[Any]
 _Leaf = tuple[str, Any]
@@ -52,7 +52,7 @@ class Undecodable(GatewayError):
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class PoseValue:
     """Where something is.
 
     Attributes:
@@ -67,7 +67,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grid:
+class ElementArray:
     """Many elements of one kind.
 
     Attributes:
@@ -82,7 +82,7 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True)
-class Stamp:
+class StampValue:
     """A time in a message, UTC ns; 0 = unset."""
 
     ns: int
@@ -148,14 +148,14 @@ def compare_values(one: Iterator[_Leaf], other: Iterator[_Leaf], tolerance: Tole
             break
         path, value = left
         match value:
-            case Stamp():
+            case StampValue():
                 if bool(value.ns) is not bool(right[1].ns):
                     delta.differ(path, value.ns, right[1].ns)
                 elif value.ns:
                     delta.stamps_ns.append(right[1].ns - value.ns)
-            case Place():
-                _compare_places(delta, path, value, right[1], tolerance)
-            case Grid():
+            case PoseValue():
+                _compare_poses(delta, path, value, right[1], tolerance)
+            case ElementArray():
                 _compare_grids(delta, path, value, right[1], tolerance)
             case _:
                 if not same(value, right[1]):
@@ -176,7 +176,7 @@ def first_byte(one: bytes, other: bytes) -> tuple[str, str, str]:
     return f"byte {at}", one[at : at + 8].hex(), other[at : at + 8].hex()
 
 
-def _compare_places(delta: Delta, path: str, one: Place, other: Place, tolerance: Tolerance) -> None:
+def _compare_poses(delta: Delta, path: str, one: PoseValue, other: PoseValue, tolerance: Tolerance) -> None:
     if all(map(same, one.numbers, other.numbers)):
         return
     mm = deg = 0.0
@@ -191,7 +191,7 @@ def _compare_places(delta: Delta, path: str, one: Place, other: Place, tolerance
         delta.differ(path, list(one.numbers), list(other.numbers))
 
 
-def _compare_grids(delta: Delta, path: str, one: Grid, other: Grid, tolerance: Tolerance) -> None:
+def _compare_grids(delta: Delta, path: str, one: ElementArray, other: ElementArray, tolerance: Tolerance) -> None:
     a, b = one.values, other.values
     if a.shape != b.shape or a.dtype != b.dtype:
         delta.differ(path, f"{a.shape} {a.dtype}", f"{b.shape} {b.dtype}")
@@ -219,7 +219,7 @@ def _finite(value: float) -> float:
     return math.inf if math.isnan(value) else value
 
 
-class Decoder:
+class LeafDecoder:
     """Takes messages apart.
 
     Args:
@@ -227,7 +227,7 @@ class Decoder:
         lengths: units of both sides.
     """
 
-    def __init__(self, definitions: Mapping[str, str] | None = None, lengths: Lengths = Lengths()) -> None:
+    def __init__(self, definitions: Mapping[str, str] | None = None, lengths: LengthUnits = LengthUnits()) -> None:
         self._definitions = definitions or {}
         self._ros_mm, self._igtl_mm = UNITS[lengths.ros] / UNITS["mm"], UNITS[lengths.igtl] / UNITS["mm"]
 
@@ -249,7 +249,7 @@ class Decoder:
             yield "header_version", header.version
             yield "type", visible(header.type)
             yield "device_name", visible(header.device_name)
-            yield "timestamp", Stamp(ticks_to_ns(header.ticks))
+            yield "timestamp", StampValue(ticks_to_ns(header.ticks))
             right = True
             try:
                 message = decode(data)
@@ -278,11 +278,11 @@ class Decoder:
                 told["wire_matrix"] = _of_image_matrix(wire_matrix, self._igtl_mm)
                 told["spacing"] = _spacing(wire_matrix)
                 pixels = content.array
-                told["data"] = Grid(pixels.reshape(-1, max(1, pixels.shape[-1])), "pixels")
+                told["data"] = ElementArray(pixels.reshape(-1, max(1, pixels.shape[-1])), "pixels")
                 del told["data_crc64"]
             case PolyData(points=points):
-                told["points"] = Grid(points.reshape(-1, 3), "points", self._igtl_mm)
-        yield from flat(told, "content")
+                told["points"] = ElementArray(points.reshape(-1, 3), "points", self._igtl_mm)
+        yield from flattened(told, "content")
 
     def _element(self, told: dict[str, Any], row: Any) -> dict[str, Any]:
         """An element of a list, such as a tool or a landmark."""
@@ -296,8 +296,8 @@ class Decoder:
                 told[name] = self._igtl_pose(told[name], ())
         return told
 
-    def _igtl_pose(self, position: Sequence[float], quaternion: Sequence[float]) -> Place:
-        return _place(position, quaternion, self._igtl_mm)
+    def _igtl_pose(self, position: Sequence[float], quaternion: Sequence[float]) -> PoseValue:
+        return _pose_value(position, quaternion, self._igtl_mm)
 
     # -- ROS ----------------------------------------------------------------------------------------------------
 
@@ -313,7 +313,7 @@ class Decoder:
     @cached_property
     def _decoder(self) -> RosDecoder:
         # loaded where something differs, or is shown
-        from igtl_gateway.untrusted.decoding import Decoder as RosDecoder
+        from igtl_gateway.untrusted.decoding import MessageDecoder as RosDecoder
 
         return RosDecoder(lambda ros_type: self._definitions.get(ros_type, ""))
 
@@ -321,7 +321,7 @@ class Decoder:
         ros_type = getattr(value, "__msgtype__", "")
         special = _SPECIAL.get(ros_type)
         if ros_type == "builtin_interfaces/msg/Time" and path.rpartition(".")[2] in ("stamp", "timestamp"):
-            yield path, Stamp(value.sec * 1_000_000_000 + value.nanosec)
+            yield path, StampValue(value.sec * 1_000_000_000 + value.nanosec)
         elif special:
             yield path, special(value, self._ros_mm)
         elif ros_type in _ARRAYS:
@@ -332,31 +332,31 @@ class Decoder:
             for item in dataclasses.fields(value):
                 yield from self._walk(getattr(value, item.name), f"{path}.{item.name}" if path else item.name)
         elif isinstance(value, list) and value and getattr(value[0], "__msgtype__", "") in _POINTS:
-            yield path, Grid(np.array([(one.x, one.y, one.z) for one in value]), "points", self._ros_mm)
+            yield path, ElementArray(np.array([(one.x, one.y, one.z) for one in value]), "points", self._ros_mm)
         elif isinstance(value, list):
             for index, part in enumerate(value):
                 yield from self._walk(part, f"{path}[{index}]")
         elif isinstance(value, np.ndarray) and value.ndim and value.size > _SHORT:
-            yield path, Grid(value.reshape(-1, 1), "values")
+            yield path, ElementArray(value.reshape(-1, 1), "values")
         else:
-            yield from flat(value, path)
+            yield from flattened(value, path)
 
 
-def flat(value: Any, path: str) -> Iterator[_Leaf]:
+def flattened(value: Any, path: str) -> Iterator[_Leaf]:
     """Every leaf of nested values with its path, as ``content.matrix[0][3]``."""
-    if isinstance(value, Place | Grid | Stamp):
+    if isinstance(value, PoseValue | ElementArray | StampValue):
         yield path, value
         return
     if dataclasses.is_dataclass(value):
         value = {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
     if isinstance(value, dict):
         for name, part in value.items():
-            yield from flat(part, f"{path}.{name}" if path else name)
+            yield from flattened(part, f"{path}.{name}" if path else name)
     elif isinstance(value, np.ndarray):
-        yield from flat(value.tolist(), path)
+        yield from flattened(value.tolist(), path)
     elif isinstance(value, list | tuple):
         for index, part in enumerate(value):
-            yield from flat(part, f"{path}[{index}]")
+            yield from flattened(part, f"{path}[{index}]")
     elif isinstance(value, memoryview):
         yield path, bytes(value)
     else:
@@ -374,7 +374,7 @@ def _of_note(entry: Entry) -> Iterator[_Leaf]:
     yield "stream", note.stream
 
 
-def _place(position: Sequence[float], quaternion: Sequence[float], mm: float) -> Place:
+def _pose_value(position: Sequence[float], quaternion: Sequence[float], mm: float) -> PoseValue:
     """From a position and a quaternion x, y, z, w; either may be missing."""
     rotation = None
     if quaternion:
@@ -388,13 +388,13 @@ def _place(position: Sequence[float], quaternion: Sequence[float], mm: float) ->
             *(s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)),
         )
     scaled = tuple(value * mm for value in position) if len(position) else None
-    return Place((*position, *quaternion), scaled, rotation)
+    return PoseValue((*position, *quaternion), scaled, rotation)
 
 
-def _of_matrix(columns: Sequence[float], mm: float) -> Place:
+def _of_matrix(columns: Sequence[float], mm: float) -> PoseValue:
     """From three columns of directions and one of the position."""
     turned = tuple(columns[3 * column + row] for row in range(3) for column in range(3))
-    return Place(tuple(columns), tuple(value * mm for value in columns[9:12]), turned)
+    return PoseValue(tuple(columns), tuple(value * mm for value in columns[9:12]), turned)
 
 
 def _spacing(columns: Sequence[float]) -> list[float]:
@@ -402,7 +402,7 @@ def _spacing(columns: Sequence[float]) -> list[float]:
     return [float(f"{math.hypot(*columns[at : at + 3]):.6g}") for at in (0, 3, 6)]
 
 
-def _of_image_matrix(columns: Sequence[float], mm: float) -> Place:
+def _of_image_matrix(columns: Sequence[float], mm: float) -> PoseValue:
     """The same with directions that are as long as a pixel."""
     lengths = [math.hypot(*columns[at : at + 3]) or 1.0 for at in (0, 3, 6)]
     place = _of_matrix([*(columns[at] / lengths[at // 3] for at in range(9)), *columns[9:]], mm)
@@ -418,11 +418,13 @@ def _quaternion(value: Any) -> tuple[float, float, float, float]:
 
 
 #: ROS type → what it is, given millimetres of 1.
-_SPECIAL: dict[str, Callable[[Any, float], Place]] = {
-    **dict.fromkeys(_POINTS, lambda point, mm: _place(_vector(point), (), mm)),
-    "geometry_msgs/msg/Quaternion": lambda turn, mm: _place((), _quaternion(turn), mm),
-    "geometry_msgs/msg/Pose": lambda pose, mm: _place(_vector(pose.position), _quaternion(pose.orientation), mm),
-    "geometry_msgs/msg/Transform": lambda pose, mm: _place(_vector(pose.translation), _quaternion(pose.rotation), mm),
+_SPECIAL: dict[str, Callable[[Any, float], PoseValue]] = {
+    **dict.fromkeys(_POINTS, lambda point, mm: _pose_value(_vector(point), (), mm)),
+    "geometry_msgs/msg/Quaternion": lambda turn, mm: _pose_value((), _quaternion(turn), mm),
+    "geometry_msgs/msg/Pose": lambda pose, mm: _pose_value(_vector(pose.position), _quaternion(pose.orientation), mm),
+    "geometry_msgs/msg/Transform": lambda pose, mm: _pose_value(
+        _vector(pose.translation), _quaternion(pose.rotation), mm
+    ),
 }
 
 
@@ -433,15 +435,15 @@ def _of_image(image: Any, _mm: float) -> dict[str, Any]:
     bits, kind = (int(found[1]), found[2]) if found else (16 if image.encoding.endswith("16") else 8, "U")
     dtype = np.dtype(f"{'>' if image.is_bigendian else '<'}{ {'U': 'u', 'S': 'i', 'F': 'f'}[kind] }{bits // 8}")
     if not width or not height or len(data) != height * step or step % width or step // width % dtype.itemsize:
-        return {"data": Grid(data.reshape(-1, 1), "bytes")}
-    return {"data": Grid(data.view(dtype).reshape(height * width, -1), "pixels")}
+        return {"data": ElementArray(data.reshape(-1, 1), "bytes")}
+    return {"data": ElementArray(data.view(dtype).reshape(height * width, -1), "pixels")}
 
 
 def _of_cloud(cloud: Any, mm: float) -> dict[str, Any]:
     """The points of a sensor_msgs/PointCloud2: positions, and the bytes of all other fields."""
     number, step, data = cloud.width * cloud.height, cloud.point_step, cloud.data
     if not number or len(data) != number * step:
-        return {"data": Grid(data.reshape(-1, 1), "bytes")}
+        return {"data": ElementArray(data.reshape(-1, 1), "bytes")}
     rows = data.reshape(number, step)
     order = ">" if cloud.is_bigendian else "<"
     axes, rest = [], np.ones(step, bool)
@@ -452,9 +454,9 @@ def _of_cloud(cloud: Any, mm: float) -> dict[str, Any]:
             if end <= step:
                 axes.append(np.ascontiguousarray(rows[:, field.offset : end]).view(dtype))
                 rest[field.offset : end] = False
-    parts: dict[str, Any] = {"data": Grid(rows[:, rest], "points' other fields")}
+    parts: dict[str, Any] = {"data": ElementArray(rows[:, rest], "points' other fields")}
     if axes:
-        parts = {"points": Grid(np.hstack(axes), "points", mm), **parts}
+        parts = {"points": ElementArray(np.hstack(axes), "points", mm), **parts}
     return parts
 
 

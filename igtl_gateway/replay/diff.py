@@ -18,8 +18,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.replay.compare import EXACT, Decoder, Delta, Tolerance, Undecodable, compare_values, first_byte
-from igtl_gateway.replay.source import fits
+from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
+from igtl_gateway.replay.source import matches_any
 from igtl_gateway.session.entry import Entry, Kind
 
 #: So many messages of a stream wait for their counterpart, and so many bytes of them.
@@ -39,7 +39,7 @@ Key = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class DiffLocation:
     """Where in a stream a difference is.
 
     Attributes:
@@ -95,7 +95,7 @@ class StreamDiff:
     deg: float = 0.0
     mm_at: int = 0
     deg_at: int = 0
-    first: Place | None = None
+    first: DiffLocation | None = None
     first_missing: int = 0
     first_extra: int = 0
     offset_ns: float = 0.0
@@ -126,7 +126,7 @@ class DiffReport:
 
 
 @dataclass(slots=True)
-class Side:
+class DiffInput:
     """One recording.
 
     Attributes:
@@ -135,11 +135,11 @@ class Side:
     """
 
     entries: Iterable[Entry]
-    decoder: Decoder
+    decoder: LeafDecoder
 
 
 def diff(
-    one: Side, other: Side, *, globs: Sequence[str] = (), tolerance: Tolerance = EXACT, foreign: bool = False
+    one: DiffInput, other: DiffInput, *, globs: Sequence[str] = (), tolerance: Tolerance = EXACT, foreign: bool = False
 ) -> DiffReport:
     """Compare two recordings.
 
@@ -176,7 +176,9 @@ def _key(entry: Entry, globs: Sequence[str], foreign: bool) -> Key | None:
     ros = entry.kind in (Kind.ROS_IN, Kind.ROS_OUT)
     if foreign and not ros:
         return None
-    named = fits(entry.channel, globs) or (entry.kind in _IGTL and fits(entry.channel.partition("/")[2], globs))
+    named = matches_any(entry.channel, globs) or (
+        entry.kind in _IGTL and matches_any(entry.channel.partition("/")[2], globs)
+    )
     if globs and not (entry.channel and named):
         return None
     return (_ROS if foreign else entry.kind.value, entry.channel)
@@ -205,7 +207,7 @@ class _Times:
         return math.sqrt(spread) / self.number if self.number else 0.0
 
 
-class _Queue:
+class _WaitingMessages:
     """Messages of one side that wait."""
 
     def __init__(self) -> None:
@@ -235,13 +237,13 @@ class _Queue:
     def full(self) -> bool:
         return len(self) > WINDOW or (self._size > WINDOW_BYTES and len(self) > 1)
 
-    def same(self, at: int, other: _Queue, there: int) -> bool:
+    def same(self, at: int, other: _WaitingMessages, there: int) -> bool:
         """Whether two messages are one message, perhaps changed."""
         if self._digests[at] == other._digests[there]:
             return True
         return self._stamps[at] is not None and self._stamps[at] == other._stamps[there]
 
-    def find_first_of(self, other: _Queue) -> int | None:
+    def find_first_of(self, other: _WaitingMessages) -> int | None:
         """Where the other side's next message is, None if not in the window."""
         for mine, wanted in ((self._digests, other._digests[0]), (self._stamps, other._stamps[0])):
             if wanted is not None and wanted in mine:
@@ -250,41 +252,41 @@ class _Queue:
 
 
 @dataclass(slots=True)
-class _Stream:
+class _StreamPairing:
     told: StreamDiff
-    one: _Queue = field(default_factory=_Queue)
-    other: _Queue = field(default_factory=_Queue)
+    one: _WaitingMessages = field(default_factory=_WaitingMessages)
+    other: _WaitingMessages = field(default_factory=_WaitingMessages)
     times: _Times = field(default_factory=_Times)
     #: Offsets of stamps → number of messages that have one, and the first of them.
     offsets: Counter[int] = field(default_factory=Counter)
-    first_at: dict[int, Place] = field(default_factory=dict)
+    first_at: dict[int, DiffLocation] = field(default_factory=dict)
     index: int = 0
 
 
 class _Pairing:
-    def __init__(self, one: Decoder, other: Decoder, tolerance: Tolerance) -> None:
+    def __init__(self, one: LeafDecoder, other: LeafDecoder, tolerance: Tolerance) -> None:
         self._decoders = one, other
         self._tolerance = tolerance
-        self._streams: dict[Key, _Stream] = {}
+        self._streams: dict[Key, _StreamPairing] = {}
         self._all = _Times()
 
     def take(self, key: Key, entry: Entry, first: bool) -> None:
         """The next entry of one side."""
         stream = self._streams.get(key)
         if stream is None:
-            stream = self._streams[key] = _Stream(StreamDiff(*key))
+            stream = self._streams[key] = _StreamPairing(StreamDiff(*key))
         if first:
             stream.told.messages += 1
             stream.one.push(entry)
         else:
             stream.told.other_messages += 1
             stream.other.push(entry)
-        self._settle(stream, lambda: stream.one.full or stream.other.full)
+        self._pair_waiting(stream, lambda: stream.one.full or stream.other.full)
 
     def end(self) -> DiffReport:
         """Both have ended."""
         for stream in self._streams.values():
-            self._settle(stream, lambda: True)
+            self._pair_waiting(stream, lambda: True)
         offset_ns = self._commonest_offset()
         for stream in self._streams.values():
             told = stream.told
@@ -304,7 +306,7 @@ class _Pairing:
             offsets.update(stream.offsets)
         return min(offsets, key=lambda offset: (-offsets[offset], abs(offset)), default=0)
 
-    def _settle(self, stream: _Stream, full: Callable[[], bool]) -> None:
+    def _pair_waiting(self, stream: _StreamPairing, full: Callable[[], bool]) -> None:
         """Pair what can be paired; all of it when ``full`` says that no more may be waited for."""
         one, other = stream.one, stream.other
         while one or other:
@@ -325,24 +327,24 @@ class _Pairing:
             for _ in range(theirs - ours):
                 self._extra(stream)
 
-    def _missing(self, stream: _Stream) -> None:
+    def _missing(self, stream: _StreamPairing) -> None:
         entry = stream.one.pop()
         stream.index += 1
         stream.told.missing += 1
         stream.told.first_missing = stream.told.first_missing or entry.seq
 
-    def _extra(self, stream: _Stream) -> None:
+    def _extra(self, stream: _StreamPairing) -> None:
         entry = stream.other.pop()
         stream.told.extra += 1
         stream.told.first_extra = stream.told.first_extra or entry.seq
 
-    def _pair(self, stream: _Stream) -> None:
+    def _pair(self, stream: _StreamPairing) -> None:
         one, other = stream.one.pop(), stream.other.pop()
         stream.index += 1
         stream.times.add(other.stamp_ns - one.stamp_ns)
         self._all.add(other.stamp_ns - one.stamp_ns)
         told, delta = stream.told, self._delta(one, other)
-        place = Place(stream.index, one.seq, other.seq, delta)
+        place = DiffLocation(stream.index, one.seq, other.seq, delta)
         if delta.field:
             told.different += 1
             told.first = told.first or place
@@ -374,7 +376,7 @@ class _Pairing:
             return Delta(*first_byte(ours, theirs))
 
 
-def _together(one: _Queue, other: _Queue) -> tuple[int, int] | None:
+def _together(one: _WaitingMessages, other: _WaitingMessages) -> tuple[int, int] | None:
     """How many messages of each side come before the first place at which they are the same again."""
     ours, theirs = min(AHEAD, len(one)), min(AHEAD, len(other))
     for distance in range(1, ours + theirs - 1):

@@ -18,7 +18,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.lookup import StateRule
+from igtl_gateway.sessionfile.lookup import LatchedStateRule
 
 #: Surfaces, plans, annotations, tables, states: sent when they change, and valid until they change again.
 STATE_TYPES = frozenset("BIND CAPABILITY COLORT COLORTABLE IMGMETA LBMETA POINT POLYDATA STATUS TRAJ VIDEOMETA".split())
@@ -31,12 +31,14 @@ _MESSAGES = _ROS | {Kind.IGTL_IN, Kind.IGTL_OUT}
 IsLatched = Callable[[str, str], bool]
 
 
-def part(entries: Iterable[Entry], start_ns: int | None, end_ns: int | None, is_latched: IsLatched) -> Iterator[Entry]:
+def part_of_session(
+    entries: Iterable[Entry], start_ns: int | None, end_ns: int | None, is_latched: IsLatched
+) -> Iterator[Entry]:
     """The entries from ``start_ns`` to ``end_ns`` (both included; None: no limit), the latched ones before them.
 
     Args:
-        entries: the whole session, inputs too, in order; of what is before ``start_ns`` at least what :func:`rule`
-            names.
+        entries: the whole session, inputs too, in order; of what is before ``start_ns`` at least what
+            :func:`latched_state_rule` names.
         is_latched: tells it of a topic and its type, as recorded.
     """
     state: dict[Hashable, Entry] | None = {}
@@ -60,9 +62,9 @@ def part(entries: Iterable[Entry], start_ns: int | None, end_ns: int | None, is_
         yield from _in_order(state)
 
 
-def rule(is_latched: IsLatched) -> StateRule:
-    """What :func:`part` needs to see of the entries before its start."""
-    return StateRule(
+def latched_state_rule(is_latched: IsLatched) -> LatchedStateRule:
+    """What :func:`part_of_session` needs to see of the entries before its start."""
+    return LatchedStateRule(
         lambda kind, channel, type_name: _is_state(kind, channel, type_name, is_latched),
         lambda channel: channel == _STATIC_TF,
     )

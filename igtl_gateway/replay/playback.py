@@ -7,7 +7,7 @@ because a reader was slow or the playback was, is due at once; nothing is skippe
 from __future__ import annotations
 
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.replay.pace import Pace
+from igtl_gateway.replay.timeline import SessionTimeline
 
 #: Of a playback without pauses between entries.
 UNLIMITED = None
@@ -33,10 +33,10 @@ class PlaybackClock:
         pace: of the session.
     """
 
-    def __init__(self, rate: float | None, paused: bool = False, pace: Pace | None = None) -> None:
+    def __init__(self, rate: float | None, paused: bool = False, pace: SessionTimeline | None = None) -> None:
         self._rate = checked_rate(rate)
         self._paused = paused
-        self._pace = pace or Pace()
+        self._pace = pace or SessionTimeline()
         self._recorded_ns: int | None = None  # the moment of the recording ...
         self._real_ns = 0  # ... that was at this one
         self._state_before_ns = 0

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.qos import Qos
-from igtl_gateway.replay.pace import Pace
+from igtl_gateway.replay.timeline import SessionTimeline
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.stamp import NS_PER_S, ns_to_ros
 
@@ -38,7 +38,7 @@ def is_tick(entry: Entry) -> bool:
 
 
 def with_ticks(
-    entries: Iterable[Entry], start_ns: int | None, step_ns: int, pace: Pace | None = None
+    entries: Iterable[Entry], start_ns: int | None, step_ns: int, pace: SessionTimeline | None = None
 ) -> Iterator[Entry]:
     """The entries with ticks between them, the first at ``start_ns``; a recorded ``/clock`` gives way.
 
@@ -47,7 +47,7 @@ def with_ticks(
         step_ns: recorded time from tick to tick.
         pace: of the session: in a jump of its time there are no ticks.
     """
-    pace = pace or Pace()
+    pace = pace or SessionTimeline()
     next_ns = start_ns
     for entry in entries:
         if entry.channel == CLOCK_TOPIC:
@@ -55,20 +55,20 @@ def with_ticks(
         if next_ns is None:
             next_ns = entry.stamp_ns
         if next_ns == start_ns and entry.stamp_ns < next_ns:  # state of before the start: the clock comes first
-            yield tick(next_ns)
+            yield clock_entry(next_ns)
             next_ns += step_ns
         while (next_ns := _behind_jump(next_ns, step_ns, pace)) <= entry.stamp_ns:
-            yield tick(next_ns)
+            yield clock_entry(next_ns)
             next_ns += step_ns
         yield entry
 
 
-def _behind_jump(tick_ns: int, step_ns: int, pace: Pace) -> int:
+def _behind_jump(tick_ns: int, step_ns: int, pace: SessionTimeline) -> int:
     """The first tick from that one on that lies in no jump."""
     return tick_ns - (tick_ns - pace.behind_jump_ns(tick_ns)) // step_ns * step_ns
 
 
-def tick(stamp_ns: int) -> Entry:
+def clock_entry(stamp_ns: int) -> Entry:
     """The clock says this."""
     data = _CLOCK.pack(_CDR_LE, *ns_to_ros(stamp_ns))
     return Entry(0, stamp_ns, Kind.ROS_OUT, CLOCK_TOPIC, CLOCK_TYPE, (data,))

@@ -23,8 +23,8 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, TICK, Session, gateway_of
-from igtl_gateway.replay.source import fits
+from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, TICK, Session, make_core
+from igtl_gateway.replay.source import matches_any
 from igtl_gateway.replay.verify import compare
 from igtl_gateway.session.clocksteps import CLOCK_STEP
 from igtl_gateway.session.entry import Entry, Kind
@@ -47,7 +47,7 @@ class Depth(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class SliceWindow:
     """What is to be in a slice.
 
     Attributes:
@@ -61,7 +61,7 @@ class Window:
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class InputGroup:
     """An input and all that follows it before the next one.
 
     Attributes:
@@ -97,7 +97,7 @@ class SliceReport:
     ledger: dict[str, object] = field(default_factory=dict)
 
 
-def groups(entries: Iterable[Entry]) -> Iterator[Group]:
+def input_groups(entries: Iterable[Entry]) -> Iterator[InputGroup]:
     """The groups of a session; outputs before the first input belong to none."""
     cause: Entry | None = None
     outputs: list[Entry] = []
@@ -105,13 +105,13 @@ def groups(entries: Iterable[Entry]) -> Iterator[Group]:
     for entry in entries:
         if entry.kind.is_input:
             if cause:
-                yield Group(cause, outputs, entry.seq - cause.seq)
+                yield InputGroup(cause, outputs, entry.seq - cause.seq)
             cause, outputs = entry, []
         elif cause:
             outputs.append(entry)
         last = entry.seq
     if cause:
-        yield Group(cause, outputs, last + 1 - cause.seq)
+        yield InputGroup(cause, outputs, last + 1 - cause.seq)
 
 
 class Slice:
@@ -123,7 +123,7 @@ class Slice:
         window: what is wanted.
     """
 
-    def __init__(self, read: _Read, config: Config, window: Window) -> None:
+    def __init__(self, read: _Read, config: Config, window: SliceWindow) -> None:
         self._read, self._config, self._window = read, config, window
         depths = (Depth.STATE, Depth.SMALL) if window.globs else tuple(Depth)
         tried: list[SliceReport] = []
@@ -150,9 +150,9 @@ class Slice:
         """The entries at the depth of ``report``, counted there; with ``rewrite`` groups that differ are computed."""
         window, depth = self._window, report.depth
         kept = _prologue(self._read(), window, depth)
-        session = Session(gateway_of(self._config, fast_path=False))
+        session = Session(make_core(self._config, fast_path=False))
         seq, stamp_ns = 1, 0
-        for group in groups(self._read()):
+        for group in input_groups(self._read()):
             cause = group.input
             if cause.stamp_ns >= window.end_ns:
                 break
@@ -200,21 +200,21 @@ def _differing(recorded: Sequence[Entry], said: Sequence[Entry], cause: int) -> 
     return differing + len(now)
 
 
-def _wanted(group: Group, window: Window) -> bool:
+def _wanted(group: InputGroup, window: SliceWindow) -> bool:
     """Whether a group inside the window is in the slice."""
     return not window.globs or _carries_state(group) or _selected(group, window.globs)
 
 
-def _selected(group: Group, globs: tuple[str, ...]) -> bool:
+def _selected(group: InputGroup, globs: tuple[str, ...]) -> bool:
     return any(
-        fits(entry.channel, globs)
-        or (entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT) and fits(entry.channel.partition("/")[2], globs))
+        matches_any(entry.channel, globs)
+        or (entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT) and matches_any(entry.channel.partition("/")[2], globs))
         for entry in (group.input, *group.outputs)
         if entry.channel
     )
 
 
-def _carries_state(group: Group) -> bool:
+def _carries_state(group: InputGroup) -> bool:
     """Whether an input changes what becomes of others, whatever its stream."""
     entry = group.input
     if any(output.channel == LINKS_TOPIC for output in group.outputs):
@@ -232,13 +232,13 @@ def _code(entry: Entry) -> str:
     return Note.of(entry.data()).code
 
 
-def _prologue(entries: Iterable[Entry], window: Window, depth: Depth) -> set[int]:
+def _prologue(entries: Iterable[Entry], window: SliceWindow, depth: Depth) -> set[int]:
     """Entry numbers of the inputs before the window that are in the slice."""
     kept: set[int] = set()
     first: dict[object, int] = {}
     last: dict[object, int] = {}
     links: dict[int, list[int]] = {}  # link → its entries, as long as it is up
-    for group in groups(entries):
+    for group in input_groups(entries):
         entry = group.input
         if entry.stamp_ns >= window.start_ns:
             break

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
 from igtl_gateway.config import Config
-from igtl_gateway.gateway import LINK_UP, Session, gateway_of
+from igtl_gateway.gateway import LINK_UP, Session, make_core
 from igtl_gateway.globs import matches
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
@@ -28,7 +28,7 @@ def through_gateway(
         made: counts the outputs.
     """
     made = Counter() if made is None else made
-    session = Session(gateway_of(config, fast_path=False))
+    session = Session(make_core(config, fast_path=False))
     if not has_links:
         note = Note(Level.INFO, LINK_UP, "replay").pack()
         session.recorded(Entry(0, 0, Kind.LINK, payload=(note,), links=(_ANY_LINK,)))
@@ -40,7 +40,7 @@ def through_gateway(
                 yield output
 
 
-def once(entries: Iterable[Entry], passed_over: Counter[str] | None = None) -> Iterator[Entry]:
+def first_form_only(entries: Iterable[Entry], passed_over: Counter[str] | None = None) -> Iterator[Entry]:
     """Of a message that went out in several header versions only the first form: version 1 where it was sent.
 
     Args:
@@ -59,7 +59,7 @@ def once(entries: Iterable[Entry], passed_over: Counter[str] | None = None) -> I
         yield entry
 
 
-def spoken_to(role: str, entries: Iterable[Entry], passed_over: Counter[str] | None = None) -> Iterator[Entry]:
+def one_side_of_relay(role: str, entries: Iterable[Entry], passed_over: Counter[str] | None = None) -> Iterator[Entry]:
     """Of a relay's recording the inputs, and of the outputs the words to one side.
 
     Args:
@@ -80,7 +80,7 @@ def spoken_to(role: str, entries: Iterable[Entry], passed_over: Counter[str] | N
             passed_over[RELAY] += 1
 
 
-def select(
+def select_entries(
     entries: Iterable[Entry],
     kinds: frozenset[Kind],
     streams: Iterable[str] = (),
@@ -98,8 +98,8 @@ def select(
     for entry in entries:
         if entry.kind in few:
             if entry.channel not in known:
-                known[entry.channel] = fits(entry.channel, globs) or (
-                    entry.kind in _IGTL and fits(entry.channel.partition("/")[2], globs)
+                known[entry.channel] = matches_any(entry.channel, globs) or (
+                    entry.kind in _IGTL and matches_any(entry.channel.partition("/")[2], globs)
                 )
             if known[entry.channel]:
                 yield entry
@@ -107,7 +107,7 @@ def select(
                 passed_over[STREAMS] += 1
 
 
-def fits(name: str, globs: Sequence[str]) -> bool:
+def matches_any(name: str, globs: Sequence[str]) -> bool:
     """Whether a name matches one of the globs, or there is none."""
     return not globs or any(matches(glob, name) for glob in globs)
 

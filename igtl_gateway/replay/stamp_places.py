@@ -55,14 +55,14 @@ class _Text:
 
 
 @dataclass(frozen=True, slots=True)
-class _Repeated:
+class _RepeatedSteps:
     """Steps so many times; 0: as the bytes say."""
 
     steps: tuple[_Step, ...]
     count: int
 
 
-_Step = _Numbers | _Stamp | _Text | _Repeated
+_Step = _Numbers | _Stamp | _Text | _RepeatedSteps
 
 
 class StampPlaces:
@@ -95,7 +95,7 @@ class StampPlaces:
         own: Mapping[str, Any] = {}
         try:
             if text := self._definitions.get(ros_type, ""):
-                own = definitions.parse(text, ros_type)
+                own = definitions.parse_definition(text, ros_type)
             steps = self._of_struct(ros_type, own)
         except (RecordingError, OSError, UnicodeDecodeError, KeyError, RecursionError):
             return None
@@ -131,7 +131,7 @@ class StampPlaces:
             case [_Numbers(size, each, False)]:
                 return [_Numbers(size, each * count if count else each, several=not count)]
             case _:
-                return [_Repeated(tuple(steps), count)]
+                return [_RepeatedSteps(tuple(steps), count)]
 
     def _ours(self, name: str) -> Any:
         """The definition of one of our types.  Raises KeyError."""
@@ -139,7 +139,7 @@ class StampPlaces:
         for share in SHARES:
             path = share / package / f"{rest}.msg"
             if path.is_file():
-                self._known |= definitions.parse(path.read_text("utf-8"), name)
+                self._known |= definitions.parse_definition(path.read_text("utf-8"), name)
         return self._known[name]
 
 
@@ -148,7 +148,7 @@ def _joins(last: _Numbers, step: _Numbers) -> bool:
 
 
 def _has_stamp(step: _Step) -> bool:
-    return isinstance(step, _Stamp) or (isinstance(step, _Repeated) and any(map(_has_stamp, step.steps)))
+    return isinstance(step, _Stamp) or (isinstance(step, _RepeatedSteps) and any(map(_has_stamp, step.steps)))
 
 
 class _Walk:
@@ -177,7 +177,7 @@ class _Walk:
                         raise ValueError("a wide string")
                     length = self._count()
                     self.at += length
-                case _Repeated(inner, count):
+                case _RepeatedSteps(inner, count):
                     for _ in range(count or self._count()):
                         self.steps(inner)
                         if self.at > len(self._data):

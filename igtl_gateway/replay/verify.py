@@ -20,11 +20,11 @@ from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.table import TO_ROS
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ChecksumMismatch, GatewayError
-from igtl_gateway.gateway import Session, gateway_of
+from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.gateway.guard import CODES
-from igtl_gateway.replay.compare import Decoder, compare_values, first_byte, flat, same
+from igtl_gateway.replay.compare import LeafDecoder, compare_values, first_byte, flattened, same
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.sessionfile import layout
@@ -80,7 +80,7 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
-class Losses:
+class DeclaredLosses:
     """What a recording says is not in it.
 
     Attributes:
@@ -96,7 +96,7 @@ class Losses:
     midway: bool = False
 
     @classmethod
-    def of(cls, session: Mapping[str, str], ledger: Mapping[str, Any] | None) -> Losses:
+    def of(cls, session: Mapping[str, str], ledger: Mapping[str, Any] | None) -> DeclaredLosses:
         """As the metadata of a recording tell."""
         midway = layout.SNAPSHOT_KEY in session or session.get(layout.PART_KEY, "0") != "0"
         if ledger is None:
@@ -110,7 +110,7 @@ class Losses:
 
 
 @dataclass(slots=True)
-class Report:
+class VerifyReport:
     """The outcome: ``good`` if every output is the same and nothing is missing that should be there.
 
     Attributes:
@@ -154,11 +154,11 @@ class Report:
 def verify(
     entries: Iterable[Entry],
     config: Config,
-    losses: Losses = Losses(),
+    losses: DeclaredLosses = DeclaredLosses(),
     *,
     before: Iterable[Entry] = (),
-    decoder: Decoder | None = None,
-) -> Report:
+    decoder: LeafDecoder | None = None,
+) -> VerifyReport:
     """Compare the recorded outputs with those that ``config`` gives today for the recorded inputs.
 
     Args:
@@ -168,7 +168,7 @@ def verify(
         before: inputs from before its beginning.
         decoder: of the recording, to tell differences in units.
     """
-    verifier = _Verifier(config, losses, decoder or Decoder(lengths=Lengths(config.ros_unit, config.igtl_unit)))
+    verifier = _Verifier(config, losses, decoder or LeafDecoder(lengths=LengthUnits(config.ros_unit, config.igtl_unit)))
     for entry in before:
         verifier.before(entry)
     for entry in entries:
@@ -177,12 +177,12 @@ def verify(
 
 
 class _Verifier:
-    def __init__(self, config: Config, losses: Losses, decoder: Decoder) -> None:
+    def __init__(self, config: Config, losses: DeclaredLosses, decoder: LeafDecoder) -> None:
         # without the fast path: what that gave on the day of the recording is checked against the full path
-        self._session = Session(gateway_of(config, fast_path=False))
+        self._session = Session(make_core(config, fast_path=False))
         self._losses, self._decoder = losses, decoder
         self._left, self._left_of = losses.entries, dict(losses.streams)  # what may still be lost
-        self._report = Report()
+        self._report = VerifyReport()
         self._expected: deque[Entry] = deque()
         self._cause = 0
         self._last: int | None = None if losses.midway else 0
@@ -221,7 +221,7 @@ class _Verifier:
         else:
             self._differ(entry, _kind(entry), "nothing")
 
-    def end(self) -> Report:
+    def end(self) -> VerifyReport:
         """The recording has ended."""
         while self._expected:
             expected = self._expected.popleft()
@@ -283,7 +283,7 @@ def _is_news(entry: Entry) -> bool:
     return entry.kind is Kind.NOTE and Note.of(entry.data()).code == _STREAM_NEWS
 
 
-def compare(recorded: Entry, computed: Entry, cause: int, decoder: Decoder | None = None) -> Difference | None:
+def compare(recorded: Entry, computed: Entry, cause: int, decoder: LeafDecoder | None = None) -> Difference | None:
     """The first difference of two outputs, None if they are the same; with a decoder in units, too."""
 
     def differ(what: str, one: Any, other: Any, measure: str = "") -> Difference:
@@ -313,7 +313,7 @@ def _equal(recorded: Sequence[Buffer], computed: Sequence[Buffer]) -> bool:
     return memoryview(one).nbytes == len(other) and other.startswith(one)
 
 
-def _measure(recorded: Entry, computed: Entry, decoder: Decoder) -> str:
+def _measure(recorded: Entry, computed: Entry, decoder: LeafDecoder) -> str:
     try:
         return compare_values(decoder.leaves(recorded), decoder.leaves(computed)).measure
     except GatewayError:
@@ -345,9 +345,9 @@ def _fields(entry: Entry, data: Buffer) -> Iterator[tuple[str, Any]]:
         for derived in ("error", "crc", "crc_ok", "body_size", "content_size"):
             if derived in told:
                 told[derived] = told.pop(derived)
-        return flat(told, "")
+        return flattened(told, "")
     message = _MESSAGES.get(entry.type)
-    return flat(message.unpack(data), "") if message else iter(())
+    return flattened(message.unpack(data), "") if message else iter(())
 
 
 def _name(entry: Entry) -> str:

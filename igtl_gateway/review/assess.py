@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from igtl_gateway.review import executed, judge, points
 from igtl_gateway.review.error import SURE_95
-from igtl_gateway.review.frames import Path
+from igtl_gateway.review.frames import FramePath
 from igtl_gateway.review.material import Material
-from igtl_gateway.review.messages import Drawn
+from igtl_gateway.review.messages import DrawnPlan
 from igtl_gateway.review.model import (
     Change,
     CloudReview,
@@ -24,8 +24,8 @@ from igtl_gateway.review.model import (
     Thresholds,
 )
 from igtl_gateway.review.points import Assessed
-from igtl_gateway.review.scene import Scene
-from igtl_gateway.review.surface import Surface, fit
+from igtl_gateway.review.scene import DepthScene
+from igtl_gateway.review.surface import TissueSurface, fit
 
 Array = npt.NDArray[Any]
 
@@ -77,7 +77,7 @@ def review_of(material: Material, thresholds: Thresholds | None = None) -> Revie
     return Review(cloud, tuple(plans), tuple(_changes(plans[0], plans[-1])), tool, limits, tuple(notes))
 
 
-def _doubts(scene: Scene) -> list[str]:
+def _doubts(scene: DepthScene) -> list[str]:
     """What makes the figures less certain than they look."""
     notes = [scene.note] if scene.note else []
     if len(scene.clouds) < _FEW_CLOUDS:
@@ -97,9 +97,9 @@ def _doubts(scene: Scene) -> list[str]:
     return notes
 
 
-def _tool(material: Material, base: str, plan: Drawn) -> tuple[str, Path | None]:
+def _tool(material: Material, base: str, plan: DrawnPlan) -> tuple[str, FramePath | None]:
     """The moving frame that comes nearest to the planned points, and its path in ``base``."""
-    best: tuple[float, str, Path] | None = None
+    best: tuple[float, str, FramePath] | None = None
     for frame in material.tools(base):
         path = material.frames.path(frame, base)
         off = [((path.positions - point) ** 2).sum(axis=1).min() for point in plan.ends()]
@@ -112,13 +112,13 @@ def _tool(material: Material, base: str, plan: Drawn) -> tuple[str, Path | None]
 class _Assessor:
     """Assesses plans on one scene; points that versions share are fitted once."""
 
-    def __init__(self, scene: Scene, limits: Thresholds) -> None:
+    def __init__(self, scene: DepthScene, limits: Thresholds) -> None:
         self._scene = scene
         self._limits = limits
         self._ends: dict[bytes, Assessed] = {}
-        self._bites: dict[bytes, Surface | None] = {}
+        self._bites: dict[bytes, TissueSurface | None] = {}
 
-    def plan(self, drawn: Drawn, path: Path | None) -> PlanReview:
+    def plan(self, drawn: DrawnPlan, path: FramePath | None) -> PlanReview:
         """One version; ``path`` is that of the tool, for the one that was executed."""
         limits, count = self._limits, len(drawn.entry)
         passed: list[Executed | None] = [None] * (2 * count)
@@ -142,7 +142,7 @@ class _Assessor:
                     reasons += judge.of_length(f"{name}: spacing", end.spacing_mm, usual_mm, limits.spacing)
             length_mm = float(lengths[i])
             reasons += judge.of_length("bite", length_mm, usual_bite, limits.bite)
-            level, texts = judge.judged(reasons)
+            level, texts = judge.worst_level(reasons)
             surface = self._bite(drawn.entry[i], drawn.exit[i])
             driven = None
             if path is not None and surface and (entered := ends[0].executed) and (left := ends[1].executed):
@@ -219,11 +219,11 @@ class _Assessor:
         )
         return end, surface.reading / slant * MM
 
-    def _chord_depth_mm(self, entry: Array, leave: Array, surface: Surface) -> float:
+    def _chord_depth_mm(self, entry: Array, leave: Array, surface: TissueSurface) -> float:
         shares = np.linspace(0, 1, _CHORD_STEPS)[:, None]
         return -MM * float(surface.distance(self._scene.axes.optical(entry + shares * (leave - entry))).min())
 
-    def _bite(self, entry: Array, leave: Array) -> Surface | None:
+    def _bite(self, entry: Array, leave: Array) -> TissueSurface | None:
         """The tissue around a whole stitch: across the wound, which a robust fit takes for closed."""
         key = entry.tobytes() + leave.tobytes()
         if key not in self._bites:

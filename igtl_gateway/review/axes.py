@@ -20,7 +20,7 @@ Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Axes:
+class CameraAxes:
     """A convention.
 
     Attributes:
@@ -41,8 +41,8 @@ class Axes:
         return np.stack([sum(int(sign) * points[..., i] for i, sign in enumerate(row) if sign) for row in back], -1)
 
 
-OPTICAL = Axes("z forward", ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
-BODY = Axes("x forward", ((0, -1, 0), (0, 0, -1), (1, 0, 0)))
+OPTICAL = CameraAxes("z forward", ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
+BODY = CameraAxes("x forward", ((0, -1, 0), (0, 0, -1), (1, 0, 0)))
 CONVENTIONS = (OPTICAL, BODY)
 
 _IN_FRONT = 0.98  # share of points that lie in front of a camera
@@ -53,7 +53,7 @@ _MOST = 20_000  # points that are looked at
 _EXPECTED = "expected a cloud in the camera's optical frame (REP 103: z forward, x right, y down)"
 
 
-def axes_of(points: Array, frame_id: str) -> tuple[Axes, str]:
+def axes_of(points: Array, frame_id: str) -> tuple[CameraAxes, str]:
     """The convention of a cloud, and a note where a reader should know of it.
 
     Args:
@@ -87,7 +87,7 @@ def axes_of(points: Array, frame_id: str) -> tuple[Axes, str]:
     )
 
 
-def _note(axes: Axes, frame: str, how: str) -> str:
+def _note(axes: CameraAxes, frame: str, how: str) -> str:
     if axes is OPTICAL:
         return ""
     return f"{frame}: found {axes.name} {how}, {_EXPECTED}; reviewed along {axes.name[0]}"

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from igtl_gateway.review import noise, steps
 from igtl_gateway.review.linear import Design, times
-from igtl_gateway.review.scene import Scene
+from igtl_gateway.review.scene import DepthScene
 
 Array = npt.NDArray[Any]
 
@@ -52,7 +52,7 @@ _TURNS = np.arange(16) / 16  # places between two steps
 
 
 @dataclass(frozen=True, slots=True)
-class Cells:
+class DepthCells:
     """Readings around a place, put together.
 
     Attributes:
@@ -68,7 +68,7 @@ class Cells:
     besides: Array
 
     @classmethod
-    def around(cls, scene: Scene, ray: Array, radius: float, reach: float) -> Cells:
+    def around(cls, scene: DepthScene, ray: Array, radius: float, reach: float) -> DepthCells:
         """Within ``reach`` radii of a ray."""
         pixels = scene.around(ray, reach * radius)
         pixels = pixels[np.isfinite(scene.depth[pixels])]
@@ -88,7 +88,7 @@ class Cells:
         )
 
 
-def of_depth(scene: Scene, ray: Array, radius: float, pixels: Array, influence: Array, fitted: Array) -> float:
+def of_depth(scene: DepthScene, ray: Array, radius: float, pixels: Array, influence: Array, fitted: Array) -> float:
     """The standard error of a surface's depth in the middle, metres: 1.96 of them hold the truth in 95 of 100 cases.
 
     Args:
@@ -102,11 +102,11 @@ def of_depth(scene: Scene, ray: Array, radius: float, pixels: Array, influence: 
     off = scene.depth[pixels] - fitted
     single = max(noise.deviation(off[influence != 0]), _LEAST_M)
     white = float((influence**2).sum())
-    chance = _chance(Cells.around(scene, ray, radius, _CHANCE_REACH))
+    chance = _chance(DepthCells.around(scene, ray, radius, _CHANCE_REACH))
     pitch = sqrt(np.pi / len(pixels))  # of the pixels, in radii
     narrow = min(max(_NARROW, _NARROW_PX * pitch), 1.0)
     reach = min(max(_PATTERN_REACH, _PATTERN_PX * pitch / narrow), _WIDEST)
-    pattern, bent = _pattern(Cells.around(scene, ray, narrow * radius, reach), reach, 1 / narrow)
+    pattern, bent = _pattern(DepthCells.around(scene, ray, narrow * radius, reach), reach, 1 / narrow)
     turned = _rounding(scene, pixels, influence, fitted)
     base = white * (single**2 if chance is None else chance * _student(len(scene.depths)))
     uneven = _uneven(scene, pixels, np.where(influence != 0, off, np.nan))
@@ -117,7 +117,7 @@ def of_depth(scene: Scene, ray: Array, radius: float, pixels: Array, influence: 
     return _half_width(turned, sqrt(base + missed)) / SURE_95
 
 
-def _chance(cells: Cells) -> float | None:
+def _chance(cells: DepthCells) -> float | None:
     """Variance of a pixel of the picture by what changes from cloud to cloud, as far as a fit does not average it
     out; None of one cloud."""
     clouds = len(cells.besides)
@@ -137,7 +137,7 @@ def _student(clouds: int) -> float:
     return (1 + 2.4 / SURE_95 / (_FREE * (clouds - 1))) ** 2
 
 
-def _uneven(scene: Scene, pixels: Array, off: Array) -> float:
+def _uneven(scene: DepthScene, pixels: Array, off: Array) -> float:
     """Variance of the picture about the surface beyond its noise, where it is beyond doubt: what a quadric misses.
 
     Args:
@@ -156,7 +156,7 @@ def _uneven(scene: Scene, pixels: Array, off: Array) -> float:
     return found - noisy if found > noisy * (1 + _DOUBT / sqrt(np.count_nonzero(counts))) else 0.0
 
 
-def _pattern(cells: Cells, reach: float, window: float) -> tuple[float | None, float]:
+def _pattern(cells: DepthCells, reach: float, window: float) -> tuple[float | None, float]:
     """The same by what a wider surface leaves of the picture (None where there is too little to tell), and how far a
     quadric over the window (radius in units of the cells) is off that surface in the middle, metres."""
     wide = Design(_quartic(cells.places / reach))
@@ -182,7 +182,7 @@ def _pattern(cells: Cells, reach: float, window: float) -> tuple[float | None, f
     return (sum(found) / sum(expected) if len(found) >= _LEAST_PLACES else None), bent
 
 
-def _laid(cells: Cells, place: Array, weights: Array, radius: float) -> tuple[Array, Array] | None:
+def _laid(cells: DepthCells, place: Array, weights: Array, radius: float) -> tuple[Array, Array] | None:
     """Cells around a place, and what each of them would count in a quadric's depth there."""
     off = (cells.places - place) / radius
     inside = np.flatnonzero((off**2).sum(axis=1) <= 1.0)
@@ -192,7 +192,7 @@ def _laid(cells: Cells, place: Array, weights: Array, radius: float) -> tuple[Ar
     return inside, weight
 
 
-def _held(wide: Design, cells: Cells) -> tuple[Array, Array, Array] | None:
+def _held(wide: Design, cells: DepthCells) -> tuple[Array, Array, Array] | None:
     """What the wider surface leaves, the weight of each cell, and its coefficients."""
     weights = cells.number
     coefficients: Array | None = None
@@ -208,7 +208,7 @@ def _held(wide: Design, cells: Cells) -> tuple[Array, Array, Array] | None:
     return None if coefficients is None else (left, weights, coefficients)
 
 
-def _rounding(scene: Scene, pixels: Array, influence: Array, fitted: Array) -> Array:
+def _rounding(scene: DepthScene, pixels: Array, influence: Array, fitted: Array) -> Array:
     """(16,) what the steps of depth do in the middle, wherever between two steps the tissue may lie."""
     step = scene.steps.at(fitted)
     if not (step > 0).all():

@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.review.frames import Path
+from igtl_gateway.review.frames import FramePath
 from igtl_gateway.review.model import Executed
-from igtl_gateway.review.surface import Surface
+from igtl_gateway.review.surface import TissueSurface
 
 Array = npt.NDArray[Any]
 
 MM = 1000.0
 
 
-def approaches(path: Path, points: Array, reach_mm: float) -> list[Executed]:
+def approaches(path: FramePath, points: Array, reach_mm: float) -> list[Executed]:
     """The closest approach of the tool to each of the planned points (n, 3), all of one version of the plan.
 
     The tool moves straight from sample to sample.  It was *meant* for a point if it came within ``reach_mm`` of it
@@ -25,7 +25,7 @@ def approaches(path: Path, points: Array, reach_mm: float) -> list[Executed]:
     return [_approach(path, points, number, reach_mm) for number in range(len(points))]
 
 
-def _approach(path: Path, points: Array, number: int, reach_mm: float) -> Executed:
+def _approach(path: FramePath, points: Array, number: int, reach_mm: float) -> Executed:
     positions, point = path.positions, points[number]
     off = positions - point
     nearest = int(np.argmin((off**2).sum(axis=1)))
@@ -48,7 +48,7 @@ def _approach(path: Path, points: Array, number: int, reach_mm: float) -> Execut
     return Executed(distance_mm, int(stamp_ns), (x, y, z), distance_mm <= reach_mm and owner == number)
 
 
-def driven_depth_mm(path: Path, entry: Executed, leave: Executed, surface: Surface) -> float | None:
+def driven_depth_mm(path: FramePath, entry: Executed, leave: Executed, surface: TissueSurface) -> float | None:
     """How deep the tool ran below the tissue on its way from entry to exit, at most; None if it did not run it."""
     if not (entry.reached and leave.reached and entry.stamp_ns < leave.stamp_ns):
         return None

@@ -25,7 +25,7 @@ _LONGEST_CHAIN = 100
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class FramePath:
     """The origin of a frame as seen from another one.
 
     Attributes:
@@ -38,7 +38,7 @@ class Path:
 
 
 @dataclass(slots=True)
-class _Edge:
+class _FrameSamples:
     """A frame in its parent: numbers in rows, as a long session has millions."""
 
     parent: str
@@ -57,11 +57,11 @@ class _Edge:
         return stamps, np.array(self.arrivals)[first], poses
 
 
-class Frames:
+class FramePoses:
     """Every frame that a session tells of."""
 
     def __init__(self) -> None:
-        self._edges: dict[str, _Edge] = {}
+        self._edges: dict[str, _FrameSamples] = {}
         self._made: dict[str, tuple[Array, Array, Array]] = {}
 
     def add(self, parent: str, child: str, pose: Pose, stamp_ns: int, arrival_ns: int, source: str) -> None:
@@ -79,7 +79,7 @@ class Frames:
             return
         edge = self._edges.get(child)
         if edge is None or edge.parent != parent:
-            edge = self._edges[child] = _Edge(parent, source)
+            edge = self._edges[child] = _FrameSamples(parent, source)
         edge.stamps.append(stamp_ns or arrival_ns)
         edge.arrivals.append(arrival_ns)
         edge.poses.extend(pose)
@@ -102,10 +102,10 @@ class Frames:
         """The frame and those that it hangs on."""
         return set(self._way_up(frame_id(frame)))
 
-    def path(self, child: str, base: str) -> Path:
+    def path(self, child: str, base: str) -> FramePath:
         """The origin of ``child`` in ``base`` at each of its samples.  Both must be connected."""
         stamps, arrivals, _ = self._samples(frame_id(child))
-        return Path(arrivals, self.moved(np.zeros((len(stamps), 3)), child, base, stamps))
+        return FramePath(arrivals, self.moved(np.zeros((len(stamps), 3)), child, base, stamps))
 
     def moved(self, points: Array, frame: str, base: str, stamps: Array) -> Array:
         """(n, 3) points of a frame as seen from ``base``, each at its stamp.

@@ -11,7 +11,7 @@ from igtl_gateway.review.model import EndReview, Level, Thresholds
 Reason = tuple[Level, str]
 
 
-def judged(reasons: list[Reason]) -> tuple[Level, tuple[str, ...]]:
+def worst_level(reasons: list[Reason]) -> tuple[Level, tuple[str, ...]]:
     """The worst level, and the reasons, the gravest first."""
     ordered = sorted(reasons, key=lambda reason: -reason[0].rank)
     return (ordered[0][0] if ordered else Level.OK), tuple(text for _, text in ordered)

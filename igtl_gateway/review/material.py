@@ -19,9 +19,9 @@ import numpy.typing as npt
 from igtl_gateway.convert.frames import frame_id
 from igtl_gateway.convert.rosmsg import PointCloud2
 from igtl_gateway.errors import ConfigError, ConversionError, GatewayError
-from igtl_gateway.review.frames import Frames
-from igtl_gateway.review.messages import PLANS, POSES, Drawn, cloud_of, is_cloud, plan_of, poses_of
-from igtl_gateway.review.scene import Cloud, Scene
+from igtl_gateway.review.frames import FramePoses
+from igtl_gateway.review.messages import PLANS, POSES, DrawnPlan, cloud_of, is_large_cloud, plan_of, poses_of
+from igtl_gateway.review.scene import DepthCloud, DepthScene
 from igtl_gateway.session.entry import Entry, Kind
 
 Array = npt.NDArray[Any]
@@ -41,7 +41,7 @@ class _Clouds:
     unit_m: float
     seen: int = 0
     stride: int = 1
-    kept: list[Cloud] = field(default_factory=list)
+    kept: list[DepthCloud] = field(default_factory=list)
 
     def add(self, entry: Entry) -> None:
         if self.seen % self.stride == 0 and (cloud := cloud_of(entry)):
@@ -81,13 +81,13 @@ class Material:
     def __init__(
         self, plan: str = "", cloud: str = "", tool: str = "", clouds: int = CLOUDS, unit_m: float = 1.0
     ) -> None:
-        self.frames = Frames()
+        self.frames = FramePoses()
         self.notes: list[str] = []
         self._plan, self._cloud, self._tool = plan, cloud, tool
         self._limit = clouds
         self._unit_m = unit_m
         self._clouds: dict[str, _Clouds] = {}
-        self._plans: dict[str, list[Drawn]] = {}
+        self._plans: dict[str, list[DrawnPlan]] = {}
         self._bad: dict[str, str] = {}
 
     def take(self, entry: Entry) -> None:
@@ -106,7 +106,7 @@ class Material:
             for parent, child, pose, stamp_ns in poses_of(entry):
                 x, y, z = (self._unit_m * value for value in pose[:3])
                 self.frames.add(parent, child, (x, y, z, *pose[3:]), stamp_ns, entry.stamp_ns, entry.channel)
-        elif entry.type == PointCloud2.TYPE and is_cloud(entry.data()):
+        elif entry.type == PointCloud2.TYPE and is_large_cloud(entry.data()):
             if not self._cloud or entry.channel == self._cloud:
                 self._clouds.setdefault(entry.channel, _Clouds(self._limit, self._unit_m)).add(entry)
         elif entry.type in PLANS and (not self._plan or entry.channel == self._plan):
@@ -116,7 +116,7 @@ class Material:
                 if not versions or not drawn.equals(versions[-1]):
                     versions.append(drawn)
 
-    def scene(self) -> tuple[Scene, str]:
+    def scene(self) -> tuple[DepthScene, str]:
         """The clouds as one, and their topic.  Raises ConfigError or GatewayError where there are none."""
         streams = {topic: stream for topic, stream in self._clouds.items() if stream.kept}
         if not streams:
@@ -130,9 +130,9 @@ class Material:
             clouds = [clouds[number * len(clouds) // self._limit] for number in range(self._limit)]
         if len(clouds) < stream.seen:
             self.notes.append(f"{len(clouds)} of {stream.seen:,} clouds of {topic} are used, evenly spread")
-        return Scene.of(clouds), topic
+        return DepthScene.of(clouds), topic
 
-    def versions(self, scene: Scene) -> list[Drawn]:
+    def versions(self, scene: DepthScene) -> list[DrawnPlan]:
         """Every version of the plan in order of time, in the frame of the clouds.
 
         Raises ConfigError or GatewayError where there is none.
@@ -180,7 +180,7 @@ class Material:
             raise ConfigError(f"--tool {self._tool}: found no such moving frame seen from {base!r}, expected {known}")
         return named
 
-    def _placed(self, plan: Drawn, base: str) -> Drawn:
+    def _placed(self, plan: DrawnPlan, base: str) -> DrawnPlan:
         """In the frame of the clouds; as it stands where nothing connects its own frame with that."""
         if frame_id(plan.frame_id) == frame_id(base):
             return plan
@@ -195,7 +195,7 @@ class Material:
         return replace(plan, entry=entry, exit=leave)
 
 
-def _on_tissue(plan: Drawn, scene: Scene) -> bool:
+def _on_tissue(plan: DrawnPlan, scene: DepthScene) -> bool:
     """Whether most of the points lie about where the camera sees something."""
     hits = 0
     for point in scene.axes.optical(plan.ends()):

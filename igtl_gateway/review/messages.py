@@ -13,10 +13,10 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert.common_msgs import PoseStamped, TFMessage
 from igtl_gateway.convert.igtl_msgs import PointList, PolyData, Pose, TrajectoryList
-from igtl_gateway.convert.poses import matrix_of, unit
+from igtl_gateway.convert.poses import rotation_matrix, unit_quaternion
 from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, Marker, PointCloud2, TransformStamped
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.review.scene import Cloud
+from igtl_gateway.review.scene import DepthCloud
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET
 
@@ -29,7 +29,7 @@ _SAME_SHARE = 0.5  # of the ends, that a correction leaves where they are
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class DrawnPlan:
     """A plan as a message has it.
 
     Attributes:
@@ -55,31 +55,31 @@ class Drawn:
         """(2 · stitches, 3): all entry points, then all exit points."""
         return np.concatenate([self.entry, self.exit])
 
-    def equals(self, other: Drawn) -> bool:
+    def equals(self, other: DrawnPlan) -> bool:
         """Whether it is the same plan, up to rounding."""
         return self._agreeing(other) == 1.0
 
-    def corrects(self, other: Drawn) -> bool:
+    def corrects(self, other: DrawnPlan) -> bool:
         """Whether it is a version of the same plan: most of its points are where they were."""
         return self._agreeing(other) >= _SAME_SHARE
 
-    def _agreeing(self, other: Drawn) -> float:
+    def _agreeing(self, other: DrawnPlan) -> float:
         if len(self.entry) != len(other.entry):
             return 0.0
         near = np.abs(self.ends() - other.ends()).max(axis=1) <= _EQUAL_M
         return float(near.mean())
 
 
-def cloud_of(entry: Entry) -> Cloud | None:
+def cloud_of(entry: Entry) -> DepthCloud | None:
     """The positions of a sensor_msgs/PointCloud2; None where it has no x, y, z in floating point."""
     message = PointCloud2.unpack(entry.data())
     points = _positions(message)
     if points is None:
         return None
-    return Cloud(entry.channel, message.header.frame_id, entry.stamp_ns, message.header.stamp_ns, points)
+    return DepthCloud(entry.channel, message.header.frame_id, entry.stamp_ns, message.header.stamp_ns, points)
 
 
-def plan_of(entry: Entry) -> Drawn | None:
+def plan_of(entry: Entry) -> DrawnPlan | None:
     """The plan that a message may be; None where it cannot be one."""
     read = _PLANS.get(entry.type)
     drawn = read(entry) if read else None
@@ -107,7 +107,7 @@ def poses_of(entry: Entry) -> Iterator[tuple[str, str, Pose, int]]:
 POSES = frozenset({TransformStamped.TYPE, TFMessage.TYPE, PoseStamped.TYPE})
 
 
-def is_cloud(data: Buffer) -> bool:
+def is_large_cloud(data: Buffer) -> bool:
     """Whether a PointCloud2 has more points than a plan may have."""
     message = PointCloud2.unpack(data)
     return message.width * message.height > MAX_PLAN_POINTS
@@ -138,20 +138,20 @@ def _positions(message: PointCloud2) -> Array | None:
     return found
 
 
-def _of_marker(entry: Entry) -> Drawn | None:
+def _of_marker(entry: Entry) -> DrawnPlan | None:
     """The segments of a LINE_LIST."""
     message = Marker.unpack(entry.data())
     if message.type != Marker.LINE_LIST or message.action != 0 or len(message.points) % 2:
         return None
     points = np.asarray(message.points, np.float64)
     if any(message.orientation[:3]):
-        rows = matrix_of(unit(message.orientation))
+        rows = rotation_matrix(unit_quaternion(message.orientation))
         points = np.stack([a * points[:, 0] + b * points[:, 1] + c * points[:, 2] for a, b, c in rows], axis=1)
     points = points + np.array(message.position)
     return _drawn(entry, message, points[0::2], points[1::2])
 
 
-def _of_trajectories(entry: Entry) -> Drawn | None:
+def _of_trajectories(entry: Entry) -> DrawnPlan | None:
     message = TrajectoryList.unpack(entry.data())
     both = [row for row in message.trajectories if row.type == ENTRY_AND_TARGET]
     if not both:
@@ -160,7 +160,7 @@ def _of_trajectories(entry: Entry) -> Drawn | None:
     return _drawn(entry, message, ends[:, 0], ends[:, 1], tuple(row.name for row in both))
 
 
-def _of_polydata(entry: Entry) -> Drawn | None:
+def _of_polydata(entry: Entry) -> DrawnPlan | None:
     """First and last point of each line; without lines the points, as of a cloud."""
     message = PolyData.unpack(entry.data())
     points, cells = np.asarray(message.points, np.float64), message.lines
@@ -181,7 +181,7 @@ def _of_polydata(entry: Entry) -> Drawn | None:
     return _drawn(entry, message, points[indices[:, 0]], points[indices[:, 1]])
 
 
-def _of_point_list(entry: Entry) -> Drawn | None:
+def _of_point_list(entry: Entry) -> DrawnPlan | None:
     """Points that say entry or exit (or target) by their group or the first word of their name, in their order.
 
     Else all entry points first.
@@ -204,7 +204,7 @@ def _of_point_list(entry: Entry) -> Drawn | None:
 _END = re.compile(r"\s*(entry|exit|target)\b", re.IGNORECASE)
 
 
-def _of_cloud(entry: Entry) -> Drawn | None:
+def _of_cloud(entry: Entry) -> DrawnPlan | None:
     message = PointCloud2.unpack(entry.data())
     if message.width * message.height > MAX_PLAN_POINTS:
         return None
@@ -212,7 +212,7 @@ def _of_cloud(entry: Entry) -> Drawn | None:
     return None if points is None else _halves(entry, message, points.reshape(-1, 3).astype(np.float64))
 
 
-def _halves(entry: Entry, message: PointCloud2 | PolyData, points: Array) -> Drawn | None:
+def _halves(entry: Entry, message: PointCloud2 | PolyData, points: Array) -> DrawnPlan | None:
     """Points without more: all entry points, then all exit points."""
     half, odd = divmod(len(points), 2)
     return None if odd else _drawn(entry, message, points[:half], points[half:], lines=False)
@@ -225,9 +225,9 @@ def _drawn(
     last: Array,
     labels: tuple[str, ...] = (),
     lines: bool = True,
-) -> Drawn:
+) -> DrawnPlan:
     header = message.header
-    return Drawn(
+    return DrawnPlan(
         entry.channel,
         entry.type,
         header.frame_id,
@@ -240,7 +240,7 @@ def _drawn(
     )
 
 
-_PLANS: dict[str, Callable[[Entry], Drawn | None]] = {
+_PLANS: dict[str, Callable[[Entry], DrawnPlan | None]] = {
     Marker.TYPE: _of_marker,
     TrajectoryList.TYPE: _of_trajectories,
     PolyData.TYPE: _of_polydata,

@@ -37,7 +37,7 @@ def between_clouds(depths: Array, step: Array | float = 0.0) -> Array:
     """(height, width) standard deviation of depth from the differences of successive clouds.
 
     A shift that all pixels share is taken off: the patient breathes, and that is no noise.  What rounding adds
-    without ever changing is not in it: ``whole`` adds it.
+    without ever changing is not in it: ``total_noise`` adds it.
 
     Args:
         depths: (clouds, height, width), NaN where there is none; two clouds or more.
@@ -67,7 +67,7 @@ def within_clouds(depths: Array, step: Array | float = 0.0) -> Array:
     return _pooled(bends.reshape(-1, *depths.shape[1:]), step)
 
 
-def whole(changing: Array, step: Array) -> Array:
+def total_noise(changing: Array, step: Array) -> Array:
     """Standard deviation of a reading from the truth, of that which changes from reading to reading: with a step of
     q and σ before the rounding √(σ² + q² / 12).  (Noise and rounding error are uncorrelated over all places in a
     step.)"""

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from igtl_gateway.review.error import SURE_95
 from igtl_gateway.review.model import EndReview
 from igtl_gateway.review.noise import MAD
-from igtl_gateway.review.scene import Scene
+from igtl_gateway.review.scene import DepthScene
 
 Array = npt.NDArray[Any]
 
@@ -30,12 +30,12 @@ _AT_MOST = 1.5  # a median of so few sizes may well be too small by this
 _NOTABLE = 2.0  # as variance; of 22 ends chance gives more once in 40
 
 
-def with_own_errors(scene: Scene, ends: Sequence[Assessed]) -> list[EndReview]:
+def with_own_errors(scene: DepthScene, ends: Sequence[Assessed]) -> list[EndReview]:
     """All ends of one version of a plan, with the errors of the planned points themselves."""
     return _scattered([(end, reading_mm) for end, reading_mm in _lifted(scene, ends)])
 
 
-def _lifted(scene: Scene, ends: Sequence[Assessed]) -> list[Assessed]:
+def _lifted(scene: DepthScene, ends: Sequence[Assessed]) -> list[Assessed]:
     """With the noise of the readings that the points are; one alone may be a reading by chance."""
     same = [scene.holds(scene.axes.optical(np.array(end.position))) for end, _ in ends]
     if 2 * sum(same) < len(same):

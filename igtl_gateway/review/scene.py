@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.review import noise
-from igtl_gateway.review.axes import Axes, axes_of
+from igtl_gateway.review.axes import CameraAxes, axes_of
 from igtl_gateway.review.linear import Design
 from igtl_gateway.review.steps import Steps, share_before_rounding, steps_of
 
@@ -29,7 +29,7 @@ _NEAR = 3.5  # deviations from the median, within which a reading counts
 
 
 @dataclass(frozen=True, slots=True)
-class Cloud:
+class DepthCloud:
     """A cloud as it came.
 
     Attributes:
@@ -47,7 +47,7 @@ class Cloud:
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class DepthScene:
     """What the clouds say together; pixels in one row, as (height · width,).
 
     Attributes:
@@ -65,7 +65,7 @@ class Scene:
         note: what a reader should know of that; "" where the frame is an optical one.
     """
 
-    clouds: tuple[Cloud, ...]
+    clouds: tuple[DepthCloud, ...]
     rays: Array
     depth: Array
     depths: Array
@@ -74,11 +74,11 @@ class Scene:
     spatial: Array | None
     steps: Steps
     before_rounding: float
-    axes: Axes
+    axes: CameraAxes
     note: str
 
     @classmethod
-    def of(cls, clouds: Sequence[Cloud]) -> Scene:
+    def of(cls, clouds: Sequence[DepthCloud]) -> DepthScene:
         """From clouds of one size and frame; of clouds that are not organised the last one only.
 
         Raises GatewayError where the points do not lie in front of a camera.
@@ -101,7 +101,7 @@ class Scene:
         step = steps.at(median)
         changing = noise.between_clouds(z, step) if len(used) > 1 else None
         differing = noise.within_clouds(z[:_SPATIAL_CLOUDS], step) if organised else None
-        temporal, spatial = (None if seen is None else noise.whole(seen, step) for seen in (changing, differing))
+        temporal, spatial = (None if seen is None else noise.total_noise(seen, step) for seen in (changing, differing))
         near = np.isfinite(z) if temporal is None else _near(z, median, temporal)
         depth = _mean(z, near, median)
         return cls(

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from igtl_gateway.review import error, noise
 from igtl_gateway.review.linear import Design
-from igtl_gateway.review.scene import Scene
+from igtl_gateway.review.scene import DepthScene
 from igtl_gateway.review.steps import UNIFORM_VARIANCE
 
 Array = npt.NDArray[Any]
@@ -32,7 +32,7 @@ _LEAST_SCALE_M = 1e-5  # a scatter below the steps of any sensor
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class TissueSurface:
     """z = c₀ + c₁ p + c₂ q + c₃ p² + c₄ p q + c₅ q², with (p, q) = (ray − ``ray``) / ``radius``.
 
     Attributes:
@@ -72,7 +72,7 @@ class Surface:
         return distance
 
 
-def fit(scene: Scene, point: Array, window: float) -> Surface | None:
+def fit(scene: DepthScene, point: Array, window: float) -> TissueSurface | None:
     """The tissue around a point (3,), from all clouds; None where there are too few points around.
 
     Args:
@@ -108,10 +108,12 @@ def fit(scene: Scene, point: Array, window: float) -> Surface | None:
     off = (scene.depths[:, around] - fitted)[:, weights > 0]
     step = scene.steps.at(fitted)
     reading = max(noise.deviation(off) ** 2, UNIFORM_VARIANCE * float((step**2).mean()), _LEAST_SCALE_M**2) ** 0.5
-    return Surface(ray, radius, coefficients, error.of_depth(scene, ray, radius, around, spread[0], fitted), reading)
+    return TissueSurface(
+        ray, radius, coefficients, error.of_depth(scene, ray, radius, around, spread[0], fitted), reading
+    )
 
 
-def _window(scene: Scene, ray: Array, radius: float) -> tuple[Array, float]:
+def _window(scene: DepthScene, ray: Array, radius: float) -> tuple[Array, float]:
     """Pixels with a depth around a ray, and the radius that they lie within: more where pixels are few."""
     widest = _WIDEST * radius
     while True:
@@ -122,7 +124,7 @@ def _window(scene: Scene, ray: Array, radius: float) -> tuple[Array, float]:
         radius = min(radius * _WIDENS, widest)
 
 
-def _expected_scatter(scene: Scene, pixels: Array) -> float | None:
+def _expected_scatter(scene: DepthScene, pixels: Array) -> float | None:
     """Standard deviation of the picture at some pixels about a surface; None where unknown."""
     sigma = scene.noise[pixels]
     known = np.isfinite(sigma)

@@ -6,7 +6,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-from igtl_gateway.cli.terminal import say
+from igtl_gateway.cli.terminal import print_line
 from igtl_gateway.ros_interfaces.cache import package_path
 from igtl_gateway.ros_interfaces.definitions import PACKAGES
 
@@ -20,11 +20,11 @@ def main() -> int:
         real = find_spec(package)
         try:
             if real and real.origin and _STAND_INS not in Path(real.origin).parents:
-                say(f"{package}: {Path(real.origin).parent} (installed)")
+                print_line(f"{package}: {Path(real.origin).parent} (installed)")
             else:
-                say(f"{package}: {package_path(package)[0]}")
+                print_line(f"{package}: {package_path(package)[0]}")
         except ImportError as error:
-            say(str(error), error=True)
+            print_line(str(error), error=True)
             failed = True
     return 1 if failed else 0
 

@@ -23,7 +23,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from igtl_gateway.extras import missing
-from igtl_gateway.ros_interfaces.definitions import folder_of, interface_files
+from igtl_gateway.ros_interfaces.definitions import definition_folder, interface_files
 
 _BUILD = Path(__file__).with_name("build.py")
 _SOURCES = (_BUILD, _BUILD.with_name("dispatch.h"))
@@ -84,7 +84,7 @@ def _wheels(package: str) -> Path:
     if find_spec("rclpy") is None:
         raise ImportError(f"{package} needs ROS 2: {missing('rclpy')}", name=package)
     if package == "igtl_msgs":
-        advice = f"build {folder_of(package)} with colcon and source the workspace"
+        advice = f"build {definition_folder(package)} with colcon and source the workspace"
     else:
         advice = f"install ros-{os.environ.get('ROS_DISTRO', 'DISTRO')}-{package.replace('_', '-')}"
     raise ImportError(f"{package} is not part of this ROS 2 installation: {advice}", name=package)
@@ -143,7 +143,7 @@ def _compile(package: str, prefix: Path, work: Path, lock: int) -> None:
     """
     sys.stderr.write(f"{package}: compiling it, once for this environment ...\n")
     # -P: the folder of build.py is not to be searched for modules
-    command: list[str | Path] = [sys.executable, "-P", _BUILD, package, folder_of(package), prefix, work]
+    command: list[str | Path] = [sys.executable, "-P", _BUILD, package, definition_folder(package), prefix, work]
     run = subprocess.run(
         command,
         stdin=subprocess.DEVNULL,

@@ -12,12 +12,12 @@ PACKAGES = ("igtl_msgs", "tf2_msgs", "foxglove_msgs", "rosbag2_interfaces")
 SHARES = (Path(__file__).parent / "definitions", Path(__file__).parents[2] / "ros2")
 
 
-def folder_of(package: str) -> Path:
+def definition_folder(package: str) -> Path:
     """The folder of ``package``, one of :data:`PACKAGES`."""
     return next(share / package for share in SHARES if (share / package).is_dir())
 
 
 def interface_files(package: str) -> list[Path]:
     """Its ``.msg`` and ``.srv`` files, messages first, by name."""
-    folder = folder_of(package)
+    folder = definition_folder(package)
     return [*sorted(folder.glob("msg/*.msg")), *sorted(folder.glob("srv/*.srv"))]

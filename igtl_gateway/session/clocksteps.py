@@ -81,7 +81,7 @@ class ClockStep:
         return f"the host's clock was set {way} by {_seconds(abs(self.step_ns))}: {then}"
 
 
-class Watched(Protocol):
+class StreamTimes(Protocol):
     """Times of a stream, in gateway time: of its first and its last message, and the longest pause between two."""
 
     first_ns: int
@@ -89,7 +89,7 @@ class Watched(Protocol):
     longest_pause_ns: int
 
 
-def without_jump(stream: Watched, step: ClockStep) -> None:
+def without_jump(stream: StreamTimes, step: ClockStep) -> None:
     """Take a jump out of what was measured of a stream before its note: it is no pause, and no time has passed."""
     if not step.jump_ns or not stream.first_ns:
         return

@@ -28,7 +28,7 @@ _DRIFT_MIN_NS = 60 * NS_PER_S
 FUTURE_NS = 100 * NS_PER_MS
 
 
-class Timing:
+class StampTiming:
     """The estimate from the stamps of one stream; constant memory.
 
     Attributes:
@@ -93,7 +93,7 @@ class Timing:
         self._block_least_ns = min(self._block_least_ns, age)
         self._excess_ns += age - self._block_least_ns
 
-    def begin_again(self) -> None:
+    def reset(self) -> None:
         """Our own clock was set: what is known of the other one is known no more; counts stay."""
         self._previous_ns = 0
         self._first = self._last = None
@@ -162,7 +162,7 @@ class Timing:
         return ", ".join(parts)
 
 
-def best(timings: Iterable[Timing]) -> Timing | None:
+def best(timings: Iterable[StampTiming]) -> StampTiming | None:
     """Of the streams of one peer, the one that tells most about its clock: with the least age.
 
     All of them are stamped by one clock; what is older only waited longer.  None without any message.

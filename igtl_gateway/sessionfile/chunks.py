@@ -69,7 +69,7 @@ def message_rows(
     found = _in_turn(stream, chunks, path, is_wanted) if in_order(chunks) else _merged(stream, index, chunks, path)
     for chunk, rows in found:
         count += len(rows or ())
-        limits.check("count", count, f"{path}: messages", most)
+        limits.check_limit("count", count, f"{path}: messages", most)
         if rows and rows[0][2] < from_ns:
             yield chunk, [row for row in rows if row[2] >= from_ns]
         else:
@@ -109,7 +109,7 @@ def _merged(
 ) -> Iterator[tuple[None, list[Row]]]:
     """Chunks that overlap: of the same time, the message that stands first in the file."""
     waiting = deque(sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.at)))
-    most, held = limits.current().unpacked(index.size), 0
+    most, held = limits.current_limits().unpacked(index.size), 0
     # next message of each open chunk: time, offset of the chunk (no two are equal), and the rest
     heads: list[tuple[int, int, Row, Iterator[Row], int]] = []
     rows: list[Row] = []
@@ -117,7 +117,7 @@ def _merged(
         while waiting and (not heads or waiting[0].start_ns <= heads[0][0]):
             chunk = waiting.popleft()
             data = packed_chunk(stream, chunk, path).unpack()
-            limits.check("ratio", held + len(data), f"{path}: chunks that overlap", most)
+            limits.check_limit("ratio", held + len(data), f"{path}: chunks that overlap", most)
             if _push(heads, chunk.at, (row for batch in _batches(data) for row in batch), len(data)):
                 held += len(data)
         if not heads:

@@ -21,7 +21,7 @@ from igtl_gateway import __version__
 from igtl_gateway.errors import RecordingError
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.stream import Compression
-from igtl_gateway.sessionfile.writer import COMPRESSIONS, TopicCount, create_file, reason
+from igtl_gateway.sessionfile.writer import COMPRESSIONS, TopicCount, create_file, os_error_text
 
 
 class CopyWriter:
@@ -55,7 +55,7 @@ class CopyWriter:
         self._file = create_file(path, overwrite)
         self._schemas: dict[int, int] = {}  # number there → number here
         self._channels: dict[int, int] = {}
-        with self._disk():
+        with self._disk_errors():
             self._mcap = Writer(self._file, compression=COMPRESSIONS[compression])
             self._mcap.start(profile, f"{library}; copied by igtl-gateway {__version__}".removeprefix("; "))
             if session:
@@ -74,19 +74,19 @@ class CopyWriter:
 
     def add_metadata(self, metadata: Metadata) -> None:
         """A metadata record, as it is."""
-        with self._disk():
+        with self._disk_errors():
             self._mcap.add_metadata(metadata.name, metadata.metadata)
 
     def add_attachment(self, attachment: Attachment) -> None:
         """An attachment, as it is."""
-        with self._disk():
+        with self._disk_errors():
             self._mcap.add_attachment(
                 attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data
             )
 
     def write(self, schema: Schema | None, channel: Channel, message: Message) -> None:
         """A message of a channel."""
-        with self._disk():
+        with self._disk_errors():
             here = self._channels.get(channel.id)
             if here is None:
                 here = self._channels[channel.id] = self._open_channel(schema, channel)
@@ -103,7 +103,7 @@ class CopyWriter:
 
     def close(self, ledger: dict[str, Any]) -> int:
         """Write the ledger and the index.  Gives the size of the file in bytes."""
-        with self._disk():
+        with self._disk_errors():
             self._mcap.flush()  # type: ignore[no-untyped-call]
             facts = {layout.LEDGER_KEY: json.dumps(ledger, sort_keys=True)}
             self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal(facts))
@@ -134,12 +134,12 @@ class CopyWriter:
         self._file.write(builder.end())  # type: ignore[no-untyped-call]
 
     @contextmanager
-    def _disk(self) -> Iterator[None]:
+    def _disk_errors(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
             self._abandon()
-            raise RecordingError(f"cannot write {self.path}: {reason(error)}") from error
+            raise RecordingError(f"cannot write {self.path}: {os_error_text(error)}") from error
 
     def _abandon(self) -> None:
         """Half a copy is of no use."""

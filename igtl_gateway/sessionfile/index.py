@@ -20,7 +20,15 @@ from mcap.records import Channel, Schema, Statistics
 
 from igtl_gateway.errors import BeingRecorded, DamagedRecording, UnsupportedRecording
 from igtl_gateway.sessionfile import records
-from igtl_gateway.sessionfile.records import CHUNK_HEAD, FOOTER_RECORD, HEAD, MAGIC, MESSAGE_HEAD, Content, Malformed
+from igtl_gateway.sessionfile.records import (
+    CHUNK_HEAD,
+    FOOTER_RECORD,
+    HEAD,
+    MAGIC,
+    MESSAGE_HEAD,
+    Malformed,
+    RecordFields,
+)
 from igtl_gateway.sessionfile.unpack import unpacked
 from igtl_gateway.untrusted import files, limits
 
@@ -71,7 +79,7 @@ class ChunkEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RecordPlace:
     """An attachment or a metadata record: its name, and where it is."""
 
     name: str
@@ -100,8 +108,8 @@ class Index:
     start_ns: int = 0
     end_ns: int = 0
     chunks: list[ChunkEntry] = field(default_factory=list)
-    attachments: list[Place] = field(default_factory=list)
-    metadata: list[Place] = field(default_factory=list)
+    attachments: list[RecordPlace] = field(default_factory=list)
+    metadata: list[RecordPlace] = field(default_factory=list)
     scanned: bool = False
 
     def define(self, opcode: int, content: bytes) -> None:
@@ -110,11 +118,11 @@ class Index:
         Of a definition that is longer than any that is parsed, the beginning is kept; it is refused like the whole.
         """
         if opcode == records.SCHEMA:
-            schema = records.schema(content)
-            most = 4 * limits.current().definition + 1  # a character of UTF-8 has at most 4 bytes
+            schema = records.parse_schema(content)
+            most = 4 * limits.current_limits().definition + 1  # a character of UTF-8 has at most 4 bytes
             self.schemas[schema.id] = schema if len(schema.data) <= most else replace(schema, data=schema.data[:most])
         elif opcode == records.CHANNEL:
-            channel = records.channel(content)
+            channel = records.parse_channel(content)
             self.channels[channel.id] = channel
 
 
@@ -144,7 +152,7 @@ def recover_hint(path: Path) -> str:
 
 def message_bound(size: int) -> int:
     """Messages that a file of so many bytes may have: one for each byte, as they differ in their times at least."""
-    return max(limits.current().count // 10, size)
+    return max(limits.current_limits().count // 10, size)
 
 
 def check_chunk(packed: int, size: int, place: str) -> None:
@@ -153,12 +161,12 @@ def check_chunk(packed: int, size: int, place: str) -> None:
     Zeros pack to a 250th with lz4, as label maps nearly do: the ratio alone does not bound what a small file costs.
     """
     limits.check_unpacked(packed, size, place)
-    limits.check("free", size, place, max(3 * limits.current().free, _PLAUSIBLE_RATIO * packed))
+    limits.check_limit("free", size, place, max(3 * limits.current_limits().free, _PLAUSIBLE_RATIO * packed))
 
 
 def check_work(file_size: int, work: int, place: str) -> None:
     """Raise LimitExceeded if unpacking so many bytes of a file takes too long."""
-    current = limits.current()
+    current = limits.current_limits()
     most = (current.seconds + current.seconds_per_mb * file_size // 1_000_000) * _BYTES_PER_SECOND
     if work > most:
         raise limits.exceeded("seconds", f"{work} bytes unpacked", place, f"{most} bytes")
@@ -180,12 +188,12 @@ def _ends(path: Path, stream: IO[bytes]) -> tuple[int, int, int]:
         if not MAGIC.startswith(start):
             raise UnsupportedRecording(f"{path}: not an MCAP file: found {start.hex(' ')}, expected {MAGIC.hex(' ')}")
         if size < len(MAGIC) + FOOTER_RECORD.size:
-            raise _endless(path, stream, size)
+            raise _no_end_error(path, stream, size)
         end = stream.seek(-FOOTER_RECORD.size, 2)
         footer = stream.read(FOOTER_RECORD.size)
         opcode, length, summary_start, _, crc, magic = FOOTER_RECORD.unpack(footer)
         if magic != MAGIC:
-            raise _endless(path, stream, size)
+            raise _no_end_error(path, stream, size)
         if (
             (opcode, length) != (records.FOOTER, records.FOOTER_LENGTH)
             or summary_start > end
@@ -194,7 +202,7 @@ def _ends(path: Path, stream: IO[bytes]) -> tuple[int, int, int]:
             raise DamagedRecording(f"{path}: its footer is damaged{recover_hint(path)}")
         if crc:
             begin = summary_start or end
-            limits.check("memory", end - begin, f"{path}: summary")
+            limits.check_limit("memory", end - begin, f"{path}: summary")
             stream.seek(begin)
             found = zlib.crc32(footer[:_FOOTER_CRC_COVERS], zlib.crc32(stream.read(end - begin)))
             if found != crc:
@@ -206,7 +214,7 @@ def _ends(path: Path, stream: IO[bytes]) -> tuple[int, int, int]:
     return size, summary_start, end
 
 
-def _endless(path: Path, stream: IO[bytes], size: int) -> DamagedRecording:
+def _no_end_error(path: Path, stream: IO[bytes], size: int) -> DamagedRecording:
     """The error for a file without an end: somebody is writing it, or it was cut off."""
     if files.is_being_written(stream):
         return BeingRecorded(
@@ -222,7 +230,7 @@ def _summary(path: Path, stream: IO[bytes], size: int, start: int, end: int) -> 
     if not start:
         return index, None
     place = f"{path}: summary"
-    limits.check("memory", end - start, place)
+    limits.check_limit("memory", end - start, place)
     stream.seek(start)
     data = stream.read(end - start)
     for opcode, at, stop in records.records(data, "summary"):
@@ -230,14 +238,14 @@ def _summary(path: Path, stream: IO[bytes], size: int, start: int, end: int) -> 
         if opcode in (records.SCHEMA, records.CHANNEL):
             index.define(opcode, content)
         elif opcode == records.STATISTICS:
-            told = records.statistics(content)
+            told = records.parse_statistics(content)
         elif opcode == records.CHUNK_INDEX:
             index.chunks.append(_chunk_index(content))
-            limits.check("count", len(index.chunks), place)
+            limits.check_limit("count", len(index.chunks), place)
         elif opcode in (records.ATTACHMENT_INDEX, records.METADATA_INDEX):
             places = index.attachments if opcode == records.ATTACHMENT_INDEX else index.metadata
             places.append(_place(opcode, content))
-            limits.check("count", len(places), place)
+            limits.check_limit("count", len(places), place)
     if told:
         index.counts = told.channel_message_counts
         index.start_ns, index.end_ns = told.message_start_time, told.message_end_time
@@ -252,7 +260,7 @@ def _at(chunk: ChunkEntry) -> int:
 
 
 def _chunk_index(data: bytes) -> ChunkEntry:
-    content = Content(data, "chunk index")
+    content = RecordFields(data, "chunk index")
     start_ns, end_ns, at, length = (content.number(records.U64) for _ in range(4))
     places = content.blob()
     if len(places) % _PLACE.size:
@@ -263,12 +271,12 @@ def _chunk_index(data: bytes) -> ChunkEntry:
     return ChunkEntry(start_ns, end_ns, at, length, content.number(records.U64), places, index_length)
 
 
-def _place(opcode: int, data: bytes) -> Place:
-    content = Content(data, "index")
+def _place(opcode: int, data: bytes) -> RecordPlace:
+    content = RecordFields(data, "index")
     at, length = content.number(records.U64), content.number(records.U64)
     if opcode == records.ATTACHMENT_INDEX:
         content.take(3 * records.U64.size)
-    return Place(content.text(), at, length)
+    return RecordPlace(content.text(), at, length)
 
 
 def _is_complete(index: Index, told: Statistics | None) -> bool:
@@ -345,7 +353,7 @@ class _Scan:
 
     def _content(self, at: int, end: int, most: int | None = None) -> bytes:
         size = end - at - HEAD.size
-        limits.check("memory", size, f"{self._place}: record at offset {at}")
+        limits.check_limit("memory", size, f"{self._place}: record at offset {at}")
         self._stream.seek(at + HEAD.size)
         return self._stream.read(size if most is None else min(size, most))
 
@@ -353,18 +361,18 @@ class _Scan:
         """An attachment or a metadata record."""
         self._stream.seek(at + HEAD.size + (2 * records.U64.size if opcode == records.ATTACHMENT else 0))
         size = int.from_bytes(self._stream.read(records.U32.size), "little")
-        limits.check("free", size, f"{self._place}: name at offset {at}")
+        limits.check_limit("free", size, f"{self._place}: name at offset {at}")
         places = self._index.attachments if opcode == records.ATTACHMENT else self._index.metadata
         name = self._stream.read(min(size, end - at))
-        places.append(Place(name.decode("utf-8", "replace"), at, end - at))
-        limits.check("count", len(places), self._place)
+        places.append(RecordPlace(name.decode("utf-8", "replace"), at, end - at))
+        limits.check_limit("count", len(places), self._place)
 
     def _count(self, channel: int) -> None:
         counts = self._index.counts
         counts[channel] = counts.get(channel, 0) + 1
         self._messages += 1
         if not self._messages & 0xFFFF:
-            limits.check("count", self._messages, self._place, message_bound(self._index.size))
+            limits.check_limit("count", self._messages, self._place, message_bound(self._index.size))
             self._deadline.check(self._place)
 
     def _add(self, chunk: ChunkEntry, messages: int) -> None:
@@ -374,7 +382,7 @@ class _Scan:
             index.start_ns = chunk.start_ns if first else min(index.start_ns, chunk.start_ns)
             index.end_ns = max(index.end_ns, chunk.end_ns)
         index.chunks.append(chunk)
-        limits.check("count", len(index.chunks), self._place)
+        limits.check_limit("count", len(index.chunks), self._place)
 
     def _loose(self, at: int, end: int) -> None:
         head = self._content(at, end, MESSAGE_HEAD.size)
@@ -430,11 +438,11 @@ class PackedChunk:
 def packed_chunk(stream: IO[bytes], entry: ChunkEntry, path: str) -> PackedChunk:
     """Read a chunk.  Raises Malformed, or LimitExceeded for one that asks for too much memory."""
     place = f"chunk at offset {entry.at:,}"
-    limits.check("memory", entry.length, f"{path}: {place}")
+    limits.check_limit("memory", entry.length, f"{path}: {place}")
     stream.seek(entry.at)
     if entry.loose:
         return PackedChunk(place, "", stream.read(entry.length), entry.length, 0)
-    content = Content(stream.read(min(entry.length, _CHUNK_BEGIN)), place)
+    content = RecordFields(stream.read(min(entry.length, _CHUNK_BEGIN)), place)
     head = content.take(HEAD.size)
     if HEAD.unpack(head) != (records.CHUNK, entry.length - HEAD.size):
         raise Malformed(f"{place}: found {head.hex(' ')}, expected a chunk of {entry.length} bytes")

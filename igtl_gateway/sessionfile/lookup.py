@@ -40,7 +40,7 @@ Numbers = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
-class StateRule:
+class LatchedStateRule:
     """What the latched state follows from; outputs that such an input causes belong to it, too.
 
     Attributes:
@@ -53,7 +53,7 @@ class StateRule:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class LookupResult:
     """What was looked up.
 
     Attributes:
@@ -68,7 +68,7 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class _Place:
+class _MessagePlace:
     """Of a message: number of its chunk, offset in it, channel, time, messages before it."""
 
     chunk: int
@@ -87,10 +87,10 @@ def look_up(
     file: Index,
     start_ns: int,
     streams: Mapping[int, tuple[Kind, str, str]],
-    rule: StateRule,
+    rule: LatchedStateRule,
     *,
     counted: bool,
-) -> Found | None:
+) -> LookupResult | None:
     """What has to be read before ``start_ns`` (UTC); None where the index does not tell.
 
     Args:
@@ -111,7 +111,7 @@ def look_up(
                 search.chunk(at, *_index(stream, index))
             else:
                 search.skip()
-        messages, size, most = [], 0, limits.current().unpacked(file.size)
+        messages, size, most = [], 0, limits.current_limits().unpacked(file.size)
         for message, number in _messages(stream, before, sorted(search.places())):
             messages.append((message, number))
             size += len(message.data)
@@ -120,7 +120,7 @@ def look_up(
     except (_Unfit, Malformed, LimitExceeded, struct.error, ValueError, LookupError):  # whatever is not as expected
         return None
     rest_ns = chunks[len(before)].start_ns if len(before) < len(chunks) else None
-    return Found(messages, rest_ns, search.count)
+    return LookupResult(messages, rest_ns, search.count)
 
 
 def _concerned(search: _Search, chunks: list[ChunkEntry]) -> set[int]:
@@ -143,7 +143,7 @@ def _concerned(search: _Search, chunks: list[ChunkEntry]) -> set[int]:
 class _Search:
     """Goes through the chunks in order and remembers what is the last of its channel."""
 
-    def __init__(self, streams: Mapping[int, tuple[Kind, str, str]], rule: StateRule) -> None:
+    def __init__(self, streams: Mapping[int, tuple[Kind, str, str]], rule: LatchedStateRule) -> None:
         self.count = self._looked_at = 0
         size = max(streams, default=0) + 1
         self._known, self._inputs, self._messages, self._state, self._by_content = (
@@ -155,9 +155,9 @@ class _Search:
             self._messages[number] = kind in _MESSAGES
             self._state[number] = rule.is_state(kind, channel, type_name)
             self._by_content[number] = rule.by_content(channel)
-        self._kept: set[_Place] = set()
-        self._last: dict[int, list[_Place]] = {}  # by channel: the message and its group
-        self._group: list[_Place] = []  # the last input and what follows
+        self._kept: set[_MessagePlace] = set()
+        self._last: dict[int, list[_MessagePlace]] = {}  # by channel: the message and its group
+        self._group: list[_MessagePlace] = []  # the last input and what follows
         self._cause_is_state: bool | None = None  # of that input; None: there was none yet
 
     def has_input(self, index: ChunkEntry) -> bool:
@@ -170,7 +170,7 @@ class _Search:
         """A chunk that does not concern us, nor do outputs in the next one that its inputs cause."""
         self._group, self._cause_is_state = [], False
 
-    def places(self) -> set[_Place]:
+    def places(self) -> set[_MessagePlace]:
         """All that has to be read."""
         return {*self._kept, *self._group, *(place for group in self._last.values() for place in group)}
 
@@ -188,13 +188,15 @@ class _Search:
         caused = np.where(begun, state[causes], bool(self._cause_is_state))
         wanted = np.flatnonzero((state | caused | orphan) & self._messages[channels])
 
-        def group(at: int) -> list[_Place]:
+        def group(at: int) -> list[_MessagePlace]:
             """The message and what of its group is before it."""
             here = range(max(int(causes[at]), 0), at + 1)
             self._looked_at += len(here)
             if self._looked_at > _MAX_PLACES:
                 raise _Unfit
-            places = [_Place(number, int(offsets[i]), int(channels[i]), int(times[i]), self.count + i) for i in here]
+            places = [
+                _MessagePlace(number, int(offsets[i]), int(channels[i]), int(times[i]), self.count + i) for i in here
+            ]
             return places if begun[at] else self._group + places
 
         each = orphan[wanted] | self._by_content[channels[wanted]]
@@ -251,7 +253,9 @@ def _index(stream: IO[bytes], index: ChunkEntry) -> tuple[Numbers, Numbers, Numb
     return channels, times, offsets
 
 
-def _messages(stream: IO[bytes], chunks: list[ChunkEntry], places: list[_Place]) -> Iterator[tuple[Message, int]]:
+def _messages(
+    stream: IO[bytes], chunks: list[ChunkEntry], places: list[_MessagePlace]
+) -> Iterator[tuple[Message, int]]:
     """The messages at these places; one chunk is held at a time."""
     for number, inside in groupby(places, key=lambda place: place.chunk):
         data = packed_chunk(stream, chunks[number], "").unpack()

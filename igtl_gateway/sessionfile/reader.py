@@ -25,9 +25,9 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import facts, layout, migrations, records
 from igtl_gateway.sessionfile.chunks import Row, message_rows
-from igtl_gateway.sessionfile.index import ChunkEntry, Index, Place, read_index, recover_hint
+from igtl_gateway.sessionfile.index import ChunkEntry, Index, RecordPlace, read_index, recover_hint
 from igtl_gateway.sessionfile.layout import LayoutError
-from igtl_gateway.sessionfile.lookup import StateRule, look_up
+from igtl_gateway.sessionfile.lookup import LatchedStateRule, look_up
 from igtl_gateway.sessionfile.records import HEAD, Malformed
 from igtl_gateway.untrusted import files, limits
 from igtl_gateway.untrusted.shape import digits
@@ -192,7 +192,7 @@ class SessionFile:
         count = yield from self._numbered(self._rows(kinds=kinds), 0, kinds)
         self._check_count(count, sum(channel.count for channel in self.channels if channel.kind in kinds))
 
-    def entries_from(self, start_ns: int, rule: StateRule) -> Iterator[Entry]:
+    def entries_from(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
         """The entries from ``start_ns`` (UTC) on, before them at least those that the latched state there follows from.
 
         Looked up by the index where there is one that tells; else all entries.  Raises DamagedRecording where what is
@@ -235,18 +235,18 @@ class SessionFile:
             return []
         content = self._record(records.ATTACHMENT, place, "prologue")
         try:
-            attachment, covered = records.attachment(content)
+            attachment, covered = records.parse_attachment(content)
             if zlib.crc32(content[:covered]) != int.from_bytes(content[covered : covered + 4], "little"):
                 raise Malformed("its checksum is wrong")
         except Malformed as error:
             raise self._damaged("prologue", error) from None
         entries, size = [], 0
-        most = limits.current().unpacked(len(attachment.data))
+        most = limits.current_limits().unpacked(len(attachment.data))
         for entry in SessionFile(self.path, BytesIO(attachment.data)).entries():
             entries.append(entry)
             size += entry.size
-            limits.check("count", len(entries), f"{self.path}: prologue")
-            limits.check("ratio", size, f"{self.path}: prologue", most)
+            limits.check_limit("count", len(entries), f"{self.path}: prologue")
+            limits.check_limit("ratio", size, f"{self.path}: prologue", most)
         return entries
 
     def _entries(self) -> Iterator[Entry]:
@@ -336,11 +336,11 @@ class SessionFile:
     def _damaged(self, what: str, why: object) -> DamagedRecording:
         return DamagedRecording(f"{self.path}: {what}: {why}{recover_hint(self.path)}")
 
-    def _record(self, opcode: int, place: Place, what: str) -> bytes:
+    def _record(self, opcode: int, place: RecordPlace, what: str) -> bytes:
         """The content of a record that the index names.  Raises DamagedRecording, LimitExceeded."""
         if place.at + place.length > self._index.size or place.length < HEAD.size:
             raise self._damaged(what, f"found {place.length} bytes at {place.at}, which the file does not have")
-        limits.check("memory", place.length, f"{self.path}: {what}")
+        limits.check_limit("memory", place.length, f"{self.path}: {what}")
         try:
             self._stream.seek(place.at)
             data = self._stream.read(place.length)
@@ -357,9 +357,9 @@ class SessionFile:
         if place is None:
             return None
         what = f"metadata {name}"
-        limits.check("free", 8 * place.length, f"{self.path}: {what}")
+        limits.check_limit("free", 8 * place.length, f"{self.path}: {what}")
         try:
-            record = records.metadata(self._record(records.METADATA, place, what))
+            record = records.parse_metadata(self._record(records.METADATA, place, what))
             if record.name != name:
                 raise Malformed(f"found the name {record.name!r}")
             return layout.unseal(record.metadata)
@@ -436,7 +436,7 @@ class SessionParts(SessionFile):
         """As SessionFile.entries_of."""
         return self._of_parts(lambda part: part.entries_of(kinds))
 
-    def entries_from(self, start_ns: int, rule: StateRule) -> Iterator[Entry]:
+    def entries_from(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
         """As SessionFile.entries_from."""
         return self._of_parts(lambda part: part.entries_from(start_ns, rule))
 

@@ -35,7 +35,7 @@ class Malformed(ValueError):
     """Bytes that are not the record that they should be."""
 
 
-class Content:
+class RecordFields:
     """The fields of a record, taken one after the other.
 
     Args:
@@ -68,7 +68,7 @@ class Content:
 
     def texts(self) -> dict[str, str]:
         """A map of strings."""
-        inner = Content(self.blob(), self._name)
+        inner = RecordFields(self.blob(), self._name)
         found = {}
         while inner.at < len(inner._data):
             key = inner.text()
@@ -86,15 +86,15 @@ class Content:
         return data
 
 
-def header(data: bytes) -> Header:
+def parse_header(data: bytes) -> Header:
     """Raises Malformed, like the following."""
-    content = Content(data, "header")
+    content = RecordFields(data, "header")
     profile = content.text()
     return Header(profile=profile, library=content.text())
 
 
-def schema(data: bytes) -> Schema:
-    content = Content(data, "schema")
+def parse_schema(data: bytes) -> Schema:
+    content = RecordFields(data, "schema")
     number = content.number(U16)
     if not number:
         raise Malformed("schema: found the number 0, expected another one")
@@ -102,8 +102,8 @@ def schema(data: bytes) -> Schema:
     return Schema(id=number, data=content.blob(), encoding=encoding, name=name)
 
 
-def channel(data: bytes) -> Channel:
-    content = Content(data, "channel")
+def parse_channel(data: bytes) -> Channel:
+    content = RecordFields(data, "channel")
     number, schema_id = content.number(U16), content.number(U16)
     topic, encoding = content.text(), content.text()
     return Channel(
@@ -111,15 +111,15 @@ def channel(data: bytes) -> Channel:
     )  # fmt: skip
 
 
-def metadata(data: bytes) -> Metadata:
-    content = Content(data, "metadata")
+def parse_metadata(data: bytes) -> Metadata:
+    content = RecordFields(data, "metadata")
     name = content.text()
     return Metadata(name=name, metadata=content.texts())
 
 
-def attachment(data: bytes) -> tuple[Attachment, int]:
+def parse_attachment(data: bytes) -> tuple[Attachment, int]:
     """The attachment, and how many of the bytes its checksum covers."""
-    content = Content(data, "attachment")
+    content = RecordFields(data, "attachment")
     log_time, create_time = content.number(U64), content.number(U64)
     name, media_type = content.text(), content.text()
     found = Attachment(
@@ -128,8 +128,8 @@ def attachment(data: bytes) -> tuple[Attachment, int]:
     return found, content.at
 
 
-def statistics(data: bytes) -> Statistics:
-    content = Content(data, "statistics")
+def parse_statistics(data: bytes) -> Statistics:
+    content = RecordFields(data, "statistics")
     messages, schemas = content.number(U64), content.number(U16)
     channels, attachments, metadata_count, chunks = (content.number(U32) for _ in range(4))
     start, end = content.number(U64), content.number(U64)

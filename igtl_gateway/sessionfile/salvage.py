@@ -32,7 +32,7 @@ from igtl_gateway.sessionfile.index import check_chunk, check_work, message_boun
 from igtl_gateway.sessionfile.layout import LayoutError
 from igtl_gateway.sessionfile.reader import SEQUENCES, Decode, decoder, format_version, kind_of
 from igtl_gateway.sessionfile.records import CHUNK_HEAD, FOOTER_RECORD, HEAD, MAGIC, MESSAGE_HEAD, Malformed
-from igtl_gateway.sessionfile.unpack import COMPRESSIONS, told_size, unpacked
+from igtl_gateway.sessionfile.unpack import COMPRESSIONS, declared_size, unpacked
 from igtl_gateway.untrusted import files, limits
 from igtl_gateway.untrusted.shape import digits
 
@@ -93,7 +93,7 @@ class Loss:
 
 
 @dataclass(slots=True)
-class Report:
+class SalvageReport:
     """What was read and what was not; complete after the last message.
 
     Attributes:
@@ -143,7 +143,7 @@ class _Definition:
 
 
 @dataclass(frozen=True, slots=True)
-class _Frame:
+class _RecordSpan:
     """A record, or (opcode 0) bytes that are none."""
 
     opcode: int
@@ -172,12 +172,12 @@ class Salvage:
         size = stream.seek(0, 2)
         if not size:
             raise UnsupportedRecording(f"{path}: the file is empty")
-        self.report = Report(size)
+        self.report = SalvageReport(size)
         self.position = 0
         self.profile = self.library = ""
         self.compression: Compression = "none"
         self.growing = files.is_being_written(stream)
-        self._metadata: list[_Frame] = []
+        self._metadata: list[_RecordSpan] = []
         self._deadline = limits.Deadline(files.stored_bytes(path, size))
         self._work = 0  # bytes unpacked
         self._loose = False  # messages lie outside of chunks
@@ -185,7 +185,7 @@ class Salvage:
         self._channels: dict[int, tuple[Channel, bool]] = {}
         self._definitions: dict[int, _Definition] = {}  # settled ones
         self._sought = False
-        self._attachments: list[_Frame] = []
+        self._attachments: list[_RecordSpan] = []
         self._statistics: Statistics | None = None
         self._data_end = size
         self._read_summary()
@@ -239,14 +239,14 @@ class Salvage:
     def metadata(self) -> Iterator[Metadata]:
         """The metadata records that are not of the session."""
         for frame in self._metadata:
-            metadata = _parsed(records.metadata, self._content(frame))
+            metadata = _parsed(records.parse_metadata, self._content(frame))
             if metadata:
                 yield metadata
 
     def read(self) -> Iterator[Salvaged]:
         """All messages that can be read, as they lie in the file; once.  Raises DamagedRecording as above."""
         try:
-            yield from _Reading(self).run()
+            yield from _SalvagePass(self).run()
         except OSError as error:
             raise DamagedRecording(f"{self.path}: cannot be read: {error.strerror}") from None
 
@@ -263,7 +263,7 @@ class Salvage:
             return
         if not len(MAGIC) <= start <= size - FOOTER_RECORD.size:
             return
-        if size - start > limits.current().memory:
+        if size - start > limits.current_limits().memory:
             return
         summary = self._bytes(start, size - FOOTER_RECORD.size - start)
         if zlib.crc32(footer[: -len(MAGIC) - _U32.size], zlib.crc32(summary)) != crc:
@@ -273,7 +273,7 @@ class Salvage:
         for opcode, content in _records(summary):
             self._define(opcode, content, checked=True)
             if opcode == records.STATISTICS:
-                self._statistics = _parsed(records.statistics, content)
+                self._statistics = _parsed(records.parse_statistics, content)
 
     def _survey(self) -> bool:
         """Everything but the messages.  Gives whether there is anything of MCAP at all."""
@@ -290,14 +290,14 @@ class Salvage:
                 self.compression = "lz4" if told[:3] == b"lz4" else "zstd" if told == b"zstd" else "none"
             elif frame.opcode == records.ATTACHMENT:
                 self._attachments.append(frame)
-                limits.check("count", len(self._attachments), f"{self.path}: attachments")
+                limits.check_limit("count", len(self._attachments), f"{self.path}: attachments")
             elif frame.opcode in (records.HEADER, records.SCHEMA, records.CHANNEL):
                 content = self._small_content(frame)
                 self._define(frame.opcode, content, checked=False)
-                if frame.opcode == records.HEADER and (header := _parsed(records.header, content)):
+                if frame.opcode == records.HEADER and (header := _parsed(records.parse_header, content)):
                     self.profile, self.library = header.profile, header.library
             elif frame.opcode == records.METADATA and (
-                metadata := _parsed(records.metadata, self._small_content(frame))
+                metadata := _parsed(records.parse_metadata, self._small_content(frame))
             ):
                 if metadata.name in _SESSION:
                     session = session or _unsealed(metadata)
@@ -305,7 +305,7 @@ class Salvage:
                     ledger = ledger or _ledger(metadata)
                 else:
                     self._metadata.append(frame)
-                    limits.check("count", len(self._metadata), f"{self.path}: metadata records")
+                    limits.check_limit("count", len(self._metadata), f"{self.path}: metadata records")
         marked = any(layout.KIND_KEY in channel.metadata for channel, _ in self._channels.values())
         self.foreign = session is None and not marked and not self.library.startswith("igtl-gateway")
         self.format_version = format_version(self.path, session)
@@ -320,11 +320,11 @@ class Salvage:
     def _define(self, opcode: int, content: bytes, *, checked: bool) -> None:
         """Learn a schema or a channel; what is under a checksum overrides what is not."""
         if opcode == records.SCHEMA:
-            schema = _parsed(records.schema, content)
+            schema = _parsed(records.parse_schema, content)
             if schema and (checked or schema.id not in self._schemas):
                 self._schemas[schema.id] = schema, checked
         elif opcode == records.CHANNEL:
-            channel = _parsed(records.channel, content)
+            channel = _parsed(records.parse_channel, content)
             if channel and (checked or channel.id not in self._channels):
                 self._channels[channel.id] = channel, checked
 
@@ -353,24 +353,24 @@ class Salvage:
         channel, _ = self._channels[channel_id]
         return not channel.schema_id or channel.schema_id in self._schemas
 
-    def _definitions_in(self, frame: _Frame) -> Iterator[tuple[int, bytes]]:
+    def _definitions_in(self, frame: _RecordSpan) -> Iterator[tuple[int, bytes]]:
         if frame.opcode == records.CHUNK:
             try:
                 yield from _records(self._chunk(frame), _DEFINITIONS)
             except (Malformed, LimitExceeded):
                 return
 
-    def _attachment(self, frame: _Frame) -> Attachment | None:
+    def _attachment(self, frame: _RecordSpan) -> Attachment | None:
         """An attachment; None if its checksum is wrong (0: it has none)."""
         content = self._content(frame)
         try:
-            attachment, covered = records.attachment(content)
+            attachment, covered = records.parse_attachment(content)
         except Malformed:
             return None
         crc = int.from_bytes(content[covered : covered + _U32.size], "little")
         return attachment if not crc or crc == zlib.crc32(content[:covered]) else None
 
-    def _chunk(self, frame: _Frame) -> bytes:
+    def _chunk(self, frame: _RecordSpan) -> bytes:
         """The records in a chunk, of which some field may be damaged.
 
         Raises Malformed if its checksum fits nothing, LimitExceeded if it asks for too much.
@@ -388,7 +388,7 @@ class Salvage:
             at = CHUNK_HEAD.size + _U32.size + len(compression) + _U64.size
             length = int.from_bytes(content[at - _U64.size : at], "little")
             packed = content[at : at + length] if length <= len(content) - at else content[at:]
-            for told in dict.fromkeys((size, told_size(compression, packed))) if crc else (size,):
+            for told in dict.fromkeys((size, declared_size(compression, packed))) if crc else (size,):
                 self._deadline.check(str(self.path))
                 try:
                     check_chunk(len(packed), told, "chunk")
@@ -401,7 +401,7 @@ class Salvage:
                     continue
         raise too_large or Malformed("its checksum is wrong")
 
-    def _times(self, frame: _Frame) -> tuple[int, int]:
+    def _times(self, frame: _RecordSpan) -> tuple[int, int]:
         """First and last time of the messages in a chunk, as it says itself, without a checksum."""
         content = self._bytes(frame.at + HEAD.size, CHUNK_HEAD.size)
         if len(content) < CHUNK_HEAD.size:
@@ -411,14 +411,14 @@ class Salvage:
 
     # -- from record to record --------------------------------------------------------------------------------
 
-    def _walk(self) -> Iterator[_Frame]:
+    def _walk(self) -> Iterator[_RecordSpan]:
         """All records up to the end of the data, and what lies between them."""
         at, limit = len(MAGIC), self._data_end
         ended = False
         while at < limit:
             frame = self._frame(at, limit, ended)
             if frame.opcode == 0 and frame.end == at:
-                frame = _Frame(0, at, self._seek_record(at + 1, limit))
+                frame = _RecordSpan(0, at, self._seek_record(at + 1, limit))
             if frame.opcode == records.MESSAGE:
                 self._loose = True
             if not ended or frame.opcode:
@@ -427,32 +427,34 @@ class Salvage:
             ended = ended or frame.opcode == records.DATA_END
             at = frame.end
 
-    def _frame(self, at: int, limit: int, ended: bool) -> _Frame:
+    def _frame(self, at: int, limit: int, ended: bool) -> _RecordSpan:
         """The record at ``at``, as far as it fits; of no length if nothing tells where it ends.
 
         Behind the data (``ended``) there are other records than those in the table.
         """
         head = self._bytes(at, HEAD.size)
         if len(head) < HEAD.size:
-            return _Frame(0, at, at)
+            return _RecordSpan(0, at, at)
         opcode, length = HEAD.unpack(head)
         outer = at + HEAD.size + length
         inner = self._inner_end(opcode, at, limit)
         if inner == outer or (ended and outer <= limit and opcode not in _FIELDS and self._fits(outer, limit)):
-            return _Frame(opcode, at, outer)
+            return _RecordSpan(opcode, at, outer)
         outer_fits = outer <= limit and self._fits(outer, limit)
         if inner and outer_fits and inner < outer and opcode in _FIELDS and not self._fits(inner, limit):
             # more bytes than its fields need, as MCAP allows; of a chunk only the opcode may be damaged
-            return _Frame(records.CHUNK if self._inner_end(records.CHUNK, at, limit) == outer else opcode, at, outer)
+            return _RecordSpan(
+                records.CHUNK if self._inner_end(records.CHUNK, at, limit) == outer else opcode, at, outer
+            )
         # where both may be, the nearer end swallows nothing
         if inner and self._fits(inner, limit) and not (outer_fits and outer < inner):
-            return _Frame(opcode, at, inner)  # its length is damaged
+            return _RecordSpan(opcode, at, inner)  # its length is damaged
         if outer_fits:
             if opcode in (records.MESSAGE, records.CHUNK, records.ATTACHMENT, records.METADATA):
-                return _Frame(opcode, at, outer)  # a field of it is damaged, if it has any: its checksum tells
+                return _RecordSpan(opcode, at, outer)  # a field of it is damaged, if it has any: its checksum tells
             # of a chunk only the opcode may be damaged
-            return _Frame(records.CHUNK if self._inner_end(records.CHUNK, at, limit) == outer else 0, at, outer)
-        return _Frame(0, at, at)
+            return _RecordSpan(records.CHUNK if self._inner_end(records.CHUNK, at, limit) == outer else 0, at, outer)
+        return _RecordSpan(0, at, at)
 
     def _fits(self, at: int, limit: int, chain: int = 1) -> bool:
         """Whether at ``at`` the file ends, or ``chain`` records may follow."""
@@ -518,13 +520,13 @@ class Salvage:
         skipped = first if isinstance(first, int) else 0
         return opcode == records.CHUNK or self._bytes(at + HEAD.size + skipped, _U32.size) != bytes(_U32.size)
 
-    def _small_content(self, frame: _Frame) -> bytes:
+    def _small_content(self, frame: _RecordSpan) -> bytes:
         """Content of a record that is kept; nothing of one that is larger than any that makes sense."""
-        return self._content(frame) if 8 * (frame.end - frame.at) <= limits.current().free else b""
+        return self._content(frame) if 8 * (frame.end - frame.at) <= limits.current_limits().free else b""
 
-    def _content(self, frame: _Frame) -> bytes:
+    def _content(self, frame: _RecordSpan) -> bytes:
         """Content of a record.  Raises LimitExceeded."""
-        limits.check("memory", frame.end - frame.at, f"{self.path}: record at offset {frame.at:,}")
+        limits.check_limit("memory", frame.end - frame.at, f"{self.path}: record at offset {frame.at:,}")
         return self._bytes(frame.at + HEAD.size, frame.end - frame.at - HEAD.size)
 
     def _bytes(self, at: int, size: int) -> bytes:
@@ -535,7 +537,7 @@ class Salvage:
         return self._stream.read(size)
 
 
-class _Reading:
+class _SalvagePass:
     """One pass over the messages."""
 
     def __init__(self, file: Salvage) -> None:
@@ -548,7 +550,7 @@ class _Reading:
 
     def run(self) -> Iterator[Salvaged]:
         file, report = self._file, self._report
-        torn: _Frame | None = None
+        torn: _RecordSpan | None = None
         for frame in file._walk():
             file.position = frame.end
             file._deadline.check(str(file.path))
@@ -567,7 +569,7 @@ class _Reading:
                 self._lose(METADATA, frame, damage)
         self._end(torn)
 
-    def _read_chunk(self, frame: _Frame) -> Iterator[Salvaged]:
+    def _read_chunk(self, frame: _RecordSpan) -> Iterator[Salvaged]:
         try:
             data = self._file._chunk(frame)
         except (Malformed, LimitExceeded) as error:
@@ -583,12 +585,12 @@ class _Reading:
         if at != len(data):
             self._lose(CHUNK, frame, f"found bytes that are no record after {at} of {len(data)} bytes")
 
-    def _message(self, content: bytes, frame: _Frame) -> Iterator[Salvaged]:
+    def _message(self, content: bytes, frame: _RecordSpan) -> Iterator[Salvaged]:
         if len(content) < MESSAGE_HEAD.size:
             self._lose(BYTES, frame, "a message shorter than its head")
             return
         self._seen += 1
-        limits.check("count", self._seen, f"{self._file.path}: messages", message_bound(self._report.size))
+        limits.check_limit("count", self._seen, f"{self._file.path}: messages", message_bound(self._report.size))
         number, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(content)
         definition = self._file._definition(number)
         if definition is None:
@@ -610,7 +612,7 @@ class _Reading:
             except LayoutError as error:
                 self._lose(NUMBER, frame, f"entry {seq}: {error}")
                 return
-            self._settle(log_time, seq - self._seq - 1)
+            self._close_losses(log_time, seq - self._seq - 1)
             self._seq = seq
             self._entries += 1
         report = self._report
@@ -619,7 +621,7 @@ class _Reading:
         report.end_ns = max(report.end_ns, log_time)
         yield Salvaged(definition.schema, definition.channel, message, entry)
 
-    def _lose(self, what: str, frame: _Frame, text: str) -> Loss:
+    def _lose(self, what: str, frame: _RecordSpan, text: str) -> Loss:
         if what == BYTES and self._open and self._open[-1].what == BYTES:
             last = self._open[-1]
             if last.at + last.size == frame.at:
@@ -639,7 +641,7 @@ class _Reading:
             self._open.append(loss)
         return loss
 
-    def _settle(self, log_time: int, missing: int) -> None:
+    def _close_losses(self, log_time: int, missing: int) -> None:
         """An entry follows the losses that are open: they end here, or turn out to be none."""
         if not self._open:
             return
@@ -656,9 +658,9 @@ class _Reading:
         if loss in self._report.lost:
             self._report.lost.remove(loss)
 
-    def _damage_of_metadata(self, frame: _Frame) -> str:
+    def _damage_of_metadata(self, frame: _RecordSpan) -> str:
         """What is wrong with a metadata record, ``""`` where nothing is."""
-        metadata = _parsed(records.metadata, self._file._small_content(frame))
+        metadata = _parsed(records.parse_metadata, self._file._small_content(frame))
         if metadata is None:
             return "not readable"
         try:
@@ -670,27 +672,27 @@ class _Reading:
             return str(error)
         return ""
 
-    def _end(self, torn: _Frame | None) -> None:
+    def _end(self, torn: _RecordSpan | None) -> None:
         file, report = self._file, self._report
         for number, loss in self._unknown.items():
             loss.text = f"{self._unknown_counts[number]:,} messages of a channel of which no description is left"
         if file._statistics is not None:
             report.missing = max(0, file._statistics.message_count - report.messages)
             if report.missing and not any(loss.what in (BYTES, CHUNK, CHANNEL, NUMBER) for loss in report.lost):
-                self._lose(BYTES, _Frame(0, 0, 0), "messages of the index were not found")
+                self._lose(BYTES, _RecordSpan(0, 0, 0), "messages of the index were not found")
             if not report.missing:
                 # not a message is missing, so the bytes were nothing but indexes
                 report.lost = [loss for loss in report.lost if loss.what not in (BYTES, CHUNK)]
             if file._statistics.attachment_count > len(file._attachments):
-                self._lose(ATTACHMENT, _Frame(0, 0, 0), "not found")
-        end = _Frame(0, report.size, report.size)
+                self._lose(ATTACHMENT, _RecordSpan(0, 0, 0), "not found")
+        end = _RecordSpan(0, report.size, report.size)
         if not report.closed:
             rest = f" and {torn.end - torn.at:,} bytes of a record" if torn else ""
             why = "is not there yet: it is being recorded" if file.growing else "was not yet on the disk"
             self._lose(CUT_OFF, torn or end, f"the file ends here{rest}: what came after it {why}")
         ours = not file.foreign
         if ours and not file.session:
-            self._lose(METADATA, _Frame(0, 0, 0), "what the recording says of itself, such as the configuration")
+            self._lose(METADATA, _RecordSpan(0, 0, 0), "what the recording says of itself, such as the configuration")
         if ours and file.ledger is None and report.closed:
             self._lose(LEDGER, end, "what became of every message")
 

@@ -51,14 +51,16 @@ class RosTypes:
         self._types = dict(get_typestore(Stores.ROS2_JAZZY).fielddefs)
         self._shares = (*installed_shares(), *SHARES) if shares is None else tuple(shares)
         for name, text in OWN_TYPES.items():
-            self._types |= definitions.parse(text, name)
+            self._types |= definitions.parse_definition(text, name)
 
     def find(self, ros_type: str) -> Definition | None:
         """The definition of ``package/msg/Name``; None where it, or a type that it needs, is not to be found."""
         try:
             if not self._load(ros_type):
                 return None
-            return Definition(definitions.text_of(self._types, ros_type), definitions.type_hash(self._types, ros_type))
+            return Definition(
+                definitions.definition_text(self._types, ros_type), definitions.type_hash(self._types, ros_type)
+            )
         except (TypesysError, RecordingError, UnicodeDecodeError, KeyError):
             # a file that is unreadable, or in a dialect that rosbags does not read
             return None
@@ -74,10 +76,10 @@ class RosTypes:
             path = self._path(name)
             if path is None:
                 return False
-            types = definitions.parse(files.read_bytes(path).decode("utf-8"), name)
+            types = definitions.parse_definition(files.read_bytes(path).decode("utf-8"), name)
             found.update(types)
             for _, fields in types.values():
-                wanted += definitions.named(fields)
+                wanted += definitions.types_of_fields(fields)
         self._types |= found
         return True
 

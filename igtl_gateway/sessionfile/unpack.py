@@ -46,7 +46,7 @@ def unpacked(compression: str, packed: bytes, size: int, crc: int) -> bytes:
     return data
 
 
-def told_size(compression: str, packed: bytes) -> int:
+def declared_size(compression: str, packed: bytes) -> int:
     """Bytes unpacked, as the compressed data say themselves; 0 where they do not."""
     try:
         match compression:

@@ -125,7 +125,7 @@ class SessionWriter:
         except OSError as error:
             self._abandon()
             path.unlink(missing_ok=True)
-            raise refusal(path, error) from error
+            raise cannot_begin(path, error) from error
 
     def _start(self, session: dict[str, str], prologue: bytes) -> None:
         facts = {**session, layout.FORMAT_VERSION_KEY: str(layout.FORMAT_VERSION)}
@@ -156,7 +156,7 @@ class SessionWriter:
             head = packer.head(entry, data)
         elif not known or kind in layout.NOTE_KINDS:  # of the others known, the payload is the message
             data = layout.pack_message(entry)
-        channel = known[0] if known else self._learn(entry, packer)
+        channel = known[0] if known else self._learn_channel(entry, packer)
         if self._failure or self._closed:
             self._check_open()
         try:
@@ -173,9 +173,9 @@ class SessionWriter:
 
         That the file was removed under us is noticed here: nothing else would ever tell.
         """
-        with self._disk():
+        with self._disk_errors():
             self._mcap.flush()
-            self._settle("flush")
+            self._check_file("flush")
 
     @property
     def size(self) -> int:
@@ -190,12 +190,12 @@ class SessionWriter:
         if self._failure:
             return
         facts = {layout.LEDGER_KEY: json.dumps(ledger, sort_keys=True)}
-        with self._disk():
+        with self._disk_errors():
             self._mcap.flush()
             self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal(facts))
             self._mcap.finish()
             self._file.flush()
-            self._settle("flush", "close")
+            self._check_file("flush", "close")
             if isinstance(self._file, BufferedWriter):
                 self._file.close()
 
@@ -215,7 +215,7 @@ class SessionWriter:
             )
         return list(counts.values())
 
-    def _learn(self, entry: Entry, packer: layout.RawPacker | None) -> int:
+    def _learn_channel(self, entry: Entry, packer: layout.RawPacker | None) -> int:
         """The channel of an entry unlike those before it, which is kept for those like it."""
         channel = self._channels.get((entry.kind, entry.channel, entry.type)) or self._open_channel(entry)
         if len(self._known) >= _MAX_KNOWN:
@@ -253,7 +253,7 @@ class SessionWriter:
             metadata[layout.TYPE_HASH_KEY] = definition.type_hash
         if not definition and ros_type not in self._schemas:
             self.undefined.append(ros_type)
-        with self._disk():
+        with self._disk_errors():
             if ros_type not in self._schemas:
                 # without a definition the encoding has to be empty, too, as in what rosbag2 writes
                 encoding = layout.SCHEMA_ENCODING if definition else ""
@@ -264,7 +264,7 @@ class SessionWriter:
         self._counts.append(0)
         return channel
 
-    def _settle(self, *moments: Fsync) -> None:
+    def _check_file(self, *moments: Fsync) -> None:
         """See to it that what was written is where it belongs.  Raises OSError if the file is no longer there."""
         if not isinstance(self._file, BufferedWriter):
             return
@@ -279,7 +279,7 @@ class SessionWriter:
             raise OSError(errno.ESTALE, "another file took its place")
 
     @contextmanager
-    def _disk(self) -> Iterator[None]:
+    def _disk_errors(self) -> Iterator[None]:
         """Around all that may touch the disk: its refusal ends the recording, with one clear line."""
         self._check_open()
         try:
@@ -293,7 +293,7 @@ class SessionWriter:
 
     def _failed(self, error: OSError) -> RecordingError:
         """After an error nobody knows what is in the file and in the library's buffers, so no more is written."""
-        self._failure = f"recording to {self.path} failed: {reason(error)}"
+        self._failure = f"recording to {self.path} failed: {os_error_text(error)}"
         self._abandon()
         return RecordingError(self._failure)
 
@@ -342,7 +342,7 @@ def create_file(path: Path, overwrite: bool) -> BufferedWriter:
     if there := obstacle(path):
         raise RecordingError(f"cannot record to {path}: {there}")
     try:
-        file = open(path, "wb" if overwrite else "xb", opener=_untouched)
+        file = open(path, "wb" if overwrite else "xb", opener=_open_untouched)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -357,20 +357,20 @@ def create_file(path: Path, overwrite: bool) -> BufferedWriter:
             f"cannot record to {path}: the file exists already, and is not replaced without --overwrite"
         ) from None
     except (OSError, ValueError) as error:
-        raise refusal(path, error) from error
+        raise cannot_begin(path, error) from error
 
 
-def refusal(path: Path, error: OSError | ValueError) -> RecordingError:
+def cannot_begin(path: Path, error: OSError | ValueError) -> RecordingError:
     """The error for a recording that cannot begin there."""
     kind = DiskRefused if isinstance(error, OSError) and error.errno not in _SLIPS else RecordingError
     return kind(f"cannot record to {path}: {obstacle(path, error)}")
 
 
-def _untouched(path: str, flags: int) -> int:
+def _open_untouched(path: str, flags: int) -> int:
     """Open a file that may be another one's recording: it is emptied when that is known."""
     return os.open(path, flags & ~os.O_TRUNC, 0o666)
 
 
-def reason(error: Exception) -> str:
+def os_error_text(error: Exception) -> str:
     """What the system says of a refused file."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.config import Config
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.globs import matches
-from igtl_gateway.replay.compare import Decoder, Tolerance, Undecodable, compare_values
+from igtl_gateway.replay.compare import LeafDecoder, Tolerance, Undecodable, compare_values
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.schemas import RosTypes
@@ -51,7 +51,7 @@ class _Side:
     """The messages of a session by stream, and what reads them."""
 
     name: str
-    decoder: Decoder
+    decoder: LeafDecoder
     streams: dict[_Stream, list[Entry]] = field(default_factory=dict)
 
 
@@ -106,8 +106,8 @@ def _side(session: Session, rules: _Rules) -> _Side:
     return side
 
 
-def _decoder(definitions: dict[str, str], config: Config) -> Decoder:
-    return Decoder(definitions, Lengths(config.ros_unit, config.igtl_unit))
+def _decoder(definitions: dict[str, str], config: Config) -> LeafDecoder:
+    return LeafDecoder(definitions, LengthUnits(config.ros_unit, config.igtl_unit))
 
 
 def _sort(entries: Iterable[Entry], rules: _Rules, side: _Side) -> None:

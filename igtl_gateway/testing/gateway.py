@@ -16,9 +16,9 @@ from igtl_gateway import __version__
 from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.config import Config
 from igtl_gateway.convert.rosmsg import RosMessage
-from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Session, gateway_of
+from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Session, make_core
 from igtl_gateway.globs import matches
-from igtl_gateway.replay.source import select
+from igtl_gateway.replay.source import select_entries
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -118,7 +118,7 @@ class ManualGateway:
         self.config = Config.from_dict(base.to_dict() | settings) if settings else base
         self.now_ns = start_ns
         self.log: list[Entry] = []
-        self._gateway = gateway_of(self.config)
+        self._gateway = make_core(self.config)
         self._session = Session(self._gateway)
         self._links = 0
 
@@ -178,8 +178,8 @@ class ManualGateway:
             for entry in file.prologue():
                 self._replay(entry)
             del self.log[first:]  # what was before: its state counts, its words were said that day
-            wanted = {entry.seq for entry in select(file.entries(), _MESSAGES_IN, streams)} if streams else None
-            for entry in select(file.entries(), _INPUTS):
+            wanted = {entry.seq for entry in select_entries(file.entries(), _MESSAGES_IN, streams)} if streams else None
+            for entry in select_entries(file.entries(), _INPUTS):
                 if wanted is not None and entry.kind in _MESSAGES_IN and entry.seq not in wanted:
                     continue
                 self._replay(entry)

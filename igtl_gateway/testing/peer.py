@@ -10,14 +10,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal
 
-from igtl_gateway.app.faulty import CUT, FaultyFeed, disconnector
+from igtl_gateway.app.faulty import DISCONNECT, FaultyFeed, disconnector
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.errors import ConfigError, WireError
 from igtl_gateway.faults import Faults
-from igtl_gateway.replay.source import once, select, spoken_to, through_gateway
+from igtl_gateway.replay.source import first_form_only, one_side_of_relay, select_entries, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -183,7 +183,7 @@ class ReplayPeer:
             links = [link.number for link in self._edge.links() if link.connected]
             self._edge.send(links, entry.payload, entry.channel, True)
             self.sent += 1
-            if entry.links == CUT:
+            if entry.links == DISCONNECT:
                 disconnect()
         self._edge.flush(TIMEOUT_S)
 
@@ -192,12 +192,14 @@ class ReplayPeer:
         present = {channel.kind for channel in self._file.channels if channel.count}
         entries: Iterable[Entry] = chain(self._file.prologue(), self._file.entries())
         if self._side == "peers":
-            return select(self._file.entries(), frozenset({Kind.IGTL_IN}), self._streams)
+            return select_entries(self._file.entries(), frozenset({Kind.IGTL_IN}), self._streams)
         if self._config.relay:
-            entries = spoken_to(self._role, entries)
+            entries = one_side_of_relay(self._role, entries)
         elif Kind.IGTL_OUT not in present:
             entries = through_gateway(entries, self._config, has_links=Kind.LINK in present)
-        outputs = select(entries if self._config.relay else once(entries), frozenset({Kind.IGTL_OUT}), self._streams)
+        outputs = select_entries(
+            entries if self._config.relay else first_form_only(entries), frozenset({Kind.IGTL_OUT}), self._streams
+        )
         return (entry for entry in outputs if entry.stamp_ns >= self._file.start_ns)  # not those of its prologue
 
     def _formed(self, entry: Entry) -> Entry:

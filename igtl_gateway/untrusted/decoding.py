@@ -17,7 +17,7 @@ from rosbags.typesys.store import Typestore
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.untrusted import definitions, limits
 from igtl_gateway.untrusted.definition_checks import Types, weight
-from igtl_gateway.untrusted.elements import Elements
+from igtl_gateway.untrusted.elements import ElementCounter
 
 
 def new_store(base: Stores = Stores.EMPTY) -> Typestore:
@@ -28,9 +28,9 @@ def new_store(base: Stores = Stores.EMPTY) -> Typestore:
     return store
 
 
-def register(store: Typestore, types: Types) -> None:
+def register_types(store: Typestore, types: Types) -> None:
     """Make code of types that ``definitions.parse`` gave.  Raises DamagedRecording for what the store has otherwise."""
-    limits.check("fields", sum(map(weight, types.values())), "definitions of a file")
+    limits.check_limit("fields", sum(map(weight, types.values())), "definitions of a file")
     try:
         store.register(dict(types))
     except (TypesysError, SyntaxError, ValueError, TypeError, NameError, RecursionError) as error:
@@ -90,7 +90,7 @@ class _Code:
         return made
 
 
-class Decoder:
+class MessageDecoder:
     """Decodes messages of types that a file defines, each type with its own definition.
 
     Code is made at a type's first message.
@@ -98,7 +98,7 @@ class Decoder:
 
     def __init__(self, definition_of: Callable[[str], str]) -> None:
         self._definition_of = definition_of
-        self._stores: dict[str, tuple[Typestore, Elements] | DamagedRecording] = {}
+        self._stores: dict[str, tuple[Typestore, ElementCounter] | DamagedRecording] = {}
         self._fields = 0
 
     def store(self, ros_type: str) -> Typestore:
@@ -111,7 +111,7 @@ class Decoder:
         elements.check(data)
         return store.deserialize_cdr(data, ros_type)
 
-    def _known(self, ros_type: str) -> tuple[Typestore, Elements]:
+    def _known(self, ros_type: str) -> tuple[Typestore, ElementCounter]:
         if ros_type not in self._stores:
             try:
                 self._stores[ros_type] = self._load(ros_type)
@@ -123,13 +123,13 @@ class Decoder:
             raise found.with_traceback(None)
         return found
 
-    def _load(self, ros_type: str) -> tuple[Typestore, Elements]:
+    def _load(self, ros_type: str) -> tuple[Typestore, ElementCounter]:
         text = self._definition_of(ros_type)
         if not text:
             raise DamagedRecording(f"{ros_type}: found no definition")
-        types = definitions.parse(text, ros_type)
+        types = definitions.parse_definition(text, ros_type)
         self._fields += sum(map(weight, types.values()))
-        limits.check("fields", self._fields, "definitions of a file", 2 * limits.current().fields)
+        limits.check_limit("fields", self._fields, "definitions of a file", 2 * limits.current_limits().fields)
         store = new_store()
-        register(store, types)
-        return store, Elements(types, ros_type)
+        register_types(store, types)
+        return store, ElementCounter(types, ros_type)

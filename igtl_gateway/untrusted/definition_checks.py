@@ -27,9 +27,9 @@ _LONGEST_INT = 64
 _SEVERAL = (Nodetype.ARRAY, Nodetype.SEQUENCE)
 
 
-def examine(types: Types, place: str) -> None:
+def check_types(types: Types, place: str) -> None:
     """Raise DamagedRecording for types that no message can have, LimitExceeded for those that are too much."""
-    limits.check("fields", sum(map(weight, types.values())), place)
+    limits.check_limit("fields", sum(map(weight, types.values())), place)
     for name, (constants, fields) in types.items():
         if not TYPE.fullmatch(name) or len(name) > LONGEST_NAME:
             raise DamagedRecording(f"{place}: found the type {name[:LONGEST_NAME]!r}, expected package/msg/Name")
@@ -105,7 +105,7 @@ class _Sizes:
         if name not in self._types:
             return 1, 1, 1, 0
         self._open.append(name)
-        limits.check("depth", len(self._open), f"{self._place}: nesting")
+        limits.check_limit("depth", len(self._open), f"{self._place}: nesting")
         levels, fields, elements, numbers = 0, 0, 0, 0
         for _, (kind, inner) in self._types[name][1]:
             (kind_of_each, each), size = inner if kind in _SEVERAL else ((kind, inner), 1)
@@ -120,9 +120,9 @@ class _Sizes:
                 elements, numbers = elements + 1, numbers + 8 * count
         self._open.pop()
         found = levels + 1, fields + len(self._types[name][1]), elements, numbers
-        limits.check("depth", found[0], f"{self._place}: nesting of {name}")
-        limits.check("fields", found[1], f"{self._place}: fields of {name} and of all in it")
-        limits.check("count", elements, f"{self._place}: elements of one {name}")
-        limits.check("free", numbers, f"{self._place}: bytes of one {name}")
+        limits.check_limit("depth", found[0], f"{self._place}: nesting of {name}")
+        limits.check_limit("fields", found[1], f"{self._place}: fields of {name} and of all in it")
+        limits.check_limit("count", elements, f"{self._place}: elements of one {name}")
+        limits.check_limit("free", numbers, f"{self._place}: bytes of one {name}")
         self._known[name] = found
         return found

@@ -20,7 +20,7 @@ from rosbags.typesys.store import Typestore
 
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.untrusted import limits
-from igtl_gateway.untrusted.definition_checks import LONGEST_NAME, TYPE, Types, examine
+from igtl_gateway.untrusted.definition_checks import LONGEST_NAME, TYPE, Types, check_types
 
 MSG, IDL = "ros2msg", "ros2idl"
 #: What a type without fields has, as rosidl makes it.
@@ -43,7 +43,7 @@ class UnreadableDefinition(DamagedRecording):
     """Text in a dialect that rosbags does not read, or none at all."""
 
 
-def parse(text: str, ros_type: str, encoding: str = MSG) -> Types:
+def parse_definition(text: str, ros_type: str, encoding: str = MSG) -> Types:
     """The type ``package/msg/Name`` and all others that ``text`` defines, examined.
 
     Raises UnreadableDefinition, DamagedRecording, LimitExceeded.
@@ -51,13 +51,13 @@ def parse(text: str, ros_type: str, encoding: str = MSG) -> Types:
     place = f"definition of {ros_type[:LONGEST_NAME]}"
     if not TYPE.fullmatch(ros_type) or len(ros_type) > LONGEST_NAME:
         raise DamagedRecording(f"{place}: found this name of a type, expected package/msg/Name")
-    limits.check("definition", len(text), place)
+    limits.check_limit("definition", len(text), place)
     try:
         found = _parsed_idl(text, place) if encoding == IDL else _parsed_msg(text, ros_type, place)
     except (TypesysError, ValueError, TypeError, AssertionError, KeyError, OverflowError, RecursionError) as error:
         raise UnreadableDefinition(f"{place}: found {_unread(error)!r}, expected {encoding}") from None
     types = {name: (list(constants), list(fields) or [PLACEHOLDER]) for name, (constants, fields) in found.items()}
-    examine(types, place)
+    check_types(types, place)
     return types
 
 
@@ -67,28 +67,30 @@ def type_hash(types: Types, ros_type: str) -> str:
     The ``char`` of a ``.msg`` is hashed as rosidl has it since Humble: as ``uint8``.
     """
     store = Typestore()
-    store.fielddefs = {name: (types[name][0], [*map(_hashed, types[name][1])]) for name in needed(types, ros_type)}
+    store.fielddefs = {
+        name: (types[name][0], [*map(_hashed, types[name][1])]) for name in with_dependencies(types, ros_type)
+    }
     return store.hash_rihs01(ros_type)
 
 
-def needed(types: Types, ros_type: str) -> list[str]:
+def with_dependencies(types: Types, ros_type: str) -> list[str]:
     """The type and all that it needs, as far as ``types`` has them."""
     found, wanted = dict.fromkeys([ros_type] if ros_type in types else []), [ros_type]
     while wanted:
-        for name in named(types.get(wanted.pop(), ([], []))[1]):
+        for name in types_of_fields(types.get(wanted.pop(), ([], []))[1]):
             if name in types and name not in found:
                 found[name] = None
                 wanted.append(name)
     return list(found)
 
 
-def named(fields: list[Any]) -> list[str]:
+def types_of_fields(fields: list[Any]) -> list[str]:
     """The message types that fields name."""
     each = [inner[0] if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else (kind, inner) for _, (kind, inner) in fields]
     return [inner for kind, inner in each if kind == Nodetype.NAME]
 
 
-def text_of(types: Types, ros_type: str) -> str:
+def definition_text(types: Types, ros_type: str) -> str:
     """``ros2msg`` of a type with all that it needs.  Raises TypesysError where something is missing."""
     store = Typestore()
     store.fielddefs = dict(types)
@@ -100,12 +102,12 @@ def text_of(types: Types, ros_type: str) -> str:
 
 def _parsed_msg(text: str, ros_type: str, place: str) -> Mapping[str, Any]:
     bare = _EMPTY_LINES.sub("", text)
-    limits.check("fields", bare.count("\n") - bare.count(_SEPARATOR), f"{place}: lines")
+    limits.check_limit("fields", bare.count("\n") - bare.count(_SEPARATOR), f"{place}: lines")
     return make_typesdict(_Msg(f"MSG: {ros_type}\n{bare}", place).specification())
 
 
 def _parsed_idl(text: str, place: str) -> Mapping[str, Any]:
-    limits.check("fields", text.count("@"), f"{place}: annotations")
+    limits.check_limit("fields", text.count("@"), f"{place}: annotations")
     found: dict[str, Any] = {}
     for part in text.split(_SEPARATOR):
         head, _, body = part.partition("\n")
@@ -116,7 +118,7 @@ def _parsed_idl(text: str, place: str) -> Mapping[str, Any]:
         if expression := _IDL_EXPRESSION.search(unquoted):
             raise DamagedRecording(f"{place}: found {expression.group()!r}, expected constants without expressions")
         for opening in "<{[":
-            limits.check("depth", _deepest(unquoted, opening), f"{place}: nesting of {opening}")
+            limits.check_limit("depth", _deepest(unquoted, opening), f"{place}: nesting of {opening}")
         found.update(make_typesdict(_Idl(bare, place).specification()))
     return found
 

@@ -20,7 +20,7 @@ _SIZES = {"bool": 1, "byte": 1, "char": 1, "octet": 1, "float32": 4, "float64": 
 _ENCAPSULATION = 4
 
 
-class Elements:
+class ElementCounter:
     """Counts for messages of one type.
 
     Args:
@@ -44,7 +44,7 @@ class Elements:
 
     def check(self, data: bytes) -> None:
         """Raise LimitExceeded for a message of too many elements."""
-        self._most = limits.current().count
+        self._most = limits.current_limits().count
         if not self._several or len(data) <= self._most:
             return
         self._data, self._at, self._found = data, 0 if self._ros1 else _ENCAPSULATION, 0

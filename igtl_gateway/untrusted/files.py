@@ -78,8 +78,8 @@ def is_being_written(stream: IO[bytes]) -> bool:
 def read_bytes(path: Path) -> bytes:
     """All of a small file.  Raises UnsupportedRecording, or LimitExceeded above the limit ``free``."""
     with open_file(path) as stream:
-        data = stream.read(limits.current().free + 1)
-    limits.check("free", len(data), str(path))
+        data = stream.read(limits.current_limits().free + 1)
+    limits.check_limit("free", len(data), str(path))
     return data
 
 

@@ -1,7 +1,7 @@
 """What reading one file may cost: memory, ratio of compression, depth, count and time, each with a name.
 
 The limits are those of the running program (a context variable, so that readers need no argument for them);
-``--limit NAME=VALUE`` of the command line and :func:`use` replace them.  A file that asks for more ends in
+``--limit NAME=VALUE`` of the command line and :func:`limits_in_force` replace them.  A file that asks for more ends in
 :class:`~igtl_gateway.errors.LimitExceeded`, which names the place, the value found and the limit.
 """
 
@@ -20,7 +20,7 @@ _NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class FileLimits:
     """Bounds for reading one file.
 
     Attributes:
@@ -70,16 +70,16 @@ MEANINGS = {
     "seconds_per_mb": "further seconds for each megabyte of the file",
 }
 
-_current: ContextVar[Limits] = ContextVar("igtl_gateway_limits", default=Limits())  # noqa: B039  # frozen
+_current: ContextVar[FileLimits] = ContextVar("igtl_gateway_limits", default=FileLimits())  # noqa: B039  # frozen
 
 
-def current() -> Limits:
+def current_limits() -> FileLimits:
     """The limits that are in force."""
     return _current.get()
 
 
 @contextmanager
-def use(limits: Limits) -> Iterator[None]:
+def limits_in_force(limits: FileLimits) -> Iterator[None]:
     """Read with these limits inside a ``with`` statement."""
     token = _current.set(limits)
     try:
@@ -88,9 +88,9 @@ def use(limits: Limits) -> Iterator[None]:
         _current.reset(token)
 
 
-def parse(words: list[str]) -> Limits:
+def parse_limits(words: list[str]) -> FileLimits:
     """The limits in force with each ``NAME=VALUE`` replaced.  Raises ConfigError."""
-    limits, names = current(), [field.name for field in fields(Limits)]
+    limits, names = current_limits(), [field.name for field in fields(FileLimits)]
     for word in words:
         name, _, value = word.partition("=")
         if name not in names or not value.isascii() or not value.isdigit() or not 0 < int(value) < 1 << 62:
@@ -99,23 +99,23 @@ def parse(words: list[str]) -> Limits:
     return limits
 
 
-def check(name: str, found: int, place: str, bound: int | None = None) -> None:
+def check_limit(name: str, found: int, place: str, bound: int | None = None) -> None:
     """Raise LimitExceeded if ``found`` is above the limit ``name``, or above ``bound`` that follows from it."""
-    allowed = int(getattr(current(), name)) if bound is None else bound
+    allowed = int(getattr(current_limits(), name)) if bound is None else bound
     if found > allowed:
         raise exceeded(name, found, place, allowed)
 
 
 def check_unpacked(packed: int, unpacked: int, place: str) -> None:
     """Raise LimitExceeded if ``packed`` bytes may not become ``unpacked`` ones."""
-    check("memory", unpacked, place)
-    check("ratio", unpacked, place, current().unpacked(packed))
+    check_limit("memory", unpacked, place)
+    check_limit("ratio", unpacked, place, current_limits().unpacked(packed))
 
 
 def exceeded(name: str, found: object, place: str, allowed: object) -> LimitExceeded:
     """The error that says so."""
     return LimitExceeded(
-        f"{place}: found {found}, expected at most {allowed} (--limit {name}={getattr(current(), name)})"
+        f"{place}: found {found}, expected at most {allowed} (--limit {name}={getattr(current_limits(), name)})"
     )
 
 
@@ -123,7 +123,7 @@ class Deadline:
     """The time that reading a file of ``size`` bytes may take, from now on."""
 
     def __init__(self, size: int, clock: Clock | None = None) -> None:
-        limits = current()
+        limits = current_limits()
         self._clock = clock or SystemClock()
         self._seconds = limits.seconds + limits.seconds_per_mb * size // 1_000_000
         self._end_ns = self._clock.monotonic_ns() + self._seconds * _NS_PER_S

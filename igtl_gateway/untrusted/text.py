@@ -42,7 +42,7 @@ def json_line(value: Any, *, ascii_only: bool = False) -> str:
 
 def parse_json(text: str, place: str) -> Any:
     """JSON within the limits of memory and depth.  Raises DamagedRecording."""
-    limits.check("free", len(text), place)
+    limits.check_limit("free", len(text), place)
     check_nesting(text, place)
     try:
         return json.loads(text)
@@ -52,8 +52,8 @@ def parse_json(text: str, place: str) -> Any:
 
 def parse_toml(data: bytes, place: str) -> dict[str, Any]:
     """TOML within the limits of memory, count and depth.  Raises DamagedRecording."""
-    limits.check("free", len(data), place)
-    limits.check("count", sum(map(data.count, (b"\n", b",", b"=", b"."))), place)
+    limits.check_limit("free", len(data), place)
+    limits.check_limit("count", sum(map(data.count, (b"\n", b",", b"=", b"."))), place)
     if found := _LONG_NUMBER.search(data):
         raise DamagedRecording(
             f"{place}: byte {found.start()}: found a number of more than 1,000 digits, expected fewer"
@@ -62,9 +62,9 @@ def parse_toml(data: bytes, place: str) -> dict[str, Any]:
         text = data.decode()
         check_nesting(text, place)
         for line in text.split("\n"):
-            if line.count(".") > limits.current().depth:
+            if line.count(".") > limits.current_limits().depth:
                 # the parser needs the square of their number for the dots of a key; those of texts and numbers are free
-                limits.check("depth", _FREE_DOTS.sub("", line).count("."), place)
+                limits.check_limit("depth", _FREE_DOTS.sub("", line).count("."), place)
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise DamagedRecording(f"{place}: is not valid TOML: {error}") from None
@@ -78,12 +78,12 @@ _FREE_DOTS = re.compile(r""""[^"]*"|'[^']*'|#.*|\d\.\d""")
 
 def check_nesting(text: str, place: str) -> None:
     """Raise LimitExceeded where brackets nest deeper than the limit; brackets inside strings count too."""
-    if text.count("[") + text.count("{") <= limits.current().depth:
+    if text.count("[") + text.count("{") <= limits.current_limits().depth:
         return
     depth = 0
     for char in text:
         if char in "[{":
             depth += 1
-            limits.check("depth", depth, place)
+            limits.check_limit("depth", depth, place)
         elif char in "]}":
             depth -= 1

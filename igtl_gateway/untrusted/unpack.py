@@ -40,7 +40,7 @@ def zstd_of_any_size(data: bytes, place: str) -> bytes:
         told = int(zstandard.frame_content_size(data))
         if told >= 0:
             return zstd(data, told, place)
-        allowed = limits.current().unpacked(len(data))
+        allowed = limits.current_limits().unpacked(len(data))
         found = _zstd(data, allowed + 1)
     except zstandard.ZstdError as error:
         raise DamagedRecording(f"{place}: found no zstd data: {error}") from None
@@ -58,7 +58,7 @@ def zstd_file(packed: BinaryIO, out: BinaryIO, size: int, allowed: int, place: s
         with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True, closefd=False) as stream:
             while data := stream.read(_COPY_BYTES):
                 written += len(data)
-                limits.check("ratio", written, f"{place}: {size} packed bytes", allowed)
+                limits.check_limit("ratio", written, f"{place}: {size} packed bytes", allowed)
                 out.write(data)
     except zstandard.ZstdError as error:
         raise DamagedRecording(f"{place}: cannot be unpacked: {error}") from None

@@ -33,14 +33,14 @@ def parse_yaml(text: str, place: str) -> Any:
 
     Raises DamagedRecording, LimitExceeded.
     """
-    limits.check("document", len(text), place)
+    limits.check_limit("document", len(text), place)
     check_nesting(text, place)
-    most = limits.current().document // _CHARACTERS_PER_NODE
+    most = limits.current_limits().document // _CHARACTERS_PER_NODE
     root: list[Any] = []
     open_nodes: list[tuple[Any, list[str]]] = [(root, [])]
     try:
         for count, event in enumerate(YAML(typ="safe", pure=True).parse(text)):
-            limits.check("document", count, f"{place}: nodes", most)
+            limits.check_limit("document", count, f"{place}: nodes", most)
             if isinstance(event, NodeEvent):
                 _add(event, open_nodes, place)
             elif isinstance(event, MappingEndEvent | SequenceEndEvent):
@@ -70,7 +70,7 @@ def _add(event: NodeEvent, open_nodes: list[tuple[Any, list[str]]], place: str) 
         raise DamagedRecording(f"{at}: found a list or a mapping as a key, expected a text")
     if isinstance(event, MappingStartEvent | SequenceStartEvent):
         open_nodes.append((node, []))
-        limits.check("depth", len(open_nodes) - 1, at)
+        limits.check_limit("depth", len(open_nodes) - 1, at)
 
 
 def _reason(error: Exception) -> str:

@@ -1,8 +1,8 @@
 """Arrangements of views for a session: which of them, where each looks at, what stands in it.
 
-A blueprint is made from ``Seen`` alone.  There are four: ``star`` for suture plans on a cloud, ``ultrasound`` for
-pictures that have a place, ``navigation`` for volumes, surfaces and tools, ``generic`` for all else; they differ in
-what is large and what goes where, the views themselves are made by the same few functions.
+A blueprint is made from ``SessionContents`` alone.  There are four: ``star`` for suture plans on a cloud,
+``ultrasound`` for pictures that have a place, ``navigation`` for volumes, surfaces and tools, ``generic`` for all else;
+they differ in what is large and what goes where, the views themselves are made by the same few functions.
 
 Two rules keep the views free of errors.  A 3-D view shows things of one tree of frames only, since things of
 different trees have no place to each other; a picture shows things of space only where a camera's intrinsics are known.
@@ -17,8 +17,7 @@ import rerun.blueprint as rrb
 
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.session.entry import Kind
-from igtl_gateway.view.eye import eye_of
-from igtl_gateway.view.seen import (
+from igtl_gateway.view.contents import (
     DROPS,
     LATENCIES,
     LOG,
@@ -28,35 +27,50 @@ from igtl_gateway.view.seen import (
     REVIEW_LEGENDS,
     REVIEW_STITCHES,
     REVIEW_TABLE,
-    Seen,
-    Shown,
-    What,
+    EntityKind,
+    SessionContents,
+    ShownTopic,
 )
+from igtl_gateway.view.eye import eye_of
 
 TIME_LINE = "gateway_time"
 DARK = (18, 20, 24)  #: behind 3-D: lets dark tissue and black tools be told from nothing
 
 #: What the subject of a 3-D view can be, the likeliest first: the eye is set to it.
-_SUBJECTS = (What.CLOUD, What.VOLUME, What.MESH, What.PLANE, What.LINES, What.POINTS, What.MARKERS, What.POSE)
+_SUBJECTS = (
+    EntityKind.CLOUD,
+    EntityKind.VOLUME,
+    EntityKind.MESH,
+    EntityKind.PLANE,
+    EntityKind.LINES,
+    EntityKind.POINTS,
+    EntityKind.MARKERS,
+    EntityKind.POSE,
+)
 _CELLS = 6  #: of a grid
-_IN_PICTURE = (What.LINES, What.POINTS, What.MARKERS, What.POSE)  #: of space, what is drawn over a camera's picture
+_IN_PICTURE = (
+    EntityKind.LINES,
+    EntityKind.POINTS,
+    EntityKind.MARKERS,
+    EntityKind.POSE,
+)  #: of space, what is drawn over a camera's picture
 
 Part = Any  #: a view or a container of rerun, whose types are unknown to the checker; None: nothing to show
 
 
-def choose(seen: Seen) -> str:
+def choose(seen: SessionContents) -> str:
     """The name of the blueprint that fits what the session holds."""
-    planned = any(_of(tree, What.CLOUD) and _of(tree, What.LINES) for tree in seen.trees().values())
+    planned = any(_of(tree, EntityKind.CLOUD) and _of(tree, EntityKind.LINES) for tree in seen.trees().values())
     if seen.reviewed or planned:
         return "star"
-    if any(plane.count > 1 for plane in seen.of(What.PLANE)) and not seen.of(What.VOLUME):
+    if any(plane.count > 1 for plane in seen.of(EntityKind.PLANE)) and not seen.of(EntityKind.VOLUME):
         return "ultrasound"
-    if seen.of(What.VOLUME, What.MESH, What.POSE, What.POSES):
+    if seen.of(EntityKind.VOLUME, EntityKind.MESH, EntityKind.POSE, EntityKind.POSES):
         return "navigation"
     return "generic"
 
 
-def blueprint(name: str, seen: Seen) -> rrb.Blueprint:
+def blueprint(name: str, seen: SessionContents) -> rrb.Blueprint:
     """The blueprint of that name for this session.
 
     Raises ConfigError if there is none of that name.
@@ -73,7 +87,7 @@ def blueprint(name: str, seen: Seen) -> rrb.Blueprint:
     )
 
 
-def _star(seen: Seen) -> Part:
+def _star(seen: SessionContents) -> Part:
     """The tissue large; beside it the camera's picture and the noise; words and numbers below."""
     words: list[Part] = [_log()]
     if seen.reviewed:
@@ -83,25 +97,25 @@ def _star(seen: Seen) -> Part:
     return _page(_row((_tabs(_spaces(seen)), 3), (side, 2)), below)
 
 
-def _ultrasound(seen: Seen) -> Part:
+def _ultrasound(seen: SessionContents) -> Part:
     """Picture and space side by side."""
     top = _row((_tabs(_pictures(seen)), 1), (_tabs(_spaces(seen)), 1))
     return _page(top, _words_and_numbers(seen))
 
 
-def _navigation(seen: Seen) -> Part:
+def _navigation(seen: SessionContents) -> Part:
     """Space large; slices and pictures beside it."""
     top = _row((_tabs(_spaces(seen)), 2), (_stack([*_slices(seen), *_pictures(seen)]), 1))
     return _page(top, _words_and_numbers(seen))
 
 
-def _generic(seen: Seen) -> Part:
+def _generic(seen: SessionContents) -> Part:
     """A view of everything, as many as there are."""
     everything = _grid([*_slices(seen), *_pictures(seen), *_tables(seen)])
     return _page(_row((_tabs(_spaces(seen)), 1), (everything, 1)), _words_and_numbers(seen))
 
 
-_BLUEPRINTS: dict[str, Callable[[Seen], Part]] = {
+_BLUEPRINTS: dict[str, Callable[[SessionContents], Part]] = {
     "star": _star,
     "ultrasound": _ultrasound,
     "navigation": _navigation,
@@ -113,7 +127,7 @@ NAMES = tuple(_BLUEPRINTS)
 # The views
 
 
-def _spaces(seen: Seen) -> list[Part]:
+def _spaces(seen: SessionContents) -> list[Part]:
     """A 3-D view for each tree of frames, the fullest first."""
     views: list[Part] = []
     for root, tree in seen.trees().items():
@@ -130,11 +144,11 @@ def _spaces(seen: Seen) -> list[Part]:
     return views
 
 
-def _space(seen: Seen, name: str, tree: list[Shown], contents: list[str]) -> rrb.Spatial3DView:
+def _space(seen: SessionContents, name: str, tree: list[ShownTopic], contents: list[str]) -> rrb.Spatial3DView:
     """In the frame of its subject, which may be drawn before any transform is known."""
     subject = _subject(tree)
     # What moves with a probe would stand still, and the world move about it.
-    frame = seen.root_of(subject.frame) if subject.what is What.PLANE else subject.frame
+    frame = seen.root_of(subject.frame) if subject.what is EntityKind.PLANE else subject.frame
     return rrb.Spatial3DView(
         name=name,
         origin="/",
@@ -146,12 +160,12 @@ def _space(seen: Seen, name: str, tree: list[Shown], contents: list[str]) -> rrb
     )
 
 
-def _noise(seen: Seen) -> list[Part]:
+def _noise(seen: SessionContents) -> list[Part]:
     """The cloud by its depth noise, and by its distance from the plan, with the judged stitches: of a review."""
-    clouds = [shown for tree in seen.trees().values() for shown in tree if shown.what is What.CLOUD]
+    clouds = [shown for tree in seen.trees().values() for shown in tree if shown.what is EntityKind.CLOUD]
     if not seen.reviewed or not clouds:
         return []
-    plan = [shown for shown in seen.of(What.LINES) if shown.frame == clouds[0].frame]
+    plan = [shown for shown in seen.of(EntityKind.LINES) if shown.frame == clouds[0].frame]
     return [
         _space(
             seen,
@@ -163,10 +177,10 @@ def _noise(seen: Seen) -> list[Part]:
     ]
 
 
-def _pictures(seen: Seen) -> list[Part]:
+def _pictures(seen: SessionContents) -> list[Part]:
     """A 2-D view for each stream of pictures, with the plan and the tool on it where its camera is known."""
     views: list[Part] = []
-    for shown in seen.of(What.IMAGE, What.PLANE, What.VIDEO):
+    for shown in seen.of(EntityKind.IMAGE, EntityKind.PLANE, EntityKind.VIDEO):
         if shown.superseded:
             continue
         contents = [f"+ /{shown.path}"]
@@ -176,9 +190,9 @@ def _pictures(seen: Seen) -> list[Part]:
             information = rrb.SpatialInformation(target_frame=frame)
             root = seen.root_of(shown.frame)
             tree = seen.trees().get(root, [])
-            contents += [f"+ /{camera.path}" for camera in seen.of(What.CAMERA) if camera.frame == shown.frame]
+            contents += [f"+ /{camera.path}" for camera in seen.of(EntityKind.CAMERA) if camera.frame == shown.frame]
             contents += [entity for other in _of(tree, *_IN_PICTURE) for entity in _solids(other)]
-            contents += [f"- /{tool.path}/trail" for tool in _of(tree, What.POSE)]  # where it was hides what is
+            contents += [f"- /{tool.path}/trail" for tool in _of(tree, EntityKind.POSE)]  # where it was hides what is
         views.append(
             rrb.Spatial2DView(
                 name=shown.topic, origin=f"/{shown.path}", contents=contents, spatial_information=information
@@ -187,15 +201,19 @@ def _pictures(seen: Seen) -> list[Part]:
     return views
 
 
-def _slices(seen: Seen) -> list[Part]:
-    return [rrb.Spatial2DView(name=shown.topic, origin=f"/{shown.path}/slice") for shown in seen.of(What.VOLUME)]
+def _slices(seen: SessionContents) -> list[Part]:
+    return [rrb.Spatial2DView(name=shown.topic, origin=f"/{shown.path}/slice") for shown in seen.of(EntityKind.VOLUME)]
 
 
-def _tables(seen: Seen) -> list[Part]:
+def _tables(seen: SessionContents) -> list[Part]:
     """Arrays and texts."""
-    views: list[Part] = [rrb.BarChartView(name=shown.topic, origin=f"/{shown.path}") for shown in seen.of(What.BARS)]
-    views += [rrb.TensorView(name=shown.topic, origin=f"/{shown.path}") for shown in seen.of(What.TENSOR)]
-    return views + [rrb.TextDocumentView(name=shown.topic, origin=f"/{shown.path}") for shown in seen.of(What.TEXT)]
+    views: list[Part] = [
+        rrb.BarChartView(name=shown.topic, origin=f"/{shown.path}") for shown in seen.of(EntityKind.BARS)
+    ]
+    views += [rrb.TensorView(name=shown.topic, origin=f"/{shown.path}") for shown in seen.of(EntityKind.TENSOR)]
+    return views + [
+        rrb.TextDocumentView(name=shown.topic, origin=f"/{shown.path}") for shown in seen.of(EntityKind.TEXT)
+    ]
 
 
 def _log() -> rrb.TextLogView:
@@ -210,13 +228,13 @@ def _log() -> rrb.TextLogView:
     )
 
 
-def _words_and_numbers(seen: Seen) -> Part:
+def _words_and_numbers(seen: SessionContents) -> Part:
     return _row((_log(), 1), (_plots(seen), 1))
 
 
-def _plots(seen: Seen) -> Part:
+def _plots(seen: SessionContents) -> Part:
     """Sensors first, then how the gateway did."""
-    plots = [_plot(shown.topic, f"/{shown.path}") for shown in seen.of(What.PLOT)]
+    plots = [_plot(shown.topic, f"/{shown.path}") for shown in seen.of(EntityKind.PLOT)]
     inputs = [f"+ $origin/{kind.value}/**" for kind in (Kind.ROS_IN, Kind.IGTL_IN)]  # the outputs follow them
     rates = [_plot("Rate (Hz)", f"/{RATES}", inputs)] if seen.seconds >= 1 else []  # less has no rate
     return _tabs([*plots, *rates, _plot("Latency (ms)", f"/{LATENCIES}"), _plot("Drops and gaps", f"/{DROPS}")])
@@ -229,28 +247,28 @@ def _plot(name: str, origin: str, contents: list[str] | str = "$origin/**") -> r
 # What stands in them
 
 
-def _of(tree: Iterable[Shown], *kinds: What) -> list[Shown]:
+def _of(tree: Iterable[ShownTopic], *kinds: EntityKind) -> list[ShownTopic]:
     return [shown for shown in tree if shown.what in kinds]
 
 
-def _solids(shown: Shown) -> list[str]:
+def _solids(shown: ShownTopic) -> list[str]:
     """The entities of a topic that are in space: of a picture only its plane, the picture itself has none."""
-    if shown.what in {What.PLANE, What.VOLUME}:
+    if shown.what in {EntityKind.PLANE, EntityKind.VOLUME}:
         return [f"+ /{shown.path}/plane/**"]
     return [f"+ /{shown.path}/**"]
 
 
-def _cameras(seen: Seen) -> set[str]:
+def _cameras(seen: SessionContents) -> set[str]:
     """Frames of cameras whose intrinsics are known."""
-    return {shown.frame for shown in seen.of(What.CAMERA)}
+    return {shown.frame for shown in seen.of(EntityKind.CAMERA)}
 
 
-def _subject(tree: list[Shown]) -> Shown:
+def _subject(tree: list[ShownTopic]) -> ShownTopic:
     """What a 3-D view is of."""
     return min(tree, key=lambda shown: (_SUBJECTS.index(shown.what) if shown.what in _SUBJECTS else 99, -shown.count))
 
 
-def _eye(seen: Seen, tree: list[Shown], frame: str) -> rrb.EyeControls3D | None:
+def _eye(seen: SessionContents, tree: list[ShownTopic], frame: str) -> rrb.EyeControls3D | None:
     """None leaves it to the viewer."""
     eye = eye_of(seen, tree, frame, camera=frame in _cameras(seen) or "optical" in frame)
     return eye and rrb.EyeControls3D(position=eye.place, look_target=eye.target, eye_up=eye.up)

@@ -12,8 +12,8 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.view.colours import SERIES
+from igtl_gateway.view.contents import FRAMES, LOG, EntityKind, SessionContents, ShownTopic, escape_path_part
 from igtl_gateway.view.pen import Pen, Pose, Xyz
-from igtl_gateway.view.seen import FRAMES, LOG, Seen, Shown, What, escape
 
 NS_PER_MS = 1_000_000
 
@@ -63,7 +63,7 @@ class Canvas:
         memory: what a function keeps from message to message (a colour scale, markers that are shown).
     """
 
-    def __init__(self, pen: Pen, seen: Seen, shown: Shown, options: Options, number: int) -> None:
+    def __init__(self, pen: Pen, seen: SessionContents, shown: ShownTopic, options: Options, number: int) -> None:
         self.pen = pen
         self.shown = shown
         self.options = options
@@ -83,7 +83,7 @@ class Canvas:
         self.shown.frame = self.pen.letters(frame_id.lstrip("/")) or self._seen.base_frame
         return self.shown.frame
 
-    def what(self, what: What) -> None:
+    def what(self, what: EntityKind) -> None:
         """What the topic's picture is, if this is its first message."""
         if not self.shown.count:
             self.shown.what = what
@@ -168,7 +168,7 @@ class Canvas:
             return
         path = self._seen.frames.get(child)
         if path is None:
-            path = self._seen.frames[child] = self.pen.claim(f"{FRAMES}/{escape(child)}")
+            path = self._seen.frames[child] = self.pen.claim(f"{FRAMES}/{escape_path_part(child)}")
         self._seen.parents[child] = frame
         self._seen.places[child] = tuple(pose)
         told = Pose(frame, child, pose[:3], pose[3:], self.options.axis_m)

@@ -13,8 +13,8 @@ from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, PointCloud2, PointSt
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.view import colours
 from igtl_gateway.view.canvas import Canvas
+from igtl_gateway.view.contents import EntityKind
 from igtl_gateway.view.legend import scale_bar, scale_text
-from igtl_gateway.view.seen import What
 
 Array = npt.NDArray[Any]
 
@@ -56,7 +56,7 @@ def draw_cloud(message: PointCloud2, canvas: Canvas) -> None:
         canvas.memory["legend"] = True
     few = len(places) <= _FEW
     if few:
-        canvas.what(What.POINTS)
+        canvas.what(EntityKind.POINTS)
     radius = canvas.memory.get("radius")
     if radius is None and len(places):
         radius = canvas.memory["radius"] = point_size(places) if few else _radius(message, places)
@@ -111,7 +111,7 @@ def draw_point_list(message: PointList, canvas: Canvas) -> None:
     size = point_size(places)
     shown = rr.Points3D(
         places,
-        colors=np.array([colours.of(point.rgba, canvas.colour) for point in points], np.uint32),
+        colors=np.array([colours.octet_colour(point.rgba, canvas.colour) for point in points], np.uint32),
         radii=[point.diameter / 2 or size for point in points],
         labels=[canvas.pen.letters(point.name) for point in points],
         show_labels=len(points) <= _READABLE,
@@ -137,7 +137,9 @@ def _words(fields: dict[str, Array], canvas: Canvas) -> Array | None:
     for name in ("rgba", "rgb"):
         if name in fields and fields[name].dtype.itemsize == _WORD:
             values = np.ascontiguousarray(fields[name])
-            return colours.packed(values.view(values.dtype.str[0] + "u4").astype(np.uint32), alpha=name == "rgba")
+            return colours.unpack_pcl_colours(
+                values.view(values.dtype.str[0] + "u4").astype(np.uint32), alpha=name == "rgba"
+            )
     if all(name in fields for name in ("r", "g", "b")):
         return colours.rgba(np.stack([fields[name] for name in ("r", "g", "b")], axis=1))
     for name in _SCALARS:
@@ -153,7 +155,7 @@ def _scaled(name: str, values: Array, canvas: Canvas) -> Array:
         scales[name] = low, high = colours.span(values)
         canvas.shown.scale = scale_text(name, low, high, _UNITS.get(name, ""))
         canvas.text(f"coloured by {canvas.shown.scale}")
-    return colours.scale(values, *scales.get(name, (0.0, 1.0)))
+    return colours.scale_colours(values, *scales.get(name, (0.0, 1.0)))
 
 
 def _radius(message: PointCloud2, places: Array) -> float:

@@ -22,7 +22,7 @@ _TURBO = (
 )
 
 
-def scale(values: Array, low: float, high: float) -> Array:
+def scale_colours(values: Array, low: float, high: float) -> Array:
     """Numbers as colours: blue = ``low`` … red = ``high``; grey where there is no number."""
     spread = high - low
     unit = (values.astype(np.float64) - low) / spread if spread > 0 else np.full(len(values), 0.5)
@@ -48,29 +48,29 @@ def rgba(colours: Array) -> Array:
         values = values * 255.0
     out = np.full((len(values), 4), 255, np.uint32)
     out[:, : values.shape[1]] = np.clip(np.rint(values), 0, 255).astype(np.uint32)
-    return word(out)
+    return colour_words(out)
 
 
-def word(octets: Array) -> Array:
+def colour_words(octets: Array) -> Array:
     """(n, 4) red, green, blue, alpha as words."""
     wide = octets.astype(np.uint32)
     joined: Array = wide[:, 0] << 24 | wide[:, 1] << 16 | wide[:, 2] << 8 | wide[:, 3]
     return joined
 
 
-def packed(words: Array, *, alpha: bool) -> Array:
+def unpack_pcl_colours(words: Array, *, alpha: bool) -> Array:
     """PCL's packed 0xAARRGGBB words as 0xRRGGBBAA; opaque where the words have no alpha."""
     turned: Array = (words << np.uint32(8)) | (words >> np.uint32(24) if alpha else np.uint32(255))
     return turned
 
 
-def one(colour: tuple[float, ...]) -> int:
+def marker_colour(colour: tuple[float, ...]) -> int:
     """A marker's colour 0 … 1; grey where it is unset (all zero, or transparent)."""
     red, green, blue, alpha = (round(min(max(part, 0.0), 1.0) * 255) for part in colour)
     return red << 24 | green << 16 | blue << 8 | alpha if alpha else GREY
 
 
-def of(rgba: tuple[int, int, int, int], unset: int) -> int:
+def octet_colour(rgba: tuple[int, int, int, int], unset: int) -> int:
     """Four bytes as OpenIGTLink has them; all zero is unset, and nothing is wholly transparent."""
     red, green, blue, alpha = rgba
     return red << 24 | green << 16 | blue << 8 | (alpha or 255) if any(rgba) else unset

@@ -1,6 +1,6 @@
 """Where the eye of a 3-D view is put: such that what the view shows fills it, from the side that people look from.
 
-Everything is told by the boxes of ``Seen`` and by the last places of their frames.  Lengths are metres.
+Everything is told by the boxes of ``SessionContents`` and by the last places of their frames.  Lengths are metres.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from igtl_gateway.view.seen import Seen, Shown, What
+from igtl_gateway.view.contents import EntityKind, SessionContents, ShownTopic
 
 Xyz = tuple[float, float, float]
 
-_TOOLS = (What.POSE, What.POSES)
-_BODIES = {What.CLOUD, What.MESH, What.VOLUME}
+_TOOLS = (EntityKind.POSE, EntityKind.POSES)
+_BODIES = {EntityKind.CLOUD, EntityKind.MESH, EntityKind.VOLUME}
 _HALF_HEIGHT, _HALF_WIDTH = (
     math.radians(25),
     math.radians(30),
@@ -36,7 +36,7 @@ class Eye:
     up: Xyz
 
 
-def eye_of(seen: Seen, tree: list[Shown], frame: str, *, camera: bool) -> Eye | None:
+def eye_of(seen: SessionContents, tree: list[ShownTopic], frame: str, *, camera: bool) -> Eye | None:
     """The eye for a view of ``tree`` in ``frame``; None where nothing has a box.
 
     Args:
@@ -53,7 +53,7 @@ def eye_of(seen: Seen, tree: list[Shown], frame: str, *, camera: bool) -> Eye | 
     axes = (_unit(_cross(up, way)), _unit(_cross(way, _cross(up, way))), way)  # to the right, above, towards the eye
     places = [[_dot(corner, axis) for axis in axes] for corner in corners]
     middle = [(min(along) + max(along)) / 2 for along in zip(*places, strict=True)]
-    room = _ROOM if any(shown.what in _BODIES or shown.what is What.LINES for shown in tree) else _MORE_ROOM
+    room = _ROOM if any(shown.what in _BODIES or shown.what is EntityKind.LINES for shown in tree) else _MORE_ROOM
     distance = 0.0
     for place in places:
         right, above, near = (abs(place[0] - middle[0]), abs(place[1] - middle[1]), place[2] - middle[2])
@@ -65,7 +65,7 @@ def eye_of(seen: Seen, tree: list[Shown], frame: str, *, camera: bool) -> Eye | 
     return Eye(_xyz(at + distance * step for at, step in zip(target, way, strict=True)), target, up)
 
 
-def _look(seen: Seen, tree: list[Shown], frame: str, camera: bool) -> tuple[Xyz, Xyz]:
+def _look(seen: SessionContents, tree: list[ShownTopic], frame: str, camera: bool) -> tuple[Xyz, Xyz]:
     """From what is seen to the eye, and what is up there; of length 1."""
     if camera:
         return _unit(_FROM_CAMERA), (0.0, -1.0, 0.0)
@@ -77,11 +77,11 @@ def _look(seen: Seen, tree: list[Shown], frame: str, camera: bool) -> tuple[Xyz,
     return _unit(_FROM_ABOVE), (0.0, 0.0, 1.0)
 
 
-def _corners(seen: Seen, tree: list[Shown], frame: str) -> list[Xyz]:
+def _corners(seen: SessionContents, tree: list[ShownTopic], frame: str) -> list[Xyz]:
     """Of all boxes, in that frame; where there is a body, tools and robots that come to it are not counted."""
     boxed = [shown for shown in tree if shown.low is not None and shown.high is not None]
     bodies = {shown.frame for shown in boxed if shown.what in _BODIES}
-    if bodies and not any(shown.what is What.PLANE for shown in boxed):
+    if bodies and not any(shown.what is EntityKind.PLANE for shown in boxed):
         boxed = [shown for shown in boxed if shown.frame in bodies and shown.what not in _TOOLS]
     return [
         _moved(seen, shown.frame, frame, corner)
@@ -90,7 +90,7 @@ def _corners(seen: Seen, tree: list[Shown], frame: str) -> list[Xyz]:
     ]
 
 
-def _moved(seen: Seen, source: str, target: str, point: Sequence[float], *, turn_only: bool = False) -> Xyz:
+def _moved(seen: SessionContents, source: str, target: str, point: Sequence[float], *, turn_only: bool = False) -> Xyz:
     """A point (or a direction) of one frame in another one of the same tree, by the last places of both."""
     x, y, z = point
     for place in seen.way_to_root(source):

@@ -42,7 +42,7 @@ def scale_bar(name: str, low: float, high: float, unit: str, box: tuple[Xyz, Xyz
     middles = (np.arange(_STEPS) + 0.5) / _STEPS
     bar = rr.LineStrips3D(
         np.stack([ends[:-1], ends[1:]], axis=1).astype(np.float32),
-        colors=colours.scale(low + middles * (high - low), low, high),
+        colors=colours.scale_colours(low + middles * (high - low), low, high),
         radii=[_THICK * size],
     )
     at = np.linspace(0.0, 1.0, _TICKS)

@@ -13,7 +13,7 @@ from dataclasses import replace
 import rerun as rr
 
 from igtl_gateway.config import Config
-from igtl_gateway.gateway import Session, gateway_of
+from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.view.canvas import Options
 from igtl_gateway.view.session import SessionView
@@ -135,7 +135,7 @@ class LiveView:
             arrange(self._recording, self._name, seen)
 
 
-class Window:
+class LiveWindow:
     """A viewer's window on a running session: a sink that opens it and ends with it.
 
     Raises ViewerError where there is no screen or no viewer.
@@ -148,7 +148,7 @@ class Window:
         except Exception:
             self._viewer.close()
             raise
-        through = Session(gateway_of(replace(config, relay=False), fast_path=False)) if config.relay else None
+        through = Session(make_core(replace(config, relay=False), fast_path=False)) if config.relay else None
         self._view = LiveView(self._recording, config.base_frame, through=through)
 
     def __call__(self, entry: Entry) -> None:

@@ -15,8 +15,8 @@ from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.colours import SERIES
+from igtl_gateway.view.contents import EntityKind
 from igtl_gateway.view.other_msgs import Float64, WrenchStamped
-from igtl_gateway.view.seen import What
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS
 
 #: So many numbers are curves; more of them are bars.
@@ -72,13 +72,13 @@ def _array(values: npt.NDArray[Any], sizes: Sequence[int], canvas: Canvas) -> No
     flat = values.astype(values.dtype.newbyteorder("="), copy=False)
     long = [size for size in sizes if size > 1]
     if len(long) > 1 and math.prod(sizes) == len(flat):
-        canvas.what(What.TENSOR)
+        canvas.what(EntityKind.TENSOR)
         canvas.log(rr.Tensor(flat.reshape(sizes)))
     elif 0 < len(flat) <= _CURVES:
-        canvas.what(What.PLOT)
+        canvas.what(EntityKind.PLOT)
         _curves(canvas, flat.astype(np.float64).tolist())
     elif len(flat):
-        canvas.what(What.BARS)
+        canvas.what(EntityKind.BARS)
         canvas.log(rr.BarChart(flat))
 
 

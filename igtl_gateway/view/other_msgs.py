@@ -8,11 +8,22 @@ from typing import Any, ClassVar, Self
 import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.convert.cdr import Reader
+from igtl_gateway.convert.cdr import CdrReader
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.igtl_msgs import HEADER
 from igtl_gateway.convert.rosmsg import Header, Marker
-from igtl_gateway.convert.structs import FLOAT64, STRING, TIME, UINT8, UINT32, CdrType, Struct, fixed, numbers, several
+from igtl_gateway.convert.structs import (
+    FLOAT64,
+    STRING,
+    TIME,
+    UINT8,
+    UINT32,
+    CdrType,
+    Struct,
+    fixed_array,
+    number_sequence,
+    sequence_of,
+)
 
 Array = npt.NDArray[Any]
 
@@ -22,7 +33,7 @@ class Path(Struct):
     """nav_msgs/msg/Path."""
 
     TYPE: ClassVar[str] = "nav_msgs/msg/Path"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, several(PoseStamped))
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(PoseStamped))
     header: Header
     poses: tuple[PoseStamped, ...]
 
@@ -41,7 +52,7 @@ class WrenchStamped(Struct):
     """geometry_msgs/msg/WrenchStamped: force in newtons and torque in newton metres, along x, y, z."""
 
     TYPE: ClassVar[str] = "geometry_msgs/msg/WrenchStamped"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, fixed("float64", 6))
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, fixed_array("float64", 6))
     header: Header
     wrench: tuple[float, ...]
 
@@ -63,7 +74,14 @@ class CameraInfo(Struct):
     """sensor_msgs/msg/CameraInfo; binning and region of interest are left unread."""
 
     TYPE: ClassVar[str] = "sensor_msgs/msg/CameraInfo"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, UINT32, UINT32, STRING, numbers("float64"), fixed("float64", 9))
+    FIELDS: ClassVar[tuple[CdrType, ...]] = (
+        HEADER,
+        UINT32,
+        UINT32,
+        STRING,
+        number_sequence("float64"),
+        fixed_array("float64", 9),
+    )
     header: Header
     height: int
     width: int
@@ -82,11 +100,11 @@ class MarkerArray:
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
         """From CDR bytes.  Raises ConversionError."""
-        read = Reader(cdr, cls.TYPE)
+        read = CdrReader(cdr, cls.TYPE)
         return cls(tuple(_marker(read) for _ in range(read.count())))
 
 
-def _marker(read: Reader) -> Marker:
+def _marker(read: CdrReader) -> Marker:
     """The next of several markers; as ``Marker.unpack``, but to the very end of it."""
     header, ns = Header.read(read), read.string()
     marker_id, kind, action = read.unpack("iii", 4)

@@ -17,7 +17,7 @@ import rerun as rr
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.view.colours import INFO
-from igtl_gateway.view.seen import PLACES
+from igtl_gateway.view.contents import PLACES
 
 #: The time lines: gateway time, the sender's own stamp (where it set one), and the entry number.
 GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"

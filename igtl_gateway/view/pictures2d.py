@@ -19,8 +19,8 @@ from igtl_gateway.convert.videos import FORMATS
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.colours import span
+from igtl_gateway.view.contents import PLACES
 from igtl_gateway.view.other_msgs import CameraInfo
-from igtl_gateway.view.seen import PLACES
 
 Array = npt.NDArray[Any]
 
@@ -57,10 +57,10 @@ def draw_image(message: Image, canvas: Canvas) -> None:
     """sensor_msgs/Image."""
     canvas.shown.width, canvas.shown.height = message.width, message.height
     frame = canvas.frame(message.header.frame_id)
-    canvas.log(picture(message, canvas), frame=f"{frame}/image" if frame in canvas.pen.cameras else "")
+    canvas.log(image_archetype(message, canvas), frame=f"{frame}/image" if frame in canvas.pen.cameras else "")
 
 
-def picture(message: Image, canvas: Canvas) -> rr.Image:
+def image_archetype(message: Image, canvas: Canvas) -> rr.Image:
     """The archetype of an image.  Raises ConversionError for encodings that nobody knows."""
     encoding, width, height = message.encoding.lower(), message.width, message.height
     if encoding in _PIXEL_FORMATS:
@@ -70,18 +70,20 @@ def picture(message: Image, canvas: Canvas) -> rr.Image:
             data = data.reshape(-1, 2)[:, ::-1]
         return rr.Image(bytes=data.tobytes(), width=width, height=height, pixel_format=pixel_format)
     if bayer := _BAYER.fullmatch(encoding):
-        return image(demosaiced(_rows(message, f"u{int(bayer[2]) // 8}", 1)[..., 0], bayer[1]), rr.ColorModel.RGB)
+        return image_of_pixels(
+            demosaiced(_rows(message, f"u{int(bayer[2]) // 8}", 1)[..., 0], bayer[1]), rr.ColorModel.RGB
+        )
     if named := _NAMED.fullmatch(encoding):
         pixels = _rows(message, f"u{int(named[2]) // 8}", _CHANNELS[named[1]])
         if named[1] == "mono":
             return grey(pixels[..., 0])
-        return image(_eight_bits(pixels), _COLOURS[named[1]])
+        return image_of_pixels(_eight_bits(pixels), _COLOURS[named[1]])
     if opencv := _OPENCV.fullmatch(message.encoding):
         channels = int(opencv[2] or 1)
         pixels = _rows(message, _DTYPES[opencv[1]], channels)
         if channels in _COLOUR_PLANES:
             # OpenCV's names do not say the order; the gateway's own are RGB, as OpenIGTLink's
-            return image(_eight_bits(pixels), _MODELS[channels])
+            return image_of_pixels(_eight_bits(pixels), _MODELS[channels])
         if channels > 1:
             canvas.once(f"{message.encoding} is shown by its first component")
         return grey(pixels[..., 0])
@@ -90,10 +92,10 @@ def picture(message: Image, canvas: Canvas) -> rr.Image:
 
 def grey(pixels: Array) -> rr.Image:
     """One component; the viewer finds the range of what has more than 8 bits."""
-    return image(window(pixels) if pixels.dtype.kind == "i" else pixels, rr.ColorModel.L)
+    return image_of_pixels(windowed(pixels) if pixels.dtype.kind == "i" else pixels, rr.ColorModel.L)
 
 
-def image(pixels: Array, model: rr.ColorModel) -> rr.Image:
+def image_of_pixels(pixels: Array, model: rr.ColorModel) -> rr.Image:
     """(height, width) or (height, width, channels) pixels; rerun's own guess of the shape fails for single rows."""
     height, width = pixels.shape[:2]
     return rr.Image(
@@ -105,7 +107,7 @@ def image(pixels: Array, model: rr.ColorModel) -> rr.Image:
     )
 
 
-def window(pixels: Array) -> Array:
+def windowed(pixels: Array) -> Array:
     """Numbers as 8 bits, from the 1st to the 99th percentile: what radiologists call a window."""
     low, high = span(pixels.reshape(-1)[:: max(pixels.size // 100_000, 1)])
     spread = high - low or 1.0
@@ -196,7 +198,7 @@ def draw_color_table(message: ColorTable, canvas: Canvas) -> None:
     if not row.size:
         raise ConversionError(f"{message.TYPE}: found an empty table, expected 256 or 65536 rows")
     canvas.shown.width, canvas.shown.height = row.shape[1], _STRIP
-    canvas.log(image(row.repeat(_STRIP, axis=0), rr.ColorModel.RGB))
+    canvas.log(image_of_pixels(row.repeat(_STRIP, axis=0), rr.ColorModel.RGB))
 
 
 def _draw_video(canvas: Canvas, words: list[str], data: Buffer) -> None:
@@ -240,4 +242,4 @@ def _eight_bits(pixels: Array) -> Array:
         return (pixels >> 8).astype(np.uint8)
     if kind.kind == "f" and float(np.nanmax(pixels, initial=0.0)) <= 1.0:
         return np.nan_to_num(np.clip(pixels, 0.0, 1.0) * 255.0).astype(np.uint8)
-    return window(pixels)
+    return windowed(pixels)

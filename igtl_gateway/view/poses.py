@@ -8,7 +8,7 @@ from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped, TFMessage
 from igtl_gateway.convert.igtl_msgs import TrackingData
 from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.view.canvas import Canvas
-from igtl_gateway.view.seen import escape
+from igtl_gateway.view.contents import escape_path_part
 
 _HUGE = 1e18  #: its square is a float32, too
 
@@ -35,7 +35,7 @@ def draw_tracking(message: TrackingData, canvas: Canvas) -> None:
     """igtl_msgs/TrackingData: every tool by its name."""
     frame = canvas.frame(message.header.frame_id)
     for tool in message.tools:
-        _tool(tool.pose, frame, canvas, escape(tool.name))
+        _tool(tool.pose, frame, canvas, escape_path_part(tool.name))
 
 
 def draw_tf(message: TFMessage, canvas: Canvas) -> None:

@@ -1,4 +1,4 @@
-"""A session as a rerun recording: entries in, pictures out; what is there is told by ``Seen``.
+"""A session as a rerun recording: entries in, pictures out; what is there is told by ``SessionContents``.
 
 Every message of ROS is one row at the entity of its topic, drawn by its row of ``table``; what an OpenIGTLink peer
 said is drawn as the ROS messages that it became.  Nothing is kept but the last seconds of trails and what waits in
@@ -21,9 +21,7 @@ from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.view.canvas import Canvas, Options
 from igtl_gateway.view.colours import ERROR, INFO, WARN
-from igtl_gateway.view.judged import draw_review
-from igtl_gateway.view.pen import GATEWAY_TIME, LAST_NS, SENDER_TIME, Pen, timeless
-from igtl_gateway.view.seen import (
+from igtl_gateway.view.contents import (
     DROPS,
     FRAMES,
     LATENCIES,
@@ -32,11 +30,13 @@ from igtl_gateway.view.seen import (
     PLACES,
     RATES,
     REVIEW,
-    Seen,
-    Shown,
-    What,
+    EntityKind,
+    SessionContents,
+    ShownTopic,
     path_of,
 )
+from igtl_gateway.view.pen import GATEWAY_TIME, LAST_NS, SENDER_TIME, Pen, timeless
+from igtl_gateway.view.review_drawing import draw_review
 from igtl_gateway.view.table import PICTURES, Picture
 
 _ROS = frozenset((Kind.ROS_IN, Kind.ROS_OUT))
@@ -53,13 +53,13 @@ _MAX_PLOTS = 300
 
 
 @dataclass(slots=True)
-class _Topic:
+class _DrawnTopic:
     canvas: Canvas
     picture: Picture | None
 
 
 @dataclass(slots=True)
-class _Rhythm:
+class _StreamRate:
     """When a stream spoke; times in UTC ns of the gateway."""
 
     path: str
@@ -75,12 +75,12 @@ class _Sibling:
 
     base: str
     fullness: int
-    shown: Shown
+    shown: ShownTopic
     outdone: bool = False
 
 
 @dataclass(slots=True)
-class Told:
+class DrawnCounts:
     """What was drawn, in numbers.
 
     Attributes:
@@ -106,13 +106,13 @@ class SessionView:
     """
 
     def __init__(self, recording: rr.RecordingStream, base_frame: str = "igtl", options: Options | None = None) -> None:
-        self.seen = Seen(base_frame)
-        self.told = Told()
+        self.seen = SessionContents(base_frame)
+        self.told = DrawnCounts()
         self._options = options or Options()
         self._pen = Pen(recording, plain=self._options.plain)
-        self._topics: dict[tuple[str, str], _Topic] = {}
+        self._topics: dict[tuple[str, str], _DrawnTopic] = {}
         self._siblings: list[_Sibling] = []
-        self._rhythms: dict[tuple[Kind, str], _Rhythm] = {}
+        self._rhythms: dict[tuple[Kind, str], _StreamRate] = {}
         self._begin_ns = self._second = 0
         self._last_number = 0
         self._pen.static(DROPS, rr.SeriesPoints(markers=["cross"], names=["drops and gaps"]))
@@ -134,7 +134,7 @@ class SessionView:
         if entry.kind in _NOTES:
             self._note(entry)
         else:
-            self._beat(entry)
+            self._count_rate(entry)
             if entry.kind in _ROS:
                 self._message(entry)
 
@@ -161,7 +161,7 @@ class SessionView:
 
     def _message(self, entry: Entry) -> None:
         try:
-            topic = self._topics.get((entry.channel, entry.type)) or self._meet(entry)
+            topic = self._topics.get((entry.channel, entry.type)) or self._add_topic(entry)
         except ConversionError:  # one of too many topics
             self.told.refused[entry.channel] += 1
             return
@@ -188,17 +188,17 @@ class SessionView:
         if entry.kind is Kind.ROS_OUT and picture and picture.fullness:
             self._compare(_Sibling(entry.channel.rpartition("/")[0], picture.fullness, shown))
 
-    def _meet(self, entry: Entry) -> _Topic:
+    def _add_topic(self, entry: Entry) -> _DrawnTopic:
         """The first message of a topic."""
         picture = PICTURES.get(entry.type)
         path = path_of(entry.channel)
         if path.partition("/")[0] in _RESERVED:
             path = f"topics/{path}"
-        shown = Shown(
+        shown = ShownTopic(
             self._pen.claim(path),
             entry.channel,
             entry.type,
-            picture.what if picture else What.DATA,
+            picture.what if picture else EntityKind.DATA,
             self.seen.base_frame,
         )
         known = entry.channel in self.seen.shown
@@ -206,7 +206,7 @@ class SessionView:
         canvas = Canvas(self._pen, self.seen, shown, self._options, len(self._topics))
         if picture is None:
             self._pen.text(LOG, f"no picture: {entry.channel} ({entry.type})", "WARN", WARN)
-        topic = self._topics[(entry.channel, entry.type)] = _Topic(canvas, picture)
+        topic = self._topics[(entry.channel, entry.type)] = _DrawnTopic(canvas, picture)
         return topic
 
     def _compare(self, new: _Sibling) -> None:
@@ -248,7 +248,7 @@ class SessionView:
 
     # Rates and latencies
 
-    def _beat(self, entry: Entry) -> None:
+    def _count_rate(self, entry: Entry) -> None:
         now_ns, source_ns = self._pen.stamp_ns, self._pen.source_ns
         if not now_ns:
             return
@@ -257,7 +257,7 @@ class SessionView:
         if rhythm is None:
             if len(self._rhythms) >= _MAX_PLOTS:
                 return
-            rhythm = self._rhythms[key] = _Rhythm(path_of(entry.channel), now_ns, now_ns)
+            rhythm = self._rhythms[key] = _StreamRate(path_of(entry.channel), now_ns, now_ns)
         self._begin_ns = self._begin_ns or now_ns
         second = (now_ns - self._begin_ns) // NS_PER_S
         if second > self._second:

@@ -44,7 +44,7 @@ _PANELS = {"top_panel": "Hidden", "blueprint_panel": "Hidden", "selection_panel"
 
 
 @dataclass(frozen=True, slots=True)
-class Complaint:
+class ViewerComplaint:
     """What a view said against what it was to draw.
 
     Attributes:
@@ -73,10 +73,10 @@ class Shot:
 
     time_ns: int
     png: bytes
-    complaints: tuple[Complaint, ...]
+    complaints: tuple[ViewerComplaint, ...]
 
 
-def take(recording: Path, times_ns: Sequence[int | None], size: tuple[int, int] = SIZE) -> list[Shot]:
+def take_shots(recording: Path, times_ns: Sequence[int | None], size: tuple[int, int] = SIZE) -> list[Shot]:
     """A picture at each of those gateway times (UTC nanoseconds; None: the end of the recording).
 
     Raises ViewerError as ``HeadlessViewer`` does.
@@ -119,7 +119,7 @@ class HeadlessViewer:
 
     def close(self) -> None:
         """End the viewer; waits until it has gone.  A second call does nothing."""
-        end(self._process)
+        end_viewer(self._process)
         self._words.join()
 
     def at(self, part: float) -> int:
@@ -136,7 +136,7 @@ class HeadlessViewer:
                 break
         views = self._ask("get_state").views
         complaints = [
-            Complaint(view.name or view.origin, report.severity, report.summary)
+            ViewerComplaint(view.name or view.origin, report.severity, report.summary)
             for view in views
             for report in view.reports
         ]
@@ -232,7 +232,7 @@ class _Words:
         self._thread.join()
 
 
-def binary() -> Path:
+def viewer_binary() -> Path:
     """The viewer's own binary: the ``rerun`` on the path is a wrapper in Python that leaves it behind when it ends.
 
     Raises ViewerError where it is not installed.
@@ -249,12 +249,12 @@ def _start(recording: Path, size: tuple[int, int]) -> subprocess.Popen[str]:
     width, height = size
     arguments = [str(recording), "--headless", "--bind", "127.0.0.1", "--port", "auto"]
     # What it says at other levels it also writes over the picture; where it listens we must hear.
-    return start([*arguments, "--window-size", f"{width}x{height}"], "error,re_grpc_server=info")
+    return start_viewer([*arguments, "--window-size", f"{width}x{height}"], "error,re_grpc_server=info")
 
 
-def start(arguments: Sequence[str], log: str) -> subprocess.Popen[str]:
+def start_viewer(arguments: Sequence[str], log: str) -> subprocess.Popen[str]:
     """The viewer as a process that ends with this one; ``log`` says what it tells on stderr, as RUST_LOG."""
-    command = [str(binary()), *arguments]
+    command = [str(viewer_binary()), *arguments]
     if guard := shutil.which("setpriv"):  # the kernel ends the viewer should this process be killed
         command = [guard, "--pdeathsig", "TERM", "--", *command]
     return subprocess.Popen(
@@ -269,7 +269,7 @@ def start(arguments: Sequence[str], log: str) -> subprocess.Popen[str]:
     )
 
 
-def end(process: subprocess.Popen[str]) -> None:
+def end_viewer(process: subprocess.Popen[str]) -> None:
     """End a viewer, and wait until it has gone."""
     process.terminate()
     try:

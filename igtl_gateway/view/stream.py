@@ -9,7 +9,7 @@ import rerun as rr
 
 from igtl_gateway.errors import ViewerError
 from igtl_gateway.view.blueprints import blueprint, choose
-from igtl_gateway.view.seen import Seen
+from igtl_gateway.view.contents import SessionContents
 
 APPLICATION = "igtl-gateway"
 _LITTLE = 1 << 20  #: bytes: a disk with less is full, as rerun writes more than this at once
@@ -36,7 +36,7 @@ def to_viewer(url: str) -> rr.RecordingStream:
     return recording
 
 
-def arrange(recording: rr.RecordingStream, name: str, seen: Seen) -> str:
+def arrange(recording: rr.RecordingStream, name: str, seen: SessionContents) -> str:
     """Send the blueprint of that name, or ("") the one that fits; its name.  Raises ConfigError."""
     name = name or choose(seen)
     recording.send_blueprint(blueprint(name, seen))

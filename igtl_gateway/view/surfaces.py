@@ -10,35 +10,35 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.convert import surfaces
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import PolyData, TrajectoryList
 from igtl_gateway.convert.polydata import polydata_to_igtl
-from igtl_gateway.convert.poses import matrix_of
+from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.rosmsg import Marker, Mesh
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.view import colours
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.clouds import POINT_M
+from igtl_gateway.view.contents import EntityKind, escape_path_part
 from igtl_gateway.view.other_msgs import MarkerArray, Path
-from igtl_gateway.view.seen import What, escape
 
 Array = npt.NDArray[Any]
 
 #: Half the width of lines that have none, metres.
 LINE_M = 0.0004
-_SAME = Lengths("m", "m")
+_SAME = LengthUnits("m", "m")
 _POINT_RGBA, _POINT_SCALAR = 4, 0
 _COLOUR_COMPONENTS = (3, 4)
 
 _ARROW, _CUBE, _SPHERE, _CYLINDER, _CUBE_LIST, _TEXT, _MESH_RESOURCE = 0, 1, 2, 3, 6, 9, 10
 _DELETE, _DELETE_ALL = 2, 3
 _WHAT = {
-    Marker.LINE_STRIP: What.LINES,
-    Marker.LINE_LIST: What.LINES,
-    Marker.SPHERE_LIST: What.POINTS,
-    Marker.POINTS: What.POINTS,
-    Marker.TRIANGLE_LIST: What.MESH,
+    Marker.LINE_STRIP: EntityKind.LINES,
+    Marker.LINE_LIST: EntityKind.LINES,
+    Marker.SPHERE_LIST: EntityKind.POINTS,
+    Marker.POINTS: EntityKind.POINTS,
+    Marker.TRIANGLE_LIST: EntityKind.MESH,
 }
 
 
@@ -46,10 +46,10 @@ def draw_mesh(message: Mesh, canvas: Canvas) -> None:
     """shape_msgs/Mesh; it has no frame of its own."""
     frame = canvas.frame("")
     canvas.box(message.vertices)
-    canvas.log(surface(message.vertices, message.triangles, colours.BONE), frame=frame)
+    canvas.log(shaded_mesh(message.vertices, message.triangles, colours.BONE), frame=frame)
 
 
-def surface(vertices: Array, triangles: Array, colour: int, vertex_colours: Array | None = None) -> rr.Mesh3D:
+def shaded_mesh(vertices: Array, triangles: Array, colour: int, vertex_colours: Array | None = None) -> rr.Mesh3D:
     """A surface with light and shade.  Raises ConversionError where a triangle has a vertex that is not there."""
     positions = np.asarray(vertices, np.float32)
     indices = np.asarray(triangles, np.uint32)
@@ -81,24 +81,24 @@ def normals(positions: Array, triangles: Array) -> Array:
 def draw_polydata(message: PolyData, canvas: Canvas) -> None:
     """igtl_msgs/PolyData: faces, lines below ``lines``, and points where there is nothing else."""
     frame = canvas.frame(message.header.frame_id)
-    content = polydata_to_igtl(message, ToIgtl(_SAME)).content
-    to = ToRos("", 0, frame, "", _SAME)
+    content = polydata_to_igtl(message, ToIgtlContext(_SAME)).content
+    to = ToRosContext("", 0, frame, "", _SAME)
     words = _attribute_colours(message)
     canvas.box(message.points)
     faces, lines = surfaces.has_faces(content), surfaces.has_lines(content)  # type: ignore[arg-type]
     segments = surfaces.polydata_to_lines(content, to).points if lines else np.empty((0, 3))  # type: ignore[arg-type]
     strips = rr.LineStrips3D(segments.reshape(-1, 2, 3), colors=[canvas.colour], radii=[LINE_M])
     if faces:
-        canvas.what(What.MESH)
+        canvas.what(EntityKind.MESH)
         mesh = surfaces.polydata_to_mesh(content, to)  # type: ignore[arg-type]
-        canvas.log(surface(mesh.vertices, mesh.triangles, colours.BONE, words), frame=frame)
+        canvas.log(shaded_mesh(mesh.vertices, mesh.triangles, colours.BONE, words), frame=frame)
         if lines:
             canvas.log(strips, child="lines", frame=frame)
     elif lines:
-        canvas.what(What.LINES)
+        canvas.what(EntityKind.LINES)
         canvas.log(strips, frame=frame)
     else:
-        canvas.what(What.CLOUD)
+        canvas.what(EntityKind.CLOUD)
         colour: Any = [canvas.colour] if words is None else words
         canvas.log(rr.Points3D(message.points, colors=colour, radii=[rr.Radius.ui_points(2.0)]), frame=frame)
 
@@ -113,7 +113,7 @@ def _attribute_colours(message: PolyData) -> Array | None:
                 return colours.rgba(values)
     for attribute in message.attributes:
         if attribute.type == _POINT_SCALAR and attribute.components == 1 and len(attribute.values) == count and count:
-            return colours.scale(attribute.values, *colours.span(attribute.values))
+            return colours.scale_colours(attribute.values, *colours.span(attribute.values))
     return None
 
 
@@ -125,7 +125,7 @@ def draw_trajectories(message: TrajectoryList, canvas: Canvas) -> None:
     canvas.box(strips.reshape(-1, 3))
     lines = rr.LineStrips3D(
         strips,
-        colors=np.array([colours.of(each.rgba, canvas.colour) for each in listed], np.uint32),
+        colors=np.array([colours.octet_colour(each.rgba, canvas.colour) for each in listed], np.uint32),
         radii=[each.diameter / 2 or LINE_M for each in listed],
         labels=[canvas.pen.letters(each.name) for each in listed],
     )
@@ -142,16 +142,16 @@ def draw_path(message: Path, canvas: Canvas) -> None:
 
 def draw_marker(message: Marker, canvas: Canvas) -> None:
     """visualization_msgs/Marker: the topic's first one at the topic's own path, others below it."""
-    canvas.what(_WHAT.get(message.type, What.MARKERS))
+    canvas.what(_WHAT.get(message.type, EntityKind.MARKERS))
     key = (message.ns, message.id)
     first = canvas.memory.setdefault("first", key)
-    _draw(message, canvas, "" if key == first else f"{escape(message.ns)}/{message.id}")
+    _draw(message, canvas, "" if key == first else f"{escape_path_part(message.ns)}/{message.id}")
 
 
 def draw_marker_array(message: MarkerArray, canvas: Canvas) -> None:
     """visualization_msgs/MarkerArray: each at ``<namespace>/<id>`` below the topic."""
     for marker in message.markers:
-        _draw(marker, canvas, f"{escape(marker.ns)}/{marker.id}")
+        _draw(marker, canvas, f"{escape_path_part(marker.ns)}/{marker.id}")
 
 
 def _draw(marker: Marker, canvas: Canvas, child: str) -> None:
@@ -173,7 +173,7 @@ def posed(points: Array, marker: Marker) -> Array:
 
 
 def _rotated(points: Array, marker: Marker) -> Array:
-    turned: Array = np.asarray(points, np.float64) @ np.array(matrix_of(_unit(marker.orientation))).T
+    turned: Array = np.asarray(points, np.float64) @ np.array(rotation_matrix(_unit(marker.orientation))).T
     return turned
 
 
@@ -189,7 +189,7 @@ def _colours(marker: Marker, step: int = 1) -> Any:
     """One colour, or one for each element of ``step`` points."""
     if len(marker.colors) == len(marker.points) and len(marker.points):
         return colours.rgba(marker.colors[::step])
-    return [colours.one(marker.color)]
+    return [colours.marker_colour(marker.color)]
 
 
 def _lines(marker: Marker, canvas: Canvas) -> rr.LineStrips3D:
@@ -218,7 +218,7 @@ def _triangles(marker: Marker, canvas: Canvas) -> rr.Mesh3D:
     canvas.box(points)
     words = colours.rgba(marker.colors)[: len(points)] if len(marker.colors) == len(marker.points) else None
     triangles = np.arange(len(points), dtype=np.uint32).reshape(-1, 3)
-    return surface(points, triangles, colours.one(marker.color), words)
+    return shaded_mesh(points, triangles, colours.marker_colour(marker.color), words)
 
 
 def _arrow(marker: Marker, canvas: Canvas) -> rr.Arrows3D:
@@ -229,14 +229,14 @@ def _arrow(marker: Marker, canvas: Canvas) -> rr.Arrows3D:
         origin = np.array(marker.position)
         vector, radius = _rotated(np.array([[marker.scale[0], 0.0, 0.0]]), marker)[0], marker.scale[1] / 2
     canvas.box(np.stack([origin, origin + vector]))
-    return rr.Arrows3D(origins=[origin], vectors=[vector], radii=[radius], colors=[colours.one(marker.color)])
+    return rr.Arrows3D(origins=[origin], vectors=[vector], radii=[radius], colors=[colours.marker_colour(marker.color)])
 
 
 def _solid(marker: Marker, canvas: Canvas) -> Any:
     centres = np.array([marker.position])
     canvas.box(centres)
     quaternions = [rr.Quaternion(xyzw=_unit(marker.orientation))]
-    colour = [colours.one(marker.color)]
+    colour = [colours.marker_colour(marker.color)]
     half = [tuple(size / 2 for size in marker.scale)]
     if marker.type == _SPHERE:
         return rr.Ellipsoids3D(
@@ -255,7 +255,7 @@ def _solid(marker: Marker, canvas: Canvas) -> Any:
 
 def _text(marker: Marker, canvas: Canvas) -> rr.Points3D:
     canvas.box(np.array([marker.position]))
-    colour = [colours.one(marker.color)]
+    colour = [colours.marker_colour(marker.color)]
     return rr.Points3D([marker.position], labels=[canvas.pen.letters(marker.text)], colors=colour, radii=[POINT_M / 2])
 
 

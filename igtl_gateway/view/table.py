@@ -14,7 +14,7 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert import common_msgs, igtl_msgs, rosmsg
 from igtl_gateway.view import clouds, numbers, other_msgs, pictures2d, poses, surfaces, volumes, words
 from igtl_gateway.view.canvas import Canvas
-from igtl_gateway.view.seen import What
+from igtl_gateway.view.contents import EntityKind
 
 
 class Readable(Protocol):
@@ -38,53 +38,53 @@ class Picture:
     """
 
     message: Any
-    what: What
+    what: EntityKind
     draw: Callable[[Any, Canvas], None]
     fullness: int = 0
 
 
 _ROWS = (
-    Picture(rosmsg.PointCloud2, What.CLOUD, clouds.draw_cloud, 2),
-    Picture(rosmsg.PointStamped, What.POINTS, clouds.draw_point, 1),
-    Picture(igtl_msgs.PointList, What.POINTS, clouds.draw_point_list, 3),
-    Picture(rosmsg.TransformStamped, What.POSE, poses.draw_transform),
-    Picture(common_msgs.PoseStamped, What.POSE, poses.draw_pose),
-    Picture(common_msgs.PoseArray, What.POSES, poses.draw_poses, 1),
-    Picture(igtl_msgs.TrackingData, What.POSES, poses.draw_tracking, 3),
-    Picture(common_msgs.TFMessage, What.FRAMES, poses.draw_tf),
-    Picture(rosmsg.Image, What.IMAGE, pictures2d.draw_image, 1),
-    Picture(common_msgs.CompressedImage, What.VIDEO, pictures2d.draw_compressed_image, 1),
-    Picture(common_msgs.CompressedVideo, What.VIDEO, pictures2d.draw_compressed_video, 2),
-    Picture(igtl_msgs.VideoFrame, What.VIDEO, pictures2d.draw_video_frame, 3),
-    Picture(other_msgs.CameraInfo, What.CAMERA, pictures2d.draw_camera),
-    Picture(igtl_msgs.Volume, What.VOLUME, volumes.draw_volume, 2),
-    Picture(igtl_msgs.ColorTable, What.IMAGE, pictures2d.draw_color_table),
-    Picture(rosmsg.Mesh, What.MESH, surfaces.draw_mesh, 2),
-    Picture(rosmsg.Marker, What.MARKERS, surfaces.draw_marker, 1),
-    Picture(other_msgs.MarkerArray, What.MARKERS, surfaces.draw_marker_array),
-    Picture(igtl_msgs.PolyData, What.MESH, surfaces.draw_polydata, 3),
-    Picture(igtl_msgs.TrajectoryList, What.LINES, surfaces.draw_trajectories, 3),
-    Picture(other_msgs.Path, What.LINES, surfaces.draw_path),
-    Picture(common_msgs.JointState, What.PLOT, numbers.draw_joints),
-    Picture(igtl_msgs.Sensor, What.PLOT, numbers.draw_sensor),
-    Picture(other_msgs.Float64, What.PLOT, numbers.draw_number),
-    Picture(other_msgs.WrenchStamped, What.PLOT, numbers.draw_wrench),
-    Picture(igtl_msgs.NdArray, What.PLOT, numbers.draw_array),
-    *(Picture(message, What.PLOT, numbers.draw_multi_array) for message in common_msgs.MULTI_ARRAYS.values()),
-    Picture(rosmsg.String, What.TEXT, words.draw_string),
-    Picture(rosmsg.DiagnosticStatus, What.TEXT, words.draw_status),
-    Picture(other_msgs.Log, What.TEXT, words.draw_log),
-    Picture(igtl_msgs.Command, What.TEXT, words.draw_command),
-    Picture(igtl_msgs.CommandReply, What.TEXT, words.draw_reply),
-    Picture(igtl_msgs.Query, What.TEXT, words.draw_query),
-    Picture(igtl_msgs.Metadata, What.TEXT, words.draw_metadata),
-    Picture(igtl_msgs.Capability, What.TEXT, words.draw_capability),
-    Picture(igtl_msgs.LinkStatusList, What.TEXT, words.draw_links),
-    Picture(igtl_msgs.Bind, What.TEXT, words.draw_bind),
-    Picture(igtl_msgs.ImageMetaList, What.TEXT, words.draw_images),
-    Picture(igtl_msgs.LabelMetaList, What.TEXT, words.draw_labels),
-    Picture(igtl_msgs.VideoMetaList, What.TEXT, words.draw_videos),
-    Picture(igtl_msgs.RawMessage, What.TEXT, words.draw_raw),
+    Picture(rosmsg.PointCloud2, EntityKind.CLOUD, clouds.draw_cloud, 2),
+    Picture(rosmsg.PointStamped, EntityKind.POINTS, clouds.draw_point, 1),
+    Picture(igtl_msgs.PointList, EntityKind.POINTS, clouds.draw_point_list, 3),
+    Picture(rosmsg.TransformStamped, EntityKind.POSE, poses.draw_transform),
+    Picture(common_msgs.PoseStamped, EntityKind.POSE, poses.draw_pose),
+    Picture(common_msgs.PoseArray, EntityKind.POSES, poses.draw_poses, 1),
+    Picture(igtl_msgs.TrackingData, EntityKind.POSES, poses.draw_tracking, 3),
+    Picture(common_msgs.TFMessage, EntityKind.FRAMES, poses.draw_tf),
+    Picture(rosmsg.Image, EntityKind.IMAGE, pictures2d.draw_image, 1),
+    Picture(common_msgs.CompressedImage, EntityKind.VIDEO, pictures2d.draw_compressed_image, 1),
+    Picture(common_msgs.CompressedVideo, EntityKind.VIDEO, pictures2d.draw_compressed_video, 2),
+    Picture(igtl_msgs.VideoFrame, EntityKind.VIDEO, pictures2d.draw_video_frame, 3),
+    Picture(other_msgs.CameraInfo, EntityKind.CAMERA, pictures2d.draw_camera),
+    Picture(igtl_msgs.Volume, EntityKind.VOLUME, volumes.draw_volume, 2),
+    Picture(igtl_msgs.ColorTable, EntityKind.IMAGE, pictures2d.draw_color_table),
+    Picture(rosmsg.Mesh, EntityKind.MESH, surfaces.draw_mesh, 2),
+    Picture(rosmsg.Marker, EntityKind.MARKERS, surfaces.draw_marker, 1),
+    Picture(other_msgs.MarkerArray, EntityKind.MARKERS, surfaces.draw_marker_array),
+    Picture(igtl_msgs.PolyData, EntityKind.MESH, surfaces.draw_polydata, 3),
+    Picture(igtl_msgs.TrajectoryList, EntityKind.LINES, surfaces.draw_trajectories, 3),
+    Picture(other_msgs.Path, EntityKind.LINES, surfaces.draw_path),
+    Picture(common_msgs.JointState, EntityKind.PLOT, numbers.draw_joints),
+    Picture(igtl_msgs.Sensor, EntityKind.PLOT, numbers.draw_sensor),
+    Picture(other_msgs.Float64, EntityKind.PLOT, numbers.draw_number),
+    Picture(other_msgs.WrenchStamped, EntityKind.PLOT, numbers.draw_wrench),
+    Picture(igtl_msgs.NdArray, EntityKind.PLOT, numbers.draw_array),
+    *(Picture(message, EntityKind.PLOT, numbers.draw_multi_array) for message in common_msgs.MULTI_ARRAYS.values()),
+    Picture(rosmsg.String, EntityKind.TEXT, words.draw_string),
+    Picture(rosmsg.DiagnosticStatus, EntityKind.TEXT, words.draw_status),
+    Picture(other_msgs.Log, EntityKind.TEXT, words.draw_log),
+    Picture(igtl_msgs.Command, EntityKind.TEXT, words.draw_command),
+    Picture(igtl_msgs.CommandReply, EntityKind.TEXT, words.draw_reply),
+    Picture(igtl_msgs.Query, EntityKind.TEXT, words.draw_query),
+    Picture(igtl_msgs.Metadata, EntityKind.TEXT, words.draw_metadata),
+    Picture(igtl_msgs.Capability, EntityKind.TEXT, words.draw_capability),
+    Picture(igtl_msgs.LinkStatusList, EntityKind.TEXT, words.draw_links),
+    Picture(igtl_msgs.Bind, EntityKind.TEXT, words.draw_bind),
+    Picture(igtl_msgs.ImageMetaList, EntityKind.TEXT, words.draw_images),
+    Picture(igtl_msgs.LabelMetaList, EntityKind.TEXT, words.draw_labels),
+    Picture(igtl_msgs.VideoMetaList, EntityKind.TEXT, words.draw_videos),
+    Picture(igtl_msgs.RawMessage, EntityKind.TEXT, words.draw_raw),
 )
 
 #: ROS type → its picture.

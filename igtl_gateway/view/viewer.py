@@ -12,7 +12,7 @@ from typing import Self
 from urllib.parse import quote
 
 from igtl_gateway.errors import ViewerError
-from igtl_gateway.view.shots import end, start
+from igtl_gateway.view.shots import end_viewer, start_viewer
 
 HOST = "127.0.0.1"
 _LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
@@ -37,7 +37,7 @@ class Viewer:
         self._text = ""
         self._ready = threading.Event()
         self._ended = threading.Event()
-        self._process = start(arguments, _LOG)
+        self._process = start_viewer(arguments, _LOG)
         self._reader = threading.Thread(target=self._read, name="igtl-viewer", daemon=True)
         self._reader.start()
         if not self._ready.wait(_START_S) or not all(self._found):
@@ -75,7 +75,7 @@ class Viewer:
 
     def close(self) -> None:
         """End it; may be called twice."""
-        end(self._process)
+        end_viewer(self._process)
         self._reader.join()
 
     def _read(self) -> None:

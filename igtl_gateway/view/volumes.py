@@ -12,9 +12,9 @@ from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.colours import span
+from igtl_gateway.view.contents import EntityKind
 from igtl_gateway.view.legend import box_sides, picture_sides
-from igtl_gateway.view.pictures2d import grey, image
-from igtl_gateway.view.seen import What
+from igtl_gateway.view.pictures2d import grey, image_of_pixels
 from igtl_gateway.wire.image import SCALARS
 
 Array = npt.NDArray[Any]
@@ -38,13 +38,13 @@ def draw_volume(message: Volume, canvas: Canvas) -> None:
     canvas.box(corners)
     canvas.shown.width, canvas.shown.height = message.size[0], message.size[1]
     if len(voxels) == 1:
-        canvas.what(What.PLANE)
+        canvas.what(EntityKind.PLANE)
         x, y, z, u, v, w = message.direction[:6]
         canvas.shown.right, canvas.shown.up = (x, y, z), (-u, -v, -w)
         canvas.log(_picture(voxels[0]))
         canvas.log(_plane(message, voxels, 2, 0, None), child="plane", frame=frame)
         return
-    canvas.what(What.VOLUME)
+    canvas.what(EntityKind.VOLUME)
     canvas.log(rr.Tensor(voxels[..., 0] if voxels.shape[3] == 1 else voxels, dim_names=_dimensions(voxels)))
     window = None if voxels.shape[3] in _COLOUR else span(_sample(voxels))
     middle = len(voxels) // 2
@@ -82,7 +82,7 @@ def _dimensions(voxels: Array) -> list[str]:
 
 def _picture(pixels: Array) -> rr.Image:
     if pixels.shape[2] in _COLOUR:
-        return image(eight_bits(pixels, None), rr.ColorModel.RGB)
+        return image_of_pixels(eight_bits(pixels, None), rr.ColorModel.RGB)
     return grey(pixels[..., 0])
 
 

@@ -36,7 +36,7 @@ MAX_NAME_TABLE = 65_535
 
 
 @dataclass(frozen=True, slots=True)
-class Child:
+class BindChild:
     """One content inside a BIND.
 
     Attributes:
@@ -98,7 +98,7 @@ class Bind:
         Field("pad", "bytes", "0 or 1", "present if the size of the content is odd", per="child"),
     )
 
-    children: tuple[Child, ...]
+    children: tuple[BindChild, ...]
     name_table: bytes | None = None
     pads: bytes | None = None
 
@@ -137,7 +137,9 @@ def _check_number(total: int) -> None:
         raise MalformedBody("BIND content", f"{total} children", f"at most {MAX_CHILDREN} on all levels together")
 
 
-def _read(content: memoryview, depth: int, before: int) -> tuple[tuple[Child, ...], bytes | None, bytes | None, int]:
+def _read(
+    content: memoryview, depth: int, before: int
+) -> tuple[tuple[BindChild, ...], bytes | None, bytes | None, int]:
     """Children, names and pads where they are unusual, and how many children there are with those ``before``.
 
     BIND inside is read too, to know that it ends.
@@ -151,11 +153,11 @@ def _read(content: memoryview, depth: int, before: int) -> tuple[tuple[Child, ..
     need(content, heads_end, "BIND children")
     heads = list(_CHILD.iter_unpack(content[_COUNT.size : heads_end]))
     names, table, offset = read_names(content, heads_end, len(heads), "BIND")
-    children: list[Child] = []
+    children: list[BindChild] = []
     pads = bytearray()
     for (kind, size), name in zip(heads, names, strict=True):
         need(content, offset + size, f"BIND child {len(children)}")
-        child = Child(decode_text(kind), name, content[offset : offset + size])
+        child = BindChild(decode_text(kind), name, content[offset : offset + size])
         offset += size
         if size % 2:
             pads += content[offset : offset + 1]  # the last one may be missing

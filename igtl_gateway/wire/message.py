@@ -71,7 +71,7 @@ def sorted_items(items: Iterable[Item]) -> tuple[Item, ...]:
 
 
 @value(frozen=True, slots=True)
-class Layout:
+class MetadataLayout:
     """What surrounds the content of a version 2 message, where its sender did that unlike us.
 
     Attributes:
@@ -110,7 +110,7 @@ class Message:
     header_version: int = 1
     message_id: int = 0
     metadata: tuple[Item, ...] = field(default=())
-    layout: Layout | None = None
+    layout: MetadataLayout | None = None
 
 
 def decode(data: Buffer, *, check_crc: bool = True) -> Message:
@@ -133,7 +133,7 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
         raise wrong
     if header.version == 1:
         return Message(header.type, header.device_name, read_content(header.type, body), header.ticks)
-    extended = Extended.unpack(body)
+    extended = ExtendedHeader.unpack(body)
     content, head, data = extended.split(body)
     items, items_end = _metadata(head, data)
     extension = body[_EXTENDED.size : extended.ext_header_size]
@@ -146,12 +146,12 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
         header.version,
         extended.message_id,
         items,
-        None if tight and not extension else Layout(bytes(extension), bytes(head), bytes(data)),
+        None if tight and not extension else MetadataLayout(bytes(extension), bytes(head), bytes(data)),
     )
 
 
 @value(frozen=True, slots=True)
-class Extended:
+class ExtendedHeader:
     """The extended header of version 2: sizes in bytes and the message id.
 
     Attributes:
@@ -173,7 +173,7 @@ class Extended:
     message_id: int
 
     @classmethod
-    def unpack(cls, body: memoryview) -> Extended:
+    def unpack(cls, body: memoryview) -> ExtendedHeader:
         """From the start of a body; every size is checked against the body."""
         if body.nbytes < _EXTENDED.size:
             raise TruncatedMessage("extended header", f"{body.nbytes} bytes", f"{_EXTENDED.size} bytes")
@@ -199,10 +199,10 @@ class Extended:
         return body[self.ext_header_size : head_at], body[head_at:data_at], body[data_at:]
 
 
-_EXTENDED = compile_struct(Extended.LAYOUT)
+_EXTENDED = compile_struct(ExtendedHeader.LAYOUT)
 EXTENDED_SIZE = _EXTENDED.size
 #: Offset of the message id in a body of version 2.
-MESSAGE_ID_AT = offset_of(Extended.LAYOUT, "message_id")
+MESSAGE_ID_AT = offset_of(ExtendedHeader.LAYOUT, "message_id")
 
 #: Metadata header and metadata.
 METADATA_LAYOUT: Rows = (
@@ -267,7 +267,7 @@ def _encode(message: Message) -> list[Buffer]:
     else:
         layout = message.layout
         if layout is None or not layout.holds(message.metadata):
-            layout = Layout(b"", *_pack_metadata(message.metadata))
+            layout = MetadataLayout(b"", *_pack_metadata(message.metadata))
         extended_size = _EXTENDED.size + len(layout.extension)
         head, metadata = layout.metadata_header, layout.metadata
         front = _EXTENDED.pack(extended_size, len(head), len(metadata), message.message_id) + layout.extension
@@ -329,7 +329,7 @@ def describe(data: Buffer) -> dict[str, Any]:
     errors: list[WireError] = [wrong] if wrong else []
     try:
         if header.version == 2:
-            extended = Extended.unpack(body)
+            extended = ExtendedHeader.unpack(body)
             shown["ext"] = {
                 "ext_header_size": extended.ext_header_size,
                 "metadata_header_size": extended.metadata_header_size,

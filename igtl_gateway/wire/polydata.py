@@ -270,7 +270,7 @@ class PolyData:
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        take = _Taker(content)
+        take = _ContentReader(content)
         num_points, *sizes, num_attributes = _HEAD.unpack(take("head", _HEAD.size))
         points = np.frombuffer(take("points", 12 * num_points), F4).reshape(num_points, 3)
         vertices, lines, polygons, strips = (
@@ -341,7 +341,7 @@ def _raw(array: npt.NDArray[Any]) -> memoryview:
     return wire.reshape(-1).view(np.uint8).data
 
 
-class _Taker:
+class _ContentReader:
     """Cuts sections off the content, each checked against what is left before anything is allocated."""
 
     def __init__(self, content: memoryview) -> None:

@@ -33,7 +33,7 @@ def _lengths(place: str, content: memoryview, *lengths: int) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Nothing:
+class EmptyQuery:
     """A query without content.
 
     Accepted: any content; it is kept, but not evaluated.
@@ -153,7 +153,7 @@ class StartPolyData:
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class QueryReply:
     """RTS_…: the result of a query.
 
     Accepted: a missing byte, as in the document for RTS_BIND.
@@ -308,10 +308,10 @@ _ANSWERED = ("STATUS", "CAPABIL", "POINT", "TRAJ", "IMGMETA", "LBMETA")
 
 #: Type name of every query → its content.
 QUERIES: dict[str, type[Body]] = {
-    **{f"GET_{name}": Nothing for name in (*_STREAMED, *_ASKED)},
-    **{f"STT_{name}": Nothing for name in _STREAMED},
-    **{f"STP_{name}": Nothing for name in _STREAMED},
-    **{f"RTS_{name}": Reply for name in (*_STREAMED, *_ANSWERED)},
+    **{f"GET_{name}": EmptyQuery for name in (*_STREAMED, *_ASKED)},
+    **{f"STT_{name}": EmptyQuery for name in _STREAMED},
+    **{f"STP_{name}": EmptyQuery for name in _STREAMED},
+    **{f"RTS_{name}": QueryReply for name in (*_STREAMED, *_ANSWERED)},
     "GET_BIND": GetBind,
     "STT_BIND": StartBind,
     "STT_TDATA": StartTracking,

@@ -13,11 +13,11 @@ from igtl_gateway.buffers import join
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.convert.rosmsg import Header, Image
-from igtl_gateway.edges.tcp import Limits
+from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.errors import RecordingError, Unavailable
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.replay.verify import Losses, verify
+from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -109,7 +109,9 @@ def test_every_part_of_a_session_of_all_types_verifies_alone(tmp_path: Path) -> 
     compared = 0
     for part in parts:
         with SessionFile.open(part) as file:
-            report = verify(file.entries(), config, Losses.of(file.session, file.ledger), before=file.prologue())
+            report = verify(
+                file.entries(), config, DeclaredLosses.of(file.session, file.ledger), before=file.prologue()
+            )
         assert report.good, (part.name, report.differences[:1])
         compared += report.equal
     assert compared == sum(not entry.kind.is_input for entry in entries)
@@ -118,7 +120,7 @@ def test_every_part_of_a_session_of_all_types_verifies_alone(tmp_path: Path) -> 
 def test_the_ledger_closes_over_a_peer_that_does_not_read_and_one_that_has_gone() -> None:
     bridge = Bridge(
         Config(),
-        BridgeOptions((("127.0.0.1", 0),), ros=False, limits=Limits(queue_messages=20)),
+        BridgeOptions((("127.0.0.1", 0),), ros=False, limits=PeerLimits(queue_messages=20)),
         SystemClock(),
     )
     bridge.start()

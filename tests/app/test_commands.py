@@ -32,10 +32,10 @@ def test_a_call_becomes_a_message_and_its_reply_the_response() -> None:
         assert ros_type == Command.TYPE
         said.append((topic, Command.unpack(cdr)))
         command = said[-1][1]
-        service.watch(reply_entry(CommandReply(Header(), "x", 1, "", 1)))  # somebody else's
+        service.on_entry(reply_entry(CommandReply(Header(), "x", 1, "", 1)))  # somebody else's
         item = MetadataItem("Status", 3, "SUCCESS")
-        service.watch(reply_entry(replied(command, content="<ok/>", metadata=(item,), link=4)))
-        service.watch(reply_entry(replied(command, content="too late")))
+        service.on_entry(reply_entry(replied(command, content="<ok/>", metadata=(item,), link=4)))
+        service.on_entry(reply_entry(replied(command, content="too late")))
 
     service = CommandService(publish, 5.0, SimpleNamespace)
     item = SimpleNamespace(key="who", encoding=0, value="me")
@@ -54,7 +54,7 @@ def test_each_call_has_an_id_of_its_own() -> None:
     def publish(_topic: str, _type: str, cdr: bytes) -> None:
         command = Command.unpack(cdr)
         ids.append(command.id)
-        service.watch(reply_entry(replied(command)))
+        service.on_entry(reply_entry(replied(command)))
 
     service = CommandService(publish, 5.0, SimpleNamespace)
     for _ in range(3):

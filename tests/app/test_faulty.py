@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-from igtl_gateway.app.faulty import CUT, FaultyFeed, all_with_cuts, with_cuts
+from igtl_gateway.app.faulty import DISCONNECT, FaultyFeed, all_with_disconnects, with_disconnects
 from igtl_gateway.buffers import join
 from igtl_gateway.faults import Fate, Faults
 from igtl_gateway.session.entry import Entry, Kind
@@ -46,13 +46,13 @@ def test_every_pass_is_the_same_and_all_is_counted() -> None:
     assert {name: 2 * number for name, number in once.items()} == feed.counts
     assert once["messages"] == 40
     assert len(first) == 60 - once["loss"]
-    assert sum(entry.links == CUT for entry in first) == once["disconnect"] > 0
+    assert sum(entry.links == DISCONNECT for entry in first) == once["disconnect"] > 0
     assert len(told) == 2 * len({fate.message.seq for fate in told})
 
 
 def test_connections_end_behind_the_entries_that_say_so() -> None:
     course: list[object] = []
-    entries = [Entry(n, T0_NS, Kind.IGTL_OUT, links=CUT if n in (2, 3) else (1,)) for n in range(1, 6)]
+    entries = [Entry(n, T0_NS, Kind.IGTL_OUT, links=DISCONNECT if n in (2, 3) else (1,)) for n in range(1, 6)]
 
     def send(entry: Entry) -> bool:
         course.append(entry.seq)
@@ -62,9 +62,9 @@ def test_connections_end_behind_the_entries_that_say_so() -> None:
         course.extend(entry.seq for entry in several)
         return several[0].seq != 3
 
-    one_by_one = with_cuts(send, lambda: course.append("cut"))
+    one_by_one = with_disconnects(send, lambda: course.append("cut"))
     assert all([one_by_one(entry) for entry in entries])
     assert course == [1, 2, "cut", 3, "cut", 4, 5]
     course.clear()
-    assert not all_with_cuts(send_all, lambda: course.append("cut"))(entries), "one of them was not heard"
+    assert not all_with_disconnects(send_all, lambda: course.append("cut"))(entries), "one of them was not heard"
     assert course == [1, 2, "cut", 3, "cut", 4, 5]

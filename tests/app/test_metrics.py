@@ -16,9 +16,9 @@ import pytest
 
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.app.metrics import METRICS, PREFIX, MetricsServer, prometheus
-from igtl_gateway.app.status import Status
+from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.buffers import join
-from igtl_gateway.cli.bridge import _Watch
+from igtl_gateway.cli.bridge import _EntryWatch
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, Unavailable
@@ -33,9 +33,9 @@ LINE = re.compile(r'([a-z_0-9]+)(\{(?:[a-z]+="(?:[^"\\\n]|\\.)*",?)*\})? ([-+0-9
 
 
 @contextmanager
-def bridge(tmp_path: Path, refused: threading.Event) -> Iterator[tuple[Bridge, Status]]:
+def bridge(tmp_path: Path, refused: threading.Event) -> Iterator[tuple[Bridge, BridgeStatus]]:
     """A real one, without ROS, that records; ``refused`` is set when it has refused something."""
-    watch, clock = _Watch(), SystemClock()
+    watch, clock = _EntryWatch(), SystemClock()
 
     def look(entry: Entry) -> None:
         watch(entry)
@@ -46,7 +46,7 @@ def bridge(tmp_path: Path, refused: threading.Event) -> Iterator[tuple[Bridge, S
     one = Bridge(Config(), options, clock, look)
     one.start()
     try:
-        yield one, Status(one, watch, clock)
+        yield one, BridgeStatus(one, watch, clock)
     finally:
         one.stop()
 
@@ -123,7 +123,7 @@ def test_the_document_has_every_metric() -> None:
         assert f"| `{metric.name}` | {metric.kind} | {metric.meaning} |" in page
 
 
-class Nothing(Status):
+class Nothing(BridgeStatus):
     """Of no bridge."""
 
     def __init__(self) -> None:

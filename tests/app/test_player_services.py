@@ -85,10 +85,10 @@ def test_services_that_cannot_be_offered_are_told_with_the_reason() -> None:
             return len(asked) < 2
 
     services = PlayerServices(Player(lambda _: (), lambda _: True, SystemClock(), threading.Event()))
-    assert services.offer(Edge("no compiler")) == "no compiler"  # type: ignore[arg-type]
+    assert services.serve(Edge("no compiler")) == "no compiler"  # type: ignore[arg-type]
     assert asked == []
-    assert services.offer(Edge()) == "~/resume is refused"  # type: ignore[arg-type]
+    assert services.serve(Edge()) == "~/resume is refused"  # type: ignore[arg-type]
     assert asked == [("~/pause", "rosbag2_interfaces/srv/Pause"), ("~/resume", "rosbag2_interfaces/srv/Resume")]
     asked.clear()
     services.close()
-    assert services.offer(Edge()) == "" and asked == [], "too late"  # type: ignore[arg-type]
+    assert services.serve(Edge()) == "" and asked == [], "too late"  # type: ignore[arg-type]

@@ -54,7 +54,7 @@ def start(recorders: list[Recorder], path: Path, **options: Any) -> tuple[Record
     )
     recorders.append(recorder)
     graph = Graph()
-    recording.offer(graph, recorder)  # type: ignore[arg-type]
+    recording.serve_recording(graph, recorder)  # type: ignore[arg-type]
     return recorder, graph
 
 

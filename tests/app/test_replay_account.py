@@ -9,8 +9,17 @@ import pytest
 
 from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Player
-from igtl_gateway.app.replay_account import LEFT, LOST, NO_PEER, NOT_REACHED, OUTSIDE, REFUSED, Account, lines
-from igtl_gateway.app.replay_plan import plan, planned
+from igtl_gateway.app.replay_account import (
+    LEFT,
+    LOST,
+    NO_PEER,
+    NOT_REACHED,
+    OUTSIDE,
+    REFUSED,
+    ReplayAccount,
+    account_lines,
+)
+from igtl_gateway.app.replay_plan import plan_replay, planned_entries
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import RosError
@@ -36,8 +45,8 @@ def played(
 ) -> dict[str, object]:
     """The account of a replay whose sides take everything, but for the stream ``refuse``."""
     with SessionFile.open(path) as file:
-        how = plan(file, to, recompute)
-        account = Account.of(file, how)
+        how = plan_replay(file, to, recompute)
+        account = ReplayAccount.of(file, how)
         start_ns, end_ns = (file.start_ns + round(s * 1e9) for s in part) if part else (None, None)
         faulty = FaultyFeed(Faults.parse(faults), 7)
         stop = threading.Event()
@@ -46,7 +55,9 @@ def played(
         def feed(from_ns: int | None) -> object:
             account.begin()
             return faulty(
-                planned(file, Config(), how, streams, from_ns, end_ns, "server", account.passed_over, account.made)
+                planned_entries(
+                    file, Config(), how, streams, from_ns, end_ns, "server", account.passed_over, account.made
+                )
             )
 
         def send(entry: Entry) -> bool:
@@ -67,7 +78,7 @@ def played(
     assert facts["sent"] == len(sent) - len(sent) // 10 - 2, "what was sent is what the sides took"
     assert missed.get(NO_PEER, 0) == len(sent) // 10 and missed[LEFT] == 2
     assert min(missed.values()) > 0
-    assert lines(facts)[0].startswith(f"not sent: {sum(missed.values()):,} of ")
+    assert account_lines(facts)[0].startswith(f"not sent: {sum(missed.values()):,} of ")
     return missed  # type: ignore[no-any-return]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.app.replay_plan import both_sender, igtl_sender, plan, planned, ros_sender
+from igtl_gateway.app.replay_plan import both_sender, igtl_sender, plan_replay, planned_entries, ros_sender
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.config import Config
 from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Gateway, Session
@@ -16,7 +16,7 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.record.selection import StateRule
+from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -41,27 +41,28 @@ def seqs(entries: Any) -> list[int]:
 )
 def test_each_side_gets_what_it_heard_that_day(side: str, kinds: set[Kind]) -> None:
     with SessionFile.open(TYPES) as file:
-        how = plan(file, side, recompute=False)
+        how = plan_replay(file, side, recompute=False)
         assert set(how.kinds) == kinds and not how.recompute
-        assert plan(file, side, recompute=True).recompute
-        found = seqs(planned(file, Config(), how, []))
+        assert plan_replay(file, side, recompute=True).recompute
+        found = seqs(planned_entries(file, Config(), how, []))
         assert found == sorted(found) and found
 
 
 def test_both_sides_are_the_two_sides() -> None:
     with SessionFile.open(TYPES) as file:
         igtl, ros, both = (
-            seqs(planned(file, Config(), plan(file, side, False), [])) for side in ("igtl", "ros", "both")
+            seqs(planned_entries(file, Config(), plan_replay(file, side, False), []))
+            for side in ("igtl", "ros", "both")
         )
     assert both == sorted(igtl + ros)
 
 
 def test_a_part_begins_with_the_latched_topics_of_the_file() -> None:
     with SessionFile.open(TYPES) as file:
-        how, start_ns = plan(file, "ros", False), file.start_ns + 2 * S
+        how, start_ns = plan_replay(file, "ros", False), file.start_ns + 2 * S
         latched = {channel.topic for channel in file.channels if channel.qos and channel.qos.latched}
-        found = list(planned(file, Config(), how, [], start_ns, start_ns + S // 2))
-        before = [entry for entry in planned(file, Config(), how, []) if entry.stamp_ns < start_ns]
+        found = list(planned_entries(file, Config(), how, [], start_ns, start_ns + S // 2))
+        before = [entry for entry in planned_entries(file, Config(), how, []) if entry.stamp_ns < start_ns]
     state = [entry for entry in found if entry.stamp_ns < start_ns]
     assert {entry.channel for entry in before} & latched <= {entry.channel for entry in state}
     assert "/igtl/in/Device/status" in {entry.channel for entry in state}, "not latched in ROS, but a STATUS caused it"
@@ -111,7 +112,7 @@ def split(folder: Path) -> list[Path]:
         clock=ManualClock(),
         host=in_thread,
         options=RecordOptions(split_s=2.0),
-        rule=StateRule(frozenset({LINKS_TOPIC, PLAN})),
+        rule=StateInputRule(frozenset({LINKS_TOPIC, PLAN})),
     )
     for entry in entries:
         recorder(entry)
@@ -122,8 +123,8 @@ def test_a_file_that_begins_midway_goes_through_the_gateway_behind_its_prologue(
     *_, last = split(tmp_path)
     with SessionFile.open(last) as file:
         assert file.prologue()
-        said = list(planned(file, Config(), plan(file, "igtl", False), []))
-        again = list(planned(file, Config(), plan(file, "igtl", True), [], file.start_ns))
+        said = list(planned_entries(file, Config(), plan_replay(file, "igtl", False), []))
+        again = list(planned_entries(file, Config(), plan_replay(file, "igtl", True), [], file.start_ns))
     assert said and [entry.data() for entry in again[-len(said) :]] == [entry.data() for entry in said]
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
-from igtl_gateway.app.status import RATES_OVER_S, Status
+from igtl_gateway.app.status import RATES_OVER_S, BridgeStatus
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.config import Config
 from igtl_gateway.session.entry import Kind
@@ -24,7 +24,7 @@ class Watch:
 def test_rates_are_of_the_last_seconds() -> None:
     clock, watch = ManualClock(1_767_225_600 * NS_PER_S), Watch()
     bridge = Bridge(Config(), BridgeOptions(ros=False), clock)
-    status = Status(bridge, watch, clock)
+    status = BridgeStatus(bridge, watch, clock)
     ledger = bridge.gateway.ledger
     rates = []
     for second in range(16):
@@ -48,7 +48,7 @@ def test_rates_are_of_the_last_seconds() -> None:
 def test_a_defect_of_the_status_is_told_and_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = ManualClock(NS_PER_S)
     bridge = Bridge(Config(), BridgeOptions(ros=False), clock)
-    status = Status(bridge, Watch(), clock)
+    status = BridgeStatus(bridge, Watch(), clock)
     status.sample()
     whole = status.facts
     with monkeypatch.context() as broken:

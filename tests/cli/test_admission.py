@@ -8,28 +8,28 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import admission
-from igtl_gateway.cli.admission import place
+from igtl_gateway.cli.admission import peer_address
 from igtl_gateway.cli.common import add_addresses
 from igtl_gateway.cli.edge_file import completed
 from igtl_gateway.config import Config
-from igtl_gateway.edges.tcp import Limits, TlsFiles
+from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import ConfigError
 
 
 def parsed(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    add_addresses(parser, admission.place)
+    add_addresses(parser, admission.peer_address)
     admission.add_tls(parser)
     admission.add_limits(parser)
     return parser.parse_args(words)
 
 
 def test_places() -> None:
-    assert (place("tls://[::1]:7"), place("tls://[::1]:7").scheme) == (("::1", 7), "tls")
-    assert (place("tcp://:7"), place("tcp://:7").scheme) == (("127.0.0.1", 7), "tcp")
-    assert (place("10.0.0.1"), place("10.0.0.1").scheme) == (("10.0.0.1", 18944), "")
+    assert (peer_address("tls://[::1]:7"), peer_address("tls://[::1]:7").scheme) == (("::1", 7), "tls")
+    assert (peer_address("tcp://:7"), peer_address("tcp://:7").scheme) == (("127.0.0.1", 7), "tcp")
+    assert (peer_address("10.0.0.1"), peer_address("10.0.0.1").scheme) == (("10.0.0.1", 18944), "")
     with pytest.raises(argparse.ArgumentTypeError, match="'http://a:1'"):
-        place("http://a:1")
+        peer_address("http://a:1")
 
 
 @pytest.mark.parametrize(
@@ -42,24 +42,24 @@ def test_places() -> None:
     ],
 )
 def test_where_tls_is_spoken(words: list[str], listen: str, connect: str) -> None:
-    ours = {"a": place(":1"), "b": place("tls://:2"), "-": place("tcp://:3")}
-    servers = {"c": place(":4"), "d": place("tls://:5"), "-": place("tcp://:6")}
+    ours = {"a": peer_address(":1"), "b": peer_address("tls://:2"), "-": peer_address("tcp://:3")}
+    servers = {"c": peer_address(":4"), "d": peer_address("tls://:5"), "-": peer_address("tcp://:6")}
     found = admission.secured(parsed(*words), tuple(ours.values()), tuple(servers.values()))
     assert found == (frozenset(ours[name] for name in listen), frozenset(servers[name] for name in connect))
 
 
 def test_files_for_no_address_are_a_mistake() -> None:
     with pytest.raises(ConfigError, match="found no address with TLS"):
-        admission.secured(parsed("--tls-ca", "ca.pem"), (), (place(":1"),))
+        admission.secured(parsed("--tls-ca", "ca.pem"), (), (peer_address(":1"),))
     assert admission.tls(parsed("--tls-key", "k")) == TlsFiles(None, Path("k"), None)
 
 
 def test_limits_and_their_defaults(capsys: pytest.CaptureFixture[str]) -> None:
-    assert admission.limits(completed(parsed(), None)) == Limits()
+    assert admission.limits(completed(parsed(), None)) == PeerLimits()
     words = "--max-body STRING=4 --max-body GET_*=0.5 --max-body-mib 1 --max-messages 9 --idle-s 60 --stall-s 1"
     words += " --min-rate-kib 2"
     bodies = (("STRING", 4 << 20), ("GET_*", 1 << 19))
-    own = Limits(idle_s=60, stall_s=1, min_rate=2048, max_body=1 << 20, bodies=bodies, messages_per_s=9)
+    own = PeerLimits(idle_s=60, stall_s=1, min_rate=2048, max_body=1 << 20, bodies=bodies, messages_per_s=9)
     assert admission.limits(completed(parsed(*words.split()), None)) == own
     for wrong in ("STRING", "STRING=", "=4", "STRING=-1", "STRING=nan", "STRING=inf"):
         with pytest.raises(SystemExit):

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from igtl_gateway.cli.common import address, count, size, stop_event
+from igtl_gateway.cli.common import address, count_text, size_text, stop_event
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -65,5 +65,5 @@ def test_addresses_that_are_none(text: str) -> None:
 
 
 def test_numbers_for_people() -> None:
-    assert (count(1, "peer"), count(1234, "entry", "entries")) == ("1 peer", "1,234 entries")
-    assert (size(812), size(9_600_000), size(3e12)) == ("812 B", "9.6 MB", "3000.0 GB")
+    assert (count_text(1, "peer"), count_text(1234, "entry", "entries")) == ("1 peer", "1,234 entries")
+    assert (size_text(812), size_text(9_600_000), size_text(3e12)) == ("812 B", "9.6 MB", "3000.0 GB")

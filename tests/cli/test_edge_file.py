@@ -12,7 +12,7 @@ from igtl_gateway.cli import admission, edge_file
 from igtl_gateway.cli.common import addresses
 from igtl_gateway.cli.edge_file import completed
 from igtl_gateway.config import Config
-from igtl_gateway.edges.tcp import Limits, TlsFiles
+from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import ConfigError
 from tests.cli.test_admission import parsed
 from tests.integration.bridge import ROOT, Bridge, RawPeer, string
@@ -35,7 +35,7 @@ def test_every_option_has_its_setting_and_the_other_way_round(path: Path) -> Non
     assert (ours, servers) == (frozenset({("127.0.0.1", 18944), ("0.0.0.0", 18945)}), frozenset())
     assert found.allow == ["192.168.7.0/24"]
     assert admission.tls(found) == TlsFiles(*(path.parent / name for name in ("or1.pem", "or1.key", "clinic.pem")))
-    assert admission.limits(found) == Limits(bodies=(("STRING", 4 << 20), ("GET_*", 1 << 19)))
+    assert admission.limits(found) == PeerLimits(bodies=(("STRING", 4 << 20), ("GET_*", 1 << 19)))
     options = set(vars(parsed()))
     assert options == set(edge_file.EdgeFile.__slots__) == set(re.findall(r"(?m)^(\w+) =", path.read_text()))
 
@@ -76,7 +76,7 @@ def test_what_is_wrong_is_named_with_its_place(path: Path, text: str, words: str
 
 def test_the_example_is_one() -> None:
     found = completed(parsed(), EXAMPLE)
-    assert Config.from_toml(EXAMPLE).deny_in and found.allow and admission.limits(found) != Limits()
+    assert Config.from_toml(EXAMPLE).deny_in and found.allow and admission.limits(found) != PeerLimits()
     admission.secured(found, *addresses(found))
 
 

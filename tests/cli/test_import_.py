@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.app.replay_plan import plan
+from igtl_gateway.app.replay_plan import plan_replay
 from igtl_gateway.buffers import join
 from igtl_gateway.cli import FAILURE, USAGE, main
 from igtl_gateway.session.entry import Entry, Kind
@@ -46,7 +46,7 @@ def test_a_sequence_replays_as_transforms_and_images_with_their_own_stamps(tmp_p
     assert main(["import", str(source), "-o", str(out), "--epoch", "2020-01-01T00:00:00Z"]) == 0
     start = 1_577_836_800 * 10**9
     with SessionFile.open(out) as file:
-        how = plan(file, "igtl", False)
+        how = plan_replay(file, "igtl", False)
         assert (how.recompute, set(how.kinds)) == (False, {Kind.IGTL_IN})
     sent = [entry for entry in entries(out) if entry.kind is Kind.IGTL_IN]
     assert [(entry.channel, entry.source_ns - start) for entry in sent] == [

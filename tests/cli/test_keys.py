@@ -12,7 +12,7 @@ from typing import IO
 
 import pytest
 
-from igtl_gateway.cli.keys import FASTER, NEXT, PAUSE, QUIT, SLOWER, commands, is_ours, keyboard, read_lines
+from igtl_gateway.cli.keys import FASTER, NEXT, PAUSE, QUIT, SLOWER, can_read_keys, keyboard, parse_keys, read_lines
 
 PATIENCE_S = 30.0
 ARROWS = [NEXT, FASTER, SLOWER]
@@ -40,13 +40,13 @@ def terminal() -> Iterator[tuple[int, IO[bytes]]]:
     ],
 )
 def test_keys_mean_commands_and_others_nothing(typed: bytes, found: list[str]) -> None:
-    assert commands(typed) == (found, b"")
+    assert parse_keys(typed) == (found, b"")
 
 
 def test_a_key_may_arrive_in_pieces() -> None:
-    found, rest = commands(b" \x1b[")
+    found, rest = parse_keys(b" \x1b[")
     assert (found, rest) == ([PAUSE], b"\x1b[")
-    assert commands(rest + b"A") == ([FASTER], b"")
+    assert parse_keys(rest + b"A") == ([FASTER], b"")
 
 
 def test_keys_come_one_by_one_without_echo_and_the_terminal_is_left_as_it_was() -> None:
@@ -73,9 +73,9 @@ def test_keys_come_one_by_one_without_echo_and_the_terminal_is_left_as_it_was() 
 
 def test_only_a_terminal_of_ours_is_asked_for_keys() -> None:
     with terminal() as (_, stream):
-        assert not is_ours(stream), "a terminal, but not the one that controls us"
+        assert not can_read_keys(stream), "a terminal, but not the one that controls us"
     with open(os.devnull, "rb") as nothing:
-        assert not is_ours(nothing)
+        assert not can_read_keys(nothing)
 
 
 @pytest.mark.parametrize("typed", [b"\n\nlast", b"a\nb\nc\n"])

@@ -19,7 +19,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway_lab.cli.simulate import facts
+from igtl_gateway_lab.cli.simulate import scenario_facts
 from tests.integration.hostile_cases import raw
 from tests.integration.hostile_files import bags, foreign, images, streams
 
@@ -113,7 +113,7 @@ def test_info_tells_what_was_meant_for_links_that_were_gone(capsys: pytest.Captu
         "0": {"dropped": {"STRING/A": 2}, "ignored": {"STRING/A": 3}},
         "7": {"dropped": {"STRING/B": 4}, "ignored": {}},
     }
-    SessionWriter(path, facts("losses", Config())).close({"links": links})
+    SessionWriter(path, scenario_facts("losses", Config())).close({"links": links})
     code, out, _ = outcome(capsys, "info", str(path))
     assert code == 0
     assert "no entries" in out and "1970" not in out

@@ -101,7 +101,7 @@ class Bench:
 def test_a_signal_pauses_and_resumes(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "a.mcap")
     before = signal.getsignal(signal.SIGUSR2)
-    with recording.steering(bench.recorder):
+    with recording.recording_controls(bench.recorder):
         os.kill(os.getpid(), signal.SIGUSR2)
         bench.wait(PAUSED)
         os.kill(os.getpid(), signal.SIGUSR2)
@@ -112,7 +112,7 @@ def test_a_signal_pauses_and_resumes(tmp_path: Path) -> None:
 
 def test_a_signal_writes_a_snapshot(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "a.mcap", snapshot_s=5.0)
-    with recording.steering(bench.recorder) as told:
+    with recording.recording_controls(bench.recorder) as told:
         assert told == "SIGUSR1 writes the last 5 s"
         os.kill(os.getpid(), signal.SIGUSR1)
         bench.wait(SNAPSHOT)
@@ -121,7 +121,7 @@ def test_a_signal_writes_a_snapshot(tmp_path: Path) -> None:
 
 
 def test_without_a_recording_there_is_nothing_to_steer() -> None:
-    with recording.steering(None) as told:
+    with recording.recording_controls(None) as told:
         assert told == ""
 
 

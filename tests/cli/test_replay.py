@@ -24,7 +24,7 @@ from igtl_gateway.cli import main
 from igtl_gateway.extras import missing
 from igtl_gateway.faults import Faults
 from igtl_gateway.replay.latched import STATE_TYPES
-from igtl_gateway.replay.source import once, select
+from igtl_gateway.replay.source import first_form_only, select_entries
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import ticks_to_ns
@@ -94,7 +94,9 @@ def received_lines(*arguments: str) -> tuple[bytes, list[dict[str, Any]]]:
 
 def recorded(path: Path, *streams: str) -> bytes:
     with SessionFile.open(path) as file:
-        return b"".join(e.data() for e in select(once(file.entries()), frozenset({Kind.IGTL_OUT}), streams))
+        return b"".join(
+            e.data() for e in select_entries(first_form_only(file.entries()), frozenset({Kind.IGTL_OUT}), streams)
+        )
 
 
 def test_two_rates_deliver_identical_bytes_in_identical_order() -> None:
@@ -111,7 +113,7 @@ def test_over_a_bad_line_the_same_seed_does_the_same_at_every_rate() -> None:
     faults = "delay=30ms,jitter=10ms,loss=5%,reorder=5%,corrupt=2%,clock-step=-1h@2s"
     arguments = (str(STAR), "--streams", "TRANSFORM/*", "--fault", faults, "--seed", "7")
     with SessionFile.open(STAR) as file:
-        outputs = list(select(once(file.entries()), frozenset({Kind.IGTL_OUT}), ["TRANSFORM/*"]))
+        outputs = list(select_entries(first_form_only(file.entries()), frozenset({Kind.IGTL_OUT}), ["TRANSFORM/*"]))
     feed = FaultyFeed(Faults.parse(faults), 7)
     wanted = b"".join(entry.data() for entry in feed(outputs))
     assert feed.counts["loss"] > 10 < feed.counts["corrupt"]
@@ -287,7 +289,7 @@ def messages(data: bytes) -> list[bytes]:
 def sent(path: Path) -> tuple[int, list[tuple[float, Entry]]]:
     """The beginning of a recording in UTC ns, and with its second each message that a replay sends to OpenIGTLink."""
     with SessionFile.open(path) as file:
-        entries = select(once(file.entries()), frozenset({Kind.IGTL_OUT}))
+        entries = select_entries(first_form_only(file.entries()), frozenset({Kind.IGTL_OUT}))
         return file.start_ns, [((entry.stamp_ns - file.start_ns) / 1e9, entry) for entry in entries]
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import main
-from igtl_gateway.cli.terminal import LONGEST_LINE, Parser, cell, live, print_json, say, show, width
+from igtl_gateway.cli.terminal import LONGEST_LINE, Parser, cell, live_line, print_json, print_line, print_text, width
 from igtl_gateway.errors import OutputError
 
 NAUGHTY = "/a\x1b]0;owned\x07\n\x1b[2Jverified: all 9 outputs equal\r\u202e"
@@ -26,8 +26,8 @@ def written(monkeypatch: pytest.MonkeyPatch, encoding: str) -> io.BytesIO:
 
 
 def test_foreign_text_stays_on_its_line(capsys: pytest.CaptureFixture[str]) -> None:
-    say(NAUGHTY, "second")
-    say(f"error: {NAUGHTY}", error=True)
+    print_line(NAUGHTY, "second")
+    print_line(f"error: {NAUGHTY}", error=True)
     told = capsys.readouterr()
     assert told.out.splitlines() == [
         "/a\\x1b]0;owned\\x07\\x0a\\x1b[2Jverified: all 9 outputs equal\\x0d\\u202e",
@@ -37,7 +37,7 @@ def test_foreign_text_stays_on_its_line(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_colours_are_ours_alone(capsys: pytest.CaptureFixture[str]) -> None:
-    say(NAUGHTY, colour="31")
+    print_line(NAUGHTY, colour="31")
     told = capsys.readouterr().out
     assert told.startswith("\x1b[31m/a\\x1b") and told.endswith("\\u202e\x1b[0m\n")
     assert told.count("\x1b") == 2
@@ -47,17 +47,17 @@ def test_a_live_line_is_cut_to_the_terminal(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "20")
-    live(f"{NAUGHTY}{'x' * 100}")
+    live_line(f"{NAUGHTY}{'x' * 100}")
     assert capsys.readouterr().out == "\r\x1b[K/a\\x1b]0;owned\\x07\\"
 
 
 def test_long_lines_are_cut_and_say_so(capsys: pytest.CaptureFixture[str]) -> None:
-    say("x" * (LONGEST_LINE + 1234))
+    print_line("x" * (LONGEST_LINE + 1234))
     assert capsys.readouterr().out == f"{'x' * LONGEST_LINE} … and 1,234 more characters\n"
 
 
 def test_own_texts_have_lines_of_any_length(capsys: pytest.CaptureFixture[str]) -> None:
-    show("a\n\nb\x1b\n" + "x" * (LONGEST_LINE + 1))
+    print_text("a\n\nb\x1b\n" + "x" * (LONGEST_LINE + 1))
     assert capsys.readouterr().out == "a\n\nb\\x1b\n" + "x" * (LONGEST_LINE + 1)
 
 
@@ -66,7 +66,7 @@ def test_columns_are_as_wide_as_what_is_shown(capsys: pytest.CaptureFixture[str]
     columns = width(names)
     assert columns == len("/a\\x1b[2J")
     for name in names:
-        say(f"{cell(name, columns)} 1")
+        print_line(f"{cell(name, columns)} 1")
     assert [line.index(" 1") for line in capsys.readouterr().out.splitlines()] == [columns, columns]
 
 
@@ -78,7 +78,7 @@ def test_one_long_name_does_not_widen_a_table_without_end() -> None:
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "utf-8"])
 def test_no_name_stops_the_program(encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
     raw = written(monkeypatch, encoding)
-    say("Sonde 探 é \udcff", "next")
+    print_line("Sonde 探 é \udcff", "next")
     lines = raw.getvalue().decode(encoding).splitlines()
     assert lines[1] == "next"
     assert lines[0].endswith("\\udcff")
@@ -173,4 +173,4 @@ def test_output_that_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(sys, "stdout", Full())
     with pytest.raises(OutputError, match="standard output: No space"):
-        say("a")
+        print_line("a")

@@ -8,14 +8,14 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from igtl_gateway.convert.cdr import Reader, Writer
+from igtl_gateway.convert.cdr import CdrReader, CdrWriter
 from igtl_gateway.errors import ConversionError
 
 LITTLE, BIG = b"\x00\x01\x00\x00", b"\x00\x00\x00\x00"
 
 
 def test_golden_bytes() -> None:
-    out = Writer()
+    out = CdrWriter()
     out.u8(7)
     out.string("ab")
     out.f64s(1.0)
@@ -34,11 +34,11 @@ def test_golden_bytes() -> None:
 
 
 def test_an_empty_sequence_needs_no_alignment() -> None:
-    out = Writer()
+    out = CdrWriter()
     out.sequence(np.empty((0, 3)), 8, 0)
     out.u8(1)
     assert out.finish() == LITTLE + b"\0\0\0\0\1"
-    read = Reader(LITTLE + b"\0\0\0\0\1", "t")
+    read = CdrReader(LITTLE + b"\0\0\0\0\1", "t")
     assert read.sequence("f8", 3, 8).shape == (0,)
     assert read.u8() == 1
 
@@ -46,16 +46,16 @@ def test_an_empty_sequence_needs_no_alignment() -> None:
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_both_byte_orders(order: str) -> None:
     data = (LITTLE if order == "<" else BIG) + struct.pack(f"{order}i4xd", -5, 2.5)
-    read = Reader(data, "t")
+    read = CdrReader(data, "t")
     assert (read.i32(), read.array("f8", 1, 8)[0]) == (-5, 2.5)
 
 
 def test_arrays_and_octets_are_views() -> None:
-    out = Writer()
+    out = CdrWriter()
     out.sequence(np.arange(6.0), 8, 2)
     out.octets(b"abc")
     data = np.frombuffer(out.finish(), np.uint8)
-    read = Reader(data.data, "t")
+    read = CdrReader(data.data, "t")
     assert np.shares_memory(read.sequence("f8", 3, 8), data)
     assert np.shares_memory(np.frombuffer(read.octets(), np.uint8), data)
 
@@ -63,13 +63,13 @@ def test_arrays_and_octets_are_views() -> None:
 @pytest.mark.parametrize("head", [b"", b"\0\1", b"\1\0\0\0", b"\0\2\0\0", b"\0\7\0\0", b"\xff" * 4])
 def test_encapsulations_that_are_not_cdr(head: bytes) -> None:
     with pytest.raises(ConversionError, match="encapsulation"):
-        Reader(head, "t")
+        CdrReader(head, "t")
 
 
 def test_ends_too_early() -> None:
     for size in range(4):
         with pytest.raises(ConversionError, match="ends at byte"):
-            Reader(LITTLE + bytes(size), "t").u32()
+            CdrReader(LITTLE + bytes(size), "t").u32()
 
 
 @pytest.mark.parametrize("count", [0x7FFFFFFF, 0x80000000, 0xFFFFFFFF])
@@ -77,11 +77,11 @@ def test_lying_lengths(count: int) -> None:
     data = LITTLE + struct.pack("<I", count) + bytes(60)
     tracemalloc.start()
     for call in (
-        lambda: Reader(data, "t").octets(),
-        lambda: Reader(data, "t").string(),
-        lambda: Reader(data, "t").sequence("f8", 3, 8),
-        lambda: Reader(data, "t").sequence("u1", 1, 1),
-        lambda: Reader(data, "t").count(),
+        lambda: CdrReader(data, "t").octets(),
+        lambda: CdrReader(data, "t").string(),
+        lambda: CdrReader(data, "t").sequence("f8", 3, 8),
+        lambda: CdrReader(data, "t").sequence("u1", 1, 1),
+        lambda: CdrReader(data, "t").count(),
     ):
         with pytest.raises(ConversionError):
             call()
@@ -91,12 +91,12 @@ def test_lying_lengths(count: int) -> None:
 
 @pytest.mark.parametrize("text", ["", "plain", "é€😀", "\udcff no UTF-8"])
 def test_strings(text: str) -> None:
-    out = Writer()
+    out = CdrWriter()
     out.string(text)
-    assert Reader(out.finish(), "t").string() == text
+    assert CdrReader(out.finish(), "t").string() == text
 
 
 def test_a_string_without_its_nul() -> None:
     """Some writers leave it out; an announced length of 0 is an empty string."""
-    assert Reader(LITTLE + b"\2\0\0\0ab", "t").string() == "ab"
-    assert Reader(LITTLE + b"\0\0\0\0", "t").string() == ""
+    assert CdrReader(LITTLE + b"\2\0\0\0ab", "t").string() == "ab"
+    assert CdrReader(LITTLE + b"\0\0\0\0", "t").string() == ""

@@ -15,12 +15,12 @@ from igtl_gateway.convert.clouds import (
     cloud_to_polydata,
     point_to_igtl,
     point_to_ros,
-    points_to_ros,
+    points_to_cloud,
     polydata_to_cloud,
 )
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, Header, PointCloud2, PointField, PointStamped
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import CELL, NORMAL, RGBA, SCALAR, VECTOR, Attribute, PolyData
@@ -58,7 +58,7 @@ def xyz(values: Any = XYZ) -> dict[str, Any]:
 
 
 def sent(message: PointCloud2, warnings: list[str] | None = None) -> PolyData:
-    to = ToIgtl()
+    to = ToIgtlContext()
     out = cloud_to_polydata(message, to)
     assert out.stamp_ns == 7
     assert [code for code, _ in to.warnings] == (warnings or [])
@@ -67,7 +67,7 @@ def sent(message: PointCloud2, warnings: list[str] | None = None) -> PolyData:
 
 
 def published(content: PolyData) -> dict[str, Any]:
-    message = polydata_to_cloud(content, ToRos("d", 5, "frame", ""))
+    message = polydata_to_cloud(content, ToRosContext("d", 5, "frame", ""))
     assert message.header == Header(5, "frame")
     assert message.row_step == message.point_step * message.width == memoryview(message.data).nbytes
     layout = np.dtype(
@@ -125,7 +125,7 @@ def test_packed_colours(kind: str, big: bool, field: str, colour: tuple[int, ...
     (attribute,) = sent(message).attributes
     assert (attribute.type, attribute.name) == (SCALAR, field.upper())
     assert np.rint(attribute.values * 255).tolist() == [list(colour)] * 2
-    points = cloud_to_points(message, ToIgtl()).content
+    points = cloud_to_points(message, ToIgtlContext()).content
     assert isinstance(points, Points)
     assert points.elements["rgba"].tolist() == [list(colour) if len(colour) == 4 else [*colour, 255]] * 2
     assert points.elements["position"].tolist() == MM
@@ -181,7 +181,7 @@ def test_no_points(columns: dict[str, Any]) -> None:
     content = sent(cloud(columns | {"intensity": np.zeros(count), "pair": np.zeros((count, 2))}))
     assert (len(content.points), content.vertices.count) == (0, 0)
     assert published(content)["x"] == []
-    assert len(cloud_to_points(cloud(columns), ToIgtl()).content.elements) == 0  # type: ignore[attr-defined]
+    assert len(cloud_to_points(cloud(columns), ToIgtlContext()).content.elements) == 0  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
@@ -205,9 +205,9 @@ def test_contradictions(changes: dict[str, Any]) -> None:
     message = cloud(xyz())
     fields = {name: getattr(message, name) for name in PointCloud2.__slots__} | changes
     for convert in (cloud_to_polydata, cloud_to_points):
-        convert(message, ToIgtl())
+        convert(message, ToIgtlContext())
         with pytest.raises(ConversionError):
-            convert(PointCloud2(**fields), ToIgtl())
+            convert(PointCloud2(**fields), ToIgtlContext())
 
 
 def test_positions_that_lie_on_each_other() -> None:
@@ -289,19 +289,19 @@ def test_quirk_of_the_reference_library() -> None:
 
 def test_points_to_ros() -> None:
     content = Points.of(np.array(MM), np.array([[1, 2, 3, 4], [5, 6, 7, 8]], np.uint8), np.array([2.0, 4.0]))
-    message = points_to_ros(content, ToRos("d", 5, "f", ""))
+    message = points_to_cloud(content, ToRosContext("d", 5, "f", ""))
     assert [(item.name, item.offset, item.datatype) for item in message.fields] == [
         ("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("rgba", 12, 6), ("diameter", 16, 7)
     ]  # fmt: skip
-    back = cloud_to_points(message, ToIgtl()).content
+    back = cloud_to_points(message, ToIgtlContext()).content
     assert isinstance(back, Points)
     assert (back.elements == content.elements).all()
 
 
 def test_one_point() -> None:
-    message = point_to_ros(Points.of(np.array(MM[:1])), ToRos("d", 5, "f", ""))
+    message = point_to_ros(Points.of(np.array(MM[:1])), ToRosContext("d", 5, "f", ""))
     assert message == PointStamped(Header(5, "f"), (0.001, -0.002, 0.003))
-    content = point_to_igtl(message, ToIgtl()).content
+    content = point_to_igtl(message, ToIgtlContext()).content
     assert isinstance(content, Points)
     assert content.elements["position"].tolist() == MM[:1]
     assert content.elements["rgba"].tolist() == [[255] * 4]
@@ -310,10 +310,10 @@ def test_one_point() -> None:
 @pytest.mark.parametrize("x", [math.nan, math.inf, 1e300])
 def test_a_point_without_a_place(x: float) -> None:
     with pytest.raises(ConversionError):
-        point_to_igtl(PointStamped(Header(), (x, 0.0, 0.0)), ToIgtl())
+        point_to_igtl(PointStamped(Header(), (x, 0.0, 0.0)), ToIgtlContext())
 
 
 def test_configured_units() -> None:
-    content = cloud_to_polydata(cloud(xyz([[1, 2, 3]])), ToIgtl(Lengths("mm", "cm"))).content
+    content = cloud_to_polydata(cloud(xyz([[1, 2, 3]])), ToIgtlContext(LengthUnits("mm", "cm"))).content
     assert isinstance(content, PolyData)
     assert content.points.tolist() == [[np.float32(0.1), np.float32(0.2), np.float32(0.3)]]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.convert.columns import MAX_ROWS, check_rows, fitted, set_texts, texts
-from igtl_gateway.convert.context import ToIgtl
+from igtl_gateway.convert.columns import MAX_ROWS, check_rows, fit_texts, set_text_fields, texts
+from igtl_gateway.convert.context import ToIgtlContext
 from igtl_gateway.errors import ConversionError
 
 WIDTH = 8
@@ -40,21 +40,21 @@ def test_texts_are_read_up_to_their_first_nul() -> None:
 )
 def test_texts_are_cut_between_characters(text: str, stored: bytes) -> None:
     array = elements(b"old", b"old")
-    to = ToIgtl()
-    set_texts(array, "name", ["x", text], to)
+    to = ToIgtlContext()
+    set_text_fields(array, "name", ["x", text], to)
     assert array["name"].tolist() == [b"x", stored]
     cut = stored != text.encode()
     assert [code for code, _ in to.warnings] == ["text_cut"] * cut
 
 
 def test_one_warning_tells_of_all() -> None:
-    to = ToIgtl()
-    set_texts(elements(b"", b"", b""), "name", ["first one", "ok", "second one"], to)
+    to = ToIgtlContext()
+    set_text_fields(elements(b"", b"", b""), "name", ["first one", "ok", "second one"], to)
     assert to.warnings == [("text_cut", "name 'first one' is sent as 'first o', and 1 more are cut")]
 
 
 def test_no_elements() -> None:
-    set_texts(elements(), "name", [], ToIgtl())
+    set_text_fields(elements(), "name", [], ToIgtlContext())
     assert texts(elements(), "name") == []
 
 
@@ -62,8 +62,8 @@ def test_no_elements() -> None:
     ("text", "kept"), [("", ""), ("1234", "1234"), ("a\x00bcdef", "a"), ("abcdé", "abcd"), ("abcé", "abc")]
 )
 def test_a_single_text_is_cut_by_the_same_rule(text: str, kept: str) -> None:
-    to = ToIgtl()
-    assert fitted((text,), 4, "name of a thing", to) == [kept]
+    to = ToIgtlContext()
+    assert fit_texts((text,), 4, "name of a thing", to) == [kept]
     cut = kept != text
     assert to.warnings == [("text_cut", f"name of a thing {text!r} is sent as {kept!r}")] * cut
 

@@ -10,7 +10,7 @@ import pytest
 
 from igtl_gateway.buffers import join
 from igtl_gateway.convert import commands
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, MetadataItem
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.wire import command as wire
@@ -24,11 +24,11 @@ def items(**pairs: str) -> tuple[MetadataItem, ...]:
     return tuple(MetadataItem(key, 3, value) for key, value in pairs.items())
 
 
-def to_ros(**pairs: str) -> ToRos:
-    return ToRos("Server", 7, "base", "", metadata=items(**pairs), link=4)
+def to_ros(**pairs: str) -> ToRosContext:
+    return ToRosContext("Server", 7, "base", "", metadata=items(**pairs), link=4)
 
 
-def sent(outgoing: Outgoing) -> wire.Command:
+def sent(outgoing: ConvertedMessage) -> wire.Command:
     assert isinstance(outgoing.content, wire.Command)
     return wire.Command.unpack(memoryview(join(outgoing.content.pack())))
 
@@ -43,7 +43,7 @@ def test_a_command_there_and_back() -> None:
     assert message == Command(
         Header(7, "base"), "Server", 2**32 - 1, "Start", 106, XML, items(User="me"), link=4, timeout=0.0
     )
-    outgoing = commands.command_to_igtl(Command.unpack(message.pack()), ToIgtl())
+    outgoing = commands.command_to_igtl(Command.unpack(message.pack()), ToIgtlContext())
     assert sent(outgoing) == content
     assert (outgoing.stamp_ns, outgoing.frame_id, outgoing.metadata) == (7, "base", items(User="me"))
     assert (outgoing.igtl_type, outgoing.device_name, outgoing.link) == ("COMMAND", "Server", 4)
@@ -55,7 +55,7 @@ def command(**changes: Any) -> Command:
 
 @pytest.mark.parametrize(("text", "encoding"), [("plain", 3), ("", 3), ("é", 106), ("\udcff", 106)])
 def test_without_an_encoding_the_text_decides(text: str, encoding: int) -> None:
-    to = ToIgtl()
+    to = ToIgtlContext()
     content = sent(commands.command_to_igtl(command(content=text), to))
     assert (content.data, content.encoding, to.warnings) == (text.encode("utf-8", "surrogateescape"), encoding, [])
 
@@ -63,19 +63,19 @@ def test_without_an_encoding_the_text_decides(text: str, encoding: int) -> None:
 @pytest.mark.parametrize("encoding", sorted(CODECS.keys() - {3, 1015}))
 @pytest.mark.parametrize("text", ["plain", "1 < 2"])
 def test_every_encoding_that_we_read_we_write(encoding: int, text: str) -> None:
-    to = ToIgtl()
+    to = ToIgtlContext()
     content = sent(commands.command_to_igtl(command(content=text, encoding=encoding), to))
     assert (content.encoding, content.text, to.warnings) == (encoding, text, [])
     assert commands.command_to_ros(content, to_ros()).content == text
 
 
 def test_latin_1_is_not_utf_8() -> None:
-    assert sent(commands.command_to_igtl(command(content="é", encoding=4), ToIgtl())).data == b"\xe9"
+    assert sent(commands.command_to_igtl(command(content="é", encoding=4), ToIgtlContext())).data == b"\xe9"
 
 
 @pytest.mark.parametrize(("text", "encoding"), [("é", 3), ("中", 4), ("x", 9999), ("x", 1015)])
 def test_an_encoding_that_does_not_do_becomes_utf_8_and_is_told(text: str, encoding: int) -> None:
-    to = ToIgtl()
+    to = ToIgtlContext()
     content = sent(commands.command_to_igtl(command(content=text, encoding=encoding), to))
     assert (content.data, content.text) == (text.encode(), text)
     assert content.encoding == (3 if text.isascii() else 106)
@@ -91,7 +91,7 @@ def test_long_names_are_cut_and_it_is_told(name: str, kept: str, cut: bool) -> N
         (command(name=name), commands.command_to_igtl),
         (CommandReply(Header(), "", 1, name, SUCCESS), commands.reply_to_igtl),
     ):
-        to = ToIgtl()
+        to = ToIgtlContext()
         assert sent(convert(message, to)).name == kept  # type: ignore[arg-type]
         assert [code for code, _ in to.warnings] == ["text_cut"] * cut
 
@@ -187,7 +187,7 @@ def test_a_success_there_and_back() -> None:
     message = commands.reply_to_ros(content, to_ros(Result="42"))
     assert message.link == 4
     assert (message.id, message.name, message.device_name, message.content) == (5, "Start", "Server", XML)
-    outgoing = commands.reply_to_igtl(CommandReply.unpack(message.pack()), ToIgtl())
+    outgoing = commands.reply_to_igtl(CommandReply.unpack(message.pack()), ToIgtlContext())
     assert sent(outgoing) == content
     assert (outgoing.igtl_type, outgoing.device_name, outgoing.link) == ("RTS_COMMAND", "Server", 4)
     assert outgoing.metadata == (*items(Result="42"), MetadataItem("Status", 0, "SUCCESS"))
@@ -198,7 +198,7 @@ def test_what_is_no_success_is_a_failure_with_its_reason(status: int) -> None:
     """The message's own items under these keys give way, so that a reply never says two things."""
     pairs = items(Status="SUCCESS", Result="42", ErrorMessage="none")
     message = CommandReply(Header(7, "base"), "Server", 5, "Start", status, "no file", metadata=pairs)
-    outgoing = commands.reply_to_igtl(message, ToIgtl())
+    outgoing = commands.reply_to_igtl(message, ToIgtlContext())
     ours = (MetadataItem("Status", 0, "FAIL"), MetadataItem("ErrorMessage", 0, "no file"))
     assert outgoing.metadata == (*items(Result="42"), *ours)
     back = commands.reply_to_ros(sent(outgoing), replace(to_ros(), metadata=outgoing.metadata))

@@ -12,7 +12,7 @@ import pytest
 from igtl_gateway.buffers import join
 from igtl_gateway.convert import express, poses, rosmsg
 from igtl_gateway.convert.common_msgs import PoseStamped
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.express import MATRIX, QUATERNION
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, decode, encode
@@ -64,7 +64,7 @@ def wire(
 
 def full(content: Transform | Position, stamp_ns: int) -> bytes:
     """By the full path: decoded from the wire, which rounds to float32, and converted."""
-    to, received = ToRos("Probe", stamp_ns, "igtl", "Probe"), decode(wire(content)).content
+    to, received = ToRosContext("Probe", stamp_ns, "igtl", "Probe"), decode(wire(content)).content
     if isinstance(received, Transform):
         return poses.transform_to_ros(received, to).pack()
     assert isinstance(received, Position)
@@ -191,7 +191,7 @@ def sent(
 
 def by_the_full_path(cdr: bytes, size: int, stamp_ns: int, items: tuple[Item, ...] | None = None) -> bytes:
     convert = poses.transform_to_igtl if size == MATRIX else poses.position_to_igtl
-    content: Any = convert(rosmsg.TransformStamped.unpack(cdr), ToIgtl()).content
+    content: Any = convert(rosmsg.TransformStamped.unpack(cdr), ToIgtlContext()).content
     return wire(content, stamp_ns, 1 if items is None else 2, items or ())
 
 

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.convert.geometry import Placement, flipped, join, split
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.geometry import Placement, flip_lps_ras, join_axes, split_axes
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import LPS, RAS, Image
 from tests.strategies import any32, finite32
 
-METRES = Lengths()
+METRES = LengthUnits()
 #: 0.5 × 2 × 3 mm, turned by 90° about z, centred at 10, 20, 30 mm.
 MATRIX = (0.0, 0.5, 0.0, -2.0, 0.0, 0.0, 0.0, 0.0, 3.0, 10.0, 20.0, 30.0)
 
@@ -56,24 +56,24 @@ def test_voxels_stay_where_the_protocol_has_them() -> None:
 
 @given(st.lists(finite32, min_size=9, max_size=9))
 def test_vectors_come_back_to_the_same_bits(nine: list[float]) -> None:
-    direction, spacing = split(nine)
+    direction, spacing = split_axes(nine)
     for start in (0, 3, 6):
         assert math.hypot(*direction[start : start + 3]) == pytest.approx(1.0, abs=1e-12)
         if not any(nine[start : start + 3]):
             nine[start : start + 3] = [0.0, 0.0, 0.0]  # the stated exception
-    assert bits(join(direction, spacing)) == bits(nine)
+    assert bits(join_axes(direction, spacing)) == bits(nine)
 
 
 def test_a_vector_without_length_has_the_direction_of_its_axis() -> None:
-    assert split([0.0] * 9) == ((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+    assert split_axes([0.0] * 9) == ((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 
 
 @given(
     st.tuples(*[finite32.filter(bool)] * 12),
     st.sampled_from([RAS, LPS]),
-    st.sampled_from([METRES, Lengths("mm", "mm"), Lengths("m", "um")]),
+    st.sampled_from([METRES, LengthUnits("mm", "mm"), LengthUnits("m", "um")]),
 )
-def test_matrices_come_back_to_the_same_bits(matrix: tuple[float, ...], coordinate: int, lengths: Lengths) -> None:
+def test_matrices_come_back_to_the_same_bits(matrix: tuple[float, ...], coordinate: int, lengths: LengthUnits) -> None:
     placement = Placement.of_wire(matrix, coordinate, lengths)
     assert bits(placement.to_wire(coordinate, lengths, "here")) == bits(matrix)
 
@@ -105,7 +105,7 @@ def test_what_is_not_finite_is_shown_but_not_sent(matrix: tuple[float, ...]) -> 
 
 @pytest.mark.parametrize("spacing", [math.inf, math.nan, 1e36, 1e308])
 def test_too_large_for_the_wire(spacing: float) -> None:
-    direction, _ = split(Image.IDENTITY[:9])
+    direction, _ = split_axes(Image.IDENTITY[:9])
     with pytest.raises(ConversionError):
         Placement(direction, (spacing, 1.0, 1.0), (0.0, 0.0, 0.0)).to_wire(RAS, METRES, "here")
 
@@ -118,7 +118,7 @@ def test_the_largest_number_of_the_wire_can_be_sent() -> None:
 
 @given(st.tuples(*[finite32] * 12))
 def test_flipped_twice_is_as_before(vectors: tuple[float, ...]) -> None:
-    once = flipped(vectors)
+    once = flip_lps_ras(vectors)
     assert once[2::3] == vectors[2::3]
     assert once[::3] == tuple(-value for value in vectors[::3])
-    assert bits(flipped(once)) == bits(vectors)
+    assert bits(flip_lps_ras(once)) == bits(vectors)

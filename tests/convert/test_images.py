@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.images import image_to_igtl, image_to_ros
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.rosmsg import Image as RosImage
@@ -16,12 +16,12 @@ from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import SCALARS, Image
 
 
-def to_ros() -> ToRos:
-    return ToRos("Camera", 5, "frame", "")
+def to_ros() -> ToRosContext:
+    return ToRosContext("Camera", 5, "frame", "")
 
 
 def sent(message: RosImage) -> Image:
-    out = image_to_igtl(message, ToIgtl())
+    out = image_to_igtl(message, ToIgtlContext())
     assert out.stamp_ns == message.header.stamp_ns
     assert isinstance(out.content, Image)
     out.content.pack()

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from igtl_gateway.buffers import join
 from igtl_gateway.convert import igtl_msgs, lists
 from igtl_gateway.convert.columns import MAX_ROWS
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import BoundMessage, ImageMeta, LabelMeta, MetadataItem, VideoMeta
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
-from igtl_gateway.wire.bind import Bind, Child
+from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.colort import ENTRIES, MAPS, ColorTable
@@ -27,7 +27,7 @@ from igtl_gateway.wire.tracking import TrackingData
 from tests import strategies
 
 ITEMS = (MetadataItem("key", 3, "value"),)
-TO = ToRos("Device", 7, "base", "", metadata=ITEMS)
+TO = ToRosContext("Device", 7, "base", "", metadata=ITEMS)
 HEADER = Header(7, "base")
 
 BOTH: dict[type[Body], tuple[Any, Any]] = {
@@ -40,16 +40,16 @@ BOTH: dict[type[Body], tuple[Any, Any]] = {
 }
 
 
-def published(content: Body, to: ToRos = TO) -> Any:
+def published(content: Body, to: ToRosContext = TO) -> Any:
     """As a subscriber reads it."""
     message = BOTH[type(content)][0](content, to)
     assert (message.header, message.metadata) == (HEADER, ITEMS)
     return type(message).unpack(message.pack())
 
 
-def sent(message: Any, kind: type[Body], warnings: list[str] | None = None, lengths: Lengths | None = None) -> Any:
+def sent(message: Any, kind: type[Body], warnings: list[str] | None = None, lengths: LengthUnits | None = None) -> Any:
     """The content as a peer reads it."""
-    to = ToIgtl(lengths or Lengths())
+    to = ToIgtlContext(lengths or LengthUnits())
     outgoing = BOTH[kind][1](message, to)
     assert isinstance(outgoing.content, kind)
     assert (outgoing.stamp_ns, outgoing.frame_id) == (message.header.stamp_ns, message.header.frame_id)
@@ -133,7 +133,7 @@ def told_ns(ticks: int) -> int:
 @given(st.sampled_from(["IMGMETA", "LBMETA", "VIDEOMETA"]).flatmap(lambda kind: strategies.bodies()[kind]))
 def test_whatever_the_texts_the_numbers_come_back(content: Any) -> None:
     try:
-        back = BOTH[type(content)][1](published(content), ToIgtl()).content
+        back = BOTH[type(content)][1](published(content), ToIgtlContext()).content
     except ConversionError:
         assert isinstance(content, VideoMetaList)
         assert not np.isfinite(content.elements["matrix"]).all()
@@ -179,14 +179,14 @@ def test_a_label_golden() -> None:
     assert published(content).labels == (LabelMeta("n", "d", 9, (1, 2, 3, 4), (5, 6, 7), "o"),)
 
 
-@pytest.mark.parametrize(("lengths", "unit"), [(Lengths(), 1000), (Lengths("mm", "mm"), 1)])
-def test_a_video_golden(lengths: Lengths, unit: float) -> None:
+@pytest.mark.parametrize(("lengths", "unit"), [(LengthUnits(), 1000), (LengthUnits("mm", "mm"), 1)])
+def test_a_video_golden(lengths: LengthUnits, unit: float) -> None:
     content = VideoMetaList(np.zeros(1, VideoMetaList.DTYPE))
     element = content.elements[0]
     element["name"], element["device_name"], element["patient_name"], element["patient_id"] = b"n", b"d", b"p", b"i"
     element["zoom_level"], element["focal_length"], element["scalar_type"] = -2, 35.0, 3
     element["size"], element["matrix"] = (4, 5, 6), (0, 2, 0, -0.5, 0, 0, 0, 0, 3, 10, -20, 30)
-    message = published(content, ToRos("Device", 7, "base", "", lengths, metadata=ITEMS))
+    message = published(content, ToRosContext("Device", 7, "base", "", lengths, metadata=ITEMS))
     assert message.videos == (
         VideoMeta(
             *("n", "d", "p", "i", -2, 35.0 / unit, (4, 5, 6), (0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0)),
@@ -287,7 +287,9 @@ def test_a_type_name_is_not_cut() -> None:
 
 def test_the_contents_of_bound_messages_are_not_copied() -> None:
     tool = join(TrackingData(np.ones(1, TrackingData.DTYPE)).pack())
-    content = Bind((Child("TDATA", "Tracker é", tool), Child("CUSTOM", "", b"abc"), Child("STATUS", "x" * 20, b"")))
+    content = Bind(
+        (BindChild("TDATA", "Tracker é", tool), BindChild("CUSTOM", "", b"abc"), BindChild("STATUS", "x" * 20, b""))
+    )
     message = lists.bind_to_ros(content, TO)
     assert message.children[0].content is tool
     assert [(child.type, child.name) for child in published(content).children] == [

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.convert.names import MAX_TOKEN, frames_of, hashed, short_device_name, topic_token
+from igtl_gateway.convert.names import MAX_TOKEN, frames_of, name_hash, short_device_name, topic_token
 
 
 @pytest.mark.parametrize(
@@ -64,6 +64,6 @@ def test_short_names_fit(name: str) -> None:
 
 def test_shortening_is_stable() -> None:
     """The hash is CRC-32 of the name: the same in every release, on every machine."""
-    assert hashed("123456789") == "3926"  # CRC-32 check value cbf43926
+    assert name_hash("123456789") == "3926"  # CRC-32 check value cbf43926
     assert short_device_name("StylusTipToReferenceSensor").startswith("StylusTipToRefe_")
     assert short_device_name("\udcff" * 21)[-5] == "_"

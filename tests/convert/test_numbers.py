@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from igtl_gateway.buffers import join
 from igtl_gateway.convert import igtl_msgs, numbers
 from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, JointState, MultiArrayDimension, MultiArrayLayout
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.errors import ConversionError
@@ -21,19 +21,19 @@ from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
 from igtl_gateway.wire.sensor import Sensor, parse_unit
 
 ITEMS = (MetadataItem("key", 3, "value"),)
-TO = ToRos("Device", 7, "base", "", metadata=ITEMS)
+TO = ToRosContext("Device", 7, "base", "", metadata=ITEMS)
 HEADER = Header(7, "base")
 VALUES = np.array([1.5, -2.0, math.inf])
 TORQUE = 0x02C4110000000000
 
 
-def content_of(outgoing: Outgoing, kind: type[Any]) -> Any:
+def content_of(outgoing: ConvertedMessage, kind: type[Any]) -> Any:
     """The content as a peer reads it."""
     assert isinstance(outgoing.content, kind)
     return kind.unpack(memoryview(join(outgoing.content.pack())))
 
 
-def told(outgoing: Outgoing) -> tuple[int, str, object]:
+def told(outgoing: ConvertedMessage) -> tuple[int, str, object]:
     return outgoing.stamp_ns, outgoing.frame_id, outgoing.metadata
 
 
@@ -45,7 +45,7 @@ def test_a_sensor_with_its_unit() -> None:
     assert (message.header, message.metadata) == (HEADER, ITEMS)
     assert (message.status, message.unit, message.unit_text) == (9, TORQUE, "N.m")
     assert message.values.tolist() == VALUES.tolist()
-    outgoing = numbers.sensor_to_igtl(igtl_msgs.Sensor.unpack(message.pack()), ToIgtl())
+    outgoing = numbers.sensor_to_igtl(igtl_msgs.Sensor.unpack(message.pack()), ToIgtlContext())
     assert told(outgoing) == (7, "base", ITEMS)
     assert content_of(outgoing, Sensor) == Sensor(VALUES, TORQUE, 9)
 
@@ -56,12 +56,12 @@ def test_a_sensor_with_its_unit() -> None:
 )
 def test_the_text_of_a_unit_is_read_where_there_is_no_word(unit: int, text: str, word: int) -> None:
     message = igtl_msgs.Sensor(HEADER, 0, unit, text, VALUES)
-    assert content_of(numbers.sensor_to_igtl(message, ToIgtl()), Sensor).unit == word
+    assert content_of(numbers.sensor_to_igtl(message, ToIgtlContext()), Sensor).unit == word
 
 
 def test_a_unit_that_is_none_is_refused() -> None:
     with pytest.raises(ConversionError, match="found unit_text 'furlong', expected"):
-        numbers.sensor_to_igtl(igtl_msgs.Sensor(HEADER, 0, 0, "furlong", VALUES), ToIgtl())
+        numbers.sensor_to_igtl(igtl_msgs.Sensor(HEADER, 0, 0, "furlong", VALUES), ToIgtlContext())
 
 
 def values_message(count: int) -> Any:
@@ -80,15 +80,15 @@ def values_message(count: int) -> Any:
 def test_a_sensor_has_at_most_255_values(convert: Any, make: Any, count: int) -> None:
     if count > 255:
         with pytest.raises(ConversionError, match="found 256 values, expected at most 255"):
-            convert(make(count), ToIgtl())
+            convert(make(count), ToIgtlContext())
     else:
-        content = content_of(convert(make(count), ToIgtl()), Sensor)
+        content = content_of(convert(make(count), ToIgtlContext()), Sensor)
         assert content.values.tolist() == list(range(count))
 
 
 def test_joints_are_radians() -> None:
     message = JointState(HEADER, ("a", "b", "c"), VALUES, VALUES * 2, VALUES * 3)
-    outgoing = numbers.joints_to_sensor(JointState.unpack(message.pack()), ToIgtl())
+    outgoing = numbers.joints_to_sensor(JointState.unpack(message.pack()), ToIgtlContext())
     assert (outgoing.stamp_ns, outgoing.frame_id) == (7, "base")
     assert content_of(outgoing, Sensor) == Sensor(VALUES, parse_unit("rad"))
 
@@ -96,9 +96,9 @@ def test_joints_are_radians() -> None:
 def test_bare_values() -> None:
     message = numbers.sensor_to_values(Sensor(VALUES, TORQUE), TO)
     assert message.layout == MultiArrayLayout((MultiArrayDimension("", 3, 3),))
-    assert content_of(numbers.values_to_sensor(type(message).unpack(message.pack()), ToIgtl()), Sensor) == Sensor(
-        VALUES
-    )
+    assert content_of(
+        numbers.values_to_sensor(type(message).unpack(message.pack()), ToIgtlContext()), Sensor
+    ) == Sensor(VALUES)
 
 
 # -- NDARRAY as our own message ------------------------------------------------------------------------------------
@@ -110,7 +110,7 @@ def test_the_bytes_of_an_array_are_not_copied() -> None:
     assert (message.header, message.metadata) == (HEADER, ITEMS)
     assert (message.scalar_type, message.size.tolist(), message.is_bigendian) == (4, [2, 3], True)
     assert message.data is data
-    outgoing = numbers.array_to_igtl(message, ToIgtl())
+    outgoing = numbers.array_to_igtl(message, ToIgtlContext())
     assert told(outgoing) == (7, "base", ITEMS)
     assert isinstance(outgoing.content, NdArray)
     assert outgoing.content.data is data
@@ -123,7 +123,7 @@ def test_both_byte_orders_of_every_type(scalar: int, big: bool) -> None:
     values = (np.arange(6).reshape(3, 2) + (2j if kind.kind == "c" else 0)).astype(kind)
     data = values.astype(kind.newbyteorder(">" if big else "<")).tobytes()
     message = igtl_msgs.NdArray(HEADER, scalar, np.array([3, 2], np.uint16), big, data)
-    content = content_of(numbers.array_to_igtl(igtl_msgs.NdArray.unpack(message.pack()), ToIgtl()), NdArray)
+    content = content_of(numbers.array_to_igtl(igtl_msgs.NdArray.unpack(message.pack()), ToIgtlContext()), NdArray)
     assert content.size == (3, 2)
     assert content.array.tolist() == values.tolist()
 
@@ -132,7 +132,7 @@ def test_the_bits_of_no_numbers_survive_the_byte_order() -> None:
     """A signalling NaN, and NaNs with a payload."""
     words = [0x7FF0000000000001, 0x7FF8DEADBEEF0000, 0xFFF0000000000002]
     message = igtl_msgs.NdArray(HEADER, 11, np.array([3], np.uint16), False, np.array(words, "<u8").tobytes())
-    outgoing = numbers.array_to_igtl(message, ToIgtl())
+    outgoing = numbers.array_to_igtl(message, ToIgtlContext())
     assert np.frombuffer(join(outgoing.content.pack())[4:], ">u8").tolist() == words
 
 
@@ -143,7 +143,7 @@ def test_the_bits_of_no_numbers_survive_the_byte_order() -> None:
 def test_arrays_that_contradict_themselves_are_refused(scalar: int, size: tuple[int, ...], bytes_: int) -> None:
     message = igtl_msgs.NdArray(HEADER, scalar, np.array(size, np.uint16), False, bytes(bytes_))
     with pytest.raises(ConversionError, match=r"igtl_msgs/msg/NdArray: .*found .* expected"):
-        numbers.array_to_igtl(message, ToIgtl())
+        numbers.array_to_igtl(message, ToIgtlContext())
 
 
 # -- NDARRAY as std_msgs -------------------------------------------------------------------------------------------
@@ -156,7 +156,7 @@ def test_multi_arrays_there_and_back(code: str) -> None:
         MultiArrayLayout(tuple(MultiArrayDimension(f"d{n}", n, stride) for n, stride in ((2, 24), (3, 12), (4, 4)))),
         values.reshape(-1),
     )
-    content = content_of(numbers.multi_to_array(type(message).unpack(message.pack()), ToIgtl()), NdArray)
+    content = content_of(numbers.multi_to_array(type(message).unpack(message.pack()), ToIgtlContext()), NdArray)
     assert content.array.tolist() == values.tolist()
     assert [kind for kind in MULTI_ARRAYS if numbers.is_array_of(kind)(content)] == [code]
     back = numbers.array_to_multi(content, TO)
@@ -191,7 +191,7 @@ def multi(data: Any, *dims: tuple[int, int], offset: int = 0) -> Any:
     ],
 )
 def test_layouts(message: Any, size: tuple[int, ...], values: list[int]) -> None:
-    content = content_of(numbers.multi_to_array(message, ToIgtl()), NdArray)
+    content = content_of(numbers.multi_to_array(message, ToIgtlContext()), NdArray)
     assert (content.size, content.flat.tolist()) == (size, values)
 
 
@@ -214,12 +214,12 @@ def test_layouts(message: Any, size: tuple[int, ...], values: list[int]) -> None
 )
 def test_layouts_that_contradict_the_data_or_the_protocol_are_refused(message: Any) -> None:
     with pytest.raises(ConversionError, match=r"std_msgs/msg/Int16MultiArray: .*found .* expected"):
-        numbers.multi_to_array(message, ToIgtl())
+        numbers.multi_to_array(message, ToIgtlContext())
 
 
 def test_as_many_dimensions_as_the_protocol_has() -> None:
     """numpy has 64."""
-    content = content_of(numbers.multi_to_array(multi([5], *[(1, 1)] * 255), ToIgtl()), NdArray)
+    content = content_of(numbers.multi_to_array(multi([5], *[(1, 1)] * 255), ToIgtlContext()), NdArray)
     assert len(content.size) == 255
     assert len(numbers.array_to_multi(content, TO).layout.dim) == 255
 
@@ -233,7 +233,7 @@ def test_any_layout_tells_the_element_that_std_msgs_says(dims: list[tuple[int, i
     sizes = [size for size, _ in dims]
     data = np.arange(offset + strides[0], dtype="<i2")
     content = content_of(
-        numbers.multi_to_array(multi(data, *zip(sizes, strides, strict=True), offset=offset), ToIgtl()), NdArray
+        numbers.multi_to_array(multi(data, *zip(sizes, strides, strict=True), offset=offset), ToIgtlContext()), NdArray
     )
     inner = [*strides[1:], 1]
     wanted = [

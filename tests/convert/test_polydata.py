@@ -11,7 +11,7 @@ from hypothesis import given
 
 from igtl_gateway.buffers import join
 from igtl_gateway.convert import igtl_msgs
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import MetadataItem, PolyDataAttribute
 from igtl_gateway.convert.polydata import exceeds_standard, polydata_to_igtl, polydata_to_ros
 from igtl_gateway.convert.rosmsg import Header
@@ -23,14 +23,14 @@ ITEMS = (MetadataItem("key", 3, "value"),)
 POINTS = np.arange(12, dtype=">f4").reshape(4, 3)
 
 
-def to_ros() -> ToRos:
-    return ToRos("Model", 5, "frame", "", metadata=ITEMS)
+def to_ros() -> ToRosContext:
+    return ToRosContext("Model", 5, "frame", "", metadata=ITEMS)
 
 
 def there_and_back(content: PolyData) -> PolyData:
     message = polydata_to_ros(content, to_ros())
     assert (message.header, message.metadata) == (Header(5, "frame"), ITEMS)
-    out = polydata_to_igtl(igtl_msgs.PolyData.unpack(message.pack()), ToIgtl())
+    out = polydata_to_igtl(igtl_msgs.PolyData.unpack(message.pack()), ToIgtlContext())
     assert (out.stamp_ns, out.frame_id, out.metadata) == (5, "frame", ITEMS)
     assert isinstance(out.content, PolyData)
     return out.content
@@ -39,7 +39,7 @@ def there_and_back(content: PolyData) -> PolyData:
 def sent(**fields: Any) -> PolyData:
     everything: dict[str, Any] = {"header": Header(), "points": np.zeros((4, 3))} | fields
     message = igtl_msgs.PolyData(**everything)
-    content = polydata_to_igtl(message, ToIgtl()).content
+    content = polydata_to_igtl(message, ToIgtlContext()).content
     assert isinstance(content, PolyData)
     return content
 
@@ -76,7 +76,7 @@ def test_there_and_back_to_the_same_bytes(content: PolyData) -> None:
 @given(polydatas(finite32))
 def test_the_message_is_the_same_the_second_time(content: PolyData) -> None:
     first = polydata_to_ros(content, to_ros()).pack()
-    again = polydata_to_igtl(igtl_msgs.PolyData.unpack(first), ToIgtl()).content
+    again = polydata_to_igtl(igtl_msgs.PolyData.unpack(first), ToIgtlContext()).content
     assert isinstance(again, PolyData)
     assert polydata_to_ros(again, to_ros()).pack() == first
 
@@ -95,7 +95,7 @@ def test_columns_and_foreign_byte_order() -> None:
         lines=np.array([2, 0, 1, 2, 2, 3], ">u4"),
         attributes=(PolyDataAttribute("a", 0, 1, np.array([1, 2], ">f4")),),
     )
-    content = polydata_to_igtl(message, ToIgtl()).content
+    content = polydata_to_igtl(message, ToIgtlContext()).content
     assert isinstance(content, PolyData)
     assert content.lines.lists() == [[0, 1], [2, 3]]
     assert content.attributes[0].data.tolist() == [1.0, 2.0]
@@ -140,7 +140,7 @@ def test_coordinates_that_are_no_numbers_of_the_wire(number: float) -> None:
 
 @pytest.mark.parametrize(("name", "kept"), [("ü" * 200, "ü" * 127), ("a\x00b", "a"), ("fine", "fine")])
 def test_names_are_cut_with_a_word(name: str, kept: str) -> None:
-    to = ToIgtl()
+    to = ToIgtlContext()
     message = igtl_msgs.PolyData(
         Header(), np.zeros((0, 3)), attributes=(PolyDataAttribute(name, 0, 1, np.zeros(0, np.float32)),)
     )

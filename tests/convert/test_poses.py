@@ -9,19 +9,19 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from igtl_gateway.convert.common_msgs import PoseStamped
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.poses import (
-    matrix_of,
     pose_to_position,
     pose_to_transform,
     position_to_igtl,
     position_to_ros,
+    rotation_matrix,
     transform_to_igtl,
     transform_to_ros,
-    unit,
+    unit_quaternion,
 )
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.transform import Position, Transform
 
@@ -29,8 +29,8 @@ H = math.sqrt(0.5)
 Rows = list[list[float]]
 
 
-def to_ros() -> ToRos:
-    return ToRos("Probe", 5, "parent", "child")
+def to_ros() -> ToRosContext:
+    return ToRosContext("Probe", 5, "parent", "child")
 
 
 def transform(rows: Rows) -> Transform:
@@ -39,7 +39,7 @@ def transform(rows: Rows) -> Transform:
 
 def sent(rotation: tuple[float, float, float, float]) -> Transform:
     message = TransformStamped(Header(7, "p"), "c", (0.001, 0.002, 0.003), rotation)
-    out = transform_to_igtl(message, ToIgtl())
+    out = transform_to_igtl(message, ToIgtlContext())
     assert (out.stamp_ns, out.frame_id, out.child_frame_id) == (7, "p", "c")
     assert isinstance(out.content, Transform)
     return out.content
@@ -93,7 +93,7 @@ def test_any_rotation_there_and_back(q: tuple[float, float, float, float]) -> No
     assert to.warnings == []
     assert math.sqrt(sum(v * v for v in back.rotation)) == pytest.approx(1, abs=1e-15)
     assert sent(back.rotation).wire_matrix == pytest.approx(there.wire_matrix, abs=1e-14)
-    dot = sum(a * b for a, b in zip(back.rotation, unit(q), strict=True))
+    dot = sum(a * b for a, b in zip(back.rotation, unit_quaternion(q), strict=True))
     assert abs(dot) == pytest.approx(1, abs=1e-12)
 
 
@@ -101,12 +101,12 @@ def test_any_rotation_there_and_back(q: tuple[float, float, float, float]) -> No
 def test_scale_is_taken_off_with_a_warning(q: tuple[float, float, float, float], scale: tuple[float, ...]) -> None:
     """Scaled columns have the same nearest rotation (the polar factor)."""
     assume(max(abs(s - 1) for s in scale) > 0.01)
-    rotation = matrix_of(unit(q))
+    rotation = rotation_matrix(unit_quaternion(q))
     scaled = [[value * s for value, s in zip(row, scale, strict=True)] for row in rotation]
     to = to_ros()
     message = transform_to_ros(transform(scaled), to)
     assert [code for code, _ in to.warnings] == ["not_a_rotation"]
-    matrix = matrix_of(message.rotation)
+    matrix = rotation_matrix(message.rotation)
     assert [v for row in matrix for v in row] == pytest.approx([v for row in rotation for v in row], abs=1e-9)
 
 
@@ -149,34 +149,34 @@ def test_translations_without_a_place(x: float) -> None:
     message = TransformStamped(Header(), "", (x, 0, 0), (0, 0, 0, 1))
     for convert in (transform_to_igtl, position_to_igtl):
         with pytest.raises(ConversionError, match="TransformStamped: found"):
-            convert(message, ToIgtl())
+            convert(message, ToIgtlContext())
     pose = PoseStamped(Header(), (x, 0, 0, 0, 0, 0, 1))
     for convert_pose in (pose_to_transform, pose_to_position):
         with pytest.raises(ConversionError, match="PoseStamped: found"):
-            convert_pose(pose, ToIgtl())
+            convert_pose(pose, ToIgtlContext())
 
 
 def test_position_golden() -> None:
     message = position_to_ros(Position((1000, -2, 0.5), (0, 0, 0, 2)), to_ros())
     assert (message.translation, message.rotation) == ((1, -0.002, 0.0005), (0, 0, 0, 1))
-    out = position_to_igtl(TransformStamped(Header(9, "p"), "c", (1, -0.002, 0.0005), (0, 0, 3, 4)), ToIgtl())
+    out = position_to_igtl(TransformStamped(Header(9, "p"), "c", (1, -0.002, 0.0005), (0, 0, 3, 4)), ToIgtlContext())
     assert out.content == Position((1000, -2, 0.5), (0, 0, 0.6, 0.8))
     assert (out.stamp_ns, out.frame_id, out.child_frame_id) == (9, "p", "c")
 
 
 def test_configured_units() -> None:
-    to = ToRos("d", 0, "", "", Lengths("cm", "mm"))
+    to = ToRosContext("d", 0, "", "", LengthUnits("cm", "mm"))
     assert position_to_ros(Position((10, 20, 30)), to).translation == (1, 2, 3)
     message = TransformStamped(Header(), "", (1, 2, 3), (0, 0, 0, 1))
-    assert transform_to_igtl(message, ToIgtl(Lengths("m", "m"))).content.wire_matrix[9:] == (1, 2, 3)  # type: ignore[attr-defined]
+    assert transform_to_igtl(message, ToIgtlContext(LengthUnits("m", "m"))).content.wire_matrix[9:] == (1, 2, 3)  # type: ignore[attr-defined]
 
 
 @given(quaternions)
 def test_a_pose_is_sent_as_the_transform_with_its_numbers(q: tuple[float, float, float, float]) -> None:
     pose = PoseStamped(Header(7, "p"), (0.001, 0.002, 0.003, *q))
-    out = pose_to_transform(PoseStamped.unpack(pose.pack()), ToIgtl())
+    out = pose_to_transform(PoseStamped.unpack(pose.pack()), ToIgtlContext())
     assert (out.stamp_ns, out.frame_id, out.child_frame_id) == (7, "p", "")
     assert out.content == sent(q)
-    out = pose_to_position(pose, ToIgtl())
+    out = pose_to_position(pose, ToIgtlContext())
     assert (out.stamp_ns, out.frame_id, out.child_frame_id) == (7, "p", "")
-    assert out.content == position_to_igtl(TransformStamped(Header(), "", pose.pose[:3], q), ToIgtl()).content
+    assert out.content == position_to_igtl(TransformStamped(Header(), "", pose.pose[:3], q), ToIgtlContext()).content

@@ -8,16 +8,16 @@ import pytest
 
 from igtl_gateway.buffers import join
 from igtl_gateway.convert import queries
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import MetadataItem, Query
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.query import (
     QUERIES,
+    EmptyQuery,
     GetBind,
-    Nothing,
-    Reply,
+    QueryReply,
     StartBind,
     StartPolyData,
     StartTracking,
@@ -28,7 +28,7 @@ ITEMS = (MetadataItem("key", 3, "value"),)
 
 
 def asked(igtl_type: str, content: Body) -> Query:
-    to = ToRos("Tracker", 7, "base", "", igtl_type=igtl_type, metadata=ITEMS, link=4)
+    to = ToRosContext("Tracker", 7, "base", "", igtl_type=igtl_type, metadata=ITEMS, link=4)
     message = queries.query_to_ros(content, to)
     assert (message.header, message.device_name) == (Header(7, "base"), "Tracker")
     assert (message.metadata, message.link) == (ITEMS, 4)
@@ -36,7 +36,7 @@ def asked(igtl_type: str, content: Body) -> Query:
 
 
 def sent(message: Query, warnings: list[str] | None = None) -> tuple[str, Body]:
-    to = ToIgtl()
+    to = ToIgtlContext()
     outgoing = queries.query_to_igtl(message, to)
     assert [code for code, _ in to.warnings] == (warnings or [])
     assert (outgoing.device_name, outgoing.link) == (message.device_name, message.link)
@@ -49,13 +49,13 @@ def sent(message: Query, warnings: list[str] | None = None) -> tuple[str, Body]:
 
 #: Something of each content that comes back as it was.
 CONTENTS: dict[type[Body], Body] = {
-    Nothing: Nothing(),
+    EmptyQuery: EmptyQuery(),
     GetBind: GetBind(),
     StartBind: StartBind(50_000_000),
     StartTracking: StartTracking(50, "Base é"),
     StartVideo: StartVideo("H264", 40),
     StartPolyData: StartPolyData(50_000_000),
-    Reply: Reply(1),
+    QueryReply: QueryReply(1),
 }
 
 
@@ -79,7 +79,7 @@ def test_every_query_there_and_back(igtl_type: str) -> None:
     ],
 )
 def test_kinds_and_types(igtl_type: str, kind: int, base: str) -> None:
-    message = asked(igtl_type, Nothing())
+    message = asked(igtl_type, EmptyQuery())
     assert (message.kind, message.type) == (kind, base)
     assert (message.resolution, message.coordinate_name, message.codec, message.status) == (0, "", "", 0)
 
@@ -95,8 +95,8 @@ def test_kinds_and_types(igtl_type: str, kind: int, base: str) -> None:
         ("STT_POLYDATA", StartPolyData(1), (1, "", "", 0)),
         ("STT_POLYDATA", StartPolyData(2_000_001), (3, "", "", 0)),
         ("STT_BIND", StartBind(2**64 - 1, (("TDATA", "a"),)), (2**32 - 1, "", "", 0)),
-        ("RTS_TDATA", Reply(255), (0, "", "", 255)),
-        ("RTS_BIND", Reply(has_body=False), (0, "", "", 0)),
+        ("RTS_TDATA", QueryReply(255), (0, "", "", 255)),
+        ("RTS_BIND", QueryReply(has_body=False), (0, "", "", 0)),
     ],
 )
 def test_what_a_query_carries(igtl_type: str, content: Body, fields: tuple[object, ...]) -> None:
@@ -144,9 +144,9 @@ def test_what_a_query_has_no_place_for_is_told(message: Query, warnings: list[st
 )
 def test_queries_that_do_not_exist_are_refused(message: Query, expected: str) -> None:
     with pytest.raises(ConversionError, match=expected):
-        queries.query_to_igtl(message, ToIgtl())
+        queries.query_to_igtl(message, ToIgtlContext())
 
 
 def test_only_queries_are_queries() -> None:
     with pytest.raises(ConversionError, match="found type 'RTS_COMMAND', expected GET_"):
-        asked("RTS_COMMAND", Nothing())
+        asked("RTS_COMMAND", EmptyQuery())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
-from igtl_gateway.convert.units import UNITS, Lengths, ieee_754
+from igtl_gateway.convert.units import UNITS, LengthUnits, ieee_754
 
 PAIRS = [(ros, igtl) for ros in UNITS for igtl in UNITS]
 #: Every kind of float32: zeros, subnormal, largest, infinite and none at all.
@@ -20,7 +20,7 @@ def test_scaled_as_one_by_one(source: str, target: str) -> None:
     words = np.random.default_rng(7).integers(0, 1 << 32, 2_000, np.uint32)
     values = np.concatenate([np.array(_EDGES, np.uint32), words]).view(np.float32).astype(source)
     for pair in PAIRS:
-        lengths = Lengths(*pair)
+        lengths = LengthUnits(*pair)
         for into, exact in ((into_ros, lengths.to_ros(values)), (into_igtl, lengths.to_igtl(values))):
             out = np.empty(len(values), target)
             assert into(lengths, values, out) is out

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from igtl_gateway.convert import surfaces
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import Header, Marker, Mesh
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.polydata import RGBA, SCALAR, Attribute, Cells, PolyData
 
-TO = ToRos("Model", 7, "base", "")
+TO = ToRosContext("Model", 7, "base", "")
 POINTS = np.array([[0, 0, 0], [10, 0, 0], [10, 20, 0], [0, 20, 0], [-5, -10, 30]], ">f4")
 
 
@@ -49,7 +49,7 @@ def test_more_pieces_than_any_surface_has_are_refused(cells: list[list[int]], mo
 
 def test_a_mesh_there_and_back_keeps_every_sign() -> None:
     content = PolyData(POINTS, polygons=Cells.of([[0, 1, 2], [2, 3, 4]]))
-    back = surfaces.mesh_to_igtl(surfaces.polydata_to_mesh(content, TO), ToIgtl()).content
+    back = surfaces.mesh_to_igtl(surfaces.polydata_to_mesh(content, TO), ToIgtlContext()).content
     assert isinstance(back, PolyData)
     assert back.points.tolist() == POINTS.tolist()
     assert back.polygons.lists() == [[0, 1, 2], [2, 3, 4]]
@@ -87,7 +87,7 @@ def marker(kind: int, **changes: object) -> Marker:
 
 
 def polydata(message: Marker) -> PolyData:
-    outgoing = surfaces.marker_to_igtl(message, ToIgtl())
+    outgoing = surfaces.marker_to_igtl(message, ToIgtlContext())
     assert outgoing.stamp_ns == 5
     assert isinstance(outgoing.content, PolyData)
     return outgoing.content
@@ -136,7 +136,7 @@ def test_colours_of_a_marker_travel_and_a_wrong_number_of_them_is_told() -> None
     colours = np.tile(np.array([1.0, 0.5, 0.25, 1.0], "f4"), (3, 1))
     (attribute,) = polydata(marker(Marker.POINTS, colors=colours)).attributes
     assert (attribute.name, attribute.values.tolist()) == ("RGBA", colours.tolist())
-    to = ToIgtl()
+    to = ToIgtlContext()
     surfaces.marker_to_igtl(marker(Marker.POINTS, colors=colours[:2]), to)
     assert [code for code, _ in to.warnings] == ["colours_left_out"]
 
@@ -158,12 +158,12 @@ def test_a_deleted_marker_is_an_empty_surface(action: int) -> None:
 )
 def test_what_holds_no_list_of_points_is_refused(message: Marker) -> None:
     with pytest.raises(ConversionError, match=r"found .* expected"):
-        surfaces.marker_to_igtl(message, ToIgtl())
+        surfaces.marker_to_igtl(message, ToIgtlContext())
 
 
 def test_an_index_beyond_the_vertices_is_refused() -> None:
     with pytest.raises(ConversionError, match="found vertex index 3, expected below 3"):
-        surfaces.mesh_to_igtl(Mesh(np.array([[0, 1, 3]], "u4"), np.zeros((3, 3))), ToIgtl())
+        surfaces.mesh_to_igtl(Mesh(np.array([[0, 1, 3]], "u4"), np.zeros((3, 3))), ToIgtlContext())
 
 
 def test_colours_up_to_255_are_brought_to_what_markers_hold() -> None:
@@ -178,8 +178,8 @@ def test_a_surface_with_a_point_nowhere_is_refused(bad: float) -> None:
     points = CORNERS.copy()
     points[1, 1] = bad
     with pytest.raises(ConversionError, match="not finite"):
-        surfaces.mesh_to_igtl(Mesh(np.array([[0, 1, 2]], "u4"), points), ToIgtl())
+        surfaces.mesh_to_igtl(Mesh(np.array([[0, 1, 2]], "u4"), points), ToIgtlContext())
     with pytest.raises(ConversionError, match="not finite"):
-        surfaces.marker_to_igtl(marker(Marker.POINTS, points=points), ToIgtl())
+        surfaces.marker_to_igtl(marker(Marker.POINTS, points=points), ToIgtlContext())
     with pytest.raises(ConversionError, match="finite"):
-        surfaces.marker_to_igtl(marker(Marker.POINTS, orientation=(bad, 0.0, 0.0, 1.0)), ToIgtl())
+        surfaces.marker_to_igtl(marker(Marker.POINTS, orientation=(bad, 0.0, 0.0, 1.0)), ToIgtlContext())

@@ -9,20 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from igtl_gateway.convert.context import ToIgtl, ToRos
-from igtl_gateway.convert.table import TO_IGTL, TO_ROS, IgtlRow, RosRow, row_to_igtl, rows_to_ros
-from igtl_gateway.ros_interfaces.definitions import folder_of
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
+from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToIgtl, ConversionToRos, row_to_igtl, rows_to_ros
+from igtl_gateway.ros_interfaces.definitions import definition_folder
 from igtl_gateway.wire.registry import BODIES
 from tests import strategies
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 for _package in ("igtl_msgs", "foxglove_msgs"):
-    for _path in sorted(folder_of(_package).glob("msg/*.msg")):
+    for _path in sorted(definition_folder(_package).glob("msg/*.msg")):
         STORE.register(get_types_from_msg(_path.read_text("utf-8"), f"{_package}/msg/{_path.stem}"))
 
 
 @pytest.mark.parametrize("row", TO_ROS, ids=lambda row: f"{row.igtl_types[0]}-{row.kind}")
-def test_rows_to_ros_name_what_exists(row: RosRow) -> None:
+def test_rows_to_ros_name_what_exists(row: ConversionToRos) -> None:
     assert row.message.TYPE in STORE.types
     contents = row.content if isinstance(row.content, tuple) else (row.content,)
     assert {BODIES[name] for name in row.igtl_types} == set(contents)
@@ -32,7 +32,7 @@ def test_rows_to_ros_name_what_exists(row: RosRow) -> None:
 
 
 @pytest.mark.parametrize("row", TO_IGTL, ids=lambda row: f"{row.message.TYPE}-{row.igtl_type}")
-def test_rows_to_igtl_name_what_exists(row: IgtlRow) -> None:
+def test_rows_to_igtl_name_what_exists(row: ConversionToIgtl) -> None:
     assert row.message.TYPE in STORE.types
     assert row.igtl_type in BODIES
     assert row_to_igtl(row.message.TYPE, row.igtl_type) is row
@@ -62,14 +62,14 @@ def test_there_is_no_row_for_the_unknown() -> None:
 @pytest.mark.parametrize(
     "row", [row for row in TO_ROS if not row.lossy], ids=lambda row: f"{row.igtl_types[0]}-{row.kind}"
 )
-def test_a_row_without_loss_gives_back_what_it_got(row: RosRow, data: st.DataObject) -> None:
+def test_a_row_without_loss_gives_back_what_it_got(row: ConversionToRos, data: st.DataObject) -> None:
     """``lossy == ""`` promises an exact round trip of whatever can be received."""
     for igtl_type in row.igtl_types:
         content = data.draw(strategies.bodies()[igtl_type])
-        message: Any = row.convert(content, ToRos("device", 0, "frame", "child", igtl_type=igtl_type))
+        message: Any = row.convert(content, ToRosContext("device", 0, "frame", "child", igtl_type=igtl_type))
         back = row_to_igtl(row.message.TYPE)
         assert back is not None
-        assert back.convert(row.message.unpack(message.pack()), ToIgtl()).content == content
+        assert back.convert(row.message.unpack(message.pack()), ToIgtlContext()).content == content
 
 
 def test_no_row_to_igtl_claims_to_lose_nothing_without_proof() -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from igtl_gateway.convert import texts
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import DiagnosticStatus
 from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.text import CODES, Status, String
 
-TO = ToRos("Robot", 0, "", "")
+TO = ToRosContext("Robot", 0, "", "")
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ def test_string_to_ros(content: String, text: str) -> None:
 
 @pytest.mark.parametrize(("text", "encoding"), [("abc", 3), ("é", 106), ("", 3)])
 def test_string_to_igtl(text: str, encoding: int) -> None:
-    content = texts.string_to_igtl(RosString(text), ToIgtl()).content
+    content = texts.string_to_igtl(RosString(text), ToIgtlContext()).content
     assert content == String(text.encode(), encoding)
     assert isinstance(content, String)
     assert texts.string_to_ros(content, TO).data == text
@@ -32,11 +32,11 @@ def test_string_to_igtl(text: str, encoding: int) -> None:
 
 def test_the_longest_string() -> None:
     """The original lost a text of 70,000 bytes without a word."""
-    content = texts.string_to_igtl(RosString("x" * 65535), ToIgtl()).content
+    content = texts.string_to_igtl(RosString("x" * 65535), ToIgtlContext()).content
     assert sum(memoryview(part).nbytes for part in content.pack()) == 65539
     for text in ("x" * 65536, "é" * 32768):
         with pytest.raises(ConversionError, match="65535"):
-            texts.string_to_igtl(RosString(text), ToIgtl())
+            texts.string_to_igtl(RosString(text), ToIgtlContext())
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_status_golden() -> None:
     "status", [Status(1, 0, "", "fine"), Status(65535, -(2**63), "x" * 19, "é"), Status(0, 2**63 - 1)]
 )
 def test_status_there_and_back(status: Status) -> None:
-    back = texts.status_to_igtl(texts.status_to_ros(status, TO), ToIgtl()).content
+    back = texts.status_to_igtl(texts.status_to_ros(status, TO), ToIgtlContext()).content
     assert isinstance(back, Status)
     assert (back.code, back.subcode, back.error_name) == (status.code, status.subcode, status.error_name)
     assert back.message == (status.message or (CODES[status.code] if status.code < len(CODES) else ""))
@@ -69,7 +69,7 @@ def test_status_there_and_back(status: Status) -> None:
 @pytest.mark.parametrize(("level", "code"), [(0, 1), (1, 13), (2, 2), (3, 7), (200, 2)])
 def test_foreign_diagnostics(level: int, code: int) -> None:
     message = DiagnosticStatus(level, "driver", "text", "hw", (("temperature", "40"),))
-    assert texts.status_to_igtl(message, ToIgtl()).content == Status(code, 0, "", "text")
+    assert texts.status_to_igtl(message, ToIgtlContext()).content == Status(code, 0, "", "text")
 
 
 @pytest.mark.parametrize(
@@ -78,11 +78,11 @@ def test_foreign_diagnostics(level: int, code: int) -> None:
 )
 def test_values_that_are_no_codes(value: tuple[str, str]) -> None:
     with pytest.raises(ConversionError):
-        texts.status_to_igtl(DiagnosticStatus(0, "", "", "", (value,)), ToIgtl())
+        texts.status_to_igtl(DiagnosticStatus(0, "", "", "", (value,)), ToIgtlContext())
 
 
 def test_error_names_are_cut_to_what_readers_accept() -> None:
     message = DiagnosticStatus(0, "", "", "", (("error_name", "é" * 20),))
-    to = ToIgtl()
+    to = ToIgtlContext()
     assert texts.status_to_igtl(message, to).content == Status(1, 0, "é" * 9)
     assert [code for code, _ in to.warnings] == ["text_cut"]

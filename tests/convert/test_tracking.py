@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from igtl_gateway.buffers import join
 from igtl_gateway.convert import tracking
 from igtl_gateway.convert.common_msgs import FrameTransform, PoseArray, TFMessage
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import MetadataItem, TrackedTool
 from igtl_gateway.convert.igtl_msgs import TrackingData as RosTracking
 from igtl_gateway.convert.poses import position_to_igtl, position_to_ros, transform_to_igtl, transform_to_ros
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.tracking import TOOL_3D, TOOL_5D, TOOL_6D, TRACKER, QuaternionTrackingData, TrackingData
 from igtl_gateway.wire.transform import Position, Transform
@@ -40,8 +40,8 @@ TURN_Q = (0, 0, H, H)
 ROUNDED = 2e-7
 
 
-def to_ros(device_name: str = "Tracker", **further: Any) -> ToRos:
-    return ToRos(device_name, 5, "base", "child", **further)
+def to_ros(device_name: str = "Tracker", **further: Any) -> ToRosContext:
+    return ToRosContext(device_name, 5, "base", "child", **further)
 
 
 def tdata(*tools: tuple[bytes, int, tuple[float, ...]]) -> TrackingData:
@@ -85,9 +85,9 @@ def test_no_tools(content: Content) -> None:
     assert (message.tools, poses.poses.shape) == ((), (0, 7))
     assert tracking.tracking_to_tf(content, to_ros()) == TFMessage(())
     for outgoing in (
-        tracking.tracking_to_tdata(message, ToIgtl()),
-        tracking.tracking_to_qtdata(message, ToIgtl()),
-        tracking.poses_to_tdata(PoseArray.unpack(poses.pack()), ToIgtl()),
+        tracking.tracking_to_tdata(message, ToIgtlContext()),
+        tracking.tracking_to_qtdata(message, ToIgtlContext()),
+        tracking.poses_to_tdata(PoseArray.unpack(poses.pack()), ToIgtlContext()),
     ):
         assert outgoing.content.pack() == []
 
@@ -105,7 +105,7 @@ MESSAGE = message_of(
 )
 
 
-def sent(outgoing: Outgoing, to: ToIgtl | None = None) -> Any:
+def sent(outgoing: ConvertedMessage, to: ToIgtlContext | None = None) -> Any:
     """The elements as a peer reads them."""
     assert to is None or to.warnings == []
     content = outgoing.content
@@ -114,7 +114,7 @@ def sent(outgoing: Outgoing, to: ToIgtl | None = None) -> Any:
 
 
 def test_sent_as_tdata() -> None:
-    outgoing = tracking.tracking_to_tdata(MESSAGE, ToIgtl())
+    outgoing = tracking.tracking_to_tdata(MESSAGE, ToIgtlContext())
     assert (outgoing.stamp_ns, outgoing.frame_id, outgoing.metadata) == (7, "camera", ITEMS)
     elements = sent(outgoing)
     assert elements["name"].tolist() == [b"Needle", b""]
@@ -124,7 +124,7 @@ def test_sent_as_tdata() -> None:
 
 
 def test_sent_as_qtdata() -> None:
-    outgoing = tracking.tracking_to_qtdata(MESSAGE, ToIgtl())
+    outgoing = tracking.tracking_to_qtdata(MESSAGE, ToIgtlContext())
     assert (outgoing.stamp_ns, outgoing.frame_id, outgoing.metadata) == (7, "camera", ITEMS)
     elements = sent(outgoing)
     assert elements["name"].tolist() == [b"Needle", b""]
@@ -135,7 +135,7 @@ def test_sent_as_qtdata() -> None:
 
 def test_a_pose_array_is_sent_as_numbered_tools() -> None:
     message = PoseArray(Header(7, "camera"), np.array(POSES))
-    to = ToIgtl()
+    to = ToIgtlContext()
     outgoing = tracking.poses_to_tdata(message, to)
     assert (outgoing.stamp_ns, outgoing.frame_id) == (7, "camera")
     elements = sent(outgoing, to)
@@ -145,7 +145,7 @@ def test_a_pose_array_is_sent_as_numbered_tools() -> None:
 
 
 def test_a_long_name_is_cut_with_a_warning() -> None:
-    to = ToIgtl()
+    to = ToIgtlContext()
     tool = TrackedTool("a name of 20 bytes, ", TOOL_3D, (0, 0, 0, 0, 0, 0, 1))
     assert sent(tracking.tracking_to_tdata(message_of(tool), to))["name"].tolist() == [b"a name of 20 bytes,"]
     assert [code for code, _ in to.warnings] == ["text_cut"]
@@ -170,14 +170,14 @@ def test_what_is_no_pose_is_not_sent(pose: tuple[float, ...]) -> None:
     message = message_of(TrackedTool("a", 2, good), TrackedTool("b", 2, pose))  # type: ignore[arg-type]
     for convert in (tracking.tracking_to_tdata, tracking.tracking_to_qtdata):
         with pytest.raises(ConversionError, match=r"pose 1: found .* expected finite"):
-            convert(message, ToIgtl())
+            convert(message, ToIgtlContext())
     with pytest.raises(ConversionError, match=r"pose 1: found .* expected finite"):
-        tracking.poses_to_tdata(array, ToIgtl())
+        tracking.poses_to_tdata(array, ToIgtlContext())
 
 
 # -- what is no rotation ------------------------------------------------------------------------------------------
 
-TO_ROS: list[Callable[[Any, ToRos], Any]] = [
+TO_ROS: list[Callable[[Any, ToRosContext], Any]] = [
     tracking.tracking_to_ros,
     tracking.tracking_to_poses,
     tracking.tracking_to_tf,
@@ -185,7 +185,7 @@ TO_ROS: list[Callable[[Any, ToRos], Any]] = [
 
 
 @pytest.mark.parametrize("convert", TO_ROS)
-def test_scale_is_taken_off_with_a_warning_that_names_the_tool(convert: Callable[[Any, ToRos], Any]) -> None:
+def test_scale_is_taken_off_with_a_warning_that_names_the_tool(convert: Callable[[Any, ToRosContext], Any]) -> None:
     content = tdata((b"Good", 2, (*TURN, 0, 0, 0)), (b"Big", 2, (2, 0, 0, 0, 2, 0, 0, 0, 2, 0, 0, 0)))
     to = to_ros()
     convert(content, to)
@@ -205,7 +205,7 @@ def test_scale_is_taken_off_with_a_warning_that_names_the_tool(convert: Callable
         qtdata((b"Good", 2, (0, 0, 0), TURN_Q), (b"Bad", 2, (0, math.inf, 0), TURN_Q)),
     ],
 )
-def test_a_tool_that_is_no_pose_costs_itself(convert: Callable[[Any, ToRos], Any], content: Content) -> None:
+def test_a_tool_that_is_no_pose_costs_itself(convert: Callable[[Any, ToRosContext], Any], content: Content) -> None:
     to = to_ros()
     message = convert(content, to)
     code, text = to.warnings[-1]
@@ -221,7 +221,9 @@ def test_a_tool_that_is_no_pose_costs_itself(convert: Callable[[Any, ToRos], Any
 
 @pytest.mark.parametrize("convert", TO_ROS)
 @pytest.mark.parametrize("kind", [TrackingData, QuaternionTrackingData])
-def test_more_tools_than_any_tracker_has_are_refused(kind: type[Content], convert: Callable[[Any, ToRos], Any]) -> None:
+def test_more_tools_than_any_tracker_has_are_refused(
+    kind: type[Content], convert: Callable[[Any, ToRosContext], Any]
+) -> None:
     """16 MB of matrices that are no rotations would be a minute of work."""
     with pytest.raises(ConversionError, match="elements, expected at most 4096"):
         convert(kind(np.zeros(tracking.MAX_TOOLS + 1, kind.DTYPE)), to_ros())
@@ -251,9 +253,11 @@ def off_by(a: Any, b: Any) -> float:
 
 
 @given(ros_tracking, st.sampled_from([tracking.tracking_to_tdata, tracking.tracking_to_qtdata]))
-def test_ros_to_igtl_and_back(message: RosTracking, convert: Callable[[RosTracking, ToIgtl], Outgoing]) -> None:
+def test_ros_to_igtl_and_back(
+    message: RosTracking, convert: Callable[[RosTracking, ToIgtlContext], ConvertedMessage]
+) -> None:
     """Names and types are exact, positions rounded to float32 millimetres, rotations within what the table says."""
-    content: Any = convert(message, ToIgtl()).content
+    content: Any = convert(message, ToIgtlContext()).content
     back = tracking.tracking_to_ros(content, to_ros())
     assert [(tool.name, tool.type) for tool in back.tools] == [(tool.name, tool.type) for tool in message.tools]
     for before, after in zip(message.tools, back.tools, strict=True):
@@ -265,17 +269,17 @@ def test_ros_to_igtl_and_back(message: RosTracking, convert: Callable[[RosTracki
 @given(ros_tracking)
 def test_igtl_to_ros_and_back(message: RosTracking) -> None:
     """What has once been float32 keeps its positions exactly and its rotation within what the table says."""
-    there: Any = tracking.tracking_to_tdata(message, ToIgtl()).content
+    there: Any = tracking.tracking_to_tdata(message, ToIgtlContext()).content
     to = to_ros()
-    back: Any = tracking.tracking_to_tdata(tracking.tracking_to_ros(there, to), ToIgtl()).content
+    back: Any = tracking.tracking_to_tdata(tracking.tracking_to_ros(there, to), ToIgtlContext()).content
     assert to.warnings == []
     for name in ("name", "type", "reserved"):
         assert there.elements[name].tolist() == back.elements[name].tolist()
     assert there.elements["matrix"][:, 9:].tobytes() == back.elements["matrix"][:, 9:].tobytes()
     assert off_by(there.elements["matrix"], back.elements["matrix"]) < ROUNDED
 
-    there = tracking.tracking_to_qtdata(message, ToIgtl()).content
-    back = tracking.tracking_to_qtdata(tracking.tracking_to_ros(there, to), ToIgtl()).content
+    there = tracking.tracking_to_qtdata(message, ToIgtlContext()).content
+    back = tracking.tracking_to_qtdata(tracking.tracking_to_ros(there, to), ToIgtlContext()).content
     assert there.elements["position"].tobytes() == back.elements["position"].tobytes()
     for a, b in zip(there.elements["quaternion"], back.elements["quaternion"], strict=True):
         assert min(off_by(a, b), off_by(a, -b)) < ROUNDED
@@ -283,13 +287,13 @@ def test_igtl_to_ros_and_back(message: RosTracking) -> None:
 
 @given(ros_tracking)
 def test_columns_have_the_bits_of_single_poses(message: RosTracking) -> None:
-    matrices = sent(tracking.tracking_to_tdata(message, ToIgtl()))["matrix"].tolist()
-    quaternions = sent(tracking.tracking_to_qtdata(message, ToIgtl()))
+    matrices = sent(tracking.tracking_to_tdata(message, ToIgtlContext()))["matrix"].tolist()
+    quaternions = sent(tracking.tracking_to_qtdata(message, ToIgtlContext()))
     for index, tool in enumerate(message.tools):
         single = TransformStamped(Header(), "", tool.pose[:3], tool.pose[3:])
-        one: Any = Transform.unpack(memoryview(join(transform_to_igtl(single, ToIgtl()).content.pack())))
+        one: Any = Transform.unpack(memoryview(join(transform_to_igtl(single, ToIgtlContext()).content.pack())))
         assert tuple(matrices[index]) == one.wire_matrix
-        other: Any = Position.unpack(memoryview(join(position_to_igtl(single, ToIgtl()).content.pack())))
+        other: Any = Position.unpack(memoryview(join(position_to_igtl(single, ToIgtlContext()).content.pack())))
         assert tuple(quaternions["position"][index].tolist()) == other.position
         assert tuple(quaternions["quaternion"][index].tolist()) == other.quaternion
 
@@ -305,9 +309,9 @@ def test_any_bytes_are_converted_or_refused(content: Content) -> None:
 
 def test_configured_units() -> None:
     content = tdata((b"", 2, (*IDENTITY, 10, 20, 30)))
-    message = tracking.tracking_to_ros(content, to_ros(lengths=Lengths("cm", "mm")))
+    message = tracking.tracking_to_ros(content, to_ros(lengths=LengthUnits("cm", "mm")))
     assert message.tools[0].pose[:3] == (1, 2, 3)
-    assert sent(tracking.tracking_to_tdata(message, ToIgtl(Lengths("cm", "mm"))))["matrix"].tolist() == [
+    assert sent(tracking.tracking_to_tdata(message, ToIgtlContext(LengthUnits("cm", "mm"))))["matrix"].tolist() == [
         [*IDENTITY, 10, 20, 30]
     ]
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from igtl_gateway.buffers import join
 from igtl_gateway.convert.common_msgs import CompressedImage, CompressedVideo
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import IDENTITY, MetadataItem, VideoFrame
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.videos import (
@@ -39,11 +39,11 @@ MATRIX = (0.5, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 2.0, 10.0, 20.0, 30.0)
 IDR, SLICE = b"\x00\x00\x00\x01\x65\x88\x80", b"\x00\x00\x00\x01\x41\x9a\x00"
 
 
-def to_ros() -> ToRos:
-    return ToRos("Scope", 5, "frame", "", metadata=ITEMS)
+def to_ros() -> ToRosContext:
+    return ToRosContext("Scope", 5, "frame", "", metadata=ITEMS)
 
 
-def content_of(out: Outgoing) -> Video:
+def content_of(out: ConvertedMessage) -> Video:
     assert isinstance(out.content, Video)
     out.content.pack()
     return out.content
@@ -52,7 +52,7 @@ def content_of(out: Outgoing) -> Video:
 def there_and_back(content: Video) -> Video:
     message = video_to_ros(content, to_ros())
     assert (message.header, message.metadata) == (Header(5, "frame"), ITEMS)
-    out = video_to_igtl(VideoFrame.unpack(message.pack()), ToIgtl())
+    out = video_to_igtl(VideoFrame.unpack(message.pack()), ToIgtlContext())
     assert (out.stamp_ns, out.frame_id, out.metadata) == (5, "frame", ITEMS)
     return content_of(out)
 
@@ -103,10 +103,10 @@ def test_no_frame_is_refused_on_its_way_to_ros(content: Video) -> None:
     again = VideoFrame.unpack(message.pack())
     assert bytes(again.data) == bytes(content.data)
     if all(map(math.isfinite, content.wire_matrix)):
-        assert content_of(video_to_igtl(again, ToIgtl())).size == content.size
+        assert content_of(video_to_igtl(again, ToIgtlContext())).size == content.size
     else:
         with pytest.raises(ConversionError, match="expected finite numbers"):
-            video_to_igtl(again, ToIgtl())
+            video_to_igtl(again, ToIgtlContext())
 
 
 def test_data_is_not_copied() -> None:
@@ -118,25 +118,25 @@ def test_data_is_not_copied() -> None:
         video_to_compressed_video(content, to_ros()),
     ):
         assert np.shares_memory(np.frombuffer(message.data, np.uint8), data)
-    sent = content_of(compressed_image_to_igtl(CompressedImage(Header(), "h264", data.data), ToIgtl()))
+    sent = content_of(compressed_image_to_igtl(CompressedImage(Header(), "h264", data.data), ToIgtlContext()))
     assert np.shares_memory(np.frombuffer(sent.data, np.uint8), data)
 
 
 @pytest.mark.parametrize("codec", ["H264X", "ÄÖÜ"])
 def test_codecs_of_too_many_letters(codec: str) -> None:
     with pytest.raises(ConversionError, match="expected 4 letters"):
-        video_to_igtl(frame(codec=codec), ToIgtl())
+        video_to_igtl(frame(codec=codec), ToIgtlContext())
 
 
 @pytest.mark.parametrize("changes", [{"center": (0.0, math.nan, 0.0)}, {"spacing": (1e36, 1.0, 1.0)}])
 def test_places_beyond_the_wire(changes: dict[str, Any]) -> None:
-    video_to_igtl(frame(), ToIgtl())
+    video_to_igtl(frame(), ToIgtlContext())
     with pytest.raises(ConversionError, match="igtl_msgs/msg/VideoFrame"):
-        video_to_igtl(frame(**changes), ToIgtl())
+        video_to_igtl(frame(**changes), ToIgtlContext())
 
 
 def test_a_coordinate_system_not_filled_in_is_ras() -> None:
-    assert video_to_igtl(frame(coordinate_system=0), ToIgtl()) == video_to_igtl(frame(), ToIgtl())
+    assert video_to_igtl(frame(coordinate_system=0), ToIgtlContext()) == video_to_igtl(frame(), ToIgtlContext())
 
 
 @pytest.mark.parametrize(("codec", "format_name"), FORMATS.items())
@@ -163,8 +163,8 @@ def test_raw_and_unknown_pictures_have_none(codec: str) -> None:
 )
 def test_ways_to_write_a_format(named: str, codec: str) -> None:
     for out in (
-        compressed_image_to_igtl(CompressedImage(Header(7, "camera"), named, IDR), ToIgtl()),
-        compressed_video_to_igtl(CompressedVideo(7, "camera", IDR, named), ToIgtl()),
+        compressed_image_to_igtl(CompressedImage(Header(7, "camera"), named, IDR), ToIgtlContext()),
+        compressed_video_to_igtl(CompressedVideo(7, "camera", IDR, named), ToIgtlContext()),
     ):
         assert (out.stamp_ns, out.frame_id) == (7, "camera")
         content = content_of(out)
@@ -176,19 +176,19 @@ def test_ways_to_write_a_format(named: str, codec: str) -> None:
 )
 def test_pictures_are_no_video(named: str) -> None:
     with pytest.raises(ConversionError, match=r"sensor_msgs/msg/CompressedImage: .*expected one of .*h264.* no VIDEO"):
-        compressed_image_to_igtl(CompressedImage(Header(), named, b"\xff\xd8"), ToIgtl())
+        compressed_image_to_igtl(CompressedImage(Header(), named, b"\xff\xd8"), ToIgtlContext())
     with pytest.raises(ConversionError, match=r"foxglove_msgs/msg/CompressedVideo: "):
-        compressed_video_to_igtl(CompressedVideo(0, "", b"\xff\xd8", named), ToIgtl())
+        compressed_video_to_igtl(CompressedVideo(0, "", b"\xff\xd8", named), ToIgtlContext())
 
 
 def test_a_frame_without_data_is_refused() -> None:
     with pytest.raises(ConversionError, match="found a frame without data"):
-        compressed_image_to_igtl(CompressedImage(Header(), "h264", b""), ToIgtl())
+        compressed_image_to_igtl(CompressedImage(Header(), "h264", b""), ToIgtlContext())
 
 
 @pytest.mark.parametrize(("data", "kind"), [(IDR, KEY_FRAME), (SLICE, DELTA_FRAME), (b"nonsense", DELTA_FRAME)])
 def test_the_bit_stream_tells_key_frames(data: bytes, kind: int) -> None:
-    content = content_of(compressed_image_to_igtl(CompressedImage(Header(), "h264", data), ToIgtl()))
+    content = content_of(compressed_image_to_igtl(CompressedImage(Header(), "h264", data), ToIgtlContext()))
     assert (content.frame_type, content.size) == (kind, (0, 0, 1))
     assert content.is_key_frame is (kind == KEY_FRAME)
 
@@ -203,10 +203,10 @@ def test_real_streams(codec: str) -> None:
     assert {is_key for _, is_key in stream} == {True, False}
     for data, is_key in stream:
         message = CompressedImage(Header(7, "camera"), codec, data)
-        out = compressed_image_to_igtl(CompressedImage.unpack(message.pack()), ToIgtl())
+        out = compressed_image_to_igtl(CompressedImage.unpack(message.pack()), ToIgtlContext())
         content = content_of(out)
         assert content.is_key_frame is is_key
         assert content.size == content.sub_size == ((130, 98, 1) if is_key else (0, 0, 1))
         received = Video.unpack(memoryview(join(content.pack())))
-        back = video_to_compressed_image(received, ToRos("Scope", 7, "camera", ""))
+        back = video_to_compressed_image(received, ToRosContext("Scope", 7, "camera", ""))
         assert back.pack() == message.pack()

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from igtl_gateway.buffers import join
 from igtl_gateway.convert import rosmsg
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import IDENTITY, MetadataItem, Volume
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.volumes import (
@@ -32,14 +32,14 @@ ITEMS = (MetadataItem("key", 3, "value"),)
 MATRIX = (0.5, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 2.0, 10.0, 20.0, 30.0)
 
 
-def to_ros() -> ToRos:
-    return ToRos("CT", 5, "frame", "", metadata=ITEMS)
+def to_ros() -> ToRosContext:
+    return ToRosContext("CT", 5, "frame", "", metadata=ITEMS)
 
 
 def there_and_back(content: Image) -> Image:
     message = image_to_volume(content, to_ros())
     assert (message.header, message.metadata) == (Header(5, "frame"), ITEMS)
-    out = volume_to_image(Volume.unpack(message.pack()), ToIgtl())
+    out = volume_to_image(Volume.unpack(message.pack()), ToIgtlContext())
     assert (out.stamp_ns, out.frame_id, out.metadata) == (5, "frame", ITEMS)
     assert isinstance(out.content, Image)
     return out.content
@@ -91,7 +91,7 @@ def test_pixels_are_not_copied() -> None:
     pixels = np.zeros(24, np.uint8)
     message = image_to_volume(Image((4, 3, 2), 3, pixels.data), to_ros())
     assert np.shares_memory(np.frombuffer(message.data, np.uint8), pixels)
-    content = volume_to_image(volume(size=(4, 3, 2), data=pixels.data), ToIgtl()).content
+    content = volume_to_image(volume(size=(4, 3, 2), data=pixels.data), ToIgtlContext()).content
     assert isinstance(content, Image)
     assert np.shares_memory(np.frombuffer(content.pixels, np.uint8), pixels)
     for number, picture in enumerate(image_to_slices(Image((4, 3, 2), 3, pixels.data), to_ros())):
@@ -137,7 +137,7 @@ def test_a_matrix_that_is_not_finite_does_not_cost_the_pixels(number: float) -> 
     message = image_to_volume(Image((2, 1, 1), 3, b"ab", wire_matrix=(number, *Image.IDENTITY[1:])), to_ros())
     assert bytes(message.data) == b"ab"
     with pytest.raises(ConversionError, match="expected finite numbers"):
-        volume_to_image(message, ToIgtl())
+        volume_to_image(message, ToIgtlContext())
 
 
 @pytest.mark.parametrize(
@@ -176,20 +176,20 @@ def test_what_a_picture_does_not_hold(content: Image, wanted: bool) -> None:
     ],
 )
 def test_contradictions(changes: dict[str, Any]) -> None:
-    volume_to_image(volume(), ToIgtl())
+    volume_to_image(volume(), ToIgtlContext())
     with pytest.raises(ConversionError, match="igtl_msgs/msg/Volume"):
-        volume_to_image(volume(**changes), ToIgtl())
+        volume_to_image(volume(**changes), ToIgtlContext())
 
 
 def test_a_coordinate_system_not_filled_in_is_ras() -> None:
-    assert volume_to_image(volume(coordinate_system=0), ToIgtl()) == volume_to_image(volume(), ToIgtl())
+    assert volume_to_image(volume(coordinate_system=0), ToIgtlContext()) == volume_to_image(volume(), ToIgtlContext())
 
 
 @pytest.mark.parametrize(
     ("direction", "codes"), [(IDENTITY, []), ((0.0,) * 9, ["direction_not_unit"]), ((1.0,) * 9, ["direction_not_unit"])]
 )
 def test_directions_that_are_no_units_are_told(direction: tuple[float, ...], codes: list[str]) -> None:
-    to = ToIgtl()
+    to = ToIgtlContext()
     volume_to_image(volume(direction=direction), to)
     assert [code for code, _ in to.warnings] == codes
 

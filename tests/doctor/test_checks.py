@@ -12,7 +12,7 @@ import pytest
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config
 from igtl_gateway.doctor import Observer
-from igtl_gateway.doctor.observer import Intent
+from igtl_gateway.doctor.observer import ExpectedLinks
 from igtl_gateway.doctor.rules import RULES, judge
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP
 from igtl_gateway.gateway.metadata import FULL_NAME
@@ -40,7 +40,7 @@ def pose(x: float = 200.0, diagonal: tuple[float, float, float] = (1.0, 1.0, 1.0
 class Scene:
     """A session by hand: each step is 20 ms after the last, and stamped 5 ms before it arrives."""
 
-    def __init__(self, intent: Intent | None = None, **config: Any) -> None:
+    def __init__(self, intent: ExpectedLinks | None = None, **config: Any) -> None:
         self.seen = Observer(Config(**config), intent)
         self.now_ns = T0_NS
 
@@ -80,10 +80,10 @@ class Scene:
         return [finding.rule.id.removeprefix("IGTL-") for finding in judge(self.seen)]
 
 
-CLIENT, SERVER = Intent("client", "10.0.0.2:18944"), Intent("server", "127.0.0.1:18944")
+CLIENT, SERVER = ExpectedLinks("client", "10.0.0.2:18944"), ExpectedLinks("server", "127.0.0.1:18944")
 
 
-def scene(intent: Intent | None = None, **config: Any) -> Scene:
+def scene(intent: ExpectedLinks | None = None, **config: Any) -> Scene:
     return Scene(intent, **config).up(role=intent.role if intent else "server")
 
 

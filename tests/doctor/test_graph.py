@@ -62,4 +62,4 @@ def test_what_is_not_ours_is_left_alone() -> None:
 def test_nobody_listens() -> None:
     gateway = Gateway(Config())
     made = Graph.of(gateway, {"/igtl/links": "igtl_msgs/msg/LinkStatusList"}, [])
-    assert (made.unheard(), found(made)) == (["/igtl/links"], ["I603", "I605"])
+    assert (made.without_subscriber(), found(made)) == (["/igtl/links"], ["I603", "I605"])

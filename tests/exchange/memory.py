@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from igtl_gateway.buffers import join
-from igtl_gateway.exchange.source import Item, fact, from_peer, numbered
+from igtl_gateway.exchange.source import ImportedItem, note_item, numbered, peer_item
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Message, encode
@@ -22,7 +22,7 @@ MS = 1_000_000
 class InMemory:
     """What an exporter needs of a session file."""
 
-    items: Sequence[Item]
+    items: Sequence[ImportedItem]
     session: dict[str, str] = field(default_factory=dict)
     channels: Sequence[Any] = ()
     definitions: dict[str, str] = field(default_factory=dict)
@@ -32,12 +32,12 @@ class InMemory:
         return numbered(self.items)
 
 
-def sent(at_ms: float, device: str, kind: str, content: Body) -> Item:
+def sent(at_ms: float, device: str, kind: str, content: Body) -> ImportedItem:
     """A message of a peer, stamped with its time."""
     time_ns = START + int(at_ms * MS)
-    return from_peer(time_ns, 1, join(encode(Message(kind, device, content, ns_to_ticks(time_ns)))))
+    return peer_item(time_ns, 1, join(encode(Message(kind, device, content, ns_to_ticks(time_ns)))))
 
 
-def said(at_ms: float, code: str, stream: str) -> Item:
+def said(at_ms: float, code: str, stream: str) -> ImportedItem:
     """A note on a stream."""
-    return fact(START + int(at_ms * MS), code, "said by a test", stream=stream)
+    return note_item(START + int(at_ms * MS), code, "said by a test", stream=stream)

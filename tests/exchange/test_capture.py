@@ -11,7 +11,7 @@ from igtl_gateway.buffers import join
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.exchange.capture import Capture
 from igtl_gateway.exchange.sequence import DEFAULT_EPOCH_NS
-from igtl_gateway.exchange.source import Item
+from igtl_gateway.exchange.source import ImportedItem
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
@@ -23,7 +23,7 @@ def message(text: str, stamp_ns: int = 0) -> bytes:
     return join(encode(Message("STRING", "Said", String.of(text), ns_to_ticks(stamp_ns))))
 
 
-def read(path: Path) -> tuple[list[Item], Capture]:
+def read(path: Path) -> tuple[list[ImportedItem], Capture]:
     with closing(Capture(path)) as source:
         return list(source.items()), source
 

@@ -13,7 +13,7 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from igtl_gateway.buffers import join
-from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.targets import export_to
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -41,7 +41,7 @@ def ros(name: str, **fields: Any) -> Any:
     return ROS2.types[name](**fields)
 
 
-def exported(tmp_path: Path, to: str, *given: Entry) -> tuple[dict[str, list[dict[str, str]]], Account]:
+def exported(tmp_path: Path, to: str, *given: Entry) -> tuple[dict[str, list[dict[str, str]]], ExportAccount]:
     """The tables of a session with these entries, by name of the file."""
     path = tmp_path / "some.mcap"
     writer = SessionWriter(path, {})

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.errors import GatewayError, UnsupportedRecording
-from igtl_gateway.exchange.account import Account
-from igtl_gateway.exchange.folder import Names, file_name, new_folder
+from igtl_gateway.exchange.account import ExportAccount
+from igtl_gateway.exchange.folder import FileNames, file_name, new_folder
 from igtl_gateway.session.entry import Entry, Kind
 
 NAMES = [
@@ -51,7 +51,7 @@ def test_a_name_stays_in_its_folder(tmp_path: Path, device: str) -> None:
 
 
 def test_every_stream_has_a_file_of_its_own() -> None:
-    names = Names()
+    names = FileNames()
     channels = ["A/x", "A_x", "a/X", "A x", "A_x_2", *(f"{'y' * 200}{number}" for number in range(500))]
     made = [names.of(entry(channel)) for channel in channels]
     assert len({name.lower() for name in made}) == len(channels)
@@ -60,7 +60,7 @@ def test_every_stream_has_a_file_of_its_own() -> None:
 
 def test_after_an_error_the_folder_is_as_before(tmp_path: Path) -> None:
     def fail(path: Path) -> None:
-        with new_folder(path, Account()) as folder:
+        with new_folder(path, ExportAccount()) as folder:
             folder.create("one").close()
             raise GatewayError("halfway")
 
@@ -73,22 +73,22 @@ def test_after_an_error_the_folder_is_as_before(tmp_path: Path) -> None:
 
 
 def test_an_export_without_messages_leaves_nothing(tmp_path: Path) -> None:
-    with new_folder(tmp_path / "new", Account()) as folder:
+    with new_folder(tmp_path / "new", ExportAccount()) as folder:
         folder.create("metadata.yaml").close()
     assert not (tmp_path / "new").exists()
 
 
 def test_what_is_there_is_not_touched(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("mine")
-    with pytest.raises(UnsupportedRecording, match="found a folder with files"), new_folder(tmp_path, Account()):
+    with pytest.raises(UnsupportedRecording, match="found a folder with files"), new_folder(tmp_path, ExportAccount()):
         pass
-    with pytest.raises(GatewayError, match="cannot write"), new_folder(tmp_path / "mine", Account()):
+    with pytest.raises(GatewayError, match="cannot write"), new_folder(tmp_path / "mine", ExportAccount()):
         pass
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(GatewayError, match="cannot write"), new_folder(tmp_path / "link", Account()):
+    with pytest.raises(GatewayError, match="cannot write"), new_folder(tmp_path / "link", ExportAccount()):
         pass
     (tmp_path / "two").mkdir()
-    with pytest.raises(FileExistsError), new_folder(tmp_path / "two", Account()) as folder:
+    with pytest.raises(FileExistsError), new_folder(tmp_path / "two", ExportAccount()) as folder:
         (tmp_path / "two" / "theirs").write_text("theirs")  # another program, at the same time
         folder.create("theirs")
     assert (tmp_path / "two" / "theirs").read_text() == "theirs"

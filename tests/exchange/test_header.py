@@ -95,5 +95,8 @@ def test_each_limit_is_named(tmp_path: Path, name: str, value: int, data: bytes)
     path = tmp_path / "some.mha"
     path.write_bytes(data)
     bounds = [f"{name}={value}", *(["free=5000"] if name == "ratio" else [])]
-    with limits.use(limits.parse(bounds)), pytest.raises(LimitExceeded, match=rf"--limit {name}={value}\b"):
+    with (
+        limits.limits_in_force(limits.parse_limits(bounds)),
+        pytest.raises(LimitExceeded, match=rf"--limit {name}={value}\b"),
+    ):
         open_source(path)

@@ -16,7 +16,7 @@ import pytest
 from igtl_gateway.buffers import join
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.exchange.pcap import MAX_OPEN, MAX_ROWS, Pcap
-from igtl_gateway.exchange.source import Item
+from igtl_gateway.exchange.source import ImportedItem
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.wire import Message, encode
@@ -100,12 +100,12 @@ def write(path: Path, packets: list[bytes], *, link: int = 101, order: str = "<"
     return path
 
 
-def read(path: Path) -> tuple[list[Item], Pcap]:
+def read(path: Path) -> tuple[list[ImportedItem], Pcap]:
     with closing(Pcap(path)) as source:
         return list(source.items()), source
 
 
-def said(items: list[Item]) -> list[bytes]:
+def said(items: list[ImportedItem]) -> list[bytes]:
     return [bytes(item.payload) for item in items if item.kind is Kind.IGTL_IN]
 
 

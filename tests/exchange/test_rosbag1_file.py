@@ -117,7 +117,7 @@ def test_a_chunk_of_very_many_empty_records(tmp_path: Path) -> None:
 def test_a_chunk_of_very_many_messages(tmp_path: Path) -> None:
     path = bag(tmp_path / "x.bag", [(chunk(message(1, b"") * 2500, "lz4"), 1, 2500)])
     with (
-        limits.use(limits.Limits(count=2000)),
+        limits.limits_in_force(limits.FileLimits(count=2000)),
         closing(BagFile(path)) as file,
         pytest.raises(DamagedRecording, match="records: found 2001"),
     ):

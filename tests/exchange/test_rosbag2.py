@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.exchange.rosbag2 import Rosbag2
 from igtl_gateway.exchange.rosbag2_metadata import METADATA
-from igtl_gateway.exchange.source import Item, Row
+from igtl_gateway.exchange.source import ImportedItem, ImportedStream
 
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
 STRING = "std_msgs/msg/String"
@@ -36,7 +36,7 @@ def recording(
     return path
 
 
-def read(path: Path) -> tuple[list[Item], list[Row], list[str]]:
+def read(path: Path) -> tuple[list[ImportedItem], list[ImportedStream], list[str]]:
     with closing(Rosbag2(path)) as source:
         return list(source.items()), source.rows, source.notes
 

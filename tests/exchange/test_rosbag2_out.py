@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
-from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.rosbag2 import Rosbag2
 from igtl_gateway.exchange.targets import export_to
 from igtl_gateway.qos import Qos
@@ -27,7 +27,7 @@ ROS2 = get_typestore(Stores.ROS2_JAZZY)
 SAID = bytes(ROS2.serialize_cdr(ROS2.types[STRING](data="a"), STRING))
 
 
-def exported(tmp_path: Path, recording: Path) -> tuple[Path, Account]:
+def exported(tmp_path: Path, recording: Path) -> tuple[Path, ExportAccount]:
     with SessionFile.open(recording) as file:
         return tmp_path / "bag", export_to("rosbag2", file, tmp_path / "bag", ())
 

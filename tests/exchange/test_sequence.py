@@ -12,7 +12,7 @@ import pytest
 
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.exchange.sequence import DEFAULT_EPOCH_NS, EPOCH_FIELD, TRANSFORM_STATUS, Sequence
-from igtl_gateway.exchange.source import Item
+from igtl_gateway.exchange.source import ImportedItem
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.wire import decode
@@ -79,7 +79,7 @@ def nrrd(path: Path, *, packed: bool = False) -> Path:
 
 @dataclass
 class Read:
-    items: list[Item]
+    items: list[ImportedItem]
     source: Sequence
 
     def images(self) -> list[tuple[int, Image]]:
@@ -92,7 +92,7 @@ class Read:
             if isinstance(content, Transform)
         ]
 
-    def _contents(self) -> list[tuple[Item, object]]:
+    def _contents(self) -> list[tuple[ImportedItem, object]]:
         return [(item, decode(item.payload).content) for item in self.items if item.kind is Kind.IGTL_IN]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.buffers import join
-from igtl_gateway.exchange.account import Account
+from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.targets import export_to
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -25,7 +25,7 @@ def attribute(kind: int, name: str, tuples: int, components: int) -> Attribute:
     return Attribute.of(kind, name, VALUES[: tuples * components].reshape(tuples, components))
 
 
-def exported(tmp_path: Path, to: str, content: PolyData) -> tuple[Path, Account]:
+def exported(tmp_path: Path, to: str, content: PolyData) -> tuple[Path, ExportAccount]:
     """The only file of an export of one POLYDATA, and the account."""
     path = tmp_path / "some.mcap"
     writer = SessionWriter(path, {})
@@ -38,7 +38,7 @@ def exported(tmp_path: Path, to: str, content: PolyData) -> tuple[Path, Account]
     return made, account
 
 
-def told(account: Account, unit: str) -> tuple[int, int, int, str]:
+def told(account: ExportAccount, unit: str) -> tuple[int, int, int, str]:
     (row,) = (row for row in account.parts if row.unit == unit)
     return row.declared, row.taken, row.left_out, row.why
 

@@ -21,8 +21,8 @@ from ruamel.yaml import YAML
 from igtl_gateway.cli import FAILURE, USAGE
 from igtl_gateway.convert.clouds import colour_field
 from igtl_gateway.errors import ConversionError, UnsupportedRecording, WireError
-from igtl_gateway.exchange.account import Account
-from igtl_gateway.exchange.surface_out import surface_of
+from igtl_gateway.exchange.account import ExportAccount
+from igtl_gateway.exchange.surface_out import export_surface_of
 from igtl_gateway.exchange.targets import TARGETS, export_to
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -33,15 +33,15 @@ from tests.test_fixtures import FIXTURES, NAMES
 
 #: Recordings with several IMAGE streams: of which one a sequence is made.
 SEQUENCES = {"every-type": ("Slice", "TRANSFORM/*"), "paper-types": ("Grey", "TRANSFORM/*")}
-Export = Callable[[str, str], tuple[Path, Account]]
+Export = Callable[[str, str], tuple[Path, ExportAccount]]
 
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Export:
     """Exports a golden recording, each once."""
-    made: dict[tuple[str, str], tuple[Path, Account]] = {}
+    made: dict[tuple[str, str], tuple[Path, ExportAccount]] = {}
 
-    def export(name: str, to: str) -> tuple[Path, Account]:
+    def export(name: str, to: str) -> tuple[Path, ExportAccount]:
         if (name, to) not in made:
             out = tmp_path_factory.mktemp(f"{name}-{to}") / "out"
             globs = SEQUENCES.get(name, ()) if to == "igs.mha" else ()
@@ -171,7 +171,7 @@ def surfaces(log: Iterable[Entry]) -> list[PolyData]:
     found = []
     for entry in log:
         with suppress(WireError, ConversionError):
-            found.append(surface_of(entry).content)
+            found.append(export_surface_of(entry).content)
     return found
 
 

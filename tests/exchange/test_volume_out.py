@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.convert.context import ToIgtl
+from igtl_gateway.convert.context import ToIgtlContext
 from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.images import image_to_igtl
 from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.convert.volumes import volume_to_image
 from igtl_gateway.errors import UnsupportedRecording
-from igtl_gateway.exchange.folder import Names
-from igtl_gateway.exchange.place import Place
-from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, chosen
+from igtl_gateway.exchange.folder import FileNames
+from igtl_gateway.exchange.placement import ImagePlacement
+from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, chosen_entries
 from igtl_gateway.exchange.sequence_out import export_sequence
 from igtl_gateway.exchange.volume_out import export_nrrd
 from igtl_gateway.session.entry import Entry, Kind
@@ -41,9 +41,9 @@ def image_of(entry: Entry) -> Image | None:
     if entry.type == "IMAGE":
         content = decode(entry.data()).content
     elif entry.type == Volume.TYPE:
-        content = volume_to_image(Volume.unpack(entry.data()), ToIgtl()).content
+        content = volume_to_image(Volume.unpack(entry.data()), ToIgtlContext()).content
     elif entry.type == RosImage.TYPE:
-        content = image_to_igtl(RosImage.unpack(entry.data()), ToIgtl()).content
+        content = image_to_igtl(RosImage.unpack(entry.data()), ToIgtlContext()).content
     whole = isinstance(content, Image) and content.sub_size == content.dimensions and content.expected_bytes
     return content if isinstance(content, Image) and whole else None
 
@@ -57,7 +57,7 @@ def judge(path: Path, image: Image) -> None:
     found = read(path)
     values = sitk().GetArrayFromImage(found).reshape((*image.dimensions[::-1], -1))
     assert np.array_equal(values, values_of(image), equal_nan=values.dtype.kind == "f")
-    if Place.of_image(image):
+    if ImagePlacement.of_image(image):
         assert np.abs(corners(image) - itk_corners(found, image.dimensions)).max() < MICROMETRE
     data, header = pytest.importorskip("nrrd").read(str(path), index_order="C")
     assert np.array_equal(data.reshape(values.shape), values, equal_nan=values.dtype.kind == "f")
@@ -67,10 +67,10 @@ def judge(path: Path, image: Image) -> None:
 @pytest.mark.parametrize("fixture", FIXTURES, ids=lambda path: path.stem)
 def test_others_read_each_exported_image_of_a_fixture(tmp_path: Path, fixture: Path) -> None:
     sitk()
-    names, judged = Names(), Counter[str]()
+    names, judged = FileNames(), Counter[str]()
     with SessionFile.open(fixture) as file:
         account = export_nrrd(file, tmp_path / "out", ())
-        for entry in chosen(file, (*IGTL_KINDS, *ROS_KINDS), ()):
+        for entry in chosen_entries(file, (*IGTL_KINDS, *ROS_KINDS), ()):
             image = image_of(entry)
             if image is None:
                 continue
@@ -133,7 +133,7 @@ def whole_images(file: SessionFile, stream: str) -> Iterator[Image]:
     """The IMAGEs of a stream as peers sent them, or else as they were sent to peers."""
     kinds = {entry.kind for entry in file.entries() if entry.channel == stream}
     kind = Kind.IGTL_IN if Kind.IGTL_IN in kinds else Kind.IGTL_OUT
-    for entry in chosen(file, (kind,), (stream,)):
+    for entry in chosen_entries(file, (kind,), (stream,)):
         content = decode(entry.data()).content
         if isinstance(content, Image) and content.sub_size == content.dimensions:
             yield content

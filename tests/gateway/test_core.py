@@ -9,7 +9,7 @@ import pytest
 
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
-from igtl_gateway.convert import plans, rosmsg
+from igtl_gateway.convert import rosmsg, trajectories
 from igtl_gateway.convert.igtl_msgs import RawMessage, VideoFrame, Volume
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.rosmsg import Header
@@ -22,7 +22,7 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Item, Message, Raw, decode, encode
-from igtl_gateway.wire.bind import Bind, Child
+from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Cells, PolyData
@@ -151,7 +151,7 @@ def test_new_streams_are_announced_once() -> None:
 def test_what_one_row_refuses_costs_the_others_nothing() -> None:
     """Points with names that are too many to be told one by one are a cloud all the same."""
     script = Script()
-    points = Points.of(np.zeros((plans.MAX_POINTS + 1, 3)))
+    points = Points.of(np.zeros((trajectories.MAX_POINTS + 1, 3)))
     points.elements["name"] = b"P"
     assert script.igtl(Message("POINT", "Cloud", points)) == ["ros /igtl/in/Cloud/points", "note conversion"]
     (why,) = (note.text for note in script.notes if note.code == "conversion")
@@ -166,8 +166,8 @@ def test_what_all_rows_refuse_is_told_once() -> None:
 
 def test_the_children_of_a_bind_go_their_own_ways() -> None:
     script = Script()
-    text, broken = Child("STRING", "Text", b"\0\3\0\1x"), Child("TRANSFORM", "Broken", b"?")
-    inner = Child("BIND", "", join(Bind((replace(text, name="Deep"),)).pack()))
+    text, broken = BindChild("STRING", "Text", b"\0\3\0\1x"), BindChild("TRANSFORM", "Broken", b"?")
+    inner = BindChild("BIND", "", join(Bind((replace(text, name="Deep"),)).pack()))
     assert script.igtl(Message("BIND", "All", Bind((text, broken, inner)))) == [
         "ros /igtl/in/All/bind",
         "ros /igtl/in/Text/string",
@@ -182,7 +182,9 @@ def test_a_child_that_nobody_converts_is_published_alone() -> None:
     """Not the whole BIND for each of its children: a message of megabytes with thousands would fill the memory."""
     script = Script()
     name = "ALongNameOfAChildOfABind"
-    script.igtl(Message("BIND", "All", Bind((Child("STRING", "", bytes(99)), Child("CUSTOM", name, b"ab"))), 5 << 32))
+    script.igtl(
+        Message("BIND", "All", Bind((BindChild("STRING", "", bytes(99)), BindChild("CUSTOM", name, b"ab"))), 5 << 32)
+    )
     (raw,) = (RawMessage.unpack(entry.data()) for entry in script.last if entry.type == RawMessage.TYPE)
     sent = decode(raw.data)
     assert (sent.type, sent.content, sent.ticks, sent.header_version) == ("CUSTOM", Raw(b"ab"), 5 << 32, 1)

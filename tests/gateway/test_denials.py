@@ -16,10 +16,10 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.replay.verify import verify
 from igtl_gateway.session.note import Note
 from igtl_gateway.wire import Message, Raw, encode
-from igtl_gateway.wire.bind import Bind, Child
+from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.command import Command
-from igtl_gateway.wire.query import QUERIES, Reply
+from igtl_gateway.wire.query import QUERIES, QueryReply
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.transform import Transform
 from tests.gateway.test_relay import Relay, codes
@@ -31,7 +31,7 @@ ORDER = RosCommand(Header(), "Robot", 0, "Start", 3, "<Command/>")
 
 
 def bind(*children: tuple[str, Body]) -> Message:
-    made = tuple(Child(name, f"c{index}", join(body.pack())) for index, (name, body) in enumerate(children))
+    made = tuple(BindChild(name, f"c{index}", join(body.pack())) for index, (name, body) in enumerate(children))
     return Message("BIND", "Both", Bind(made))
 
 
@@ -95,8 +95,8 @@ def test_a_denied_command_fails_at_once() -> None:
     ("name", "answer"),
     [
         ("GET_TRANS", ("STATUS", Status(5, 0, "AccessDenied", "GET_TRANS is denied"))),
-        ("STT_TDATA", ("RTS_TDATA", Reply(1))),
-        ("STP_TDATA", ("RTS_TDATA", Reply(1))),
+        ("STT_TDATA", ("RTS_TDATA", QueryReply(1))),
+        ("STP_TDATA", ("RTS_TDATA", QueryReply(1))),
         ("RTS_TDATA", None),  # an answer to an answer would have no end
     ],
 )

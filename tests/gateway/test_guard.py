@@ -14,14 +14,14 @@ from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.gateway import LINK_UP, Gateway, Session, guard
-from igtl_gateway.gateway.watched import CODES, STILL_LOOKS, is_unit_jump
+from igtl_gateway.gateway.guarded_stream import CODES, STILL_LOOKS, is_unit_jump
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message, encode
-from igtl_gateway.wire.query import Nothing, StartTracking
+from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.transform import Transform
 from tests.script import T0_NS, Script
 
@@ -61,7 +61,7 @@ def test_on_the_way_out_too_and_it_does_not_become_the_latest() -> None:
     script = Script(Config(to_igtl=(ToIgtlRow(max_age_s=0.5),)))
     script.up(1)
     assert script.ros("/igtl/out/Tool", tool(script.now_ns - NS_PER_S)) == ["note stale"]
-    query = Message("GET_TRANS", "Tool", Nothing())
+    query = Message("GET_TRANS", "Tool", EmptyQuery())
     assert "note query_unanswered" in script.igtl(query)
     assert script.ros("/igtl/out/Tool", tool(script.now_ns)) == ["igtl TRANSFORM/Tool v1 to 1", "note fresh"]
     assert "igtl TRANSFORM/Tool v1 to 1" in script.igtl(query)
@@ -91,7 +91,7 @@ def test_senders_are_judged_by_the_hosts_clock_also_where_gateway_time_is_ahead_
         passed = ["ros /igtl/in/Tool/transform"] if age_ns == 0 else []
         assert script.igtl(pose(script.now_ns - hour_ns - age_ns)) == passed + said
     assert script.ros("/igtl/out/Tool", tool(script.now_ns - hour_ns)) == ["igtl TRANSFORM/Tool v1 to 1"]
-    query = Message("GET_TRANS", "Tool", Nothing())
+    query = Message("GET_TRANS", "Tool", EmptyQuery())
     assert "igtl TRANSFORM/Tool v1 to 1" in script.igtl(query)
     script.now_ns += NS_PER_S
     assert script.igtl(pose(script.now_ns - hour_ns + 2 * NS_PER_S)) == [
@@ -120,10 +120,10 @@ def test_a_frame_that_is_too_old_is_left_out_and_the_others_go_on() -> None:
     script.now_ns += NS_PER_S
     late = script.ros("/tf", tf_of("mount", "a", script.now_ns - NS_PER_S // 2 - 10**8, x=0.3))
     assert late == ["note stale"], "nothing is left to be sent"
-    assert "note query_unanswered" in script.igtl(Message("GET_TDATA", "Tools", Nothing())), "it is old by now"
+    assert "note query_unanswered" in script.igtl(Message("GET_TDATA", "Tools", EmptyQuery())), "it is old by now"
     said = script.ros("/tf", tf_of("mount", "b", script.now_ns, x=0.4))
     assert said == ["note fresh", "igtl TDATA/Tools v1 to 1"] and names() == ["b"]
-    assert "note query_unanswered" not in script.igtl(Message("GET_TDATA", "Tools", Nothing()))
+    assert "note query_unanswered" not in script.igtl(Message("GET_TDATA", "Tools", EmptyQuery()))
     assert names() == ["b"]
 
 
@@ -132,7 +132,7 @@ def test_frames_that_do_not_move_have_no_age() -> None:
     script.up(1)
     assert script.ros("/tf_static", tf_of("base", "a", 0)) == ["igtl TRANSFORM/aTobase v1 to 1"]
     script.now_ns += NS_PER_S
-    assert "igtl TRANSFORM/aTobase v1 to 1" in script.igtl(Message("GET_TRANS", "aTobase", Nothing()))
+    assert "igtl TRANSFORM/aTobase v1 to 1" in script.igtl(Message("GET_TRANS", "aTobase", EmptyQuery()))
 
 
 def test_a_raw_message_has_the_age_of_its_own_stamp() -> None:

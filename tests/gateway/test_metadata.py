@@ -8,7 +8,7 @@ import pytest
 from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.convert.igtl_msgs import Metadata, MetadataItem, Sensor
 from igtl_gateway.convert.rosmsg import Header, String, TransformStamped
-from igtl_gateway.gateway.metadata import FRAME_ID, FULL_NAME, STAMP, restore
+from igtl_gateway.gateway.metadata import FRAME_ID, FULL_NAME, STAMP, restore_metadata
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.text import String as IgtlString
@@ -47,7 +47,7 @@ def test_a_version_1_peer_gets_none() -> None:
 
 def test_what_is_not_as_we_write_it_is_the_users() -> None:
     items = (Item(STAMP, b"yesterday"), Item(FULL_NAME, b"Somebody else"), Item(FRAME_ID, b""), Item(STAMP, b"9" * 30))
-    restored = restore(Message("STRING", "Probe", IgtlString.of("x"), 0, 2, 0, items))
+    restored = restore_metadata(Message("STRING", "Probe", IgtlString.of("x"), 0, 2, 0, items))
     assert (restored.device_name, restored.stamp_ns, restored.frame_id) == ("Probe", 0, "")
     assert [item.key for item in restored.items] == [STAMP, FULL_NAME, FRAME_ID, STAMP]
 

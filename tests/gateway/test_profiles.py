@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.gateway.profiles import BY_NAME, shown_by
+from igtl_gateway.gateway.profiles import BY_NAME, profile_shown_by
 from igtl_gateway.wire import Item, Message, Raw
 from igtl_gateway.wire.image import LPS, RAS, Image
 from igtl_gateway.wire.polydata import CELL, SCALAR, Attribute, Cells, PolyData
@@ -75,7 +75,7 @@ def test_the_cpp_reader_gets_nine_components_where_it_takes_nine(profile: object
     ],
 )
 def test_what_a_message_shows_of_its_sender(message: Message, name: str | None) -> None:
-    shown = shown_by(message)
+    shown = profile_shown_by(message)
     assert (shown.name if shown else None) == name
 
 

@@ -17,7 +17,7 @@ from igtl_gateway.gateway import (
     Gateway,
     RelayGateway,
     Session,
-    gateway_of,
+    make_core,
 )
 from igtl_gateway.replay.verify import verify
 from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
@@ -63,8 +63,8 @@ def codes(entries: list[Entry]) -> list[str]:
 
 
 def test_the_configuration_chooses_the_core() -> None:
-    assert isinstance(gateway_of(Config()), Gateway)
-    assert isinstance(gateway_of(CONFIG), RelayGateway)
+    assert isinstance(make_core(Config()), Gateway)
+    assert isinstance(make_core(CONFIG), RelayGateway)
     assert Config.from_dict(CONFIG.to_dict()).relay
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from igtl_gateway.buffers import join
 from igtl_gateway.errors import TruncatedMessage
-from igtl_gateway.gateway.session import head_of
+from igtl_gateway.gateway.session import header_names
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import HEADER_SIZE, Message, encode
 from igtl_gateway.wire.text import String
@@ -15,10 +15,10 @@ HELLO = join(encode(Message("STRING", "Greeting", String.of("hello"), 7 << 32)))
 
 
 def test_stream_type_and_stamp() -> None:
-    assert head_of(HELLO) == ("STRING/Greeting", "STRING", 7 * NS_PER_S)
-    assert head_of(HELLO[:HEADER_SIZE]) == head_of(HELLO), "the body is not looked at"
+    assert header_names(HELLO) == ("STRING/Greeting", "STRING", 7 * NS_PER_S)
+    assert header_names(HELLO[:HEADER_SIZE]) == header_names(HELLO), "the body is not looked at"
 
 
 def test_less_than_a_header_is_refused() -> None:
     with pytest.raises(TruncatedMessage, match=str(HEADER_SIZE)):
-        head_of(HELLO[: HEADER_SIZE - 1])
+        header_names(HELLO[: HEADER_SIZE - 1])

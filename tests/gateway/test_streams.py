@@ -45,6 +45,6 @@ def test_topics_beyond_the_limit_are_told_from_those_that_are_not_bridged() -> N
     streams = Streams(Config(max_streams=1))
     assert streams.to_igtl("/igtl/out/A", RosString.TYPE)
     assert streams.to_igtl("/igtl/out/B", RosString.TYPE) is None
-    assert streams.beyond("/igtl/out/B", RosString.TYPE)
-    assert not streams.beyond("/igtl/out/A", RosString.TYPE)
-    assert not streams.beyond("/elsewhere", RosString.TYPE)
+    assert streams.is_over_limit("/igtl/out/B", RosString.TYPE)
+    assert not streams.is_over_limit("/igtl/out/A", RosString.TYPE)
+    assert not streams.is_over_limit("/elsewhere", RosString.TYPE)

@@ -24,7 +24,7 @@ from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.session.note import Note
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.wire import Message, decode, encode
-from igtl_gateway.wire.bind import Bind, Child
+from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.colort import ColorTable
@@ -34,7 +34,7 @@ from igtl_gateway.wire.metalists import IMAGE_META_DTYPE, LABEL_META_DTYPE, Imag
 from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.point import POINT_DTYPE, Points
 from igtl_gateway.wire.polydata import Attribute, Cells, PolyData
-from igtl_gateway.wire.query import GetBind, Nothing, Reply, StartBind, StartTracking
+from igtl_gateway.wire.query import EmptyQuery, GetBind, QueryReply, StartBind, StartTracking
 from igtl_gateway.wire.registry import BODIES
 from igtl_gateway.wire.sensor import Sensor, parse_unit
 from igtl_gateway.wire.text import Status, String
@@ -476,7 +476,7 @@ def bind(name: str, *children: tuple[str, Case]) -> Case:
     content = [
         {"type": case.type, "name": title, "size": len(data), "content": case.content} for title, case, data in packed
     ]
-    body = Bind(tuple(Child(case.type, title, data) for title, case, data in packed))
+    body = Bind(tuple(BindChild(case.type, title, data) for title, case, data in packed))
     return Case(name, "BIND", {"children": content}, body)
 
 
@@ -490,7 +490,7 @@ def query_of_bind(name: str, *wanted: tuple[str, str]) -> list[Case]:
 
 
 ODD_SIZE = Case("odd", "STRING", string("odd", 3), String(b"odd"))
-ASKED = Case("asked", "GET_STATUS", {}, Nothing())
+ASKED = Case("asked", "GET_STATUS", {}, EmptyQuery())
 NESTED = bind("inner", ("", ODD_SIZE), ("Inner", BASIC[0]))
 BINDS = [
     bind("one", (DEVICE, BASIC[0])),
@@ -500,14 +500,14 @@ BINDS = [
     bind("nested", ("outer", NESTED), ("after", ODD_SIZE)),
 ]
 QUERIES = [
-    *(Case("asks", name, {}, Nothing()) for name in reference.WITHOUT_CONTENT),
+    *(Case("asks", name, {}, EmptyQuery()) for name in reference.WITHOUT_CONTENT),
     *(
         Case(title, name, {"resolution": resolution, "coordinate_name": frame}, StartTracking(resolution, frame))
         for name in ("STT_TDATA", "STT_QTDATA")
         for title, resolution, frame in (("as fast as possible", 0, ""), ("slow", 2**31 - 1, MIDDLE), ("odd", -1, "µ"))
     ),
     *(
-        Case(f"{code}", name, {"status": code}, Reply(code))
+        Case(f"{code}", name, {"status": code}, QueryReply(code))
         for name in ("RTS_TDATA", "RTS_QTDATA", "RTS_BIND")
         for code in (0, 1, 255)
     ),

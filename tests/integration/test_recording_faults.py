@@ -30,7 +30,7 @@ from igtl_gateway.buffers import join
 from igtl_gateway.cli import main
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config, ToRosRow
-from igtl_gateway.replay.pace import steps_of
+from igtl_gateway.replay.timeline import clock_steps_of
 from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
@@ -358,7 +358,7 @@ def test_a_clock_that_is_set_by_an_hour_while_a_recording_is_made(tmp_path: Path
     assert bridge.losses["gaps"] == []
     with SessionFile.open(path) as file:
         entries = list(file.entries())
-        (step,) = steps_of(file)
+        (step,) = clock_steps_of(file)
     assert step.step_ns == pytest.approx(set_ns, abs=NS_PER_S // 10)
     # in order, and as long as it took
     stamps = [entry.stamp_ns for entry in entries]

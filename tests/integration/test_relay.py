@@ -11,9 +11,9 @@ from urllib.request import urlopen
 
 import pytest
 
-from igtl_gateway.app.replay_plan import plan, planned
+from igtl_gateway.app.replay_plan import plan_replay, planned_entries
 from igtl_gateway.cli import main
-from igtl_gateway.cli.common import recorded_config
+from igtl_gateway.cli.common import config_to_run
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from tests.integration.bridge import (
@@ -176,7 +176,7 @@ def test_over_a_bad_line_the_recording_has_what_was_really_sent(
     assert main(("info", str(path))) == 0
     capsys.readouterr()
     with SessionFile.open(path) as file:
-        again = planned(file, recorded_config(file.session), plan(file, "igtl", False), [], role="client")
+        again = planned_entries(file, config_to_run(file.session), plan_replay(file, "igtl", False), [], role="client")
         assert b"".join(entry.data() for entry in again) == heard, "several of a stream behind one tick are several"
 
 

@@ -12,7 +12,7 @@ import pytest
 from mcap.writer import Writer
 
 from igtl_gateway.convert.rosmsg import String
-from igtl_gateway.replay.source import once, select
+from igtl_gateway.replay.source import first_form_only, select_entries
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from tests.integration.bridge import TIMEOUT_S, RosClient, gateway
@@ -120,8 +120,8 @@ def test_the_services_of_ros2_bag_play() -> None:
 
 def test_both_sides_at_once_in_the_order_of_the_log() -> None:
     with SessionFile.open(TYPES) as file:
-        igtl = list(select(once(file.entries()), frozenset({Kind.IGTL_OUT})))
-        ros = list(select(file.entries(), frozenset({Kind.ROS_IN, Kind.ROS_OUT})))
+        igtl = list(select_entries(first_form_only(file.entries()), frozenset({Kind.IGTL_OUT})))
+        ros = list(select_entries(file.entries(), frozenset({Kind.ROS_IN, Kind.ROS_OUT})))
 
     def digest(entries: list[Entry]) -> str:
         return hashlib.sha256(b"".join(entry.data() for entry in entries)).hexdigest()

@@ -23,7 +23,7 @@ from ruamel.yaml import YAML
 from igtl_gateway.cli import main
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
-from igtl_gateway.record.selection import StateRule
+from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
 
@@ -100,7 +100,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 qos_of=lambda topic, ros_type: qos.get((topic, ros_type)),
                 prologue=prologue,
             ),
-            Prologue(StateRule(frozenset())),
+            Prologue(StateInputRule(frozenset())),
             max_bytes=0,
             max_s=(file.end_ns - file.start_ns) / 4e9,
             overwrite=False,

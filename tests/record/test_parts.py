@@ -19,16 +19,16 @@ from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Gateway, Session
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.record.selection import StateRule
+from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.worker import RecordingSummary
-from igtl_gateway.replay.verify import Losses, verify
+from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 
 SECOND_NS = 1_000_000_000
-RULE = StateRule(frozenset({LINKS_TOPIC}))
+RULE = StateInputRule(frozenset({LINKS_TOPIC}))
 
 
 def session(seconds: int = 5, hz: int = 20) -> list[Entry]:
@@ -105,11 +105,13 @@ def test_every_part_verifies_alone_and_the_folder_as_a_whole(path: Path) -> None
     outputs = 0
     for part in parts:
         with SessionFile.open(part) as file:
-            report = verify(file.entries(), Config(), Losses.of(file.session, file.ledger), before=file.prologue())
+            report = verify(
+                file.entries(), Config(), DeclaredLosses.of(file.session, file.ledger), before=file.prologue()
+            )
         assert report.good and report.equal == report.outputs > 0, (part, report.differences[:1])
         outputs += report.outputs
     with SessionFile.open(summary.path) as file:
-        report = verify(file.entries(), Config(), Losses.of(file.session, file.ledger), before=file.prologue())
+        report = verify(file.entries(), Config(), DeclaredLosses.of(file.session, file.ledger), before=file.prologue())
     assert report.good and report.outputs == outputs
     with SessionFile.open(parts[-1]) as file:
         assert not verify(file.entries(), Config()).good, "the prologue is what makes it verify"

@@ -6,17 +6,17 @@ import pytest
 
 from igtl_gateway.record import prologue
 from igtl_gateway.record.prologue import Prologue
-from igtl_gateway.record.selection import StateRule
+from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
 
-RULE = StateRule(frozenset({"/igtl/links"}), frozenset({"COMMAND"}))
+RULE = StateInputRule(frozenset({"/igtl/links"}), frozenset({"COMMAND"}))
 
 
 def kept(given: Prologue, entries: list[Entry]) -> list[int]:
     for entry in entries:
-        given.see(entry)
+        given.observe(entry)
     return [entry.seq for entry in given.entries()]
 
 
@@ -50,7 +50,7 @@ def test_an_output_says_of_its_own_cause_only() -> None:
 
 def test_of_mixed_topics_many_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(prologue, "MAX_MIXED", 3)
-    rule = StateRule(mixed=frozenset({"/tf"}))
+    rule = StateInputRule(mixed=frozenset({"/tf"}))
     entries = [samples.ros(seq, topic="/tf" if seq % 2 else "/chatter") for seq in range(1, 12)]
     assert kept(Prologue(rule), entries) == [7, 9, 10, 11]
 

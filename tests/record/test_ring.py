@@ -16,9 +16,9 @@ from igtl_gateway.record import host
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.record.shared_queue import Getter
+from igtl_gateway.record.shared_queue import QueueReader
 from igtl_gateway.record.worker import FAILED, SNAPSHOT
-from igtl_gateway.replay.verify import Losses, verify
+from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Note
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -76,7 +76,10 @@ def test_a_snapshot_has_the_last_seconds_whole_and_verifies(path: Path) -> None:
         assert snapshot.session["snapshot_seconds"] == "2"
         assert snapshot.ledger is not None and snapshot.ledger["recorder"]["written_entries"] == len(kept)
         report = verify(
-            snapshot.entries(), Config(), Losses.of(snapshot.session, snapshot.ledger), before=snapshot.prologue()
+            snapshot.entries(),
+            Config(),
+            DeclaredLosses.of(snapshot.session, snapshot.ledger),
+            before=snapshot.prologue(),
         )
     assert report.good and report.equal > 0
     summary = bench.recorder.close({})
@@ -92,12 +95,12 @@ def test_a_snapshot_asked_for_between_an_input_and_its_outputs_has_them_too(
 ) -> None:
     begin = threading.Event()
 
-    class Late(Getter):
+    class Late(QueueReader):
         def get(self) -> Entry | tuple[Any, ...] | None:
             assert begin.wait(DEADLINE_S)
             return super().get()
 
-    monkeypatch.setattr(host, "Getter", Late)
+    monkeypatch.setattr(host, "QueueReader", Late)
     bench, entries = Bench(path), session(1)
     inputs = [at for at, entry in enumerate(entries) if entry.kind.is_input]
     middle = next(at for at, after in zip(inputs, [*inputs[1:], len(entries)], strict=True) if after - at > 1) + 1

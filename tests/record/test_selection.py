@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from igtl_gateway.record import selection
-from igtl_gateway.record.selection import Gate, Selection, StateRule
+from igtl_gateway.record.selection import Selection, SelectionFilter, StateInputRule
 from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
 
-RULE = StateRule(frozenset({"/igtl/links"}), frozenset({"COMMAND"}), frozenset({"/tf"}))
+RULE = StateInputRule(frozenset({"/igtl/links"}), frozenset({"COMMAND"}), frozenset({"/tf"}))
 
 
-def passed(gate: Gate, entries: list[Entry]) -> list[int]:
+def passed(gate: SelectionFilter, entries: list[Entry]) -> list[int]:
     return [entry.seq for given in entries for entry in gate.take(given)]
 
 
@@ -34,7 +34,7 @@ def test_globs_fit_streams_devices_and_topics(chosen: Selection, inside: list[st
 
 
 def test_an_input_takes_its_outputs_with_it() -> None:
-    gate = Gate(Selection(exclude=("IMAGE/*",)), RULE)
+    gate = SelectionFilter(Selection(exclude=("IMAGE/*",)), RULE)
     entries = [
         samples.igtl(1, message_type="IMAGE", device="a"),
         samples.ros(2, Kind.ROS_OUT, topic="/igtl/in/a/image"),
@@ -53,7 +53,7 @@ def test_an_input_takes_its_outputs_with_it() -> None:
     ids=["note", "links", "frames"],
 )
 def test_an_input_by_which_the_gateway_learned_is_recorded_whole(telling: Entry) -> None:
-    gate = Gate(Selection(exclude=("**",)), RULE)
+    gate = SelectionFilter(Selection(exclude=("**",)), RULE)
     entries = [samples.igtl(1), samples.ros(2, Kind.ROS_OUT), telling, samples.ros(4, Kind.ROS_OUT)]
     assert passed(gate, entries) == [1, 2, 3, 4]
     assert passed(gate, [samples.igtl(5), samples.ros(6, Kind.ROS_OUT)]) == []
@@ -61,7 +61,7 @@ def test_an_input_by_which_the_gateway_learned_is_recorded_whole(telling: Entry)
 
 @pytest.mark.parametrize("paused", [False, True])
 def test_links_notes_and_commands_are_always_recorded(paused: bool) -> None:
-    gate = Gate(Selection(exclude=("**",)), RULE)
+    gate = SelectionFilter(Selection(exclude=("**",)), RULE)
     gate.paused = paused
     entries = [
         samples.note(1, Kind.LINK),
@@ -73,7 +73,7 @@ def test_links_notes_and_commands_are_always_recorded(paused: bool) -> None:
 
 
 def test_a_pause_acts_between_inputs() -> None:
-    gate = Gate(Selection(), RULE)
+    gate = SelectionFilter(Selection(), RULE)
     assert passed(gate, [samples.igtl(1)]) == [1]
     gate.paused = True
     assert passed(gate, [samples.ros(2, Kind.ROS_OUT), samples.igtl(3)]) == [2]
@@ -84,7 +84,7 @@ def test_a_pause_acts_between_inputs() -> None:
 
 def test_what_is_counted_by_stream_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(selection, "MAX_STREAMS", 2)
-    gate = Gate(Selection(exclude=("**",)), RULE)
+    gate = SelectionFilter(Selection(exclude=("**",)), RULE)
     passed(gate, [samples.igtl(seq, device=f"n{seq}") for seq in range(1, 6)])
     gate.end()
     assert gate.left_out == {"TRANSFORM/n1": 1, "TRANSFORM/n2": 1, "(others)": 3}

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.record import shared_queue
-from igtl_gateway.record.shared_queue import ENTRY_BYTES, Getter, Putter, shared_memory
+from igtl_gateway.record.shared_queue import ENTRY_BYTES, QueueReader, QueueWriter, shared_memory
 from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
 
@@ -25,8 +25,8 @@ class Pair:
 
     def __init__(self, max_entries: int = 1000, max_bytes: int = 1 << 20, largest: int = 1 << 20) -> None:
         self.memory = shared_memory(max_bytes, largest)
-        self.putter = Putter(mmap.mmap(self.memory, 0), max_entries, max_bytes)
-        self.getter = Getter(mmap.mmap(self.memory, 0))
+        self.putter = QueueWriter(mmap.mmap(self.memory, 0), max_entries, max_bytes)
+        self.getter = QueueReader(mmap.mmap(self.memory, 0))
 
     def get(self) -> Entry | tuple[object, ...] | None:
         item = self.getter.get()
@@ -248,6 +248,6 @@ def test_what_is_lent_is_the_memory_of_the_queue() -> None:
 
 def test_the_bell_rings_once() -> None:
     pair = Pair()
-    assert [pair.putter.ring_bell(), pair.putter.ring_bell()] == [True, False]
-    pair.getter.answer_bell()
-    assert pair.putter.ring_bell()
+    assert [pair.putter.signal(), pair.putter.signal()] == [True, False]
+    pair.getter.clear_signal()
+    assert pair.putter.signal()

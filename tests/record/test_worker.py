@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.clock import Clock, SystemClock
-from igtl_gateway.record.host import Place, in_process
+from igtl_gateway.record.host import WorkerHost, in_process
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.record.shared_queue import Getter, Putter, memory
-from igtl_gateway.record.worker import Settings, work
+from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory
+from igtl_gateway.record.worker import WorkerSettings, run_worker
 from tests.record import samples
 
 DEADLINE_S = 60
@@ -39,10 +39,10 @@ def test_it_is_in_a_hurry_while_much_waits(tmp_path: Path) -> None:
     told: list[tuple[bool, int]] = []
     calm = threading.Event()
 
-    def host(settings: Settings, clock: Clock) -> Place:
+    def host(settings: WorkerSettings, clock: Clock) -> WorkerHost:
         ours, theirs = Pipe()
         place = memory(QUEUE_BYTES, QUEUE_BYTES)
-        getter, putter = Getter(place), Putter(place, 1000, QUEUE_BYTES)
+        getter, putter = QueueReader(place), QueueWriter(place, 1000, QUEUE_BYTES)
 
         def rank(hurried: bool) -> bool:
             told.append((hurried, putter.waiting[1]))
@@ -55,7 +55,7 @@ def test_it_is_in_a_hurry_while_much_waits(tmp_path: Path) -> None:
                 calm.set()
             return True
 
-        thread = threading.Thread(target=work, args=(settings, getter, theirs, clock, lambda: False, rank))
+        thread = threading.Thread(target=run_worker, args=(settings, getter, theirs, clock, lambda: False, rank))
         thread.start()
 
         def wait() -> str:
@@ -63,7 +63,7 @@ def test_it_is_in_a_hurry_while_much_waits(tmp_path: Path) -> None:
             theirs.close()
             return "its end"
 
-        return Place(ours, putter, wait)
+        return WorkerHost(ours, putter, wait)
 
     recorder = Recorder(
         tmp_path / "a.mcap",

@@ -15,8 +15,8 @@ from igtl_gateway.buffers import join
 from igtl_gateway.convert.common_msgs import FrameTransform as Frame
 from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped, TFMessage
 from igtl_gateway.convert.rosmsg import Header, Image, PointCloud2, PointField, PointStamped, RosMessage, String
-from igtl_gateway.convert.units import Lengths
-from igtl_gateway.replay.compare import EXACT, Decoder, Delta, Tolerance, Undecodable, compare_values, first_byte
+from igtl_gateway.convert.units import LengthUnits
+from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -51,9 +51,9 @@ def igtl(content: Body, igtl_type: str, ticks: int = 0) -> Entry:
     return Entry(1, 1, Kind.IGTL_OUT, f"{igtl_type}/Device", igtl_type, (data,))
 
 
-def compared(one: Entry, other: Entry, tolerance: Tolerance = EXACT, lengths: Lengths = Lengths()) -> Delta:
+def compared(one: Entry, other: Entry, tolerance: Tolerance = EXACT, lengths: LengthUnits = LengthUnits()) -> Delta:
     definitions = {} if "/" not in one.type else {one.type: definition(one.type)}
-    decoder = Decoder(definitions, lengths)
+    decoder = LeafDecoder(definitions, lengths)
     return compare_values(decoder.leaves(one), decoder.leaves(other), tolerance)
 
 
@@ -122,7 +122,7 @@ def test_a_tool_among_others_is_named() -> None:
 
 
 def test_units_are_those_of_the_recording() -> None:
-    lengths = Lengths("mm", "m")
+    lengths = LengthUnits("mm", "m")
     point = compared(ros(PointStamped(HEADER, (0, 0, 0))), ros(PointStamped(HEADER, (0, 0, 2.0))), lengths=lengths)
     pose = compared(igtl(moved(0), "TRANSFORM"), igtl(moved(1), "TRANSFORM"), lengths=lengths)
     assert (point.mm, pose.mm) == (2.0, 1000.0)
@@ -233,14 +233,14 @@ def test_notes_are_compared_by_code_level_and_stream() -> None:
 )
 def test_what_cannot_be_read_is_said(entry: Entry) -> None:
     with pytest.raises(Undecodable):
-        list(Decoder({"std_msgs/msg/String": definition("std_msgs/msg/String")}).leaves(entry))
+        list(LeafDecoder({"std_msgs/msg/String": definition("std_msgs/msg/String")}).leaves(entry))
     assert first_byte(b"abc", b"abd") == ("byte 2", "63", "64")
     assert first_byte(b"ab", b"abc") == ("byte 2", "", "63")
 
 
 def test_every_message_of_every_type_can_be_taken_apart() -> None:
     with SessionFile.open(FIXTURES / "every-type.mcap") as file:
-        decoder = Decoder(file.definitions)
+        decoder = LeafDecoder(file.definitions)
         unreadable = []
         for entry in file.entries():
             try:

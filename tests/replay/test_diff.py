@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.convert.rosmsg import TransformStamped
-from igtl_gateway.replay.compare import EXACT, Decoder, Tolerance
-from igtl_gateway.replay.diff import WINDOW, DiffReport, Side, StreamDiff, diff
+from igtl_gateway.replay.compare import EXACT, LeafDecoder, Tolerance
+from igtl_gateway.replay.diff import WINDOW, DiffInput, DiffReport, StreamDiff, diff
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
@@ -29,8 +29,8 @@ def star() -> tuple[list[Entry], dict[str, str]]:
 def compared(
     one: list[Entry], other: list[Entry], *globs: str, tolerance: Tolerance = EXACT, foreign: bool = False
 ) -> DiffReport:
-    decoder = Decoder(star()[1])
-    return diff(Side(one, decoder), Side(other, decoder), globs=globs, tolerance=tolerance, foreign=foreign)
+    decoder = LeafDecoder(star()[1])
+    return diff(DiffInput(one, decoder), DiffInput(other, decoder), globs=globs, tolerance=tolerance, foreign=foreign)
 
 
 def stream(report: DiffReport, name: str) -> StreamDiff:
@@ -186,7 +186,7 @@ def test_memory_holds_a_window_of_each_stream() -> None:
             yield Entry(seq, seq, Kind.ROS_IN, "/t", "std_msgs/msg/String", (data,))
             del data
 
-    decoder = Decoder()
-    report = diff(Side(made("one"), decoder), Side(made("two"), decoder))
+    decoder = LeafDecoder()
+    report = diff(DiffInput(made("one"), decoder), DiffInput(made("two"), decoder))
     assert report.streams[0].different == 7_999
     assert most < 3 * WINDOW

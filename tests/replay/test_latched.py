@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.replay.latched import part
+from igtl_gateway.replay.latched import part_of_session
 from igtl_gateway.session.entry import Entry, Kind
 
 LATCHED = {"/plan", "/tf_static"}
@@ -19,7 +19,7 @@ def log(*rows: tuple[Kind, str, str]) -> list[Entry]:
 
 
 def numbers(entries: list[Entry], start: int | None, end: int | None = None) -> list[int]:
-    return [entry.seq for entry in part(entries, start, end, lambda topic, _: topic in LATCHED)]
+    return [entry.seq for entry in part_of_session(entries, start, end, lambda topic, _: topic in LATCHED)]
 
 
 def test_without_limits_it_is_all() -> None:

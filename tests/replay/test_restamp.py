@@ -10,7 +10,7 @@ import pytest
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.rosmsg import Header, PointStamped, String, TransformStamped
 from igtl_gateway.replay.restamp import Mode, Restamper
-from igtl_gateway.replay.simclock import tick
+from igtl_gateway.replay.simclock import clock_entry
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.stamp import ns_to_ticks, ticks_to_ns
 from igtl_gateway.wire import decode, encode
@@ -110,7 +110,7 @@ def test_big_endian_stays_big_endian() -> None:
 
 
 def test_the_clock_follows() -> None:
-    assert restamped("shift", tick(THEN)) == [tick(NOW).data()]
+    assert restamped("shift", clock_entry(THEN)) == [clock_entry(NOW).data()]
 
 
 @pytest.mark.parametrize(

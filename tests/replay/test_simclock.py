@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.replay.pace import Pace
-from igtl_gateway.replay.simclock import CLOCK_TOPIC, is_tick, period_ns, tick, with_ticks
+from igtl_gateway.replay.simclock import CLOCK_TOPIC, clock_entry, is_tick, period_ns, with_ticks
+from igtl_gateway.replay.timeline import SessionTimeline
 from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 
@@ -32,7 +32,7 @@ def test_after_a_jump_the_clock_comes_before_the_state() -> None:
 
 
 def test_in_a_jump_of_the_session_there_are_no_ticks() -> None:
-    pace = Pace([ClockStep(1000, 1000, 0, at_ns=1112)])
+    pace = SessionTimeline([ClockStep(1000, 1000, 0, at_ns=1112)])
     found = list(with_ticks(entries(100, 105, 1110, 1131), None, 10, pace))
     assert stamps(found) == ["tick 100", "entry 100", "entry 105", "tick 110", "entry 1110", "tick 1120", "tick 1130",
                              "entry 1131"]  # fmt: skip
@@ -45,7 +45,7 @@ def test_a_recorded_clock_gives_way() -> None:
 
 
 def test_a_tick_is_a_clock_message() -> None:
-    assert tick(5_000_000_007).data() == bytes.fromhex("00010000 05000000 07000000")
+    assert clock_entry(5_000_000_007).data() == bytes.fromhex("00010000 05000000 07000000")
 
 
 def test_rates() -> None:

@@ -14,8 +14,8 @@ import pytest
 from igtl_gateway.config import Config
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.gateway import LINK_UP
-from igtl_gateway.replay.slice import SMALL_BYTES, Depth, Slice, SliceReport, Window, groups
-from igtl_gateway.replay.verify import Losses, verify
+from igtl_gateway.replay.slice import SMALL_BYTES, Depth, Slice, SliceReport, SliceWindow, input_groups
+from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -31,12 +31,12 @@ def recorded(name: str) -> tuple[list[Entry], Config]:
         return list(file.entries()), Config.from_dict(json.loads(file.session["config"]))
 
 
-def window(entries: list[Entry], part: tuple[float, float], *globs: str) -> Window:
+def window(entries: list[Entry], part: tuple[float, float], *globs: str) -> SliceWindow:
     start_ns, span_ns = entries[0].stamp_ns, entries[-1].stamp_ns - entries[0].stamp_ns
-    return Window(start_ns + int(part[0] * span_ns), start_ns + int(part[1] * span_ns) + 1, globs)
+    return SliceWindow(start_ns + int(part[0] * span_ns), start_ns + int(part[1] * span_ns) + 1, globs)
 
 
-def cut(entries: list[Entry], config: Config, wanted: Window) -> tuple[list[Entry], SliceReport]:
+def cut(entries: list[Entry], config: Config, wanted: SliceWindow) -> tuple[list[Entry], SliceReport]:
     part = Slice(lambda: entries, config, wanted)
     return list(part.entries()), part.report
 
@@ -57,7 +57,7 @@ def test_a_slice_verifies_and_holds_what_was_recorded(name: str, part: tuple[flo
     assert all(one.stamp_ns < other.stamp_ns for one, other in pairwise(made))
     inside = [
         entry
-        for group in groups(entries)
+        for group in input_groups(entries)
         if wanted.start_ns <= group.input.stamp_ns < wanted.end_ns
         for entry in (group.input, *group.outputs)
     ]
@@ -133,13 +133,13 @@ def test_what_the_recorder_lost_stays_a_gap() -> None:
     missing = set(range(1, made[-1].seq + 1)) - {entry.seq for entry in made}
     assert len(missing) == 1 and report.differing == 1
     assert verify(made, config).differing == 1
-    assert verify(made, config, Losses(1, {"(others)": 1})).good
+    assert verify(made, config, DeclaredLosses(1, {"(others)": 1})).good
 
 
 def test_a_link_that_is_gone_is_not_in_the_prologue() -> None:
     entries, config = recorded("every-type")
     end = entries[-1]
-    wanted = Window(end.stamp_ns + 1, end.stamp_ns + 2)
+    wanted = SliceWindow(end.stamp_ns + 1, end.stamp_ns + 2)
     last = replace(end, seq=end.seq + 1, stamp_ns=end.stamp_ns + 1, kind=Kind.ROS_IN, channel="/x", payload=(b"",))
     made, _ = cut([*entries, last], config, wanted)
     up: set[int] = set()
@@ -151,7 +151,7 @@ def test_a_link_that_is_gone_is_not_in_the_prologue() -> None:
 
 def test_groups_are_inputs_with_all_that_follows() -> None:
     entries, _ = recorded("paper-types")
-    found = list(groups(entries))
+    found = list(input_groups(entries))
     assert sum(1 + len(group.outputs) for group in found) == len(entries)
     assert sum(group.extent for group in found) == entries[-1].seq
-    assert list(groups(entries[1:2])) == []
+    assert list(input_groups(entries[1:2])) == []

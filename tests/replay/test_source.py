@@ -8,8 +8,8 @@ import pytest
 
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config
-from igtl_gateway.gateway import LINK_UP, PARTNER, Session, gateway_of
-from igtl_gateway.replay.source import once, select, spoken_to, through_gateway
+from igtl_gateway.gateway import LINK_UP, PARTNER, Session, make_core
+from igtl_gateway.replay.source import first_form_only, one_side_of_relay, select_entries, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import Header, Message, encode
@@ -31,19 +31,19 @@ def told(entries: list[Entry]) -> list[tuple[str, bytes]]:
 
 def test_through_the_same_gateway_comes_what_was_sent(entries: list[Entry]) -> None:
     again = through_gateway(entries, SCENARIO.config, has_links=True)
-    assert told(list(select(again, OUT))) == told(list(select(entries, OUT)))
+    assert told(list(select_entries(again, OUT))) == told(list(select_entries(entries, OUT)))
 
 
 def test_without_recorded_links_a_version_1_reader_is_assumed(entries: list[Entry]) -> None:
     inputs = [entry for entry in entries if entry.kind is Kind.ROS_IN]
-    sent = list(select(through_gateway(inputs, SCENARIO.config, has_links=False), OUT))
+    sent = list(select_entries(through_gateway(inputs, SCENARIO.config, has_links=False), OUT))
     assert len(sent) == len(inputs)
     assert {Header.unpack(entry.data()).version for entry in sent} == {1}
 
 
 def test_of_two_header_versions_the_first_is_sent_once(entries: list[Entry]) -> None:
-    both = list(select(entries, OUT))
-    single = list(select(once(entries), OUT))
+    both = list(select_entries(entries, OUT))
+    single = list(select_entries(first_form_only(entries), OUT))
     assert len(both) == 2 * len(single)
     assert {Header.unpack(entry.data()).version for entry in single} == {1}
 
@@ -58,12 +58,12 @@ def test_of_two_header_versions_the_first_is_sent_once(entries: list[Entry]) -> 
     ],
 )
 def test_streams_are_chosen_by_globs(entries: list[Entry], globs: tuple[str, ...], channels: set[str]) -> None:
-    assert {entry.channel for entry in select(entries, OUT, globs)} == channels
+    assert {entry.channel for entry in select_entries(entries, OUT, globs)} == channels
 
 
 def test_ros_topics_are_chosen_by_their_name_only(entries: list[Entry]) -> None:
     ros = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
-    chosen = {entry.channel for entry in select(entries, ros, ("/igtl/in/**",))}
+    chosen = {entry.channel for entry in select_entries(entries, ros, ("/igtl/in/**",))}
     assert chosen and all(channel.startswith("/igtl/in/") for channel in chosen)
 
 
@@ -78,12 +78,12 @@ def test_a_new_cause_sends_the_same_stream_again(entries: list[Entry]) -> None:
         replace(ros_in, seq=sent.seq + 2),
         replace(sent, seq=sent.seq + 3),
     ]
-    assert len(list(select(once(log), OUT))) == 2
+    assert len(list(select_entries(first_form_only(log), OUT))) == 2
 
 
 @pytest.mark.parametrize(("role", "device"), [("server", "FromServer"), ("client", "FromClient")])
 def test_of_a_relay_the_words_of_one_side(role: str, device: str) -> None:
-    session = Session(gateway_of(Config(relay=True)))
+    session = Session(make_core(Config(relay=True)))
     log: list[Entry] = []
     for link, facts in ((1, {"role": "server"}), (2, {"role": "client", PARTNER: 1})):
         note = Note(Level.INFO, LINK_UP, "up", data=facts)
@@ -91,4 +91,4 @@ def test_of_a_relay_the_words_of_one_side(role: str, device: str) -> None:
     for link, name in ((1, "FromClient"), (2, "FromServer")):
         data = join(encode(Message("STRING", name, String.of("hello"))))
         log += session.input(1, Kind.IGTL_IN, (data,), links=(link,))
-    assert [entry.channel for entry in select(spoken_to(role, log), OUT)] == [f"STRING/{device}"]
+    assert [entry.channel for entry in select_entries(one_side_of_relay(role, log), OUT)] == [f"STRING/{device}"]

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.replay.stamp_places import StampPlaces
-from igtl_gateway.ros_interfaces.definitions import SHARES, folder_of
+from igtl_gateway.ros_interfaces.definitions import SHARES, definition_folder
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 for _package in ("igtl_msgs", "foxglove_msgs"):
     _found: dict[str, Any] = {}
-    for _path in sorted(folder_of(_package).glob("msg/*.msg")):
+    for _path in sorted(definition_folder(_package).glob("msg/*.msg")):
         _found |= get_types_from_msg(_path.read_text("utf-8"), f"{_package}/msg/{_path.stem}")
     STORE.register({name: told for name, told in _found.items() if name not in STORE.fielddefs})
 

@@ -22,8 +22,8 @@ from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway import core, streams
-from igtl_gateway.replay.slice import groups
-from igtl_gateway.replay.verify import MAX_KEPT, UNKNOWN, Losses, Report, compare, verify
+from igtl_gateway.replay.slice import input_groups
+from igtl_gateway.replay.verify import MAX_KEPT, UNKNOWN, DeclaredLosses, VerifyReport, compare, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -43,7 +43,7 @@ def entries() -> list[Entry]:
     return list(SCENARIO.entries())
 
 
-def first(report: Report) -> str:
+def first(report: VerifyReport) -> str:
     return str(report.differences[0])
 
 
@@ -132,8 +132,8 @@ def without(entries: list[Entry], which: Callable[[Entry], bool]) -> tuple[list[
     return [other for other in entries if other is not entry], entry
 
 
-def declared(entry: Entry) -> Losses:
-    return Losses(1, {entry.channel or entry.kind.value: 1})
+def declared(entry: Entry) -> DeclaredLosses:
+    return DeclaredLosses(1, {entry.channel or entry.kind.value: 1})
 
 
 def test_a_missing_output_is_a_finding_unless_it_was_declared_for_its_stream(entries: list[Entry]) -> None:
@@ -143,8 +143,8 @@ def test_a_missing_output_is_a_finding_unless_it_was_declared_for_its_stream(ent
     assert "was 'nothing'" in first(report)
     report = verify(cut, SCENARIO.config, declared(gone))
     assert report.good and report.lost == 1 and report.equal == report.outputs
-    assert verify(cut, SCENARIO.config, Losses(1, {"(others)": 1})).good
-    assert not verify(cut, SCENARIO.config, Losses(1, {"/another": 1})).good
+    assert verify(cut, SCENARIO.config, DeclaredLosses(1, {"(others)": 1})).good
+    assert not verify(cut, SCENARIO.config, DeclaredLosses(1, {"/another": 1})).good
 
 
 def test_a_missing_input_excuses_its_outputs_and_no_others(entries: list[Entry]) -> None:
@@ -169,7 +169,7 @@ def test_no_entry_goes_missing_unseen(entries: list[Entry], index: int) -> None:
 
 def test_a_stream_whose_first_message_was_lost_opens_later() -> None:
     with SessionFile.open(FIXTURES / "star.mcap") as file:
-        begun = [entry for group in islice(groups(file.entries()), 20) for entry in (group.input, *group.outputs)]
+        begun = [entry for group in islice(input_groups(file.entries()), 20) for entry in (group.input, *group.outputs)]
     cut, gone = without(begun, lambda entry: entry.channel == "/star/tool")
     report = verify(cut, SCENARIOS["star"].config, declared(gone))
     assert (report.missing, report.orphans, report.late, report.differing) == (1, 2, 1, 0)
@@ -188,7 +188,7 @@ def test_a_part_of_a_session_may_say_elsewhere_what_the_guard_found() -> None:
     begin = next(at for at, entry in enumerate(script.log) if entry.stamp_ns > script.log[0].stamp_ns + 3 * 10**9)
     while not script.log[begin].kind.is_input:
         begin += 1
-    report = verify(script.log[begin:], config, Losses(midway=True), before=script.log[:1])
+    report = verify(script.log[begin:], config, DeclaredLosses(midway=True), before=script.log[:1])
     assert report.good, report.differences
     assert report.late and report.equal
     whole = verify(script.log[begin:], config, before=script.log[:1])
@@ -208,37 +208,37 @@ def test_what_was_cut_off_is_excused_where_nobody_counted(entries: list[Entry]) 
     last = next(index for index in reversed(range(len(entries))) if entries[index].kind is Kind.IGTL_OUT)
     cut = entries[:last]
     assert not verify(cut, SCENARIO.config).good
-    report = verify(cut, SCENARIO.config, Losses.of({}, None))
+    report = verify(cut, SCENARIO.config, DeclaredLosses.of({}, None))
     assert report.good and report.lost >= 1
 
 
 @pytest.mark.parametrize(
     ("session", "ledger", "losses"),
     [
-        ({}, {"streams": {}}, Losses()),
-        ({}, None, Losses(uncounted=True)),
+        ({}, {"streams": {}}, DeclaredLosses()),
+        ({}, None, DeclaredLosses(uncounted=True)),
         (
             {},
             {"recorder": {"dropped_entries": 2, "dropped": {"/a": 2}, "left_out_entries": 1, "left_out": {"/a": 1}}},
-            Losses(3, {"/a": 3}),
+            DeclaredLosses(3, {"/a": 3}),
         ),
-        ({}, {"recovered": {"whole": True}}, Losses()),
-        ({}, {"recovered": {"whole": False}}, Losses(uncounted=True)),
-        ({"part": "0"}, {}, Losses()),
-        ({"part": "1"}, {}, Losses(midway=True)),
-        ({"snapshot_seconds": "5"}, {}, Losses(midway=True)),
+        ({}, {"recovered": {"whole": True}}, DeclaredLosses()),
+        ({}, {"recovered": {"whole": False}}, DeclaredLosses(uncounted=True)),
+        ({"part": "0"}, {}, DeclaredLosses()),
+        ({"part": "1"}, {}, DeclaredLosses(midway=True)),
+        ({"snapshot_seconds": "5"}, {}, DeclaredLosses(midway=True)),
     ],
 )
 def test_losses_are_read_from_the_recording(
-    session: dict[str, str], ledger: dict[str, Any] | None, losses: Losses
+    session: dict[str, str], ledger: dict[str, Any] | None, losses: DeclaredLosses
 ) -> None:
-    assert Losses.of(session, ledger) == losses
+    assert DeclaredLosses.of(session, ledger) == losses
 
 
 def test_a_part_begins_where_it_begins_with_the_inputs_before_it(entries: list[Entry]) -> None:
     start = next(index for index, entry in enumerate(entries) if entry.kind.is_input and index > 60)
     before = [entry for entry in entries[:start] if entry.kind.is_input]
-    assert verify(entries[start:], SCENARIO.config, Losses(midway=True), before=before).good
+    assert verify(entries[start:], SCENARIO.config, DeclaredLosses(midway=True), before=before).good
     assert not verify(entries[start:], SCENARIO.config, before=before).good
 
 
@@ -278,7 +278,7 @@ def test_any_bit_of_any_output_of_every_type_is_found(every_type: list[Entry]) -
 @pytest.mark.parametrize("offset", [0, 60, -1])
 def test_a_byte_of_any_message_of_every_type_that_came_in_is_found(every_type: list[Entry], offset: int) -> None:
     """Header version, content and last byte of each: the gateway refuses it, or says something else."""
-    taken = [g for g in groups(every_type) if g.input.kind is Kind.IGTL_IN and g.outputs[0].kind is not Kind.NOTE]
+    taken = [g for g in input_groups(every_type) if g.input.kind is Kind.IGTL_IN and g.outputs[0].kind is not Kind.NOTE]
     assert len(taken) > 100
     for group in taken[::13]:
         data = bytearray(group.input.data())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.review.scene import Cloud, Scene
+from igtl_gateway.review.scene import DepthCloud, DepthScene
 from igtl_gateway_lab.simulate import star_scene
 from igtl_gateway_lab.simulate.star_arm import held
 
@@ -14,17 +14,19 @@ SEEDS = (2017, 1)
 
 
 @pytest.fixture(scope="session")
-def stars() -> dict[int, star_scene.Scene]:
-    return {seed: star_scene.Scene(seed) for seed in SEEDS}
+def stars() -> dict[int, star_scene.StarScene]:
+    return {seed: star_scene.StarScene(seed) for seed in SEEDS}
 
 
 @pytest.fixture(scope="session")
-def scenes(stars: dict[int, star_scene.Scene]) -> dict[int, Scene]:
+def scenes(stars: dict[int, star_scene.StarScene]) -> dict[int, DepthScene]:
     """By seed: the camera's clouds, with the arm at work in front of them."""
     found = {}
     for seed, star in stars.items():
         path = star.tool(np.arange(CLOUDS) + np.float64(0.1), star.measured_plan, 1.8)
         poses = list(zip(map(tuple, path.position), map(tuple, path.rotation), strict=True))
         shots = [star.cloud(number, *held(*pose)).points for number, pose in enumerate(poses)]
-        found[seed] = Scene.of([Cloud("/cloud", "camera", i + 1, i + 1, points) for i, points in enumerate(shots)])
+        found[seed] = DepthScene.of(
+            [DepthCloud("/cloud", "camera", i + 1, i + 1, points) for i, points in enumerate(shots)]
+        )
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from igtl_gateway.review.model import Array
-from igtl_gateway.review.scene import Cloud, Scene
+from igtl_gateway.review.scene import DepthCloud, DepthScene
 from igtl_gateway.review.surface import fit
 from tests.review.sensors import SENSORS, Camera, shots, surface
 
@@ -20,7 +20,7 @@ def covered(sensor: str, kind: str, distance_mm: int, clouds: int, scenes: int, 
         random = np.random.default_rng([seed, number, distance_mm, *sensor.encode(), *kind.encode()])
         shape = surface(kind, distance_mm / _MM + random.uniform(-0.004, 0.004))
         seen = shots(camera, shape.depth(camera.rays()), SENSORS[sensor], clouds, random)
-        scene = Scene.of([Cloud("/cloud", "camera", i + 1, i + 1, points) for i, points in enumerate(seen)])
+        scene = DepthScene.of([DepthCloud("/cloud", "camera", i + 1, i + 1, points) for i, points in enumerate(seen)])
         for _ in range(points):
             ray = random.uniform(-1, 1, 2) * np.array([0.3 * camera.width, 0.28 * camera.height]) / camera.focal_px
             point = np.append(ray, 1.0) * shape.depth(ray)

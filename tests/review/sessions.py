@@ -8,7 +8,7 @@ import numpy as np
 
 from igtl_gateway.convert.rosmsg import Header, Marker, PointCloud2, PointField, RosMessage, TransformStamped
 from igtl_gateway.review.model import Array
-from igtl_gateway.review.scene import Cloud
+from igtl_gateway.review.scene import DepthCloud
 from igtl_gateway.session.entry import Entry, Kind
 
 CAMERA = "camera"
@@ -60,7 +60,7 @@ def on_dome(x_mm: float, y_mm: float, radius: float = 0.02, top: float = 0.25) -
     return np.array([x, y, top + radius - np.sqrt(radius**2 - x**2 - y**2)])
 
 
-def dome_clouds(number: int, sigma: float = 0.0002, seed: int = 1) -> list[Cloud]:
+def dome_clouds(number: int, sigma: float = 0.0002, seed: int = 1) -> list[DepthCloud]:
     """Clouds of the sphere, seen with white depth noise."""
     noise = np.random.default_rng(seed)
     directions = rays()
@@ -68,5 +68,5 @@ def dome_clouds(number: int, sigma: float = 0.0002, seed: int = 1) -> list[Cloud
     for count in range(number):
         depth = dome(directions) + sigma * noise.standard_normal(directions.shape[:2])
         stamp_ns = (count + 1) * SECOND
-        clouds.append(Cloud("/cloud", CAMERA, stamp_ns, stamp_ns, directions * depth[..., None]))
+        clouds.append(DepthCloud("/cloud", CAMERA, stamp_ns, stamp_ns, directions * depth[..., None]))
     return clouds

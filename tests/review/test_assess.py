@@ -10,7 +10,7 @@ import pytest
 from igtl_gateway.review import Level, Material, Review, Thresholds, review_of
 from igtl_gateway.review.axes import BODY
 from igtl_gateway.review.model import Array
-from igtl_gateway.review.scene import Cloud, Scene
+from igtl_gateway.review.scene import DepthCloud, DepthScene
 from igtl_gateway_lab.simulate import star_scene
 from igtl_gateway_lab.simulate.star_camera import noise_sigma
 from igtl_gateway_lab.simulate.star_tissue import PLANTED
@@ -29,7 +29,7 @@ _FIRST = np.stack([on_dome(x, -3.5) for x in (-3, 0, 3)])
 _LAST = np.stack([on_dome(x, 3.5) for x in (-3, 0, 3)])
 
 
-def _of(clouds: list[Cloud], *plans: tuple[Array, Array], limits: Thresholds | None = None) -> Review:
+def _of(clouds: list[DepthCloud], *plans: tuple[Array, Array], limits: Thresholds | None = None) -> Review:
     material = Material()
     for cloud in clouds:
         material.take(entry("/cloud", cloud_message(cloud.points, cloud.stamp_ns), cloud.stamp_ns))
@@ -43,7 +43,7 @@ def _levels(review: Review) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def reviews(scenes: dict[int, Scene], stars: dict[int, star_scene.Scene]) -> dict[int, Review]:
+def reviews(scenes: dict[int, DepthScene], stars: dict[int, star_scene.StarScene]) -> dict[int, Review]:
     """By seed: the plan as it was measured, then the true one."""
     return {
         seed: _of(
@@ -65,7 +65,7 @@ def test_the_planted_stitches_are_wrong_and_no_others(seed: int, reviews: dict[i
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_distances_are_those_of_the_true_tissue(
-    seed: int, reviews: dict[int, Review], stars: dict[int, star_scene.Scene]
+    seed: int, reviews: dict[int, Review], stars: dict[int, star_scene.StarScene]
 ) -> None:
     """docs/review.md: whatever the stitches' own error, the distance is right to 0.25 mm."""
     star = stars[seed]
@@ -77,7 +77,7 @@ def test_the_distances_are_those_of_the_true_tissue(
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_noise_at_the_stitches_is_the_cameras(
-    seed: int, reviews: dict[int, Review], scenes: dict[int, Scene], stars: dict[int, star_scene.Scene]
+    seed: int, reviews: dict[int, Review], scenes: dict[int, DepthScene], stars: dict[int, star_scene.StarScene]
 ) -> None:
     """docs/review.md: within 20 %."""
     view = stars[seed].cloud_view
@@ -263,7 +263,7 @@ def test_a_list_of_points_is_reviewed_without_what_needs_a_picture() -> None:
     points = dome_clouds(1)[0].points.reshape(1, -1, 3)
     moved = _LAST.copy()
     moved[1, 2] += 0.002
-    review = _of([Cloud("/cloud", "camera", 1, 1, points)], (_FIRST, moved))
+    review = _of([DepthCloud("/cloud", "camera", 1, 1, points)], (_FIRST, moved))
     assert [stitch.number for stitch in review.last.wrong] == [2]
     end = review.last.stitches[0].entry
     assert (end.noise_mm, end.missing) == (None, None)

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from igtl_gateway.review.executed import approaches, driven_depth_mm
-from igtl_gateway.review.frames import Path
-from igtl_gateway.review.scene import Scene
+from igtl_gateway.review.frames import FramePath
+from igtl_gateway.review.scene import DepthScene
 from igtl_gateway.review.surface import fit
 from tests.review.sessions import dome_clouds, on_dome
 
 _PLAN = np.array([[0.0, 0, 0.25], [0.003, 0, 0.25], [0.006, 0, 0.25]])
 
 
-def _path(positions: list[list[float]]) -> Path:
-    return Path(np.arange(len(positions)) * 100, np.array(positions))
+def _path(positions: list[list[float]]) -> FramePath:
+    return FramePath(np.arange(len(positions)) * 100, np.array(positions))
 
 
 def test_the_closest_approach_lies_between_samples() -> None:
@@ -44,8 +44,8 @@ def test_a_tool_that_stands_still_has_one_distance() -> None:
 def test_how_deep_the_tool_ran_is_told_below_the_tissue() -> None:
     ends = np.stack([on_dome(-3, 0), on_dome(3, 0)])
     deep = on_dome(0, 0) + np.array([0, 0, 0.002])
-    path = Path(np.array([0, 1, 2]), np.stack([ends[0], deep, ends[1]]))
-    surface = fit(Scene.of(dome_clouds(6)), on_dome(0, 0), 0.005)
+    path = FramePath(np.array([0, 1, 2]), np.stack([ends[0], deep, ends[1]]))
+    surface = fit(DepthScene.of(dome_clouds(6)), on_dome(0, 0), 0.005)
     assert surface is not None
     entry, leave = approaches(path, ends, 5.0)
     assert driven_depth_mm(path, entry, leave, surface) == pytest.approx(2.0, abs=0.1)

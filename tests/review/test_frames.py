@@ -9,7 +9,7 @@ import pytest
 
 from igtl_gateway.convert.igtl_msgs import Pose
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.review.frames import Frames
+from igtl_gateway.review.frames import FramePoses
 
 _QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))  # about z
 _NONE = (0.0, 0.0, 0.0, 1.0)
@@ -20,9 +20,9 @@ def _pose(*position: float, q: tuple[float, float, float, float] = _NONE) -> Pos
     return (x, y, z, *q)
 
 
-def _frames() -> Frames:
+def _frames() -> FramePoses:
     """A camera turned by a quarter about z, and a tool that goes along x of the base; 10 and 11 are stamps."""
-    frames = Frames()
+    frames = FramePoses()
     frames.add("base", "camera", _pose(1, 0, 0, q=_QUARTER), 10, 110, "/camera")
     frames.add("base", "tool", _pose(0, 0, 0), 10, 110, "/tool")
     frames.add("base", "tool", _pose(2, 0, 0), 20, 120, "/tool")
@@ -50,7 +50,7 @@ def test_between_samples_is_interpolated_and_beyond_them_held(stamp: int, x: flo
 
 
 def test_a_quaternion_and_its_negative_are_one_rotation() -> None:
-    frames = Frames()
+    frames = FramePoses()
     frames.add("base", "camera", _pose(0, 0, 0, q=_QUARTER), 10, 10, "/c")
     frames.add("base", "camera", _pose(0, 0, 0, q=(0.0, 0.0, -2 * _QUARTER[2], -2 * _QUARTER[3])), 20, 20, "/c")
     found = frames.moved(np.array([[1.0, 0, 0]]), "camera", "base", np.array([15]))
@@ -77,7 +77,7 @@ def test_what_moves_is_known_and_what_is_no_pose_is_passed_over() -> None:
 
 
 def test_a_ring_of_frames_ends() -> None:
-    frames = Frames()
+    frames = FramePoses()
     frames.add("a", "b", _pose(0, 0, 0), 1, 1, "/r")
     frames.add("b", "a", _pose(0, 0, 0), 1, 1, "/r")
     assert frames.above("a") == {"a", "b"}

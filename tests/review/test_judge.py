@@ -24,7 +24,7 @@ _LIMITS = Thresholds()
 
 
 def _level(change: dict[str, Any]) -> Level:
-    return judge.judged(list(judge.of_end("entry", replace(_GOOD, **change), _LIMITS)))[0]
+    return judge.worst_level(list(judge.of_end("entry", replace(_GOOD, **change), _LIMITS)))[0]
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_each_limit(change: dict[str, Any], level: Level) -> None:
 
 def test_the_gravest_reason_comes_first_and_names_side_and_size() -> None:
     end = replace(_GOOD, distance_mm=-2.0, noise_mm=0.5, reading_mm=-1.9)
-    level, texts = judge.judged([*judge.of_length("bite", 9.0, 6.0, 0.4), *judge.of_end("exit", end, _LIMITS)])
+    level, texts = judge.worst_level([*judge.of_length("bite", 9.0, 6.0, 0.4), *judge.of_end("exit", end, _LIMITS)])
     assert level is Level.WRONG
     assert texts[0] == "exit 2.00 ± 0.05 mm under the tissue"
     assert "bite 9.0 mm, in this plan usually 6.0" in texts

@@ -11,7 +11,7 @@ from igtl_gateway.convert.common_msgs import FrameTransform, PoseStamped, TFMess
 from igtl_gateway.convert.igtl_msgs import LabeledPoint, PointList, PolyData, Trajectory, TrajectoryList
 from igtl_gateway.convert.rosmsg import Header, Marker, PointCloud2, PointField, RosMessage
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.review.messages import Drawn, cloud_of, plan_of, poses_of
+from igtl_gateway.review.messages import DrawnPlan, cloud_of, plan_of, poses_of
 from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, ENTRY_ONLY
 from tests.review.sessions import cloud_message, entry, plan_message, pose_message, xyz
 
@@ -22,7 +22,7 @@ _HEADER = Header(5, "camera")
 _WHITE = (255, 255, 255, 255)
 
 
-def _plan(message: RosMessage) -> Drawn | None:
+def _plan(message: RosMessage) -> DrawnPlan | None:
     return plan_of(entry("/plan", message, 7))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from igtl_gateway.review import noise
 from igtl_gateway.review.model import Array
-from igtl_gateway.review.scene import Scene
+from igtl_gateway.review.scene import DepthScene
 from igtl_gateway_lab.simulate import star_scene
 from igtl_gateway_lab.simulate.star_camera import noise_sigma
 from tests.review.conftest import SEEDS
@@ -62,7 +62,7 @@ def test_where_nothing_is_seen_nothing_is_known() -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_scenes_noise_is_found_within_the_bounds_of_the_manual(
-    seed: int, scenes: dict[int, Scene], stars: dict[int, star_scene.Scene]
+    seed: int, scenes: dict[int, DepthScene], stars: dict[int, star_scene.StarScene]
 ) -> None:
     """docs/review.md: median ±5 %, in each 4 mm of depth ±10 %, four pixels of five within ±20 %; six clouds."""
     view = stars[seed].cloud_view
@@ -90,7 +90,7 @@ def test_in_whole_millimetres_the_rounding_counts(sigma: float, true: float, slo
     """√(σ² + q² / 12), also where most successive readings are equal and their median tells 0."""
     tissue = 250.3 + slope * np.mgrid[0:80, 0:90].sum(axis=0)
     depths = np.round(tissue + sigma * _RANDOM.standard_normal((8, 80, 90))) / 1000
-    found = noise.whole(noise.between_clouds(depths, 0.001), np.array(0.001)) * 1000
+    found = noise.total_noise(noise.between_clouds(depths, 0.001), np.array(0.001)) * 1000
     assert np.nanmedian(found) == pytest.approx(true, rel=0.15 if slope or sigma == 0.4 else 0.5)
     assert np.nanmin(found) > 0.28
 

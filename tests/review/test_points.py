@@ -8,10 +8,10 @@ import pytest
 from igtl_gateway.review.error import SURE_95
 from igtl_gateway.review.model import EndReview
 from igtl_gateway.review.points import Assessed, with_own_errors
-from igtl_gateway.review.scene import Scene
+from igtl_gateway.review.scene import DepthScene
 from tests.review.sessions import dome_clouds, xyz
 
-_SCENE = Scene.of(dome_clouds(4, sigma=0.0005))
+_SCENE = DepthScene.of(dome_clouds(4, sigma=0.0005))
 
 
 def _ends(number: int, distances_mm: list[float], off_m: float = 0.0) -> list[Assessed]:

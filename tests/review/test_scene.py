@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.errors import GatewayError
-from igtl_gateway.review.scene import Cloud, Scene
+from igtl_gateway.review.scene import DepthCloud, DepthScene
 from tests.review.sessions import dome, dome_clouds, rays
 
 
@@ -14,7 +14,7 @@ def test_the_median_takes_out_what_only_some_clouds_have() -> None:
     clouds = dome_clouds(5, sigma=0.0)
     clouds[2].points[20:30, 20:30] *= 0.9  # a tool
     clouds[3].points[:5] = np.nan
-    scene = Scene.of(clouds)
+    scene = DepthScene.of(clouds)
     np.testing.assert_allclose(scene.depth, dome(rays()).reshape(-1), rtol=1e-12)
 
 
@@ -22,15 +22,15 @@ def test_a_hole_in_all_clouds_has_a_ray_and_no_depth() -> None:
     clouds = dome_clouds(2)
     for cloud in clouds:
         cloud.points[10:14, 10:14] = np.nan
-    scene = Scene.of(clouds)
+    scene = DepthScene.of(clouds)
     assert np.isnan(scene.depth.reshape(60, 80)[10:14, 10:14]).all()
     np.testing.assert_allclose(scene.rays.reshape(60, 80, 2), rays()[..., :2], atol=1e-12)
     assert set(scene.around(rays()[12, 12, :2], 0.0015)) == {12 * 80 + 12, 11 * 80 + 12, 13 * 80 + 12, 971, 973}
 
 
 def test_of_clouds_that_are_lists_the_last_is_used() -> None:
-    lists = [Cloud("/c", "camera", i, i, cloud.points.reshape(1, -1, 3)) for i, cloud in enumerate(dome_clouds(3))]
-    scene = Scene.of(lists)
+    lists = [DepthCloud("/c", "camera", i, i, cloud.points.reshape(1, -1, 3)) for i, cloud in enumerate(dome_clouds(3))]
+    scene = DepthScene.of(lists)
     assert len(scene.clouds) == 1
     assert scene.temporal is None
     assert scene.spatial is None
@@ -40,4 +40,4 @@ def test_of_clouds_that_are_lists_the_last_is_used() -> None:
 def test_a_cloud_behind_the_camera_is_refused() -> None:
     cloud = dome_clouds(1)[0]
     with pytest.raises(GatewayError, match="expected a cloud in the optical frame"):
-        Scene.of([Cloud("/c", "base", 1, 1, -cloud.points)])
+        DepthScene.of([DepthCloud("/c", "base", 1, 1, -cloud.points)])

@@ -51,7 +51,7 @@ def test_noise_before_the_rounding_is_found_from_what_is_seen(sigma: float) -> N
     found = steps.before_rounding(np.array(seen.mean()), np.array(1.0))
     assert np.sqrt(found) == pytest.approx(sigma, abs=0.02)
     true = np.sqrt(np.mean((readings - place) ** 2))
-    assert noise.whole(np.sqrt(np.array(seen.mean())), np.array(1.0)) == pytest.approx(true, rel=0.03)
+    assert noise.total_noise(np.sqrt(np.array(seen.mean())), np.array(1.0)) == pytest.approx(true, rel=0.03)
     assert steps.share_before_rounding(seen.mean(axis=0), readings.mean(axis=0)) == pytest.approx(sigma, abs=0.03)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.review.scene import Cloud, Scene
-from igtl_gateway.review.surface import Surface, fit
+from igtl_gateway.review.scene import DepthCloud, DepthScene
+from igtl_gateway.review.surface import TissueSurface, fit
 from igtl_gateway_lab.simulate import star_scene
 from tests.review.conftest import SEEDS
 from tests.review.sessions import dome_clouds, on_dome
@@ -14,7 +14,7 @@ from tests.review.sessions import dome_clouds, on_dome
 WINDOW = 0.004
 
 
-def _fit(scene: Scene, point: np.ndarray) -> Surface:
+def _fit(scene: DepthScene, point: np.ndarray) -> TissueSurface:
     surface = fit(scene, point, WINDOW)
     assert surface is not None
     return surface
@@ -24,7 +24,7 @@ def _fit(scene: Scene, point: np.ndarray) -> Surface:
 @pytest.mark.parametrize("off_mm", [-2.0, 0.0, 0.7, 3.0])
 def test_the_distance_is_at_a_right_angle_to_the_tissue(place: tuple[float, float], off_mm: float) -> None:
     """From the sphere's centre outwards, which is on the camera's side of the tissue."""
-    scene = Scene.of(dome_clouds(8))
+    scene = DepthScene.of(dome_clouds(8))
     on_it, centre = on_dome(*place), np.array([0, 0, 0.27])
     point = centre + (on_it - centre) * (0.02 + off_mm / 1000) / 0.02
     surface = _fit(scene, point)
@@ -34,7 +34,7 @@ def test_the_distance_is_at_a_right_angle_to_the_tissue(place: tuple[float, floa
 
 
 def test_slant_is_one_over_the_cosine_to_the_ray() -> None:
-    scene = Scene.of(dome_clouds(8, sigma=0.00005))
+    scene = DepthScene.of(dome_clouds(8, sigma=0.00005))
     point = on_dome(8, 0)
     ray = point / point[2]
     normal = (point - np.array([0, 0, 0.27])) / 0.02
@@ -50,7 +50,7 @@ def test_a_spot_that_reads_wrong_does_not_bend_the_tissue(shift: float, radius_m
     for cloud in clouds:
         spot = ((cloud.points[..., :2] - middle[:2]) ** 2).sum(axis=-1) < (radius_mm / 1000) ** 2
         cloud.points[spot] *= 1 + shift / 0.25
-    surface = _fit(Scene.of(clouds), middle)
+    surface = _fit(DepthScene.of(clouds), middle)
     assert abs(surface.distance(middle[None])[0]) < 0.0001
 
 
@@ -58,7 +58,7 @@ def test_the_error_says_how_far_off_the_surface_is() -> None:
     """Over many draws the distance of true points scatters as its error says."""
     found = []
     for seed in range(8):
-        scene = Scene.of(dome_clouds(6, sigma=0.0004, seed=seed))
+        scene = DepthScene.of(dome_clouds(6, sigma=0.0004, seed=seed))
         for place in ((0, 0), (5, 5), (-6, 3)):
             point = on_dome(*place)
             surface = _fit(scene, point)
@@ -67,29 +67,29 @@ def test_the_error_says_how_far_off_the_surface_is() -> None:
 
 
 def test_one_cloud_has_a_larger_error_than_eight() -> None:
-    one, eight = (_fit(Scene.of(dome_clouds(number)), on_dome(0, 0)).error for number in (1, 8))
+    one, eight = (_fit(DepthScene.of(dome_clouds(number)), on_dome(0, 0)).error for number in (1, 8))
     assert one > 1.5 * eight > 0
 
 
 def test_a_list_of_points_is_fitted_too() -> None:
     points = dome_clouds(1)[0].points.reshape(1, -1, 3)
-    surface = _fit(Scene.of([Cloud("/c", "camera", 1, 1, points)]), on_dome(4, 4))
+    surface = _fit(DepthScene.of([DepthCloud("/c", "camera", 1, 1, points)]), on_dome(4, 4))
     assert surface.distance(on_dome(4, 4)[None])[0] == pytest.approx(0, abs=0.0001)
 
 
 def test_where_there_are_too_few_points_there_is_no_surface() -> None:
     clouds = dome_clouds(2)
-    scene = Scene.of(clouds)
+    scene = DepthScene.of(clouds)
     assert fit(scene, np.array([0.2, 0.0, 0.25]), WINDOW) is None
     assert fit(scene, np.array([0.0, 0.0, -0.25]), WINDOW) is None
     for cloud in clouds:
         cloud.points[:] = np.where(np.arange(80)[None, :, None] == 40, cloud.points, np.nan)
-    assert fit(Scene.of(clouds), on_dome(0, 0), WINDOW) is None  # points of one column do not determine a surface
+    assert fit(DepthScene.of(clouds), on_dome(0, 0), WINDOW) is None  # points of one column do not determine a surface
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_scenes_true_plan_lies_on_the_fitted_tissue(
-    seed: int, scenes: dict[int, Scene], stars: dict[int, star_scene.Scene]
+    seed: int, scenes: dict[int, DepthScene], stars: dict[int, star_scene.StarScene]
 ) -> None:
     """docs/review.md: within 0.25 mm everywhere, 0.1 mm as a rule; with six clouds and the arm in the way."""
     plan = stars[seed].plan

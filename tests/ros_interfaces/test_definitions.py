@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway import __version__
-from igtl_gateway.ros_interfaces.definitions import PACKAGES, SHARES, folder_of, interface_files
+from igtl_gateway.ros_interfaces.definitions import PACKAGES, SHARES, definition_folder, interface_files
 from igtl_gateway.sessionfile.schemas import RosTypes
 
 ROOT = Path(__file__).parents[2]
@@ -24,7 +24,7 @@ def test_every_package_has_a_stand_in_and_definitions() -> None:
     assert sorted(path.parent.name for path in stand_ins.glob("*/__init__.py")) == sorted(PACKAGES)
     for package in PACKAGES:
         assert interface_files(package)
-    assert folder_of("igtl_msgs") == IGTL_MSGS
+    assert definition_folder("igtl_msgs") == IGTL_MSGS
 
 
 def test_the_wheel_brings_the_definitions_and_the_search_path() -> None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from igtl_gateway.session.timing import Timing, best
+from igtl_gateway.session.timing import StampTiming, best
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 
 T0_NS = 1_767_225_600_000_000_000
 
 
-def heard(messages: int, *, offset_ns: int = 0, ppm: int = 0, step_ns: int = 1, every_ns: int = 10_370_007) -> Timing:
+def heard(
+    messages: int, *, offset_ns: int = 0, ppm: int = 0, step_ns: int = 1, every_ns: int = 10_370_007
+) -> StampTiming:
     """A sender whose clock is behind by so much; latency of 2 ms and up to 4.9 ms more, in a pattern."""
-    timing = Timing()
+    timing = StampTiming()
     for index in range(messages):
         sent_ns = T0_NS + index * every_ns
         stamp_ns = sent_ns - offset_ns - index * every_ns * ppm // 1_000_000
@@ -45,17 +47,17 @@ def test_rounded_stamps_are_seen_by_their_step() -> None:
 
 
 def test_unset_repeated_and_backward_stamps_are_counted() -> None:
-    timing = Timing()
+    timing = StampTiming()
     for stamp_ns in (0, T0_NS, T0_NS, T0_NS - 5, -1, T0_NS + 1):
         timing.add(stamp_ns, T0_NS + 10)
     assert (timing.unset, timing.repeated, timing.backwards, timing.stamped) == (2, 1, 1, 4)
-    silent = Timing()
+    silent = StampTiming()
     silent.add(0, T0_NS)
     assert str(silent) == "no stamps" and silent.to_dict() == {"messages": 1, "unset": 1}
 
 
 def test_the_best_stream_of_a_peer_is_the_one_that_waited_least() -> None:
-    slow, fast, unstamped = heard(50, offset_ns=NS_PER_MS), heard(50), Timing()
+    slow, fast, unstamped = heard(50, offset_ns=NS_PER_MS), heard(50), StampTiming()
     unstamped.add(0, T0_NS)
     assert best([slow, unstamped, fast]) is fast
     assert best([unstamped]) is unstamped and best([]) is None

@@ -61,7 +61,10 @@ def test_chunks_that_overlap_are_held_within_the_limit() -> None:
     last = (build.MESSAGE, build.message(1, 1, 50, 50, b""))
     data = bag(*(Chunk((*DEFINITIONS, one, last), "zstd") for _ in range(10))).finish()
     assert len(times(data)) == 20
-    with limits.use(replace(limits.current(), free=20_000_000)), pytest.raises(LimitExceeded, match="overlap"):
+    with (
+        limits.limits_in_force(replace(limits.current_limits(), free=20_000_000)),
+        pytest.raises(LimitExceeded, match="overlap"),
+    ):
         times(data)
 
 

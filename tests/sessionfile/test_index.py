@@ -143,7 +143,10 @@ def test_a_bomb_is_refused_without_an_index_too(compression: str, size: int | No
 
 def test_too_many_of_a_sort_are_refused() -> None:
     made = bag(*((build.METADATA, build.metadata("m", {})) for _ in range(30)))
-    with limits.use(replace(limits.current(), count=20)), pytest.raises(LimitExceeded, match="count=20"):
+    with (
+        limits.limits_in_force(replace(limits.current_limits(), count=20)),
+        pytest.raises(LimitExceeded, match="count=20"),
+    ):
         index_of(made.finish())
 
 

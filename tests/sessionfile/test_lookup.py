@@ -17,7 +17,7 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.qos import Qos
 from igtl_gateway.replay import latched
-from igtl_gateway.replay.source import once
+from igtl_gateway.replay.source import first_form_only
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -47,7 +47,9 @@ def scanned(file: SessionFile, start_ns: int) -> list[Entry]:
 
 
 def found(file: SessionFile, start_ns: int) -> list[Entry]:
-    return played(chain(file.prologue(), file.entries_from(start_ns, latched.rule(told(file)))), file, start_ns)
+    return played(
+        chain(file.prologue(), file.entries_from(start_ns, latched.latched_state_rule(told(file)))), file, start_ns
+    )
 
 
 def told(file: SessionFile) -> latched.IsLatched:
@@ -56,13 +58,17 @@ def told(file: SessionFile) -> latched.IsLatched:
 
 
 def played(entries: Iterator[Entry], file: SessionFile, start_ns: int) -> list[Entry]:
-    return [samples.flat(entry) for entry in latched.part(once(entries), start_ns, None, told(file))]
+    return [
+        samples.flat(entry) for entry in latched.part_of_session(first_form_only(entries), start_ns, None, told(file))
+    ]
 
 
 def before(path: Path, start_ns: int) -> int:
     """How many entries before the moment are read at all."""
     with SessionFile.open(path) as file:
-        return sum(entry.stamp_ns < start_ns for entry in file.entries_from(start_ns, latched.rule(told(file))))
+        return sum(
+            entry.stamp_ns < start_ns for entry in file.entries_from(start_ns, latched.latched_state_rule(told(file)))
+        )
 
 
 def state(seq: int, kind: Kind, channel: str, type_name: str, size: int = 40) -> Entry:

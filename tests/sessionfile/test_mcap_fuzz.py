@@ -37,7 +37,7 @@ def _some_entries(path: Path) -> None:
 
 def _entries_from_the_middle(path: Path) -> None:
     with SessionFile.open(path) as file:
-        rule = latched.rule(lambda topic, _type: "a" in topic)
+        rule = latched.latched_state_rule(lambda topic, _type: "a" in topic)
         for _ in file.entries_from((file.start_ns + file.end_ns) // 2, rule):
             pass
 

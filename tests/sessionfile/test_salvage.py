@@ -18,7 +18,7 @@ from igtl_gateway.errors import UnsupportedRecording
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout, salvage
 from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.salvage import Report, Salvage
+from igtl_gateway.sessionfile.salvage import Salvage, SalvageReport
 from igtl_gateway.sessionfile.writer import Compression, SessionWriter
 from tests.files import write_anew
 from tests.record import samples
@@ -78,7 +78,7 @@ class Outcome:
     """What salvage gives."""
 
     entries: list[Entry]
-    report: Report
+    report: SalvageReport
     session: dict[str, str]
 
 

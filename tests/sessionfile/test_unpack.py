@@ -11,7 +11,7 @@ import pytest
 import zstandard
 
 from igtl_gateway.sessionfile.records import Malformed
-from igtl_gateway.sessionfile.unpack import told_size, unpacked
+from igtl_gateway.sessionfile.unpack import declared_size, unpacked
 
 DATA = b"a chunk of records" * 100
 
@@ -69,9 +69,9 @@ def test_a_bomb_costs_what_it_says(name: str) -> None:
 
 
 def test_the_size_in_the_frame() -> None:
-    sizes = {name: told_size(compression, pack(DATA)) for name, (compression, pack) in PACKED.items()}
+    sizes = {name: declared_size(compression, pack(DATA)) for name, (compression, pack) in PACKED.items()}
     assert sizes == {
         "none": len(DATA), "lz4": len(DATA), "lz4 without its size": 0, "zstd": len(DATA), "zstd without its size": 0,
         "zstd in two frames": 50,
     }  # fmt: skip
-    assert told_size("zstd", b"nothing") == told_size("lz4", b"nothing") == 0
+    assert declared_size("zstd", b"nothing") == declared_size("lz4", b"nothing") == 0

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.app.faulty import CUT, FaultyFeed
+from igtl_gateway.app.faulty import DISCONNECT, FaultyFeed
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
@@ -204,7 +204,7 @@ def test_a_bad_line_of_a_seed_is_the_same_line_over_every_connection(program: An
     parts, part = [], b""
     for entry in feed(outputs):
         part += entry.data()
-        if entry.links == CUT:
+        if entry.links == DISCONNECT:
             parts.append(part)
             part = b""
     assert 3 < len(parts) < 40

@@ -15,21 +15,21 @@ from rosbags.typesys import Stores, get_typestore
 
 from igtl_gateway.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.untrusted import limits
-from igtl_gateway.untrusted.decoding import Decoder, new_store, register
-from igtl_gateway.untrusted.definitions import parse
+from igtl_gateway.untrusted.decoding import MessageDecoder, new_store, register_types
+from igtl_gateway.untrusted.definitions import parse_definition
 
 RULE = "=" * 80 + "\n"
 MANY = f"p/E[] e\n{RULE}MSG: p/E\n"
 HEAD = b"\0\1\0\0"
 
 
-def decoder(text: str) -> Decoder:
-    return Decoder(lambda _: text)
+def decoder(text: str) -> MessageDecoder:
+    return MessageDecoder(lambda _: text)
 
 
 def test_a_store_reads_and_writes_as_that_of_rosbags() -> None:
     name, known, ours = "sensor_msgs/msg/CameraInfo", get_typestore(Stores.ROS2_JAZZY), new_store()
-    register(ours, parse(known.generate_msgdef(name, ros_version=2)[0], name))
+    register_types(ours, parse_definition(known.generate_msgdef(name, ros_version=2)[0], name))
     zero = ours.types["sensor_msgs/msg/RegionOfInterest"](1, 2, 3, 4, True)
     data = ours.serialize_cdr(zero, "sensor_msgs/msg/RegionOfInterest")
     same = known.deserialize_cdr(data, "sensor_msgs/msg/RegionOfInterest")
@@ -54,7 +54,7 @@ def test_a_bad_definition_is_parsed_once() -> None:
         asked.append(name)
         return "p/A a\n"
 
-    one = Decoder(text)
+    one = MessageDecoder(text)
     for _ in range(3):
         with pytest.raises(DamagedRecording, match="inside itself"):
             one.decode("p/msg/A", b"")
@@ -136,5 +136,5 @@ def test_names_and_values_of_python_are_no_code(fields: str) -> None:
 
 def test_the_limit_of_elements_can_be_set() -> None:
     data = HEAD + struct.pack("<I", 300_000) + bytes(300_000)
-    with limits.use(limits.parse(["count=400000"])):
+    with limits.limits_in_force(limits.parse_limits(["count=400000"])):
         assert len(decoder(MANY).decode("p/msg/A", data).e) == 300_000

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from igtl_gateway.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.sessionfile.schemas import RosTypes
 from igtl_gateway.untrusted import limits
-from igtl_gateway.untrusted.definitions import IDL, PLACEHOLDER, parse, text_of, type_hash
+from igtl_gateway.untrusted.definitions import IDL, PLACEHOLDER, definition_text, parse_definition, type_hash
 from tools.import_mutations import Bend, definition
 
 PACKAGE = Path(__file__).resolve().parents[2] / "igtl_gateway"
@@ -84,11 +84,11 @@ def test_hostile_definitions_are_refused_at_once(text: str, reason: str) -> None
     start = time.monotonic()
     if reason:
         with pytest.raises(DamagedRecording, match=reason) as found:
-            parse(text, "p/msg/A")
+            parse_definition(text, "p/msg/A")
         assert str(found.value).startswith("definition of p/msg/A")
         assert len(str(found.value)) < 400
     else:
-        parse(text, "p/msg/A")
+        parse_definition(text, "p/msg/A")
     assert time.monotonic() - start < 5
 
 
@@ -96,22 +96,22 @@ def test_hostile_definitions_are_refused_at_once(text: str, reason: str) -> None
 def test_hostile_idl_is_refused_at_once(text: str, reason: str) -> None:
     start = time.monotonic()
     with pytest.raises(DamagedRecording, match=reason):
-        parse(text, "p/msg/A", IDL)
+        parse_definition(text, "p/msg/A", IDL)
     assert time.monotonic() - start < 5
 
 
 @pytest.mark.parametrize("name", ["A", "p/msg/A\nint8 x", "p/msg/A b", "", "p//A", "p/msg/é", "p/msg/" + "A" * 300])
 def test_names_of_types_are_identifiers(name: str) -> None:
     with pytest.raises(DamagedRecording, match="expected package/msg/Name"):
-        parse("int8 x\n", name)
+        parse_definition("int8 x\n", name)
 
 
 def test_limits_can_be_set() -> None:
     text = "".join(f"int8 x{i}\n" for i in range(3500))
-    with limits.use(limits.parse(["fields=4000"])):
-        assert len(parse(text, "p/msg/A")["p/msg/A"][1]) == 3500
+    with limits.limits_in_force(limits.parse_limits(["fields=4000"])):
+        assert len(parse_definition(text, "p/msg/A")["p/msg/A"][1]) == 3500
     with pytest.raises(LimitExceeded):
-        parse(text, "p/msg/A")
+        parse_definition(text, "p/msg/A")
 
 
 @pytest.mark.parametrize("store", [Stores.ROS1_NOETIC, Stores.ROS2_JAZZY], ids=str)
@@ -119,10 +119,10 @@ def test_known_types_come_as_rosbags_reads_them(store: Stores) -> None:
     known = get_typestore(store)
     for name in list(known.fielddefs)[::4]:
         text = known.generate_msgdef(name, ros_version=2)[0]
-        found = parse(text, name)
+        found = parse_definition(text, name)
         expected = get_types_from_msg(text, name)
         assert found == whole(expected)
-        assert text_of(found, name) == text
+        assert definition_text(found, name) == text
 
 
 def test_whatever_is_accepted_is_what_rosbags_reads() -> None:
@@ -131,7 +131,7 @@ def test_whatever_is_accepted_is_what_rosbags_reads() -> None:
     for seed in range(400):
         text = definition(Bend(Random(seed), 0.05), "p/msg/A")
         try:
-            found = parse(text, "p/msg/A")
+            found = parse_definition(text, "p/msg/A")
         except DamagedRecording:
             continue
         expected = get_types_from_msg(text, "p/msg/A")
@@ -146,10 +146,10 @@ def test_idl_of_ros_is_read() -> None:
       typedef double double__3[3];  // comment
       /* comment << */
       struct A { @unit(value="m") double__3 x; sequence<string<5>, 7> y; @default (value=TRUE) boolean z; }; }; };"""
-    found = parse(text, "p/msg/A", IDL)
+    found = parse_definition(text, "p/msg/A", IDL)
     assert dict(found) == {name: (consts, fields) for name, (consts, fields) in get_types_from_idl(text).items()}
     with pytest.raises(TypesysError):
-        text_of(found, "p/msg/B")
+        definition_text(found, "p/msg/B")
 
 
 def test_hashes_are_those_of_the_installed_ros() -> None:
@@ -169,11 +169,11 @@ def test_hashes_are_those_of_the_installed_ros() -> None:
 
 
 def test_char_is_hashed_as_jazzy_does() -> None:
-    found = parse("char data\n", "std_msgs/msg/Char")
+    found = parse_definition("char data\n", "std_msgs/msg/Char")
     told = "RIHS01_3ad2d04dd29ba19d04b16659afa3ccaedd691914b02a64e82e252f2fa6a586a9"  # share/std_msgs/msg/Char.json
     assert type_hash(found, "std_msgs/msg/Char") == told
-    bytes_ = parse("uint8[] a\nuint8[<=4] b\nuint8[3] c\n", "p/msg/A")
-    chars = parse("char[] a\nchar[<=4] b\nchar[3] c\n", "p/msg/A")
+    bytes_ = parse_definition("uint8[] a\nuint8[<=4] b\nuint8[3] c\n", "p/msg/A")
+    chars = parse_definition("char[] a\nchar[<=4] b\nchar[3] c\n", "p/msg/A")
     assert type_hash(bytes_, "p/msg/A") == type_hash(chars, "p/msg/A")
 
 

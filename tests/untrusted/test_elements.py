@@ -8,12 +8,12 @@ import pytest
 
 from igtl_gateway.errors import LimitExceeded
 from igtl_gateway.untrusted import limits
-from igtl_gateway.untrusted.definitions import parse
-from igtl_gateway.untrusted.elements import Elements
+from igtl_gateway.untrusted.definitions import parse_definition
+from igtl_gateway.untrusted.elements import ElementCounter
 
 RULE = "=" * 80 + "\n"
 TEXT = f"uint8 a\nfloat64 b\nstring s\nuint16[] n\np/E[2] two\np/E[] e\n{RULE}MSG: p/E\nint8 x\nstring t\n"
-TYPES = parse(TEXT, "p/msg/A")
+TYPES = parse_definition(TEXT, "p/msg/A")
 
 
 def message(count: int, *, ros1: bool) -> bytes:
@@ -35,14 +35,17 @@ def message(count: int, *, ros1: bool) -> bytes:
 @pytest.mark.parametrize("ros1", [True, False])
 def test_every_text_and_every_message_counts(ros1: bool) -> None:
     data, objects = message(20, ros1=ros1), 6 + 2 * 20
-    one = Elements(TYPES, "p/msg/A", ros1=ros1)
-    with limits.use(limits.Limits(count=objects)):
+    one = ElementCounter(TYPES, "p/msg/A", ros1=ros1)
+    with limits.limits_in_force(limits.FileLimits(count=objects)):
         one.check(data)
-    with limits.use(limits.Limits(count=objects - 1)), pytest.raises(LimitExceeded, match="a message of p/msg/A"):
+    with (
+        limits.limits_in_force(limits.FileLimits(count=objects - 1)),
+        pytest.raises(LimitExceeded, match="a message of p/msg/A"),
+    ):
         one.check(data)
 
 
 def test_what_is_not_of_the_type_is_left_to_the_decoder() -> None:
-    with limits.use(limits.Limits(count=1)):
-        Elements(parse("string[] x\n", "p/msg/A"), "p/msg/A").check(b"\0\1\0\0\1")
-        Elements(parse("uint8[] x\n", "p/msg/A"), "p/msg/A").check(bytes(1000))
+    with limits.limits_in_force(limits.FileLimits(count=1)):
+        ElementCounter(parse_definition("string[] x\n", "p/msg/A"), "p/msg/A").check(b"\0\1\0\0\1")
+        ElementCounter(parse_definition("uint8[] x\n", "p/msg/A"), "p/msg/A").check(bytes(1000))

@@ -11,7 +11,7 @@ import pytest
 from igtl_gateway.errors import DamagedRecording, LimitExceeded, UnsupportedRecording
 from igtl_gateway.untrusted import files, limits
 from igtl_gateway.untrusted.files import beside, open_file, read_bytes
-from igtl_gateway.untrusted.limits import Limits
+from igtl_gateway.untrusted.limits import FileLimits
 
 
 def test_an_ordinary_file_opens(tmp_path: Path) -> None:
@@ -41,7 +41,7 @@ def test_what_is_no_file_is_refused(name: str, fault: str) -> None:
 def test_a_small_file_that_is_large_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_bytes(b"x" * 11)
-    with limits.use(Limits(free=10)), pytest.raises(LimitExceeded, match="free=10"):
+    with limits.limits_in_force(FileLimits(free=10)), pytest.raises(LimitExceeded, match="free=10"):
         read_bytes(path)
 
 

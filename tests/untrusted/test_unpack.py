@@ -21,7 +21,7 @@ PACKINGS: list[tuple[Callable[[bytes, int, str], bytes], Callable[[bytes], bytes
     (unpack.zstd, zstandard.ZstdCompressor().compress),
     (unpack.zstd, zstandard.ZstdCompressor(write_content_size=False).compress),
 ]
-SMALL = limits.Limits(free=MIB, ratio=10)
+SMALL = limits.FileLimits(free=MIB, ratio=10)
 
 
 @pytest.mark.parametrize(("unpacked", "packed"), PACKINGS)
@@ -33,7 +33,7 @@ def test_whole_pieces_come_out(unpacked: Callable[..., bytes], packed: Callable[
 @pytest.mark.parametrize(("unpacked", "packed"), PACKINGS)
 def test_a_size_that_is_too_large_or_a_lie(unpacked: Callable[..., bytes], packed: Callable[[bytes], bytes]) -> None:
     bomb = packed(bytes(32 * MIB))
-    with limits.use(SMALL):
+    with limits.limits_in_force(SMALL):
         with pytest.raises(LimitExceeded, match=r"a chunk: found 33554432, expected at most .* \(--limit ratio=10\)"):
             unpacked(bomb, 32 * MIB, "a chunk")
         tracemalloc.start()
@@ -54,7 +54,7 @@ def test_what_is_not_packed_is_refused(unpacked: Callable[..., bytes], data: byt
 
 def test_zstd_of_unknown_size() -> None:
     bomb = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(32 * MIB))
-    with limits.use(SMALL), pytest.raises(LimitExceeded, match="a message"):
+    with limits.limits_in_force(SMALL), pytest.raises(LimitExceeded, match="a message"):
         unpack.zstd_of_any_size(bomb, "a message")
     assert unpack.zstd_of_any_size(bomb, "a message") == bytes(32 * MIB)
     with pytest.raises(DamagedRecording, match="a message: found no zstd data"):

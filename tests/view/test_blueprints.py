@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.view.seen import Seen, Shown, What, path_of
+from igtl_gateway.view.contents import EntityKind, SessionContents, ShownTopic, path_of
 
 rr = pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
@@ -18,28 +18,34 @@ CAMERA, BASE = "camera_optical", "base"
 BOX = ((-0.035, -0.026, 0.245), (0.035, 0.026, 0.275))
 
 
-def seen(*rows: tuple[str, What, str], **more: Any) -> Seen:
+def seen(*rows: tuple[str, EntityKind, str], **more: Any) -> SessionContents:
     """A session with these topics: (topic, what, frame)."""
-    made = Seen(base_frame="world", **more)
+    made = SessionContents(base_frame="world", **more)
     for topic, what, frame in rows:
-        made.shown[topic] = Shown(path_of(topic), topic, "a/msg/Type", what, frame, count=3, low=BOX[0], high=BOX[1])
+        made.shown[topic] = ShownTopic(
+            path_of(topic), topic, "a/msg/Type", what, frame, count=3, low=BOX[0], high=BOX[1]
+        )
     return made
 
 
 SUTURING = seen(
-    ("/cloud", What.CLOUD, CAMERA),
-    ("/plan", What.LINES, CAMERA),
-    ("/tool", What.POSE, BASE),
-    ("/picture", What.IMAGE, CAMERA),
-    ("/camera_info", What.CAMERA, CAMERA),
-    ("/force", What.PLOT, ""),
+    ("/cloud", EntityKind.CLOUD, CAMERA),
+    ("/plan", EntityKind.LINES, CAMERA),
+    ("/tool", EntityKind.POSE, BASE),
+    ("/picture", EntityKind.IMAGE, CAMERA),
+    ("/camera_info", EntityKind.CAMERA, CAMERA),
+    ("/force", EntityKind.PLOT, ""),
     parents={CAMERA: BASE},
 )
-SWEEP = seen(("/frame", What.PLANE, "world"), ("/probe", What.POSE, "world"))
-HEAD = seen(("/mr", What.VOLUME, "world"), ("/probe", What.POSE, "world"), ("/landmarks", What.POINTS, "world"))
-SOUNDS = seen(("/text", What.TEXT, ""), ("/numbers", What.PLOT, ""), ("/array", What.BARS, ""))
-TWO_TREES = seen(("/cloud", What.CLOUD, CAMERA), ("/plan", What.LINES, "elsewhere"), parents={CAMERA: BASE})
-NOTHING = Seen()
+SWEEP = seen(("/frame", EntityKind.PLANE, "world"), ("/probe", EntityKind.POSE, "world"))
+HEAD = seen(
+    ("/mr", EntityKind.VOLUME, "world"),
+    ("/probe", EntityKind.POSE, "world"),
+    ("/landmarks", EntityKind.POINTS, "world"),
+)
+SOUNDS = seen(("/text", EntityKind.TEXT, ""), ("/numbers", EntityKind.PLOT, ""), ("/array", EntityKind.BARS, ""))
+TWO_TREES = seen(("/cloud", EntityKind.CLOUD, CAMERA), ("/plan", EntityKind.LINES, "elsewhere"), parents={CAMERA: BASE})
+NOTHING = SessionContents()
 SESSIONS = {
     "suturing": SUTURING,
     "sweep": SWEEP,
@@ -61,7 +67,7 @@ def views(part: Any) -> Iterator[Any]:
             yield from views(inner)
 
 
-def of_class(name: str, session: Seen, view_class: str) -> list[Any]:
+def of_class(name: str, session: SessionContents, view_class: str) -> list[Any]:
     return [view for view in views(blueprints.blueprint(name, session)) if view.class_identifier == view_class]
 
 
@@ -74,7 +80,7 @@ def frame_of(view: Any) -> str | None:
     ("session", "name"),
     [(SUTURING, "star"), (SWEEP, "ultrasound"), (HEAD, "navigation"), (SOUNDS, "generic"), (NOTHING, "generic")],
 )
-def test_the_blueprint_that_fits_is_chosen(session: Seen, name: str) -> None:
+def test_the_blueprint_that_fits_is_chosen(session: SessionContents, name: str) -> None:
     assert blueprints.choose(session) == name
 
 
@@ -84,7 +90,9 @@ def test_a_plan_that_lies_elsewhere_makes_no_suturing_session() -> None:
 
 @pytest.mark.parametrize("name", blueprints.NAMES)
 @pytest.mark.parametrize("session", SESSIONS.values(), ids=SESSIONS)
-def test_every_blueprint_takes_every_session(name: str, session: Seen, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_blueprint_takes_every_session(
+    name: str, session: SessionContents, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("RERUN_STRICT", "1")
     stream = rr.RecordingStream("test", send_properties=False)
     memory = stream.memory_recording()
@@ -114,14 +122,18 @@ def test_plan_and_tool_are_drawn_on_the_picture_of_a_known_camera() -> None:
 
 
 def test_nothing_of_space_is_drawn_on_a_picture_without_intrinsics() -> None:
-    unknown = seen(("/plan", What.LINES, CAMERA), ("/cloud", What.CLOUD, CAMERA), ("/picture", What.IMAGE, CAMERA))
+    unknown = seen(
+        ("/plan", EntityKind.LINES, CAMERA),
+        ("/cloud", EntityKind.CLOUD, CAMERA),
+        ("/picture", EntityKind.IMAGE, CAMERA),
+    )
     (picture,) = of_class("star", unknown, "2D")
     assert picture.contents == ["+ /picture"]
     assert frame_of(picture) is None
 
 
 def test_the_review_has_its_noise_and_its_table() -> None:
-    reviewed = seen(("/cloud", What.CLOUD, CAMERA), ("/plan", What.LINES, CAMERA), reviewed=True)
+    reviewed = seen(("/cloud", EntityKind.CLOUD, CAMERA), ("/plan", EntityKind.LINES, CAMERA), reviewed=True)
     assert [view.name for view in of_class("star", reviewed, "TextDocument")] == ["Stitches"]
     noise, distance = of_class("star", reviewed, "3D")[-2:]
     assert "+ /review/cloud" in noise.contents
@@ -131,13 +143,13 @@ def test_the_review_has_its_noise_and_its_table() -> None:
 
 @pytest.mark.parametrize("name", blueprints.NAMES)
 def test_drops_and_gaps_have_a_view(name: str) -> None:
-    session = seen(("/pose", What.POSE, "base"))
+    session = seen(("/pose", EntityKind.POSE, "base"))
     assert "Drops and gaps" in [view.name for view in of_class(name, session, "TimeSeries")]
 
 
 def test_the_eye_is_that_of_a_camera_in_a_cameras_frame() -> None:
     ups = []
     for frame in (CAMERA, "world"):
-        (space,) = of_class("generic", seen(("/cloud", What.CLOUD, frame)), "3D")
+        (space,) = of_class("generic", seen(("/cloud", EntityKind.CLOUD, frame)), "3D")
         ups.append(tuple(space.properties["EyeControls3D"].eye_up.as_arrow_array()[0].as_py()))
     assert ups == [(0, -1, 0), (0, 0, 1)]

@@ -12,7 +12,7 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 from igtl_gateway.convert.igtl_msgs import LabeledPoint, PointList
 from igtl_gateway.convert.rosmsg import Header, PointCloud2, PointField, PointStamped
 from igtl_gateway.view.canvas import Options
-from igtl_gateway.view.seen import What
+from igtl_gateway.view.contents import EntityKind
 
 from .conftest import Draw
 
@@ -87,8 +87,8 @@ def test_intensity_gives_the_colours_where_there_are_none(draw: Draw) -> None:
 def test_a_few_points_are_points_and_many_are_a_cloud(draw: Draw) -> None:
     drawn = draw(("/few", cloud(points(5))), ("/many", cloud(points(5000))))
     assert {topic: shown.what for topic, shown in drawn.view.seen.shown.items()} == {
-        "/few": What.POINTS,
-        "/many": What.CLOUD,
+        "/few": EntityKind.POINTS,
+        "/many": EntityKind.CLOUD,
     }
 
 

@@ -13,11 +13,11 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 from igtl_gateway.cli import main
 from igtl_gateway.config import Config
 from igtl_gateway.convert.rosmsg import String
-from igtl_gateway.gateway import LINK_UP, Session, gateway_of
+from igtl_gateway.gateway import LINK_UP, Session, make_core
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.view import stream, viewer
-from igtl_gateway.view.live import LiveView, Window
+from igtl_gateway.view.live import LiveView, LiveWindow
 from igtl_gateway.view.session import SessionView
 from igtl_gateway.view.viewer import Viewer
 from igtl_gateway.wire import Message, encode
@@ -124,7 +124,7 @@ def test_a_relay_is_seen_by_what_its_messages_would_become(tmp_path: Path) -> No
     from igtl_gateway.wire.text import String as IgtlString
 
     path = tmp_path / "live.rrd"
-    view = live(path, through=Session(gateway_of(Config())))
+    view = live(path, through=Session(make_core(Config())))
     up = Note(Level.INFO, LINK_UP, "a peer").pack()
     data = b"".join(bytes(part) for part in encode(Message("STRING", "Greeting", IgtlString.of("hello"))))
     view(Entry(1, START_NS, Kind.LINK, payload=(up,), links=(1,)))
@@ -149,7 +149,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> list[Viewer]:
 
 
 def test_the_window_ends_with_the_bridge(server: list[Viewer]) -> None:
-    window = Window(Config())
+    window = LiveWindow(Config())
     for entry in messages(String("a"), String("b")):
         window(entry)
     assert window.close() == ""
@@ -157,7 +157,7 @@ def test_the_window_ends_with_the_bridge(server: list[Viewer]) -> None:
 
 
 def test_the_bridge_does_not_end_with_the_window(server: list[Viewer]) -> None:
-    window = Window(Config(relay=True))
+    window = LiveWindow(Config(relay=True))
     first, *others = messages(*(String("x") for _ in range(50)))
     window(first)
     server[0].close()

@@ -10,8 +10,8 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, JointState, MultiArrayDimension, MultiArrayLayout
 from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.view.contents import EntityKind
 from igtl_gateway.view.other_msgs import Float64, WrenchStamped
-from igtl_gateway.view.seen import What
 
 from .conftest import Draw
 
@@ -61,7 +61,11 @@ def test_arrays_by_their_size(code: str, draw: Draw) -> None:
 
     drawn = draw(("/few", array(3)), ("/many", array(40)), ("/table", array(2, 5)), ("/none", array(0)))
     whats = {topic: shown.what for topic, shown in drawn.view.seen.shown.items()}
-    assert [whats[topic] for topic in ("/few", "/many", "/table")] == [What.PLOT, What.BARS, What.TENSOR]
+    assert [whats[topic] for topic in ("/few", "/many", "/table")] == [
+        EntityKind.PLOT,
+        EntityKind.BARS,
+        EntityKind.TENSOR,
+    ]
     assert drawn.one("few")["Scalars:scalars"] == [0.0, 1.0, 2.0]
     assert "BarChart:values" in drawn.one("many")
     assert [*drawn.one("table")["Tensor:data"][0]["shape"]] == [2, 5]

@@ -13,7 +13,7 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.igtl_msgs import ColorTable, VideoFrame
 from igtl_gateway.convert.rosmsg import Header, Image
-from igtl_gateway.view.seen import What
+from igtl_gateway.view.contents import EntityKind
 
 from .conftest import Draw, Drawn
 
@@ -72,7 +72,7 @@ def test_colours_are_right_and_the_picture_is_upright(encoding: str, big: bool, 
     drawn = draw(image(encoding, COLOURED[encoding], big=big, pad=6))
     np.testing.assert_allclose(seen_as(drawn).astype(int), RGB, atol=1)
     shown = drawn.view.seen.shown["/topic"]
-    assert (shown.what, shown.width, shown.height, shown.frame) == (What.IMAGE, WIDTH, HEIGHT, "camera")
+    assert (shown.what, shown.width, shown.height, shown.frame) == (EntityKind.IMAGE, WIDTH, HEIGHT, "camera")
 
 
 GREY = np.array([[0, 7, 200, 90], [255, 1, 2, 3]])

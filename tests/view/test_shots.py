@@ -15,7 +15,7 @@ import pytest
 
 from igtl_gateway.cli import main as igtl_gateway
 from igtl_gateway.errors import ViewerError
-from igtl_gateway.view.shots import TIME_LINE, HeadlessViewer, take
+from igtl_gateway.view.shots import TIME_LINE, HeadlessViewer, take_shots
 
 rr = pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 rrb = pytest.importorskip("rerun.blueprint")
@@ -88,12 +88,12 @@ def test_without_a_driver_the_error_says_what_to_install(recording: Path, monkey
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nowhere.json")
     monkeypatch.setenv("WGPU_BACKEND", "vulkan")
     with pytest.raises(ViewerError, match=r"no Vulkan driver.*apt-get install .*mesa-vulkan-drivers"):
-        take(recording, [None], SIZE)
+        take_shots(recording, [None], SIZE)
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ViewerError, match="no such file"):
-        take(tmp_path / "none.rrd", [None])
+        take_shots(tmp_path / "none.rrd", [None])
 
 
 @pytest.mark.skipif(

@@ -9,12 +9,12 @@ import pytest
 
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
-from igtl_gateway.convert.cdr import Writer
+from igtl_gateway.convert.cdr import CdrWriter
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.igtl_msgs import PolyData, PolyDataAttribute, Trajectory, TrajectoryList
 from igtl_gateway.convert.rosmsg import Header, Marker, Mesh
+from igtl_gateway.view.contents import EntityKind
 from igtl_gateway.view.other_msgs import MarkerArray, Path
-from igtl_gateway.view.seen import What
 
 from .conftest import Draw
 
@@ -34,7 +34,7 @@ class Several:
 
     def pack(self) -> bytes:
         """Each marker as ``Marker.pack`` has it; one after the other, so padding counts from the whole message."""
-        out = Writer()
+        out = CdrWriter()
         out.u32(len(self.markers))
         for each in self.markers:
             each.header.write(out)
@@ -84,7 +84,7 @@ def test_faces_of_polydata_in_the_colours_of_their_points(draw: Draw) -> None:
     assert row["Mesh3D:triangle_indices"] == [[0, 1, 2], [0, 2, 3]]
     assert row["Mesh3D:vertex_colors"] == [0xFF0000FF] * 3 + [0x0000FFFF]
     assert drawn.one("topic/lines")["LineStrips3D:strips"] == [[[0.0, 0, 0], [1, 1, 0]]]
-    assert drawn.view.seen.shown["/topic"].what is What.MESH
+    assert drawn.view.seen.shown["/topic"].what is EntityKind.MESH
 
 
 def test_polydata_of_lines_and_of_points(draw: Draw) -> None:
@@ -94,7 +94,7 @@ def test_polydata_of_lines_and_of_points(draw: Draw) -> None:
     )
     assert len(drawn.one("lines")["LineStrips3D:strips"]) == 2
     assert len(drawn.one("points")["Points3D:positions"]) == 4
-    assert [shown.what for shown in drawn.view.seen.shown.values()] == [What.LINES, What.CLOUD]
+    assert [shown.what for shown in drawn.view.seen.shown.values()] == [EntityKind.LINES, EntityKind.CLOUD]
 
 
 def test_a_marker_is_moved_by_its_pose(draw: Draw) -> None:

@@ -11,7 +11,7 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
 from igtl_gateway.convert.igtl_msgs import IDENTITY, Volume
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.view.seen import What
+from igtl_gateway.view.contents import EntityKind
 from igtl_gateway.view.volumes import square
 
 from .conftest import Draw
@@ -47,7 +47,7 @@ def test_a_slice_lies_as_a_plane_with_its_picture(draw: Draw) -> None:
     assert plane["CoordinateFrame:frame"] == ["patient"]
     assert list(plane["Mesh3D:albedo_texture_buffer"][0]) == list(np.repeat(np.arange(12), 3))
     assert list(drawn.one("topic")["Image:buffer"][0]) == list(range(12))
-    assert drawn.view.seen.shown["/topic"].what is What.PLANE
+    assert drawn.view.seen.shown["/topic"].what is EntityKind.PLANE
 
 
 @pytest.mark.parametrize("big", [False, True], ids=["little", "big"])
@@ -55,7 +55,7 @@ def test_a_slice_lies_as_a_plane_with_its_picture(draw: Draw) -> None:
 def test_a_volume_is_a_tensor_and_three_planes(kind: str, big: bool, draw: Draw) -> None:
     voxels = np.arange(24).reshape(2, 3, 4, 1).astype(kind)
     drawn = draw(volume(voxels, big=big))
-    assert drawn.view.seen.shown["/topic"].what is What.VOLUME
+    assert drawn.view.seen.shown["/topic"].what is EntityKind.VOLUME
     (tensor,) = drawn.one("topic")["Tensor:data"]
     assert [*tensor["shape"]] == [2, 3, 4]
     textures = {axis: drawn.one(f"topic/plane/{axis}")["Mesh3D:albedo_texture_format"][0] for axis in "ijk"}

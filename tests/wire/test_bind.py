@@ -11,7 +11,7 @@ from hypothesis import given
 
 from igtl_gateway.buffers import join
 from igtl_gateway.errors import MalformedBody, TruncatedMessage, WireError
-from igtl_gateway.wire.bind import MAX_CHILDREN, MAX_DEPTH, Bind, Child
+from igtl_gateway.wire.bind import MAX_CHILDREN, MAX_DEPTH, Bind, BindChild
 from igtl_gateway.wire.body import Raw
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.text import String
@@ -29,7 +29,7 @@ def sized(*sizes: int) -> bytes:
 HEADS = b"\0\2" + name("STRING") + sized(5) + name("CUSTOM") + sized(2)
 STRING = b"\0\3\0\1x"
 GOLDEN = HEADS + b"\0\6" + b"ab\0c\0\0" + STRING + b"\0" + b"yz"
-CHILDREN = (Child("STRING", "ab", STRING), Child("CUSTOM", "c", b"yz"))
+CHILDREN = (BindChild("STRING", "ab", STRING), BindChild("CUSTOM", "c", b"yz"))
 
 
 def read(data: bytes) -> Bind:
@@ -109,13 +109,13 @@ def test_lies(data: bytes) -> None:
 @pytest.mark.parametrize(
     "child",
     [
-        Child("T" * 13, "", b""),
-        Child("CUSTOM", "a\0b", b""),
-        Child("CUSTOM", "n" * 65_535, b""),
-        Child("BIND", "", b"\xff\xff"),
+        BindChild("T" * 13, "", b""),
+        BindChild("CUSTOM", "a\0b", b""),
+        BindChild("CUSTOM", "n" * 65_535, b""),
+        BindChild("BIND", "", b"\xff\xff"),
     ],
 )
-def test_what_does_not_fit(child: Child) -> None:
+def test_what_does_not_fit(child: BindChild) -> None:
     with pytest.raises(WireError):
         Bind((child,)).pack()
 
@@ -130,12 +130,12 @@ def test_too_many_children() -> None:
     with pytest.raises(MalformedBody, match="children"):
         read(empty(MAX_CHILDREN + 1))
     with pytest.raises(MalformedBody, match="children"):
-        Bind((Child("CUSTOM", "", b""),) * (MAX_CHILDREN + 1)).pack()
+        Bind((BindChild("CUSTOM", "", b""),) * (MAX_CHILDREN + 1)).pack()
 
 
 def test_children_are_counted_on_all_levels() -> None:
     """Else 16 MB of small ones inside others would be half a minute of work."""
-    half = Child("BIND", "", empty(MAX_CHILDREN // 2 - 1))
+    half = BindChild("BIND", "", empty(MAX_CHILDREN // 2 - 1))
     whole = Bind((half, half))
     assert read(join(whole.pack())) == whole
     more = replace(half, content=empty(MAX_CHILDREN // 2))
@@ -147,9 +147,9 @@ def test_children_are_counted_on_all_levels() -> None:
 
 
 def nested(depth: int) -> Bind:
-    bind = Bind((Child("CUSTOM", "", b"x"),))
+    bind = Bind((BindChild("CUSTOM", "", b"x"),))
     for _ in range(depth - 1):
-        bind = Bind((Child("BIND", "", join(bind.pack())),))
+        bind = Bind((BindChild("BIND", "", join(bind.pack())),))
     return bind
 
 
@@ -160,7 +160,7 @@ def test_nesting_ends() -> None:
     with pytest.raises(MalformedBody, match="levels"):
         read(deeper)
     with pytest.raises(MalformedBody, match="levels"):
-        Bind((Child("BIND", "", data),)).pack()
+        Bind((BindChild("BIND", "", data),)).pack()
     shown = read(data).describe()
     for _ in range(MAX_DEPTH - 1):
         shown = shown["children"][0]["content"]
@@ -169,7 +169,7 @@ def test_nesting_ends() -> None:
 
 def test_a_child_that_nobody_can_read() -> None:
     """It costs its siblings nothing."""
-    bind = read(join(Bind((Child("IMAGE", "broken", b"??"), *CHILDREN)).pack()))
+    bind = read(join(Bind((BindChild("IMAGE", "broken", b"??"), *CHILDREN)).pack()))
     with pytest.raises(TruncatedMessage):
         bind.children[0].body()
     broken, whole, _ = bind.describe()["children"]
@@ -179,7 +179,7 @@ def test_a_child_that_nobody_can_read() -> None:
 
 
 def test_empty_children_are_as_empty_messages() -> None:
-    bind = read(join(Bind((Child("IMAGE", "none", b""), Child("POINT", "", b""))).pack()))
+    bind = read(join(Bind((BindChild("IMAGE", "none", b""), BindChild("POINT", "", b""))).pack()))
     image, points = (child.body() for child in bind.children)
     assert image == Raw(b"")
     assert isinstance(points, Points)

@@ -50,7 +50,7 @@ def told(layout: Layout, per: str = "") -> str:
         (query.StartPolyData.LAYOUT, (query._NANOSECONDS,)),
         (query.GetBind.LAYOUT, (query._COUNT,)),
         (query.StartBind.LAYOUT, (query._NANOSECONDS, query._COUNT)),
-        (message.Extended.LAYOUT, (message._EXTENDED,)),
+        (message.ExtendedHeader.LAYOUT, (message._EXTENDED,)),
         (message.METADATA_LAYOUT, (message._COUNT,)),
     ],
 )

@@ -14,9 +14,9 @@ from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.query import (
     PREFIXES,
     QUERIES,
+    EmptyQuery,
     GetBind,
-    Nothing,
-    Reply,
+    QueryReply,
     StartBind,
     StartPolyData,
     StartTracking,
@@ -29,7 +29,7 @@ from igtl_gateway.wire.registry import BODIES
 
 def read(kind: str, content: bytes, version: int = 1) -> Body:
     """The content as it comes out of a whole message, which must be written back as it was."""
-    data = join(encode(Message(kind, "", Nothing(content), header_version=version)))
+    data = join(encode(Message(kind, "", EmptyQuery(content), header_version=version)))
     message = decode(data)
     assert join(encode(message)) == data
     return message.content
@@ -39,12 +39,12 @@ TWO = b"\0\2" + b"IMAGE".ljust(12, b"\0") + b"POINT".ljust(12, b"\0")
 NAMES = (("IMAGE", "CT"), ("POINT", "b"))
 
 CASES: list[tuple[str, bytes, Body]] = [
-    ("GET_TRANS", b"", Nothing()),
-    ("GET_TRANSFOR", b"", Nothing()),  # what the documents call it
-    ("GET_CAPABIL", b"", Nothing()),
-    ("STP_VIDEO", b"", Nothing()),
-    ("STT_IMAGE", b"", Nothing()),
-    ("STP_TDATA", b"?", Nothing(b"?")),  # unexpected, kept
+    ("GET_TRANS", b"", EmptyQuery()),
+    ("GET_TRANSFOR", b"", EmptyQuery()),  # what the documents call it
+    ("GET_CAPABIL", b"", EmptyQuery()),
+    ("STP_VIDEO", b"", EmptyQuery()),
+    ("STT_IMAGE", b"", EmptyQuery()),
+    ("STP_TDATA", b"?", EmptyQuery(b"?")),  # unexpected, kept
     ("STT_TDATA", b"\0\0\0\x32" + b"RAS".ljust(32, b"\0"), StartTracking(50, "RAS")),
     ("STT_TDATA", b"\xff" * 4 + bytes(32), StartTracking(-1, "")),
     ("STT_QTDATA", b"", StartTracking(has_body=False)),
@@ -52,10 +52,10 @@ CASES: list[tuple[str, bytes, Body]] = [
     ("STT_VIDEO", b"VP90" + b"\0\0\0\x28" + b"\0", StartVideo("VP90", 40, b"\0")),  # as the library sends it
     ("STT_POLYDATA", b"", StartPolyData()),
     ("STT_POLYDATA", struct.pack(">Q", 10**9), StartPolyData(10**9)),
-    ("RTS_TDATA", b"\0", Reply(0)),
-    ("RTS_POLYDATA", b"\1", Reply(1)),
-    ("RTS_BIND", b"\0", Reply(0)),
-    ("RTS_BIND", b"", Reply(has_body=False)),  # as the document has it
+    ("RTS_TDATA", b"\0", QueryReply(0)),
+    ("RTS_POLYDATA", b"\1", QueryReply(1)),
+    ("RTS_BIND", b"\0", QueryReply(0)),
+    ("RTS_BIND", b"", QueryReply(has_body=False)),  # as the document has it
     ("GET_BIND", b"", GetBind()),
     ("GET_BIND", TWO + b"\0\6" + b"CT\0b\0\0", GetBind(NAMES)),
     ("STT_BIND", struct.pack(">Q", 7), StartBind(7)),
@@ -133,7 +133,7 @@ def test_contents_of_no_known_layout(kind: str, content: bytes) -> None:
         StartVideo("H.264"),
         StartVideo("H264", -1),
         StartPolyData(-1),
-        Reply(256),
+        QueryReply(256),
         GetBind((("T" * 13, ""),)),
         StartBind(-1),
         GetBind((("IMAGE", "a\0b"),)),

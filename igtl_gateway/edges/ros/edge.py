@@ -51,8 +51,8 @@ class RosEdge:
         direct: receive by our own wait set; False (or an rclpy without its internals) by the executor.
 
     Attributes:
-        publish, pass_over, heard: see `Publishing`.  They are its methods, without a layer in between, because every
-            message passes them.
+        publish, count_if_unsubscribed, has_subscriber: see `Publishing`.  They are its methods, without a layer in
+            between, because every message passes them.
     """
 
     def __init__(
@@ -76,8 +76,8 @@ class RosEdge:
         self._subscribing = Subscribing(self._node, self._topics, self._graph, self._reports, self._callback)
         self._keeper = Keeper(self._node, self._publishing, self._subscribing, self._reports, wants)
         self.publish = self._publishing.publish
-        self.pass_over = self._publishing.pass_over
-        self.heard = self._publishing.heard
+        self.count_if_unsubscribed = self._publishing.count_if_unsubscribed
+        self.has_subscriber = self._publishing.has_subscriber
 
     @staticmethod
     def check() -> None:

@@ -66,7 +66,7 @@ def prepare_environment(lock_step: bool = False) -> list[str]:
         processes was freed.
     """
     freed = free_shared_memory(_SHARED_MEMORY)
-    lines = [_set_profile(LOCK_STEP_PROFILE if lock_step else PROFILE), keep_large_blocks()]
+    lines = [_set_profile(LOCK_STEP_PROFILE if lock_step else PROFILE), tune_malloc()]
     return [*lines, f"shared memory: freed {freed >> 20} MiB of killed processes"] if freed else lines
 
 
@@ -106,7 +106,7 @@ def _is_free(lock: Path) -> bool:
 
 
 def _set_profile(profile: Path) -> str:
-    kept = _profile_kept(os.environ, Path.cwd(), _SHARED_MEMORY)
+    kept = _why_keep_profile(os.environ, Path.cwd(), _SHARED_MEMORY)
     if kept:
         return f"Fast DDS profile: {kept}"
     for name in PROFILE_VARIABLES:
@@ -114,7 +114,7 @@ def _set_profile(profile: Path) -> str:
     return f"Fast DDS profile: shared memory for large messages ({PROFILE_VARIABLES[0]}={profile})"
 
 
-def _profile_kept(environ: Mapping[str, str], cwd: Path, shared_memory: Path) -> str:
+def _why_keep_profile(environ: Mapping[str, str], cwd: Path, shared_memory: Path) -> str:
     """Return why the profile must not be changed; ``""`` if it may be."""
     # FASTDDS_BUILTIN_TRANSPORTS is a choice of transports too, which a profile of ours would override
     for name in (*PROFILE_VARIABLES, "FASTDDS_BUILTIN_TRANSPORTS"):
@@ -136,12 +136,12 @@ def _profile_kept(environ: Mapping[str, str], cwd: Path, shared_memory: Path) ->
     return ""
 
 
-def keep_large_blocks() -> str:
+def tune_malloc() -> str:
     """Have malloc keep the blocks of pictures, unless the user has set its options; return one line of text.
 
     It also halves the cost of the recorder, so it is useful without ROS.
     """
-    kept = _malloc_kept(os.environ)
+    kept = _why_keep_malloc(os.environ)
     if kept:
         return f"malloc: {kept}"
     mallopt = ctypes.CDLL(None).mallopt
@@ -152,7 +152,7 @@ def keep_large_blocks() -> str:
     return f"malloc: keeps large blocks ({', '.join(done)})"
 
 
-def _malloc_kept(environ: Mapping[str, str]) -> str:
+def _why_keep_malloc(environ: Mapping[str, str]) -> str:
     """Return why the allocator must not be changed; ``""`` if it may be."""
     for name in _MALLOC_VARIABLES:
         if environ.get(name):

@@ -43,7 +43,7 @@ class Publishing:
         self._publishers = topics.publishers
         self._graph = graph
         self._reports = reports
-        self._on_listener = on_listener
+        self._on_first_subscriber = on_listener
         self._listened: deque[str] = deque(maxlen=_MATCHES_MAX)  # topics with a new subscriber, not reported yet
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
@@ -87,22 +87,22 @@ class Publishing:
             return ""  # the failure is of an older message, and counted
         return failure
 
-    def heard(self, topic: str) -> bool:
+    def has_subscriber(self, topic: str) -> bool:
         """Whether a message published now might reach a subscriber: cheap, and exact once discovery is complete.
 
         True, too, while a publisher waits for subscribers.  ``on_listener`` reports those that come later.
         """
         publisher = self._publishers.get(topic)
-        return publisher is None or publisher.heard
+        return publisher is None or publisher.has_subscriber
 
-    def pass_over(self, topic: str) -> bool:
+    def count_if_unsubscribed(self, topic: str) -> bool:
         """Whether a message of a topic need not be published for want of a subscriber, which is counted then.
 
         A message that is neither latched nor subscribed to goes nowhere in DDS either, only more slowly (6 µs, after a
         pause 100).
         """
         publisher = self._publishers.get(topic)
-        if publisher is None or publisher.qos.latched or publisher.heard:
+        if publisher is None or publisher.qos.latched or publisher.has_subscriber:
             return False
         publisher.counts.unheard += 1
         return True
@@ -176,8 +176,8 @@ class Publishing:
 
     def notify_first_subscribers(self) -> None:
         """Report the new subscribers, not under our lock, which another thread of the callee might need."""
-        while self._on_listener and self._listened:
-            self._on_listener(self._listened.popleft())
+        while self._on_first_subscriber and self._listened:
+            self._on_first_subscriber(self._listened.popleft())
 
     def close(self) -> None:
         """At stop: send what is held, wait a moment for the acknowledgements, and refuse all further messages."""
@@ -230,7 +230,7 @@ class Publishing:
         return publisher
 
     def _on_matched(self, topic: str, change: int) -> None:
-        if change > 0 and self._on_listener:
+        if change > 0 and self._on_first_subscriber:
             self._listened.append(topic)
         self._node.wake.set()
         self._node.notify()

@@ -163,7 +163,7 @@ class TopicPublisher:
         self.burst = qos.depth
 
     @property
-    def heard(self) -> bool:
+    def has_subscriber(self) -> bool:
         """Whether a message might reach a subscriber: now, or, where it is held, later."""
         return not self.ready or self.publisher.get_subscription_count() > 0
 

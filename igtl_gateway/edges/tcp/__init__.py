@@ -24,7 +24,7 @@ reports it, and the part in which it happened recovers, see ``Link.failed``, ``L
 """
 
 from igtl_gateway.edges.tcp.edge import TcpEdge
-from igtl_gateway.edges.tcp.facts import Limits, LinkCounters, LinkInfo
+from igtl_gateway.edges.tcp.link_info import LinkCounters, LinkInfo, PeerLimits
 from igtl_gateway.edges.tcp.tls import TlsFiles
 
-__all__ = ["Limits", "LinkCounters", "LinkInfo", "TcpEdge", "TlsFiles"]
+__all__ = ["LinkCounters", "LinkInfo", "PeerLimits", "TcpEdge", "TlsFiles"]

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from functools import partial
 
 from igtl_gateway.edges.tcp.dialer import Dialer
-from igtl_gateway.edges.tcp.facts import Limits, LinkInfo
+from igtl_gateway.edges.tcp.link_info import LinkInfo, PeerLimits
 from igtl_gateway.edges.tcp.link_parts import LinkContext
 from igtl_gateway.edges.tcp.listener import Listener
 from igtl_gateway.edges.tcp.registry import LinkRegistry
-from igtl_gateway.edges.tcp.relay import Relay
-from igtl_gateway.edges.tcp.sockets import PORT_MAX, AllowList, listening_socket, place_of, tune
+from igtl_gateway.edges.tcp.relay import RelayConnector
+from igtl_gateway.edges.tcp.sockets import PORT_MAX, AllowList, address_text, listening_socket, tune_socket
 from igtl_gateway.edges.tcp.tls import Context, Handshake, TlsFiles, TlsSocket
 from igtl_gateway.errors import ConfigError
 
@@ -35,12 +35,12 @@ class Addresses:
         self._loop = context.loop
         self._reporter = context.reporter
         self._refusals = context.refusals
-        self._limits: Limits = context.limits
+        self._limits: PeerLimits = context.limits
         self._allow = allow
         self._tls = tls
         self._listeners: list[Listener] = []
         self._dialers: list[Dialer] = []
-        self._relays: list[Relay] = []
+        self._relays: list[RelayConnector] = []
         self._handshakes: dict[TlsSocket, Handshake] = {}  # of clients that are not links yet
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
@@ -53,7 +53,7 @@ class Addresses:
         """Accept peers at this address, each with a connection to a server; see ``TcpEdge.relay``."""
         _check_port(*to)
         secure = self._securer(to[0]) if tls_to else None
-        relay = Relay(*to, self._registry.pair_up, self._loop, self._reporter, secure)
+        relay = RelayConnector(*to, self._registry.pair_up, self._loop, self._reporter, secure)
         bound = self._listen(host, port, relay.take, tls)
         self._relays.append(relay)
         return bound
@@ -67,7 +67,7 @@ class Addresses:
             if self._loop.stopping:
                 raise ConfigError(f"connect {dialer.target}: the edge was stopped; a new one is needed")
             self._dialers.append(dialer)
-        self._loop.post(dialer.dial, dialer.failed)
+        self._loop.call_soon(dialer.dial, dialer.failed)
 
     def absent(self) -> list[LinkInfo]:
         """The servers that are not connected."""
@@ -82,9 +82,9 @@ class Addresses:
         with self._registry.changed:
             if self._loop.stopping:
                 sock.close()
-                raise ConfigError(f"listen {place_of((host, port))}: the edge was stopped; a new one is needed")
+                raise ConfigError(f"listen {address_text((host, port))}: the edge was stopped; a new one is needed")
             self._listeners.append(listener)
-        self._loop.post(listener.open, listener.failed)
+        self._loop.call_soon(listener.open, listener.failed)
         return bound
 
     def _securer(self, host: str) -> Callable[[socket.socket], TlsSocket]:
@@ -92,7 +92,7 @@ class Addresses:
         context = self._tls.client()
 
         def secure(sock: socket.socket) -> TlsSocket:
-            tune(sock)
+            tune_socket(sock)
             return TlsSocket(sock, context, server_side=False, host=host)
 
         return secure
@@ -123,7 +123,7 @@ class Addresses:
         that has been silent for longest: no certificate is needed to be silent, and a client that has one must be
         able to connect.
         """
-        tune(sock)
+        tune_socket(sock)
         if len(self._handshakes) >= self._limits.max_clients:
             waiting = self._handshakes.values()
             next((one for one in waiting if not one.sock.begun), next(iter(waiting))).yield_to_newer()

@@ -13,7 +13,7 @@ from typing import Any
 from igtl_gateway.edges.tcp.link import Link
 from igtl_gateway.edges.tcp.loop import WRITE, Loop
 from igtl_gateway.edges.tcp.reporter import Reporter
-from igtl_gateway.edges.tcp.sockets import place_of, resolve
+from igtl_gateway.edges.tcp.sockets import address_text, resolve
 from igtl_gateway.edges.tcp.tls import Handshake, TlsSocket
 from igtl_gateway.session.note import Level, Note
 
@@ -40,11 +40,11 @@ class Dialer:
         gave_up: Callable[[Dialer, str], None] | None = None,
         secure: Callable[[socket.socket], TlsSocket] | None = None,
     ) -> None:
-        self.target = place_of((host, port))
+        self.target = address_text((host, port))
         self.link: Link | None = None
         self._host = host
         self._port = port
-        self._up = up
+        self._link_up = up
         self._loop = loop
         self._reporter = reporter
         self._gave_up = gave_up
@@ -63,9 +63,9 @@ class Dialer:
             addresses = resolve(self._host, self._port, numeric=True)
         except OSError:
             # a name server can take seconds: not in this thread
-            threading.Thread(target=self._look_up, name="igtl-resolve", daemon=True).start()
+            threading.Thread(target=self._resolve, name="igtl-resolve", daemon=True).start()
         else:
-            self._found(addresses, "")
+            self._resolved(addresses, "")
 
     def hang_up(self) -> None:
         """Give up the connection that is being made, if any."""
@@ -94,14 +94,14 @@ class Dialer:
         else:
             self._retry()
 
-    def _look_up(self) -> None:
+    def _resolve(self) -> None:
         try:
             found, cause = resolve(self._host, self._port, numeric=False), ""
         except OSError as exc:
             found, cause = [], f"{exc.strerror or exc}"
-        self._loop.post(partial(self._found, found, cause), self.failed)
+        self._loop.call_soon(partial(self._resolved, found, cause), self.failed)
 
-    def _found(self, addresses: list[tuple[int, Any]], cause: str) -> None:
+    def _resolved(self, addresses: list[tuple[int, Any]], cause: str) -> None:
         self._addresses = addresses
         self._dial_next(cause)
 
@@ -124,10 +124,10 @@ class Dialer:
             self.hang_up()
             self._dial_next(os.strerror(code))
             return
-        self._loop.watch(sock, WRITE, lambda _: self._dialled(sock, address), self.failed)
-        self._loop.later(_CONNECT_TIMEOUT_S, partial(self._timed_out, sock), self.failed)
+        self._loop.watch(sock, WRITE, lambda _: self._connected(sock, address), self.failed)
+        self._loop.call_later(_CONNECT_TIMEOUT_S, partial(self._timed_out, sock), self.failed)
 
-    def _dialled(self, sock: socket.socket, address: Any) -> None:
+    def _connected(self, sock: socket.socket, address: Any) -> None:
         code = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         # A free port of the ephemeral range can be connected to itself; nobody is there.
         if not code and sock.getsockname()[:2] == address[:2]:
@@ -139,18 +139,18 @@ class Dialer:
         self._loop.unwatch(sock)
         self._sock = None
         if not self._secure:
-            self._up(sock, place_of(address), self)
+            self._link_up(sock, address_text(address), self)
             return
         secured = self._secure(sock)
-        done = partial(self._shaken, secured, place_of(address))
-        self._handshake = Handshake(secured, self._loop, done, self._distrusted, self.failed)
+        done = partial(self._handshake_done, secured, address_text(address))
+        self._handshake = Handshake(secured, self._loop, done, self._handshake_failed, self.failed)
         self._handshake.begin(_CONNECT_TIMEOUT_S)
 
-    def _shaken(self, sock: TlsSocket, place: str) -> None:
+    def _handshake_done(self, sock: TlsSocket, place: str) -> None:
         self._handshake = None
-        self._up(sock, place, self)
+        self._link_up(sock, place, self)
 
-    def _distrusted(self, reason: str, detail: str) -> None:
+    def _handshake_failed(self, reason: str, detail: str) -> None:
         self.hang_up()
         self._dial_next(f"{reason} ({detail})" if detail else reason)
 
@@ -171,5 +171,5 @@ class Dialer:
         self._retry()
 
     def _retry(self) -> None:
-        self._loop.later(self._delay_s, self.dial, self.failed)
+        self._loop.call_later(self._delay_s, self.dial, self.failed)
         self._delay_s = min(2 * self._delay_s, _RETRY_LAST_S)

@@ -10,8 +10,8 @@ from typing import Literal
 from igtl_gateway.buffers import Buffer, join, total_size
 from igtl_gateway.clock import Clock
 from igtl_gateway.edges.tcp.addresses import Addresses
-from igtl_gateway.edges.tcp.facts import Limits, LinkCounters, LinkInfo
 from igtl_gateway.edges.tcp.link import FLUSH_S
+from igtl_gateway.edges.tcp.link_info import LinkCounters, LinkInfo, PeerLimits
 from igtl_gateway.edges.tcp.link_parts import LinkContext
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.outbox import Part
@@ -25,7 +25,7 @@ from igtl_gateway.stamp import NS_PER_S
 
 _DRAIN_S = 0.25  # how long stop() waits for peers to close their side
 _JOINED = 4096  # bytes of a message up to which one copied buffer is sent faster than several (3.5 µs against 5.5)
-_LIMITS = Limits()
+_LIMITS = PeerLimits()
 _NO_FILES = TlsFiles()
 
 
@@ -61,7 +61,7 @@ class TcpEdge:
         on_link: Callable[[int, bool, Note], None],
         on_note: Callable[[int, Note], None],
         clock: Clock,
-        limits: Limits = _LIMITS,
+        limits: PeerLimits = _LIMITS,
         allow: Sequence[str] = (),
         when_full: Literal["drop", "block"] = "drop",
         tls: TlsFiles = _NO_FILES,
@@ -137,7 +137,7 @@ class TcpEdge:
         else:
             # cast() refuses arrays with a zero in their shape
             parts = [memoryview(buffer).cast("B") for buffer in buffers if memoryview(buffer).nbytes]
-        waits = self._blocking and not self._loop.inside()
+        waits = self._blocking and not self._loop.in_loop_thread()
         for number in links:
             link = self._links.get(number)
             if link is None or not link.sender.send(parts, size, stream, keep, waits):
@@ -174,7 +174,7 @@ class TcpEdge:
     ) -> None:
         if not ends:
             return
-        waits = self._blocking and not self._loop.inside()
+        waits = self._blocking and not self._loop.in_loop_thread()
         for number in links:
             link = self._links.get(number)
             taken = link.sender.send_batch(data, ends, streams, waits, hurry) if link else 0
@@ -227,7 +227,7 @@ class TcpEdge:
         self._loop.wake()
         if not self._loop.started:
             self._finish()
-        elif not self._loop.inside():
+        elif not self._loop.in_loop_thread():
             self._loop.join()
 
     # ── the I/O thread ────────────────────────────────────────────────────────────────────────────────────────
@@ -235,7 +235,7 @@ class TcpEdge:
     def _run(self) -> None:
         self._loop.run(self._registry.check_liveness)
         while not self._loop.stopping:
-            self._loop.turn(None)
+            self._loop.run_once(None)
         self._finish()
 
     def _failed(self, exc: Exception) -> None:
@@ -264,4 +264,4 @@ class TcpEdge:
         """Run the loop while the condition holds, for that time at most."""
         deadline_ns = self._loop.now() + round(timeout_s * NS_PER_S)
         while condition() and self._loop.now() < deadline_ns:
-            self._loop.turn(deadline_ns)
+            self._loop.run_once(deadline_ns)

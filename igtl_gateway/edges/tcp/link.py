@@ -5,14 +5,14 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 
-from igtl_gateway.edges.tcp.facts import LinkCounters, Role
+from igtl_gateway.edges.tcp.link_info import LinkCounters, Role
 from igtl_gateway.edges.tcp.link_parts import LinkContext
 from igtl_gateway.edges.tcp.liveness import Liveness
 from igtl_gateway.edges.tcp.loop import READ, WRITE
 from igtl_gateway.edges.tcp.receiver import Receiver
 from igtl_gateway.edges.tcp.reporter import error_note
 from igtl_gateway.edges.tcp.sender import Sender
-from igtl_gateway.edges.tcp.sockets import place_of, unconfirmed_bytes
+from igtl_gateway.edges.tcp.sockets import address_text, unconfirmed_bytes
 from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.session.note import Level, Note
 
@@ -56,7 +56,7 @@ class Link:
         self.number = number
         self.role: Role = role
         self.peer = peer
-        self.local = place_of(sock.getsockname())
+        self.local = address_text(sock.getsockname())
         self.is_open = True
         self.announced = False
         self.partner: Link | None = None
@@ -225,7 +225,7 @@ class Link:
         """Send the end of the stream, once the peer has everything, and close soon; whether it has everything."""
         if not self.sender.shut_down():
             return False
-        self._loop.later(FLUSH_S, self._give_up, self.failed)
+        self._loop.call_later(FLUSH_S, self._give_up, self.failed)
         return True
 
     def _give_up(self) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.edges.tcp.facts import Limits
+from igtl_gateway.edges.tcp.link_info import PeerLimits
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import Reporter
@@ -33,7 +33,7 @@ class LinkContext:
     loop: Loop
     reporter: Reporter
     refusals: Refusals
-    limits: Limits
+    limits: PeerLimits
     bodies: Sequence[tuple[str, int]]
     faults: Counter[str]
     on_frame: Callable[[int, Buffer], None]

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from igtl_gateway.edges.tcp.loop import READ, Loop
 from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S, Reporter
-from igtl_gateway.edges.tcp.sockets import AllowList, place_of
+from igtl_gateway.edges.tcp.sockets import AllowList, address_text
 from igtl_gateway.session.note import Level, Note
 
 
@@ -30,8 +30,8 @@ class Listener:
     ) -> None:
         self._sock = sock
         self._allow = allow
-        self._crowded = crowded
-        self._up = up
+        self._over_limit = crowded
+        self._link_up = up
         self._loop = loop
         self._reporter = reporter
         self._refusals = refusals
@@ -56,18 +56,18 @@ class Listener:
             return
         except OSError as exc:
             # out of descriptors, mostly: the listener would stay ready and the loop spin
-            text = f"cannot accept connections at {place_of(self._sock.getsockname())}: {exc.strerror}"
+            text = f"cannot accept connections at {address_text(self._sock.getsockname())}: {exc.strerror}"
             self._reporter.note(0, Note(Level.ERROR, "accept_failed", text))
             self._pause()
             return
-        peer = place_of(address)
+        peer = address_text(address)
         if address[0] not in self._allow:
             self._refusals.refuse(sock, peer, "not in the allow-list")
-        elif reason := self._crowded():
+        elif reason := self._over_limit():
             self._refusals.refuse(sock, peer, reason)
         else:
-            self._up(sock, peer)
+            self._link_up(sock, peer)
 
     def _pause(self) -> None:
         self._loop.unwatch(self._sock)
-        self._loop.later(NOTE_EVERY_S, self.open, self.failed)
+        self._loop.call_later(NOTE_EVERY_S, self.open, self.failed)

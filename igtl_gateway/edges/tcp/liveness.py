@@ -80,6 +80,6 @@ class Liveness:
             return
         if sent >= goal:
             goal = sent + math.ceil(limits.min_rate * limits.stall_s)
-            self._loop.later(limits.stall_s, partial(self.close_when_stalled, goal), self._link.failed)
+            self._loop.call_later(limits.stall_s, partial(self.close_when_stalled, goal), self._link.failed)
         else:
             self._link.close()

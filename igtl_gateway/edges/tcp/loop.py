@@ -38,7 +38,7 @@ Rescue = Callable[[Exception], None]
 
 
 class Loop:
-    """One selector and the thread that runs ``body``, which is to call ``turn`` again and again.
+    """One selector and the thread that runs ``body``, which is to call ``run_once`` again and again.
 
     ``stopping`` is set by the owner when the end has begun; everybody may look.  ``looked_ns`` is when the sockets were
     last looked at: what was there before is read before any action or timer of that turn, however long that takes.
@@ -58,7 +58,7 @@ class Loop:
         self._todo: deque[tuple[Action, Rescue]] = deque()
         self._timers: list[tuple[int, int, Action, Rescue]] = []
         self._serial = 0
-        self.watch(self._wake_in, READ, self._woken)
+        self.watch(self._wake_in, READ, self._drain_wakeups)
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
@@ -72,7 +72,7 @@ class Loop:
     def join(self) -> None:
         self._thread.join()
 
-    def inside(self) -> bool:
+    def in_loop_thread(self) -> bool:
         """Whether the caller is the I/O thread."""
         return threading.get_ident() == self._thread.ident
 
@@ -80,10 +80,10 @@ class Loop:
         """Monotonic nanoseconds."""
         return self._clock.monotonic_ns()
 
-    def post(self, action: Action, rescue: Rescue | None = None) -> None:
+    def call_soon(self, action: Action, rescue: Rescue | None = None) -> None:
         """Let the I/O thread do this soon."""
         self._todo.append((action, rescue or self._on_error))
-        if not self.inside():
+        if not self.in_loop_thread():
             self.wake()
 
     def wake(self) -> None:
@@ -92,7 +92,7 @@ class Loop:
 
     # ── for the I/O thread ────────────────────────────────────────────────────────────────────────────────────
 
-    def later(self, delay_s: float, action: Action, rescue: Rescue | None = None) -> None:
+    def call_later(self, delay_s: float, action: Action, rescue: Rescue | None = None) -> None:
         """Do this in ``delay_s`` seconds."""
         self._serial += 1
         due_ns = self.now() + round(delay_s * NS_PER_S)
@@ -111,12 +111,12 @@ class Loop:
         with suppress(KeyError):
             self._selector.unregister(sock)
 
-    def turn(self, deadline_ns: int | None) -> None:
+    def run_once(self, deadline_ns: int | None) -> None:
         """Wait for something to do, not beyond the deadline, and do it."""
         try:
-            self._turn(deadline_ns)
+            self._run_once(deadline_ns)
         except Exception as exc:
-            self._rescue(self._on_error, exc)
+            self._handle_error(self._on_error, exc)
             self._calm.wait(_CALM_S)
 
     def run(self, action: Action, rescue: Rescue | None = None) -> None:
@@ -124,14 +124,14 @@ class Loop:
         try:
             action()
         except Exception as exc:
-            self._rescue(rescue or self._on_error, exc)
+            self._handle_error(rescue or self._on_error, exc)
 
     def close(self) -> None:
         self._selector.close()
         self._wake_in.close()
         self._wake_out.close()
 
-    def _turn(self, deadline_ns: int | None) -> None:
+    def _run_once(self, deadline_ns: int | None) -> None:
         if self._timers and (deadline_ns is None or self._timers[0][0] < deadline_ns):
             deadline_ns = self._timers[0][0]
         timeout = None
@@ -149,19 +149,19 @@ class Loop:
             try:
                 action(mask)
             except Exception as exc:
-                self._rescue(rescue, exc)
+                self._handle_error(rescue, exc)
         while self._todo:
             self.run(*self._todo.popleft())
         # after the sockets, see ``looked_ns``
         while self._timers and self._timers[0][0] <= self.now():
             self.run(*heapq.heappop(self._timers)[2:])
 
-    def _rescue(self, rescue: Rescue, exc: Exception) -> None:
+    def _handle_error(self, rescue: Rescue, exc: Exception) -> None:
         try:
             rescue(exc)
         except Exception:  # the last resort: there is nobody left to tell
             _log.exception("after %r, its rescue raised", exc)
 
-    def _woken(self, mask: int) -> None:
+    def _drain_wakeups(self, mask: int) -> None:
         with suppress(BlockingIOError):
             self._wake_in.recv(4096)

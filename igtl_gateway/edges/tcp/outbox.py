@@ -6,14 +6,14 @@ from collections import Counter, OrderedDict, deque
 from collections.abc import Sequence
 from itertools import islice
 
-from igtl_gateway.edges.tcp.facts import Limits
+from igtl_gateway.edges.tcp.link_info import PeerLimits
 
 IOV_MAX = 1024  # buffers that one sendmsg takes (IOV_MAX of Linux and macOS)
 
 Part = bytes | memoryview
 
 
-class Message:
+class QueuedMessage:
     """One message on its way out: the buffers still to be sent."""
 
     __slots__ = ("keep", "left", "parts", "stream")
@@ -46,7 +46,7 @@ class Outbox:
        has ``keep=True`` as well, it is refused, and the link must be closed.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: PeerLimits) -> None:
         self.sent_messages = 0
         self.sent_bytes = 0
         self.dropped: Counter[str] = Counter()
@@ -54,8 +54,8 @@ class Outbox:
         self.unsent = 0  # left over at the end
         self.waiting_bytes = 0
         self._limits = limits
-        self._begun: Message | None = None
-        self._waiting: OrderedDict[int, Message] = OrderedDict()
+        self._begun: QueuedMessage | None = None
+        self._waiting: OrderedDict[int, QueuedMessage] = OrderedDict()
         self._serial = 0
         # per stream the waiting messages that may be dropped, oldest first, and their bytes
         self._droppable: dict[str, deque[int]] = {}
@@ -79,7 +79,7 @@ class Outbox:
         """Whether a message of ``size`` bytes can be added without dropping any."""
         return self._fits(len(self._waiting), self.waiting_bytes, size)
 
-    def add(self, message: Message) -> bool:
+    def add(self, message: QueuedMessage) -> bool:
         """Add it, making room if need be; False if it is refused (case 3 above)."""
         if not self.has_room(message.left):
             if not self._fits(self._kept_messages, self._kept_bytes, message.left):
@@ -99,7 +99,7 @@ class Outbox:
             self._droppable_bytes[message.stream] += message.left
         return True
 
-    def begin(self, message: Message, sent: int) -> None:
+    def begin(self, message: QueuedMessage, sent: int) -> None:
         """To an empty box: a message of which the first ``sent`` bytes are sent."""
         message.advance(sent)
         self.sent_bytes += sent
@@ -145,7 +145,7 @@ class Outbox:
         limits = self._limits
         return not messages or (messages < limits.queue_messages and size + new <= limits.queue_bytes)
 
-    def _pop_first(self) -> Message:
+    def _pop_first(self) -> QueuedMessage:
         _, message = self._waiting.popitem(last=False)
         if message.keep:
             self._kept_messages -= 1
@@ -166,13 +166,13 @@ class Outbox:
         self.waiting_bytes -= message.left
         self._count_drop(message)
 
-    def _forget(self, message: Message) -> None:
+    def _forget(self, message: QueuedMessage) -> None:
         """Take the oldest of its stream off the books of what may be dropped."""
         self._droppable_bytes[message.stream] -= message.left
         self._droppable[message.stream].popleft()
         if not self._droppable[message.stream]:
             del self._droppable[message.stream], self._droppable_bytes[message.stream]
 
-    def _count_drop(self, message: Message) -> None:
+    def _count_drop(self, message: QueuedMessage) -> None:
         self.dropped[message.stream] += 1
         self.drops += 1

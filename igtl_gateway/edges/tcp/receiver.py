@@ -83,7 +83,7 @@ class Receiver:
             self._room = self._framer.buffer()
             if pause_s := self._rate.pause_s(len(messages), self.heard_ns):
                 self._link.watch()
-                self._loop.later(pause_s, self._end_rate_pause, self._link.failed)
+                self._loop.call_later(pause_s, self._end_rate_pause, self._link.failed)
         except MessageTooLarge as exc:
             self._refuse(exc)
         except MemoryError:

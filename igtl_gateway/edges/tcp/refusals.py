@@ -10,7 +10,7 @@ from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.session.note import Level, Note
 
 
-class _Closes(Protocol):
+class _Closable(Protocol):
     def close(self) -> None: ...
 
 
@@ -24,7 +24,7 @@ class Refusals:
         self.counts: Counter[str] = Counter()
         self._reporter = reporter
 
-    def refuse(self, sock: _Closes, peer: str, reason: str, detail: str = "") -> None:
+    def refuse(self, sock: _Closable, peer: str, reason: str, detail: str = "") -> None:
         """Close the connection of a peer, and say why: now, and while it repeats once a second with the count."""
         self.counts[reason] += 1
         with suppress(OSError):
@@ -35,4 +35,4 @@ class Refusals:
             text = f"connection of {peer} refused: {reason}" + (f" ({detail})" if detail else "")
             return Note(Level.WARN, "refused", text, data=data)
 
-        self._reporter.note_slowly(f"refused: {reason}", make)
+        self._reporter.note_rate_limited(f"refused: {reason}", make)

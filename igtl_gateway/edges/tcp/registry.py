@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from igtl_gateway.edges.tcp.dialer import Dialer
-from igtl_gateway.edges.tcp.facts import LinkCounters, LinkInfo, Role
 from igtl_gateway.edges.tcp.link import Link
+from igtl_gateway.edges.tcp.link_info import LinkCounters, LinkInfo, Role
 from igtl_gateway.edges.tcp.link_parts import LinkContext
-from igtl_gateway.edges.tcp.sockets import tune
+from igtl_gateway.edges.tcp.sockets import tune_socket
 from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.edges.tcp.tls_link import TlsLink
 from igtl_gateway.session.note import Level, Note
@@ -75,11 +75,11 @@ class LinkRegistry:
         """Close these links, each once its peer has what is queued for it."""
         for number in numbers:
             if link := self.links.get(number):
-                self._loop.post(partial(link.finish, reason), link.failed)
+                self._loop.call_soon(partial(link.finish, reason), link.failed)
 
     def wait(self, condition: Callable[[], bool], timeout_s: float | None) -> bool:
         """Wait for a condition, called with ``changed`` held; False if that took too long, or at stop."""
-        if self._loop.inside():  # it would wait for itself
+        if self._loop.in_loop_thread():  # it would wait for itself
             timeout_s = 0.0
         with self.changed:
             self.changed.wait_for(lambda: self._loop.stopping or condition(), timeout_s)
@@ -126,7 +126,7 @@ class LinkRegistry:
         """Close the links that do not move any more, and check again after a while."""
         limits, now_ns = self._context.limits, self._loop.looked_ns
         pause_s = min(limits.stall_s / 4, limits.idle_s / 4 or 1.0, 1.0)
-        self._loop.later(pause_s, self.check_liveness)
+        self._loop.call_later(pause_s, self.check_liveness)
         # If we were stopped or had no time ourselves, no peer is to blame for all of it.
         step_ns = min(now_ns - self._checked_ns, round(2 * pause_s * NS_PER_S))
         self._checked_ns = now_ns
@@ -138,10 +138,10 @@ class LinkRegistry:
         try:
             link: Link
             if isinstance(sock, TlsSocket):
-                link = TlsLink(self._last_number + 1, sock, role, peer, self._context, self._down)
+                link = TlsLink(self._last_number + 1, sock, role, peer, self._context, self._link_down)
             else:
-                tune(sock)
-                link = Link(self._last_number + 1, sock, role, peer, self._context, self._down)
+                tune_socket(sock)
+                link = Link(self._last_number + 1, sock, role, peer, self._context, self._link_down)
             link.watch()
         except Exception:
             self._loop.unwatch(sock)
@@ -160,7 +160,7 @@ class LinkRegistry:
         link.announced = True
         self.notify()
 
-    def _down(self, link: Link, note: Note) -> None:
+    def _link_down(self, link: Link, note: Note) -> None:
         """The link has closed: keep its counts, and report it, before its partner can be sent no more."""
         counts = link.counters()
         with self.changed:

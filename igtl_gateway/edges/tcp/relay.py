@@ -15,7 +15,7 @@ from igtl_gateway.session.note import Level, Note
 _UpPair = Callable[[socket.socket | TlsSocket, str, socket.socket | TlsSocket, str], None]
 
 
-class Relay:
+class RelayConnector:
     """Takes clients, connects to the server for each, and hands both sockets to ``up``; of the I/O thread alone.
 
     A client whose server is not there yet waits unread, so that nothing of it is lost; one whose server cannot be
@@ -33,7 +33,7 @@ class Relay:
     ) -> None:
         self._host = host
         self._port = port
-        self._up = up
+        self._link_up = up
         self._loop = loop
         self._reporter = reporter
         self._secure = secure  # puts TLS on the connections to the server
@@ -58,7 +58,7 @@ class Relay:
 
     def _made(self, server: socket.socket | TlsSocket, target: str, dialer: Dialer) -> None:
         client, peer = self._waiting.pop(dialer)
-        self._up(client, peer, server, target)
+        self._link_up(client, peer, server, target)
 
     def _gave_up(self, dialer: Dialer, cause: str) -> None:
         client, peer = self._waiting.pop(dialer, (None, ""))
@@ -71,4 +71,4 @@ class Relay:
             text = f"{peer} closed: cannot connect to {dialer.target}: {cause}"
             return Note(Level.WARN, "connect_failed", text, data=data)
 
-        self._reporter.note_slowly(f"connect_failed: {dialer.target}: {cause}", make)
+        self._reporter.note_rate_limited(f"connect_failed: {dialer.target}: {cause}", make)

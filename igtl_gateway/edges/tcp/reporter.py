@@ -16,7 +16,7 @@ _log = logging.getLogger(__name__)
 NOTE_EVERY_S = 1.0  # repeated facts are noted at most this often
 
 
-class _Repeated:
+class _RepeatedFact:
     """A fact that may repeat quickly, noted at most once a second."""
 
     def __init__(self, make: Callable[[int], Note]) -> None:
@@ -31,7 +31,7 @@ class Reporter:
     def __init__(self, loop: Loop, on_note: Callable[[int, Note], None]) -> None:
         self._loop = loop
         self._on_note = on_note
-        self._repeated: dict[str, _Repeated] = {}
+        self._repeated: dict[str, _RepeatedFact] = {}
 
     def call(self, name: str, callback: Callable[..., None], *args: object) -> None:
         """Make the callback; if it raises, note that."""
@@ -45,7 +45,7 @@ class Reporter:
                 data = {"callback": name, "error": cause, "count": count}
                 return Note(Level.ERROR, "callback_failed", f"{name} raised {cause}", data=data)
 
-            self.note_slowly(f"{name} raised {type(exc).__name__}", make)
+            self.note_rate_limited(f"{name} raised {type(exc).__name__}", make)
 
     def note(self, number: int, note: Note) -> None:
         """Note a fact about the link of that number (0 if none)."""
@@ -54,26 +54,26 @@ class Reporter:
         except Exception:  # the last resort: there is nobody left to tell
             _log.exception("on_note raised at: %s", note.text)
 
-    def note_slowly(self, fact: str, make: Callable[[int], Note]) -> None:
+    def note_rate_limited(self, fact: str, make: Callable[[int], Note]) -> None:
         """Note a fact now, and while it repeats once a second with the count."""
         repeated = self._repeated.get(fact)
         if repeated is None:
-            repeated = self._repeated[fact] = _Repeated(make)
-            self._loop.post(partial(self._note_repeated, fact, repeated))
+            repeated = self._repeated[fact] = _RepeatedFact(make)
+            self._loop.call_soon(partial(self._note_repeated, fact, repeated))
         repeated.make = make
         repeated.count += 1
 
     def note_error(self, exc: Exception) -> None:
         """Note an unexpected exception of our own code that concerns no single link."""
-        self.note_slowly(f"internal error {_place(exc)}", lambda count: error_note(exc, count=count))
+        self.note_rate_limited(f"internal error {_place(exc)}", lambda count: error_note(exc, count=count))
 
-    def _note_repeated(self, fact: str, repeated: _Repeated) -> None:
+    def _note_repeated(self, fact: str, repeated: _RepeatedFact) -> None:
         if repeated.count == repeated.noted:
             del self._repeated[fact]
             return
         repeated.noted = repeated.count
         self.note(0, repeated.make(repeated.count))
-        self._loop.later(NOTE_EVERY_S, partial(self._note_repeated, fact, repeated))
+        self._loop.call_later(NOTE_EVERY_S, partial(self._note_repeated, fact, repeated))
 
 
 def error_note(exc: Exception, **data: object) -> Note:

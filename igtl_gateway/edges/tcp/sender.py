@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife
-from igtl_gateway.edges.tcp.outbox import IOV_MAX, Message, Outbox, Part
+from igtl_gateway.edges.tcp.outbox import IOV_MAX, Outbox, Part, QueuedMessage
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S
 from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.session.note import Level, Note
@@ -65,9 +65,9 @@ class Sender:
                     if sent == size:
                         box.count_sent(size)
                         return True
-                    return self._queue(Message(parts, size, stream, keep), sent)
+                    return self._queue(QueuedMessage(parts, size, stream, keep), sent)
                 if not waits or box.has_room(size):
-                    return self._queue(Message(parts, size, stream, keep), 0)
+                    return self._queue(QueuedMessage(parts, size, stream, keep), 0)
                 # Not left to the I/O thread, which may be waiting for a lock that our caller holds.
                 box.advance(self._write(box.parts()))
                 descriptor = self._sock.fileno()
@@ -97,7 +97,7 @@ class Sender:
         def queue(sent: int) -> bool:
             nonlocal at, taken
             end = ends[taken]
-            if not self._queue(Message((view[at:end],), end - at, streams[taken], True), sent):
+            if not self._queue(QueuedMessage((view[at:end],), end - at, streams[taken], True), sent):
                 return False
             at, taken = end, taken + 1
             return True
@@ -138,7 +138,7 @@ class Sender:
         """Bytes that left the queue and are not yet the kernel's."""
         return 0
 
-    def _queue(self, message: Message, sent: int) -> bool:
+    def _queue(self, message: QueuedMessage, sent: int) -> bool:
         """Queue the rest of the message; under the lock."""
         if self.is_muted:
             return False
@@ -150,19 +150,19 @@ class Sender:
             self.is_muted = True
             self.reason = "the send queue is full of messages that must not be dropped"
             box.clear()
-            self._loop.post(self._overflowed, self._link.failed)
+            self._loop.call_soon(self._overflowed, self._link.failed)
             return False
         self._request_room()
         if box.drops > drops and not self._drops_watched:
             self._drops_watched = True
-            self._loop.post(self.note_drops, self._link.failed)
+            self._loop.call_soon(self.note_drops, self._link.failed)
         return True
 
     def _request_room(self) -> None:
         """Have the I/O thread send the rest; under the lock."""
         if not self._room_requested:
             self._room_requested = True
-            self._loop.post(self._await_room_in_loop, self._link.failed)
+            self._loop.call_soon(self._await_room_in_loop, self._link.failed)
 
     def _write(self, parts: Sequence[Part]) -> int:
         """Bytes that the kernel takes now; under the lock.  A link that fails is muted, and 0 returned."""
@@ -240,7 +240,7 @@ class Sender:
             data = {"peer": peer, "dropped": dropped, "messages": box.messages, "bytes": box.bytes}
         text = f"{peer} reads too slowly: {drops} messages dropped so far"
         self._reporter.note(self._link.number, Note(Level.WARN, "queue_drop", text, data=data))
-        self._loop.later(NOTE_EVERY_S, self.note_drops, self._link.failed)
+        self._loop.call_later(NOTE_EVERY_S, self.note_drops, self._link.failed)
 
     def _flushed(self) -> bool:
         """Whether there is no backlog any more; under the lock."""

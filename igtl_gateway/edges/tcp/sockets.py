@@ -54,7 +54,7 @@ class AllowList:
         return ip.is_loopback or self._any or any(ip in network for network in self._networks)
 
 
-def tune(sock: socket.socket) -> None:
+def tune_socket(sock: socket.socket) -> None:
     """As the connections of the edge are: non-blocking, sent without delay, found out when the peer is gone."""
     sock.setblocking(False)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -91,7 +91,7 @@ def unconfirmed_bytes(sock: Descriptor) -> int:
         return 0
 
 
-def place_of(address: Any) -> str:
+def address_text(address: Any) -> str:
     """``host:port`` of a socket address, ``[host]:port`` for IPv6."""
     host, port = address[:2]
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
@@ -112,7 +112,7 @@ def listening_socket(host: str, port: int, allow: AllowList) -> socket.socket:
 
     Raises ConfigError for what cannot be listened to, Unavailable where the system refuses it now.
     """
-    place = f"listen {place_of((host, port))}"
+    place = f"listen {address_text((host, port))}"
     if not 0 <= port <= PORT_MAX:
         raise ConfigError(f"{place}: found port {port}, expected 0 (any) to {PORT_MAX}")
     try:

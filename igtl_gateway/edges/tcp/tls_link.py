@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from igtl_gateway.edges.tcp.facts import Role
 from igtl_gateway.edges.tcp.link import Link
+from igtl_gateway.edges.tcp.link_info import Role
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife
 from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.receiver import Receiver
@@ -99,4 +99,4 @@ class TlsLink(Link):
     def watch(self) -> None:
         super().watch()
         if self._tls_receiver.has_decrypted:
-            self._loop.post(self._tls_receiver.read_decrypted, self.failed)
+            self._loop.call_soon(self._tls_receiver.read_decrypted, self.failed)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.gateway.peers import Peer, interval_ns
-from igtl_gateway.gateway.to_igtl.sender import Outbound
-from igtl_gateway.gateway.to_igtl.trackdata import NAME_BYTES, TRACKING, Latest, name_field, tracking
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
+from igtl_gateway.gateway.to_igtl.trackdata import NAME_BYTES, TRACKING, Latest, name_field, tracking_content
 from igtl_gateway.stamp import NS_PER_MS, ns_to_ticks
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.body import Body
@@ -22,7 +22,7 @@ from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.metalists import IMAGE_META_DTYPE, ImageMetaList
-from igtl_gateway.wire.query import QUERIES, Reply, StartBind, StartPolyData, StartTracking, StartVideo, query_name
+from igtl_gateway.wire.query import QUERIES, QueryReply, StartBind, StartPolyData, StartTracking, StartVideo, query_name
 from igtl_gateway.wire.registry import ALIASES, BODIES
 from igtl_gateway.wire.text import Status
 
@@ -41,21 +41,21 @@ Known = Callable[[str], bool]
 READABLE = tuple(sorted(BODIES.keys() - ALIASES.keys()))
 
 
-def answer(igtl_type: str, device: str, now_ns: int, latest: Latest) -> list[Outbound]:
+def answer(igtl_type: str, device: str, now_ns: int, latest: Latest) -> list[OutboundMessage]:
     """The answers to a GET_ of a type; none where there is nothing to tell."""
     if igtl_type == "STATUS":
-        return [Outbound(igtl_type, device, Status(_STATUS_OK), now_ns)]
+        return [OutboundMessage(igtl_type, device, Status(_STATUS_OK), now_ns)]
     if igtl_type == "CAPABILITY":
-        return [Outbound(igtl_type, device, Capability(READABLE), now_ns)]
+        return [OutboundMessage(igtl_type, device, Capability(READABLE), now_ns)]
     found = latest(igtl_type, device)
-    if not found and igtl_type in TRACKING and (out := tracking(igtl_type, device, now_ns, latest)):
+    if not found and igtl_type in TRACKING and (out := tracking_content(igtl_type, device, now_ns, latest)):
         found = [out]
     if not found and igtl_type == "IMGMETA":
         found = _images(device, now_ns, latest)
     return found
 
 
-def refusal(igtl_type: str, device: str, now_ns: int, peer: Peer) -> Outbound:
+def empty_reply(igtl_type: str, device: str, now_ns: int, peer: Peer) -> OutboundMessage:
     """What says "I have none": the type without content, where the peer survives that."""
     body = BODIES.get(igtl_type, Raw)
     # a name of odd bytes is longer as text: there may be no message of that type
@@ -63,25 +63,25 @@ def refusal(igtl_type: str, device: str, now_ns: int, peer: Peer) -> Outbound:
     # a program on the C++ library waits for the default size of a version 1 message that has none
     survives = peer.version > 1 or peer.profile.takes_empty or getattr(body, "MAY_BE_EMPTY", body is Raw)
     if names_one and survives:
-        return Outbound(igtl_type, device, Raw(b""), now_ns)
+        return OutboundMessage(igtl_type, device, Raw(b""), now_ns)
     text = f"there is no {igtl_type} {device}".rstrip()
-    return Outbound("STATUS", device, Status(_STATUS_NOT_FOUND, 0, "NotFound", text), now_ns)
+    return OutboundMessage("STATUS", device, Status(_STATUS_NOT_FOUND, 0, "NotFound", text), now_ns)
 
 
-def denial(prefix: str, igtl_type: str, device: str, now_ns: int) -> list[Outbound]:
+def denial_reply(prefix: str, igtl_type: str, device: str, now_ns: int) -> list[OutboundMessage]:
     """What says "you may not": the RTS_ of a stream, else a STATUS."""
     outs = acknowledgement(igtl_type, device, now_ns, ERROR) if prefix != "GET" else []
     text = f"{query_name(prefix, igtl_type)} is denied"
-    return outs or [Outbound("STATUS", device, Status(_STATUS_ACCESS_DENIED, 0, "AccessDenied", text), now_ns)]
+    return outs or [OutboundMessage("STATUS", device, Status(_STATUS_ACCESS_DENIED, 0, "AccessDenied", text), now_ns)]
 
 
-def acknowledgement(igtl_type: str, device: str, now_ns: int, status: int) -> list[Outbound]:
+def acknowledgement(igtl_type: str, device: str, now_ns: int, status: int) -> list[OutboundMessage]:
     """The RTS_ of a type; none where the protocol has none."""
     name = query_name("RTS", igtl_type)
-    return [Outbound(name, device, Reply(status), now_ns)] if name in QUERIES else []
+    return [OutboundMessage(name, device, QueryReply(status), now_ns)] if name in QUERIES else []
 
 
-def start(message: Message, igtl_type: str, peer: Peer, known: Known) -> int:
+def start_stream(message: Message, igtl_type: str, peer: Peer, known: Known) -> int:
     """STT_: begin a stream to a peer; the status to be told."""
     content = message.content
     frame = visible(content.coordinate_name) if isinstance(content, StartTracking) else ""
@@ -89,10 +89,10 @@ def start(message: Message, igtl_type: str, peer: Peer, known: Known) -> int:
     if query_name("STT", igtl_type) not in QUERIES or (frame and not known(frame)):
         return ERROR
     if igtl_type in TRACKING:
-        wanted = {key for key, wish in peer.wishes.items() if key[0] in TRACKING and wish.wanted}
+        wanted = {key for key, wish in peer.stream_requests.items() if key[0] in TRACKING and wish.wanted}
         if len(wanted | {(igtl_type, device)}) > MAX_TRACKED:
             return ERROR
-    return OK if peer.start(igtl_type, device, _interval_ns(content), frame) else ERROR
+    return OK if peer.start_stream(igtl_type, device, _interval_ns(content), frame) else ERROR
 
 
 def _interval_ns(content: Body) -> int:
@@ -111,16 +111,16 @@ def _interval_ns(content: Body) -> int:
 _LONGEST_NS = 3_600_000 * NS_PER_MS
 
 
-def _images(device: str, now_ns: int, latest: Latest) -> list[Outbound]:
+def _images(device: str, now_ns: int, latest: Latest) -> list[OutboundMessage]:
     """IMGMETA of the images that go out."""
     rows = [_image_row(one) for one in latest("IMAGE", device)]
     if not rows:
         return []
     elements = np.concatenate(rows)
-    return [Outbound("IMGMETA", device, ImageMetaList(elements), now_ns)]
+    return [OutboundMessage("IMGMETA", device, ImageMetaList(elements), now_ns)]
 
 
-def _image_row(out: Outbound) -> Any:
+def _image_row(out: OutboundMessage) -> Any:
     row = np.zeros(1, IMAGE_META_DTYPE)
     row["name"] = name_field(out.full_name or out.device, _LONG_NAME_BYTES)
     row["device_name"] = name_field(out.device, NAME_BYTES + 1)

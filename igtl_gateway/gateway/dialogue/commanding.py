@@ -7,20 +7,20 @@ from dataclasses import replace
 
 from igtl_gateway.config import MAX_TIMEOUT_S, Config
 from igtl_gateway.convert import commands as conversions
-from igtl_gateway.convert.context import Outgoing, ToIgtl
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.rosmsg import Header as RosHeader
 from igtl_gateway.errors import ConversionError, WireError
-from igtl_gateway.gateway.dialogue.commands import CommandBook, Pending
-from igtl_gateway.gateway.outcome import Finding, Item, refused
-from igtl_gateway.gateway.output import published
+from igtl_gateway.gateway.dialogue.commands import PendingCommand, PendingCommands
+from igtl_gateway.gateway.outcome import Finding, Item, conversion_failure
+from igtl_gateway.gateway.output import ros_output
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream
 from igtl_gateway.gateway.to_igtl.composer import Composer
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
-from igtl_gateway.gateway.to_igtl.sender import Outbound
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level
 from igtl_gateway.stamp import NS_PER_S
@@ -28,7 +28,7 @@ from igtl_gateway.wire import Message
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import visible
 
-Special = Callable[[Entry, ToIgtlStream, Outgoing], list[Item]]
+Special = Callable[[Entry, ToIgtlStream, ConvertedMessage], list[Item]]
 
 
 class Commands:
@@ -40,7 +40,7 @@ class Commands:
         self._streams = streams
         self._composer = composer
         self._delivery = delivery
-        self._from_peers, self._to_peers = CommandBook(), CommandBook()
+        self._from_peers, self._to_peers = PendingCommands(), PendingCommands()
         self._special: dict[str, Special] = {"COMMAND": self._send_command, "RTS_COMMAND": self._send_reply}
 
     @property
@@ -59,21 +59,21 @@ class Commands:
                 _timeout(pending, f"command {pending.command_id} ({pending.name!r}) of a peer: {text} from ROS")
             )
         for pending in self._to_peers.overdue(entry.stamp_ns):
-            items += self._tell_ros(entry, pending, CommandReply.TIMEOUT, text)
+            items += self._reply_to_ros(entry, pending, CommandReply.TIMEOUT, text)
             items.append(_timeout(pending, f"command {pending.command_id} ({pending.name!r}): {text} from the peer"))
         return items
 
-    def gone(self, entry: Entry, link: int) -> list[Item]:
+    def on_link_down(self, entry: Entry, link: int) -> list[Item]:
         """A peer has gone: it gets no reply any more, and gives none."""
-        self._from_peers.gone(link)
+        self._from_peers.on_link_down(link)
         items: list[Item] = []
-        for pending in self._to_peers.gone(link):
-            items += self._tell_ros(entry, pending, CommandReply.NO_PEER, "the peer has gone")
+        for pending in self._to_peers.on_link_down(link):
+            items += self._reply_to_ros(entry, pending, CommandReply.NO_PEER, "the peer has gone")
         return items
 
     # -- from peers -----------------------------------------------------------------------------------------------
 
-    def refuse(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
+    def accept(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
         """Remember a command of a peer until its reply; what the peer gets for one that cannot be accepted.
 
         A peer must be able to rely on a failure: a refused command does not reach ROS.
@@ -82,7 +82,7 @@ class Commands:
         if not isinstance(command, Command) or visible(message.type) != "COMMAND":
             return []
         deadline_ns = entry.stamp_ns + int(self._config.command_timeout_s * NS_PER_S)
-        pending = Pending(
+        pending = PendingCommand(
             peer.link, command.command_id, visible(message.device_name), visible(command.name), deadline_ns
         )
         if self._from_peers.add(pending):
@@ -95,15 +95,15 @@ class Commands:
         """The reply to a COMMAND that may not come in (``deny_in``)."""
         assert isinstance(message.content, Command)
         name, device = visible(message.content.name), visible(message.device_name)
-        pending = Pending(peer.link, message.content.command_id, device, name, entry.stamp_ns)
+        pending = PendingCommand(peer.link, message.content.command_id, device, name, entry.stamp_ns)
         return self._reply(entry, pending, CommandReply.FAIL, "COMMAND is denied")
 
-    def replied(self, peer: Peer, message: Message) -> None:
+    def on_reply(self, peer: Peer, message: Message) -> None:
         """A peer has replied to a command of ROS."""
         if isinstance(message.content, Command) and visible(message.type) != "COMMAND":
             self._to_peers.take(message.content.command_id, peer.link)
 
-    def _reply(self, entry: Entry, pending: Pending, status: int, text: str) -> list[Item]:
+    def _reply(self, entry: Entry, pending: PendingCommand, status: int, text: str) -> list[Item]:
         """An RTS_COMMAND of the gateway's own."""
         peer = self._peers.get(pending.link)
         if peer is None:
@@ -114,20 +114,20 @@ class Commands:
 
     # -- from ROS -------------------------------------------------------------------------------------------------
 
-    def special(self, igtl_type: str) -> Special | None:
+    def sender_for(self, igtl_type: str) -> Special | None:
         """How messages of a type are sent that are more than a content: who asked, and who has to answer, matters."""
         return self._special.get(igtl_type)
 
-    def deny_ros(self, entry: Entry, stream: ToIgtlStream, outgoing: Outgoing, igtl_type: str) -> list[Item]:
+    def deny_ros(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage, igtl_type: str) -> list[Item]:
         """The reply to a COMMAND from ROS that may not go out (``deny_out``); nothing for other types."""
         command = outgoing.content
         if not isinstance(command, Command) or igtl_type != "COMMAND":
             return []
         device = outgoing.device_name or stream.full_name
-        asked = Pending(outgoing.link, command.command_id, device, visible(command.name), entry.stamp_ns)
-        return self._tell_ros(entry, asked, CommandReply.FAIL, "COMMAND is denied")
+        asked = PendingCommand(outgoing.link, command.command_id, device, visible(command.name), entry.stamp_ns)
+        return self._reply_to_ros(entry, asked, CommandReply.FAIL, "COMMAND is denied")
 
-    def _send_command(self, entry: Entry, stream: ToIgtlStream, outgoing: Outgoing) -> list[Item]:
+    def _send_command(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage) -> list[Item]:
         """A COMMAND: numbered if it has no number, remembered until its reply."""
         command = outgoing.content
         assert isinstance(command, Command)
@@ -138,26 +138,26 @@ class Commands:
         if not 0 < timeout_s <= MAX_TIMEOUT_S:
             timeout_s = self._config.command_timeout_s
         deadline_ns = entry.stamp_ns + int(timeout_s * NS_PER_S)
-        pending = Pending(0, command.command_id, out.full_name, visible(command.name), deadline_ns)
+        pending = PendingCommand(0, command.command_id, out.full_name, visible(command.name), deadline_ns)
         readers = (peer for peer in self._peers.all() if peer.profile.may_send(out.igtl_type))
         peers = [peer for peer in readers if outgoing.link in (0, peer.link)]
         asked = [one for one in peers if self._to_peers.add(replace(pending, link=one.link))]
         if not asked:
             text = "the id, or too many others, wait already" if peers else "no peer is there to be asked"
             status = CommandReply.FAIL if peers else CommandReply.NO_PEER
-            return self._tell_ros(entry, replace(pending, link=outgoing.link), status, text)
+            return self._reply_to_ros(entry, replace(pending, link=outgoing.link), status, text)
         try:
             return self._delivery.to(entry, asked, [out])
         except WireError as error:
             for one in asked:
                 self._to_peers.take(pending.command_id, one.link)
-            finding = refused(error, "not sent", entry)
+            finding = conversion_failure(error, "not sent", entry)
             return [
                 finding,
-                *self._tell_ros(entry, replace(pending, link=outgoing.link), CommandReply.FAIL, finding.text),
+                *self._reply_to_ros(entry, replace(pending, link=outgoing.link), CommandReply.FAIL, finding.text),
             ]
 
-    def _send_reply(self, entry: Entry, stream: ToIgtlStream, outgoing: Outgoing) -> list[Item]:
+    def _send_reply(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage) -> list[Item]:
         """An RTS_COMMAND: to the peer that waits for it."""
         message = CommandReply.unpack(entry.payload[0])
         pending = self._from_peers.take(message.id, message.link)
@@ -166,10 +166,10 @@ class Commands:
         try:
             return self._delivery.to(entry, [self._peers[pending.link]], [_replying(entry, pending, message)])
         except (ConversionError, WireError) as error:
-            finding = refused(error, "the reply cannot be sent", entry)
+            finding = conversion_failure(error, "the reply cannot be sent", entry)
             return [finding, *self._reply(entry, pending, CommandReply.FAIL, finding.text)]
 
-    def _tell_ros(self, entry: Entry, pending: Pending, status: int, text: str) -> list[Item]:
+    def _reply_to_ros(self, entry: Entry, pending: PendingCommand, status: int, text: str) -> list[Item]:
         """A reply to ROS that no peer sent."""
         stream = self._streams.to_ros("RTS_COMMAND", pending.device)
         if stream is None:
@@ -179,18 +179,18 @@ class Commands:
             header, pending.device, pending.command_id, pending.name, status, text, link=pending.link
         )
         return [
-            published(topic, message, entry.stamp_ns) for row, topic in stream.outputs if row.message is CommandReply
+            ros_output(topic, message, entry.stamp_ns) for row, topic in stream.outputs if row.message is CommandReply
         ]
 
 
-def _replying(entry: Entry, pending: Pending, message: CommandReply) -> Outbound:
+def _replying(entry: Entry, pending: PendingCommand, message: CommandReply) -> OutboundMessage:
     """A reply as the command wants it: with its device and name."""
     device = short_device_name(pending.device)  # a name of odd bytes is longer as text
     named = replace(message, device_name=device, name=message.name or pending.name)
-    outgoing = conversions.reply_to_igtl(named, ToIgtl())
+    outgoing = conversions.reply_to_igtl(named, ToIgtlContext())
     stamp_ns = message.header.stamp_ns or entry.stamp_ns
-    return Outbound("RTS_COMMAND", device, outgoing.content, stamp_ns, metadata=outgoing.metadata)
+    return OutboundMessage("RTS_COMMAND", device, outgoing.content, stamp_ns, metadata=outgoing.metadata)
 
 
-def _timeout(pending: Pending, text: str) -> Finding:
+def _timeout(pending: PendingCommand, text: str) -> Finding:
     return Finding(Level.WARN, "command_timeout", text, f"COMMAND/{pending.device}", (pending.link,))

@@ -14,7 +14,7 @@ MAX_PENDING = 1_000
 
 
 @dataclass(frozen=True, slots=True)
-class Pending:
+class PendingCommand:
     """A command that waits.
 
     Attributes:
@@ -32,11 +32,11 @@ class Pending:
     deadline_ns: int
 
 
-class CommandBook:
+class PendingCommands:
     """Commands of one direction, by peer and id."""
 
     def __init__(self) -> None:
-        self._pending: dict[tuple[int, int], Pending] = {}
+        self._pending: dict[tuple[int, int], PendingCommand] = {}
         self._last_id = 0
 
     def __len__(self) -> int:
@@ -55,7 +55,7 @@ class CommandBook:
             if self._last_id not in taken:
                 return self._last_id
 
-    def add(self, command: Pending) -> bool:
+    def add(self, command: PendingCommand) -> bool:
         """False where too many wait already, or the peer has one of this id."""
         key = (command.link, command.command_id)
         if key in self._pending or len(self._pending) >= MAX_PENDING:
@@ -63,18 +63,18 @@ class CommandBook:
         self._pending[key] = command
         return True
 
-    def take(self, command_id: int, link: int = 0) -> Pending | None:
+    def take(self, command_id: int, link: int = 0) -> PendingCommand | None:
         """The waiting command that a reply answers: of this peer, or with link 0 the first of this id."""
         keys = [key for key in self._pending if key[1] == command_id and link in (0, key[0])]
         return self._pending.pop(keys[0]) if keys else None
 
-    def overdue(self, now_ns: int) -> list[Pending]:
+    def overdue(self, now_ns: int) -> list[PendingCommand]:
         """Take those whose time is up."""
         return self._take(key for key, one in self._pending.items() if one.deadline_ns <= now_ns)
 
-    def gone(self, link: int) -> list[Pending]:
+    def on_link_down(self, link: int) -> list[PendingCommand]:
         """Take those of a peer that is no more."""
         return self._take(key for key in self._pending if key[0] == link)
 
-    def _take(self, keys: Iterable[tuple[int, int]]) -> list[Pending]:
+    def _take(self, keys: Iterable[tuple[int, int]]) -> list[PendingCommand]:
         return [self._pending.pop(key) for key in list(keys)]

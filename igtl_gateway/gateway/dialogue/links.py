@@ -13,18 +13,18 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, Tally
-from igtl_gateway.gateway.output import Output, published
+from igtl_gateway.gateway.output import Output, ros_output
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_igtl.composer import Composer
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
-from igtl_gateway.gateway.to_igtl.frames import Frames
 from igtl_gateway.gateway.to_igtl.latest import Latest
-from igtl_gateway.gateway.to_igtl.sender import Outbound
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
+from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.ledger import PEERS
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.wire.query import Nothing
+from igtl_gateway.wire.query import EmptyQuery
 
 LINK_UP, LINK_DOWN = "link_up", "link_down"
 
@@ -50,7 +50,7 @@ class Links:
         latest: Latest,
         composer: Composer,
         delivery: Delivery,
-        frames: Frames,
+        frames: TfReceiver,
         commands: Commands,
     ) -> None:
         self._config = config
@@ -70,12 +70,12 @@ class Links:
         outcome = Outcome()
         for link in entry.links:
             if event.code == LINK_UP:
-                outcome.items += self._welcome(entry, self._peers.up(link, event.data, entry.stamp_ns))
+                outcome.items += self._send_latched(entry, self._peers.up(link, event.data, entry.stamp_ns))
             else:
-                outcome.tallies += self._closing(link, event.data)
+                outcome.tallies += self._final_counts(link, event.data)
                 self._peers.down(link)
-                self._guard.gone(link)
-                outcome.items += self._commands.gone(entry, link)
+                self._guard.on_link_down(link)
+                outcome.items += self._commands.on_link_down(entry, link)
         outcome.items.append(self.status(entry.stamp_ns))
         return outcome
 
@@ -83,42 +83,42 @@ class Links:
         """The list of peers, for ROS."""
         header = RosHeader(now_ns, self._config.base_frame)
         statuses = tuple(peer.status() for peer in self._peers.all())
-        return published(LINKS_TOPIC, LinkStatusList(header, statuses), now_ns)
+        return ros_output(LINKS_TOPIC, LinkStatusList(header, statuses), now_ns)
 
     @property
     def due_ns(self) -> int | None:
         """When the next ping is due (gateway time, UTC ns); None where no peer wants any."""
-        return min((peer.said_ns + peer.profile.ping_ns for peer in self._pinged()), default=None)
+        return min((peer.said_ns + peer.profile.ping_ns for peer in self._peers_to_ping()), default=None)
 
     def ping(self, entry: Entry) -> list[Item]:
         """Pings for the peers that would otherwise close the link; ``entry`` is a tick."""
         items: list[Item] = []
         now_ns = entry.stamp_ns
-        for peer in list(self._pinged()):
+        for peer in list(self._peers_to_ping()):
             if peer.said_ns + peer.profile.ping_ns <= now_ns:
-                items += self._delivery.to(entry, [peer], [Outbound("GET_STATUS", "", Nothing(), now_ns)])
+                items += self._delivery.to(entry, [peer], [OutboundMessage("GET_STATUS", "", EmptyQuery(), now_ns)])
         return items
 
-    def _pinged(self) -> Iterable[Peer]:
+    def _peers_to_ping(self) -> Iterable[Peer]:
         """The peers that want to receive something from time to time."""
         if self._denied.type("GET_STATUS"):
             return ()
         return (peer for peer in self._peers.all() if peer.profile.ping_ns)
 
-    def _welcome(self, entry: Entry, peer: Peer) -> list[Item]:
+    def _send_latched(self, entry: Entry, peer: Peer) -> list[Item]:
         """A late joiner gets the latest message of each latched stream, as a subscriber of a transient-local topic."""
         items: list[Item] = []
         for latest, stream in self._latest.latched():
-            if self._commands.special(stream.conversion.igtl_type):
+            if self._commands.sender_for(stream.conversion.igtl_type):
                 continue
             try:
                 out = self._composer.convert(latest, stream, stream.conversion)
                 items += self._delivery.to(entry, [peer], [out])
             except (ConversionError, WireError) as error:
                 items.append(Finding(Level.ERROR, "conversion", f"not sent: {error}", latest.channel))
-        return items + self._frames.welcome(entry, peer)
+        return items + self._frames.send_static(entry, peer)
 
-    def _closing(self, link: int, counts: dict[str, Any]) -> list[Tally]:
+    def _final_counts(self, link: int, counts: dict[str, Any]) -> list[Tally]:
         """What became of all that was sent to a peer that has gone, as its link counted it."""
         peer = self._peers.get(link)
         if peer is None or not isinstance(delivered := counts.get("sent_messages"), int):

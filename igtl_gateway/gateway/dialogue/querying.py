@@ -60,17 +60,17 @@ class Queries:
         if prefix == "RTS":
             return []
         device = short_device_name(visible(message.device_name))
-        outs = answers.denial(prefix, igtl_type, device, entry.stamp_ns)
-        return self._delivery.each(entry, outs, lambda out: self._delivery.to(entry, [peer], [out]))
+        outs = answers.denial_reply(prefix, igtl_type, device, entry.stamp_ns)
+        return self._delivery.deliver_each(entry, outs, lambda out: self._delivery.to(entry, [peer], [out]))
 
     def _get(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
         outs = answers.answer(igtl_type, device, entry.stamp_ns, lambda *key: self._latest.of(entry, *key))
-        items = self._delivery.each(entry, outs, lambda out: self._delivery.to(entry, [peer], [out]))
+        items = self._delivery.deliver_each(entry, outs, lambda out: self._delivery.to(entry, [peer], [out]))
         sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
         if outs and (sent or not peer.profile.may_send(igtl_type)):
             return items
         text = f"{message.type} of {device or 'any device'} cannot be answered: there is none yet"
-        refusal = answers.refusal(igtl_type, device, entry.stamp_ns, peer)
+        refusal = answers.empty_reply(igtl_type, device, entry.stamp_ns, peer)
         return [
             *items,
             *self._delivery.to(entry, [peer], [refusal]),
@@ -78,7 +78,7 @@ class Queries:
         ]
 
     def _start(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
-        status = answers.start(message, igtl_type, peer, self._knows_frame)
+        status = answers.start_stream(message, igtl_type, peer, self._knows_frame)
         items = self._acknowledge(entry, peer, igtl_type, device, status)
         if status == answers.OK:
             text = f"{message.type} of {device or 'any device'}: a stream begins"
@@ -87,7 +87,7 @@ class Queries:
         return [*items, Finding(Level.WARN, "stream_refused", text, entry.channel, (peer.link,))]
 
     def _stop(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
-        peer.stop(igtl_type, visible(message.device_name))
+        peer.stop_stream(igtl_type, visible(message.device_name))
         return self._acknowledge(entry, peer, igtl_type, device, answers.OK)
 
     def _acknowledge(self, entry: Entry, peer: Peer, igtl_type: str, device: str, status: int) -> list[Item]:

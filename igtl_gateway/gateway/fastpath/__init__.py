@@ -10,6 +10,6 @@ returns.  ``FastPath.learn`` compiles.  What was compiled holds until something 
 comes, goes, shows what it is or asks for streams ends all of it.
 """
 
-from igtl_gateway.gateway.fastpath.cache import Fast, FastPath, never
+from igtl_gateway.gateway.fastpath.cache import Fast, FastPath, no_fast_path
 
-__all__ = ["Fast", "FastPath", "never"]
+__all__ = ["Fast", "FastPath", "no_fast_path"]

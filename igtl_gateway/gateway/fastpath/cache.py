@@ -9,7 +9,7 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.fastpath import compile_to_igtl, compile_to_ros
-from igtl_gateway.gateway.fastpath.common import Common
+from igtl_gateway.gateway.fastpath.common import CompileContext
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
 from igtl_gateway.gateway.outcome import Outcome
@@ -61,14 +61,14 @@ class FastPath:
         self.to_ros: dict[ToRosKey, CompiledToRos] = {}
         self.to_igtl: dict[ToIgtlKey, CompiledToIgtl] = {}
         self._compiled: dict[ToRosKey | ToIgtlKey, int] = {}  # how often
-        self._common = Common(config, ledger, qos, subscribers.waiting)
+        self._common = CompileContext(config, ledger, qos, subscribers.waiting)
         self._peers = peers
         self._subscribers = subscribers
         self._volumes = volumes
         self._latest = latest
         self._frames_go_out = bool(config.tf_out)
         self._enabled = enabled
-        peers.changed = self._forget
+        peers.changed = self._drop_compiled
 
     def take(
         self,
@@ -111,18 +111,18 @@ class FastPath:
 
     def _learn_to_ros(self, entry: Entry, origin: RosOrigin) -> None:
         key = (entry.links[0], bytes(entry.payload[0][NAMES]))
-        if entry.type in compile_to_ros.TYPES and not self._frames_go_out and self._wants(key):
+        if entry.type in compile_to_ros.TYPES and not self._frames_go_out and self._may_compile(key):
             assembler = self._volumes.get(origin.to.device_name)
             self._keep(self.to_ros, key, compile_to_ros.compile_to_ros(entry, origin, self._common, assembler))
 
     def _learn_to_igtl(self, entry: Entry, origin: IgtlOrigin) -> None:
         key = (entry.channel, entry.type)
-        if entry.type in compile_to_igtl.TYPES and self._wants(key):
+        if entry.type in compile_to_igtl.TYPES and self._may_compile(key):
             peers = tuple(self._peers.all())
             compiled = compile_to_igtl.compile_to_igtl(entry, origin, self._common, self._latest, peers)
             self._keep(self.to_igtl, key, compiled)
 
-    def _wants(self, key: ToRosKey | ToIgtlKey) -> bool:
+    def _may_compile(self, key: ToRosKey | ToIgtlKey) -> bool:
         """Whether a stream is not compiled, and may be."""
         if key in self.to_ros or key in self.to_igtl:
             return False
@@ -135,12 +135,12 @@ class FastPath:
         if compiled:
             streams[key] = compiled
 
-    def _forget(self) -> None:
+    def _drop_compiled(self) -> None:
         """The peers have changed."""
         self.to_ros.clear()
         self.to_igtl.clear()
         self._compiled.clear()
 
 
-def never(*_input: object) -> None:
+def no_fast_path(*_input: object) -> None:
     """The fast path of a gateway that has none."""

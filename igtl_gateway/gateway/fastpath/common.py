@@ -14,7 +14,7 @@ from igtl_gateway.session.ledger import Ledger
 STAMP_AT, NAMES_AT = 4, 12
 
 
-class Common(NamedTuple):
+class CompileContext(NamedTuple):
     """Parts of a session.
 
     Attributes:
@@ -29,6 +29,6 @@ class Common(NamedTuple):
     waiting: dict[str, Any]
 
 
-def behind_name(cdr: Buffer, at: int) -> int:
+def end_of_name(cdr: Buffer, at: int) -> int:
     """The offset behind a string in CDR; its length is at ``at``."""
     return at + 4 + int.from_bytes(cdr[at : at + 4], "little")

@@ -15,7 +15,7 @@ from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, MATRIX, PICTURE, POINTS, QUATERNION, TEXT, Fill
 from igtl_gateway.convert.rosmsg import PointCloud2, String, TransformStamped
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.gateway.fastpath.common import NAMES_AT, Common, behind_name
+from igtl_gateway.gateway.fastpath.common import NAMES_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
@@ -51,7 +51,7 @@ _TWO_STAMPS = (1_111_111_111_111_111_111, 2_222_222_222_222_222_222)
 
 
 def compile_to_igtl(
-    entry: Entry, origin: IgtlOrigin, common: Common, latest: dict[str, Entry], peers: Sequence[Peer]
+    entry: Entry, origin: IgtlOrigin, common: CompileContext, latest: dict[str, Entry], peers: Sequence[Peer]
 ) -> CompiledToIgtl | None:
     """From a message that was sent without a finding; None where its stream cannot be compiled.
 
@@ -63,7 +63,7 @@ def compile_to_igtl(
     fill: Fill | None = express.pose_to_igtl if size else express.bulk_to_igtl
     if not (size or form is not None) or fill is None or bytes(cdr[:2]) != _LITTLE_ENDIAN:
         return None
-    if any(peer.wishes or type(out.content) in peer.profile.adapt for peer in peers):
+    if any(peer.stream_requests or type(out.content) in peer.profile.adapt for peer in peers):
         return None
     content = size or sum(memoryview(part).nbytes for part in out.content.pack())
     extra = 0
@@ -133,13 +133,13 @@ def _cloud_places(cdr: Buffer) -> tuple[int, ...] | None:
     plain = all(field.datatype == _FLOAT32 and field.count in (0, 1) for field in cloud.fields)
     if cloud.is_bigendian or not plain or len(cloud.fields) != len(_XYZ) or fields.keys() != set(_XYZ):
         return None
-    same = [NAMES_AT, behind_name(cdr, NAMES_AT)]  # what is between the parts is padding
+    same = [NAMES_AT, end_of_name(cdr, NAMES_AT)]  # what is between the parts is padding
     height_at = same[-1] + -same[-1] % 4
     at = height_at + 8  # the number of fields
     same += (at, at + 4)
     at += 4
     for _ in cloud.fields:
-        end = behind_name(cdr, at)
+        end = end_of_name(cdr, at)
         offset_at = end + -end % 4
         same += (at, end, offset_at, offset_at + 5, offset_at + 8, offset_at + 12)
         at = offset_at + 12
@@ -154,9 +154,9 @@ def _picture_places(cdr: Buffer, size: int) -> tuple[int, tuple[int, ...] | None
     blue_first = picture.encoding.startswith("bgr")
     if picture.step * picture.height != size or size < _LEAST_PICTURE or (blue_first and picture.encoding != "bgr8"):
         return PICTURE, None
-    frame_end = behind_name(cdr, NAMES_AT)
+    frame_end = end_of_name(cdr, NAMES_AT)
     height_at = frame_end + -frame_end % 4
-    end = behind_name(cdr, height_at + 8) + 1  # the encoding, and the byte order
+    end = end_of_name(cdr, height_at + 8) + 1  # the encoding, and the byte order
     data_at = end + -end % 4 + 8
     same = (NAMES_AT, frame_end, height_at, end, data_at - 8, data_at)
     return BLUE_FIRST if blue_first else PICTURE, (height_at, data_at, size, 0, 0, 0, *same)
@@ -164,9 +164,9 @@ def _picture_places(cdr: Buffer, size: int) -> tuple[int, tuple[int, ...] | None
 
 def _names_of(cdr: Buffer, *, two: bool) -> tuple[int, int, int] | None:
     """Offsets behind the first name, before and behind the second one; None where no pose follows at once."""
-    first_end = second = end = behind_name(cdr, 12)
+    first_end = second = end = end_of_name(cdr, 12)
     if two:
         second = first_end + -first_end % 4
-        end = behind_name(cdr, second)
+        end = end_of_name(cdr, second)
     pose = end + (4 - end) % 8
     return (first_end, second, end) if len(cdr) == pose + _POSE_SIZE else None

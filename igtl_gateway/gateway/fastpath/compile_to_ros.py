@@ -12,19 +12,19 @@ from typing import Any
 
 from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts, tracking, volumes
 from igtl_gateway.convert.assembly import VolumeAssembler, form_of
-from igtl_gateway.convert.context import ToRos
+from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.express import CLOUD, MATRIX, PICTURE, POINT, POINTS, QUATERNION, TEXT, Fill
-from igtl_gateway.convert.plans import is_labeled
 from igtl_gateway.convert.polydata import exceeds_standard
-from igtl_gateway.convert.table import RosRow
-from igtl_gateway.gateway.fastpath.common import NAMES_AT, STAMP_AT, Common, behind_name
+from igtl_gateway.convert.table import ConversionToRos
+from igtl_gateway.convert.trajectories import is_labeled
+from igtl_gateway.gateway.fastpath.common import NAMES_AT, STAMP_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Volume
 from igtl_gateway.gateway.to_ros.route import RosOrigin
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.image import Image
-from igtl_gateway.wire.message import EXTENDED_SIZE, Extended
+from igtl_gateway.wire.message import EXTENDED_SIZE, ExtendedHeader
 
 #: How a row writes a pose → the offset of the stamp in its CDR, which ends with the pose.
 _TO_ROS: dict[Callable[..., Any], int] = {
@@ -39,7 +39,7 @@ _POSES = {"TRANSFORM": MATRIX, "POSITION": QUATERNION, "QTRANS": QUATERNION}
 _BULK_TO_ROS: dict[Callable[..., Any], int] = {
     texts.string_to_ros: TEXT,
     clouds.point_to_ros: POINT,
-    clouds.points_to_ros: POINTS,
+    clouds.points_to_cloud: POINTS,
     clouds.polydata_to_cloud: CLOUD,
     images.image_to_ros: PICTURE,
 }
@@ -54,7 +54,7 @@ _PLACE_AT = {MATRIX: 36, QUATERNION: 0}
 
 
 def compile_to_ros(
-    entry: Entry, origin: RosOrigin, common: Common, assembler: VolumeAssembler | None
+    entry: Entry, origin: RosOrigin, common: CompileContext, assembler: VolumeAssembler | None
 ) -> CompiledToRos | None:
     """From a message that was converted without a finding; None where its stream cannot be compiled.
 
@@ -69,7 +69,7 @@ def compile_to_ros(
     at, tail = HEADER_SIZE, 0
     if message.header_version > 1:
         at += EXTENDED_SIZE
-        tail = Extended.unpack(memoryview(data)[HEADER_SIZE:]).metadata_header_size
+        tail = ExtendedHeader.unpack(memoryview(data)[HEADER_SIZE:]).metadata_header_size
     if size and (not isinstance(data, bytes) or at + size + tail != len(data)):
         return None
     volume: Volume | None = None
@@ -115,7 +115,7 @@ def compile_to_ros(
     )
 
 
-def _pose_form(row: RosRow, content: Any, to: ToRos) -> tuple[bytes, int] | None:
+def _pose_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[bytes, int] | None:
     """CDR and where its stamp is."""
     stamp_at = _TO_ROS.get(row.convert)
     if stamp_at is None or not row.applies(content):
@@ -124,7 +124,7 @@ def _pose_form(row: RosRow, content: Any, to: ToRos) -> tuple[bytes, int] | None
     return made.pack(), stamp_at
 
 
-def _bulk_form(row: RosRow, content: Any, to: ToRos) -> tuple[int, bytes, int, int] | None:
+def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[int, bytes, int, int] | None:
     """What is made, its template, and where the stamp and the width of that are."""
     form = _BULK_TO_ROS.get(row.convert)
     if form == TEXT:
@@ -139,5 +139,5 @@ def _bulk_form(row: RosRow, content: Any, to: ToRos) -> tuple[int, bytes, int, i
     end = len(cdr) - memoryview(made.data).nbytes
     if form == PICTURE:
         return form, cdr[:end], STAMP_AT, 0
-    frame_end = behind_name(cdr, NAMES_AT)
+    frame_end = end_of_name(cdr, NAMES_AT)
     return form, cdr[: end - 1], STAMP_AT, frame_end + -frame_end % 4 + 4

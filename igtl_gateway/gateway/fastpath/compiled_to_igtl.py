@@ -8,10 +8,10 @@ from typing import Any
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert.express import Fill
+from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.outcome import CONVERTED
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
-from igtl_gateway.gateway.watched import Watched
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
 
@@ -42,7 +42,7 @@ class CompiledToIgtl:
         ledger: Ledger,
         channel: str,
         latest: dict[str, Entry],
-        watched: Watched | None,
+        watched: GuardedStream | None,
         place_at: int | None,
     ) -> None:
         self._fill = fill
@@ -80,7 +80,9 @@ class CompiledToIgtl:
             return None
         shown_ns = made[0]
         watched = self._watched
-        if watched is not None and not watched.passes(stamp_ns, shown_ns, payload[0], self._place, self._place_at):
+        if watched is not None and not watched.passes_quickly(
+            stamp_ns, shown_ns, payload[0], self._place, self._place_at
+        ):
             return []
         count = self._count
         count["received"] = count.get("received", 0) + 1

@@ -11,9 +11,9 @@ import numpy as np
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert.assembly import Form, VolumeAssembler
 from igtl_gateway.convert.express import Fill
+from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED
 from igtl_gateway.gateway.to_ros.subscribers import Ask
-from igtl_gateway.gateway.watched import Watched
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
 
@@ -47,7 +47,7 @@ class CompiledToRos:
         check_crc: bool,
         own: bool,
         ledger: Ledger,
-        watched: Watched | None,
+        watched: GuardedStream | None,
         place_at: int | None,
         waiting: tuple[dict[str, Any], frozenset[str]],
         volume: Volume | None = None,
@@ -90,7 +90,9 @@ class CompiledToRos:
             return None
         source_ns, shown_ns = made[0], made[1]
         watched = self._watched
-        if watched is not None and not watched.passes(stamp_ns, shown_ns, payload[0], self._place, self._place_at):
+        if watched is not None and not watched.passes_quickly(
+            stamp_ns, shown_ns, payload[0], self._place, self._place_at
+        ):
             return []
         entries = [Entry(seq, stamp_ns, Kind.IGTL_IN, self._channel, self._type, payload, links, source_ns)]
         step = 0

@@ -1,16 +1,16 @@
-"""A converted ROS message gets its device name, stamp and metadata: it becomes an :class:`Outbound`."""
+"""A converted ROS message gets its device name, stamp and metadata: it becomes an :class:`OutboundMessage`."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from igtl_gateway.config import Config
-from igtl_gateway.convert.context import Outgoing, ToIgtl
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.convert.frames import MAX_FRAMES
 from igtl_gateway.convert.igtl_msgs import Size
-from igtl_gateway.convert.table import IgtlRow
+from igtl_gateway.convert.table import ConversionToIgtl
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream
-from igtl_gateway.gateway.to_igtl.sender import Outbound
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.video import Video
@@ -25,7 +25,9 @@ class Composer:
         self._frames: set[str] = set()
         self._video_sizes: dict[str, Size] = {}  # topic → size of its last key frame
 
-    def compose(self, entry: Entry, stream: ToIgtlStream, conversion: IgtlRow, outgoing: Outgoing) -> Outbound:
+    def compose(
+        self, entry: Entry, stream: ToIgtlStream, conversion: ConversionToIgtl, outgoing: ConvertedMessage
+    ) -> OutboundMessage:
         """The outbound message of what ``conversion`` made of a ROS message."""
         device, full_name, content = stream.device, stream.full_name, outgoing.content
         if len(self._frames) < MAX_FRAMES:
@@ -36,7 +38,7 @@ class Composer:
         if outgoing.device_name or (outgoing.igtl_type and split_query(outgoing.igtl_type)):
             full_name = outgoing.device_name
             device = self._streams.device(full_name)
-        return Outbound(
+        return OutboundMessage(
             outgoing.igtl_type or conversion.igtl_type,
             device,
             content,
@@ -48,9 +50,9 @@ class Composer:
             (*stream.row_metadata, *outgoing.metadata),
         )
 
-    def convert(self, entry: Entry, stream: ToIgtlStream, conversion: IgtlRow) -> Outbound:
+    def convert(self, entry: Entry, stream: ToIgtlStream, conversion: ConversionToIgtl) -> OutboundMessage:
         """The outbound message of a ROS message that was kept.  Raises ConversionError."""
-        outgoing = conversion.convert(conversion.message.unpack(entry.payload[0]), ToIgtl(stream.lengths))
+        outgoing = conversion.convert(conversion.message.unpack(entry.payload[0]), ToIgtlContext(stream.lengths))
         return self.compose(entry, stream, conversion, outgoing)
 
     def knows(self, frame: str) -> bool:

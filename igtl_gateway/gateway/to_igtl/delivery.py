@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from igtl_gateway.convert.frames import FrameTree
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.gateway.denials import Denials
-from igtl_gateway.gateway.outcome import Finding, Item, warned
+from igtl_gateway.gateway.outcome import Finding, Item, warning_findings
 from igtl_gateway.gateway.peers import Peer
-from igtl_gateway.gateway.to_igtl.sender import Outbound, Sent, send
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage, SendResult, send
 from igtl_gateway.gateway.to_igtl.trackdata import TRACKING, in_frame
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level
@@ -29,7 +29,9 @@ class Delivery:
         self._denied = denied
         self._frames = frames
 
-    def to(self, entry: Entry, peers: Iterable[Peer], outs: Iterable[Outbound], *, asked: bool = True) -> list[Item]:
+    def to(
+        self, entry: Entry, peers: Iterable[Peer], outs: Iterable[OutboundMessage], *, asked: bool = True
+    ) -> list[Item]:
         """Messages to peers.
 
         Args:
@@ -53,10 +55,12 @@ class Delivery:
             sent = send(out, peers, entry.stamp_ns, asked=asked)
             items += sent.outputs
             if sent.warnings or sent.refused:
-                items += _held_back(entry, sent)
+                items += _profile_findings(entry, sent)
         return items
 
-    def each(self, entry: Entry, outs: Iterable[Outbound], send: Callable[[Outbound], list[Item]]) -> list[Item]:
+    def deliver_each(
+        self, entry: Entry, outs: Iterable[OutboundMessage], send: Callable[[OutboundMessage], list[Item]]
+    ) -> list[Item]:
         """Messages sent one by one: one that cannot be sent costs only itself."""
         items: list[Item] = []
         for out in outs:
@@ -68,13 +72,15 @@ class Delivery:
                 items.append(Finding(Level.ERROR, "conversion", text, entry.channel, entry.links, loss=loss))
         return items
 
-    def streamed(self, entry: Entry, peers: Iterable[Peer], out: Outbound, lengths: Lengths) -> list[Item]:
+    def deliver_stream(
+        self, entry: Entry, peers: Iterable[Peer], out: OutboundMessage, lengths: LengthUnits
+    ) -> list[Item]:
         """A message of a stream, at the pace of each peer; tracking data in the frame that each asked for."""
         if out.igtl_type not in TRACKING:
             return self.to(entry, peers, (out,), asked=False)
         by_frame: dict[str, list[Peer]] = {}
         for peer in peers:
-            wish = peer.wish(out.igtl_type, out.device)
+            wish = peer.stream_request(out.igtl_type, out.device)
             frame = wish.frame if wish else ""
             by_frame.setdefault("" if frame == out.frame_id else frame, []).append(peer)
         items: list[Item] = []
@@ -94,9 +100,9 @@ class Delivery:
         return items
 
 
-def _held_back(entry: Entry, sent: Sent) -> list[Item]:
+def _profile_findings(entry: Entry, sent: SendResult) -> list[Item]:
     """What peers get in another form than it is, or not at all."""
-    items = warned(sent.warnings, entry)
+    items = warning_findings(sent.warnings, entry)
     for peer, igtl_type in sent.refused:
         profile = peer.profile.name
         text = f"{igtl_type} is not sent to {peer.address or 'the peer'}: no type for the profile {profile}"

@@ -9,7 +9,7 @@ from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream
 from igtl_gateway.gateway.to_igtl.composer import Composer
-from igtl_gateway.gateway.to_igtl.sender import Outbound
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.gateway.to_igtl.tf_out import TfOut
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.stamp import NS_PER_S
@@ -29,13 +29,13 @@ class Latest:
         self._tf = tf
         self._composer = composer
 
-    def of(self, cause: Entry, igtl_type: str, device: str) -> list[Outbound]:
+    def of(self, cause: Entry, igtl_type: str, device: str) -> list[OutboundMessage]:
         """The latest messages of a type and device ("" for any), as they would be sent at the time of ``cause``.
 
         Those of the streams that go out as this type; if there are none, of the streams that could.
         """
-        native: list[Outbound] = []
-        other: list[Outbound] = []
+        native: list[OutboundMessage] = []
+        other: list[OutboundMessage] = []
         for entry in self.entries.values():
             stream = self._streams.to_igtl(entry.channel, entry.type)
             if stream is None or device not in ("", stream.device, stream.full_name):
@@ -52,7 +52,7 @@ class Latest:
         ]
         return native or other
 
-    def goes_out(self, igtl_type: str) -> bool:
+    def has_stream_of(self, igtl_type: str) -> bool:
         """Whether a stream of its own goes out as this type."""
         streams = (self._streams.to_igtl(one.channel, one.type) for one in self.entries.values())
         own = any(stream.conversion.igtl_type == igtl_type for stream in streams if stream)
@@ -65,7 +65,7 @@ class Latest:
             if stream and stream.latched:
                 yield entry, stream
 
-    def _as_type(self, entry: Entry, stream: ToIgtlStream, igtl_type: str) -> list[Outbound]:
+    def _as_type(self, entry: Entry, stream: ToIgtlStream, igtl_type: str) -> list[OutboundMessage]:
         """A kept ROS message as ``igtl_type`` ("" for that of its stream); none where it cannot be converted."""
         conversion = row_to_igtl(entry.type, igtl_type) if igtl_type else stream.conversion
         if conversion is None:

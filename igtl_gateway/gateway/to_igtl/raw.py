@@ -8,8 +8,8 @@ from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.convert.raw import message_of
 from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.gateway.denials import Denials
-from igtl_gateway.gateway.guard import STALE, Guard, looked_at
-from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, refused
+from igtl_gateway.gateway.guard import STALE, Guard, check_stamp
+from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.session.entry import Entry, Kind
@@ -39,7 +39,7 @@ class RawMessages:
             raw = RawMessage.unpack(entry.payload[0])
             data = message_of(raw)
         except ConversionError as error:
-            return Outcome([refused(error, "not sent", entry)], "conversion")
+            return Outcome([conversion_failure(error, "not sent", entry)], "conversion")
         header = Header.unpack(data)
         igtl_type = visible(header.type)
         if self._denied and self._is_denied(igtl_type, data):
@@ -50,7 +50,7 @@ class RawMessages:
         row = self._config.row_to_igtl(topic)
         if row and row.max_age_s and (watched := self._guard.of(0, topic, row.max_age_s)):
             own_ns = ticks_to_ns(header.ticks)
-            withheld, found = looked_at(entry, watched, own_ns, own_ns or entry.stamp_ns, None)
+            withheld, found = check_stamp(entry, watched, own_ns, own_ns or entry.stamp_ns, None)
             if withheld:
                 return Outcome(found, STALE)
         wanted = {int(link) for link in raw.links}

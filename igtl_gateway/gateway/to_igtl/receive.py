@@ -5,21 +5,29 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from igtl_gateway.config import Config
-from igtl_gateway.convert.context import Outgoing, ToIgtl
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
-from igtl_gateway.gateway.guard import STALE, Guard, Watched, looked_at, place_of
-from igtl_gateway.gateway.outcome import CONVERTED, RECORDED_ONLY, Finding, Item, Outcome, refused, warned
+from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
+from igtl_gateway.gateway.outcome import (
+    CONVERTED,
+    RECORDED_ONLY,
+    Finding,
+    Item,
+    Outcome,
+    conversion_failure,
+    warning_findings,
+)
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream
 from igtl_gateway.gateway.to_igtl.composer import Composer
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
-from igtl_gateway.gateway.to_igtl.frames import Frames
 from igtl_gateway.gateway.to_igtl.latest import Latest
 from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
 from igtl_gateway.gateway.to_igtl.raw import RawMessages
+from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
 from igtl_gateway.gateway.to_igtl.tracking import Tracking
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level
@@ -40,7 +48,7 @@ class RosReceiver:
         composer: Composer,
         delivery: Delivery,
         tracking: Tracking,
-        frames: Frames,
+        frames: TfReceiver,
         commands: Commands,
     ) -> None:
         self._config = config
@@ -71,7 +79,7 @@ class RosReceiver:
             self._latest.entries[topic] = entry
             if lonely:
                 return Outcome(fate="no_peer")
-        to = ToIgtl(stream.lengths)
+        to = ToIgtlContext(stream.lengths)
         found: list[Item] = []
         try:
             message = stream.conversion.message.unpack(entry.payload[0])
@@ -83,7 +91,7 @@ class RosReceiver:
             if watched:
                 own_ns = outgoing.stamp_ns or entry.source_ns
                 shown_ns = self._config.pick_stamp(stream.row, own_ns, entry.stamp_ns)
-                withheld, found = looked_at(entry, watched, own_ns, shown_ns, place_of(message))
+                withheld, found = check_stamp(entry, watched, own_ns, shown_ns, translation_of(message))
                 if withheld:
                     return Outcome(found, STALE)
                 self._latest.entries[topic] = entry
@@ -92,39 +100,41 @@ class RosReceiver:
             outcome = self._sent(entry, stream, outgoing, watched)
         except (ConversionError, WireError) as error:
             fate = error.code if isinstance(error, ConversionError) else ConversionError.code
-            return Outcome([refused(error, "not sent", entry), *found], fate)
-        outcome.items += warned(to.warnings, entry)
+            return Outcome([conversion_failure(error, "not sent", entry), *found], fate)
+        outcome.items += warning_findings(to.warnings, entry)
         outcome.items += found
         return outcome
 
     def _unrouted(self, entry: Entry) -> Outcome:
         """A topic that is not bridged, or one too many."""
-        if not self._streams.beyond(entry.channel, entry.type):
+        if not self._streams.is_over_limit(entry.channel, entry.type):
             return Outcome(fate=RECORDED_ONLY)
         text = f"more than {self._config.max_streams} streams: {entry.channel} is recorded, not sent"
         finding = Finding(Level.WARN, "too_many_streams", text, entry.channel, entry.links, subject="ros")
         return Outcome([finding], "too_many_streams")
 
-    def _sent(self, entry: Entry, stream: ToIgtlStream, outgoing: Outgoing, watched: Watched | None) -> Outcome:
+    def _sent(
+        self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage, watched: GuardedStream | None
+    ) -> Outcome:
         """The converted message to its peers.  Raises ConversionError and WireError."""
-        if special := self._commands.special(stream.conversion.igtl_type):
+        if special := self._commands.sender_for(stream.conversion.igtl_type):
             items, origin = special(entry, stream, outgoing), None
         else:
             out = self._composer.compose(entry, stream, stream.conversion, outgoing)
-            items = self._delivery.streamed(entry, self._addressed(outgoing), out, stream.lengths)
-            items += self._tracking.after(entry, out, stream.lengths)
+            items = self._delivery.deliver_stream(entry, self._addressed(outgoing), out, stream.lengths)
+            items += self._tracking.follow_pose(entry, out, stream.lengths)
             origin = IgtlOrigin(stream, out, watched)
         sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
         return Outcome(items, CONVERTED if sent else "not_wanted", origin=origin)
 
-    def _deny(self, entry: Entry, stream: ToIgtlStream, outgoing: Outgoing, igtl_type: str) -> Outcome:
+    def _deny(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage, igtl_type: str) -> Outcome:
         """A message that peers must not be sent (``deny_out``); who commands learns of it at once."""
         text = f"{entry.channel} is not sent: {igtl_type} is denied (deny_out)"
         subject = f"{entry.channel} {igtl_type}"
         finding = Finding(Level.WARN, "denied", text, entry.channel, entry.links, subject)
         return Outcome([finding, *self._commands.deny_ros(entry, stream, outgoing, igtl_type)], "denied")
 
-    def _addressed(self, outgoing: Outgoing) -> Iterable[Peer]:
+    def _addressed(self, outgoing: ConvertedMessage) -> Iterable[Peer]:
         """The peers that a message is for."""
         if not outgoing.link:
             return self._peers.all()

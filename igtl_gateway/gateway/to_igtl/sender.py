@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from igtl_gateway.convert.igtl_msgs import MetadataItem
-from igtl_gateway.gateway.metadata import composed
+from igtl_gateway.gateway.metadata import compose_metadata
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.profiles import Adapted
@@ -24,7 +24,7 @@ Adapt = Callable[[Any], Adapted]
 
 
 @value(frozen=True, slots=True)
-class Outbound:
+class OutboundMessage:
     """A message for peers, before it is encoded.
 
     Attributes:
@@ -53,7 +53,7 @@ class Outbound:
 
 
 @dataclass(slots=True)
-class Sent:
+class SendResult:
     """What became of a message.
 
     Attributes:
@@ -67,7 +67,7 @@ class Sent:
     warnings: list[tuple[str, str]]
 
 
-def send(out: Outbound, peers: Iterable[Peer], now_ns: int, *, asked: bool = False) -> Sent:
+def send(out: OutboundMessage, peers: Iterable[Peer], now_ns: int, *, asked: bool = False) -> SendResult:
     """One entry for each form in which peers get the message, header version 1 first.
 
     Args:
@@ -79,13 +79,13 @@ def send(out: Outbound, peers: Iterable[Peer], now_ns: int, *, asked: bool = Fal
     Raises:
         MalformedBody: what no layout holds.
     """
-    sent = Sent([], [], [])
+    sent = SendResult([], [], [])
     forms: dict[tuple[int, str], tuple[Body, list[int]]] = {}
     adapted: dict[Adapt, Body] = {}
     for peer in peers:
         if not peer.profile.may_send(out.igtl_type):
             sent.refused.append((peer, out.igtl_type))
-        elif asked or peer.wants(out.igtl_type, out.device, now_ns):
+        elif asked or peer.claim_due(out.igtl_type, out.device, now_ns):
             content, name = out.content, ""
             if adapt := peer.profile.adapt.get(type(content)):
                 if adapt not in adapted:
@@ -99,7 +99,7 @@ def send(out: Outbound, peers: Iterable[Peer], now_ns: int, *, asked: bool = Fal
         message = Message(out.igtl_type, out.device, content, ns_to_ticks(out.stamp_ns))
         if version > 1:
             names = (out.device, out.full_name or out.device)
-            items = composed(*names, out.ros_stamp_ns, out.frame_id, out.child_frame_id, out.metadata)
+            items = compose_metadata(*names, out.ros_stamp_ns, out.frame_id, out.child_frame_id, out.metadata)
             message = Message(out.igtl_type, out.device, content, message.ticks, version, 0, items)
         sent.outputs.append(
             Output(Kind.IGTL_OUT, out.channel, out.igtl_type, encode(message), tuple(links), out.stamp_ns)

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 from igtl_gateway.config import Config, TfOutRow
 from igtl_gateway.convert.common_msgs import TFMessage
-from igtl_gateway.convert.context import ToIgtl
+from igtl_gateway.convert.context import ToIgtlContext
 from igtl_gateway.convert.frames import FrameTree, TfRequest
 from igtl_gateway.convert.igtl_msgs import Pose, TrackedTool
 from igtl_gateway.convert.igtl_msgs import TrackingData as RosTrackingData
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.table import row_to_igtl
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.gateway.to_igtl.sender import Outbound
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.qos import Qos
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.tracking import TOOL_6D
@@ -31,14 +31,14 @@ IsStale = Callable[[TfOutRow, str, int], bool]
 
 
 @dataclass(slots=True)
-class _Request:
+class _FramesSent:
     """One row of the configuration and what was last sent for it; the oldest stamp in that, 0: it does not move."""
 
     row: TfOutRow
     request: TfRequest
     device: str
     versions: tuple[int, ...] = ()
-    last: Outbound | None = None
+    last: OutboundMessage | None = None
     oldest_ns: int = 0
     told: tuple[tuple[int, Pose], ...] = ()
 
@@ -55,7 +55,7 @@ class TfOut:
         self.tree = FrameTree()
         self._config = config
         self._requests = [
-            _Request(row, row.request(), device) for row, device in zip(config.tf_out, devices, strict=True)
+            _FramesSent(row, row.request(), device) for row, device in zip(config.tf_out, devices, strict=True)
         ]
 
     def __bool__(self) -> bool:
@@ -63,11 +63,11 @@ class TfOut:
 
     def update(
         self, message: TFMessage, static: bool, now_ns: int, is_stale: IsStale
-    ) -> tuple[list[tuple[Outbound, Lengths]], list[str]]:
+    ) -> tuple[list[tuple[OutboundMessage, LengthUnits]], list[str]]:
         """Take a message of /tf or /tf_static: what has changed of what goes out, with its units, and what of it
         cannot be told.  Frames that are too old are left out."""
         self.tree.update(message, static)
-        changed: list[tuple[Outbound, Lengths]] = []
+        changed: list[tuple[OutboundMessage, LengthUnits]] = []
         refused: list[str] = []
         for one in self._requests:
             try:
@@ -79,7 +79,7 @@ class TfOut:
                 changed.append((out, self._config.lengths(one.row)))
         return changed, refused
 
-    def _changed(self, one: _Request, now_ns: int, is_stale: IsStale) -> Outbound | None:
+    def _changed(self, one: _FramesSent, now_ns: int, is_stale: IsStale) -> OutboundMessage | None:
         request = one.request
         versions = tuple(self.tree.version(frame, request.base) for frame in request.frames)
         if versions == one.versions:
@@ -97,7 +97,7 @@ class TfOut:
         one.last = self._outbound(one, {frame: pose for frame, (_, pose) in known}, max(ns for ns, _ in told), now_ns)
         return one.last
 
-    def _outbound(self, one: _Request, poses: dict[str, Pose], stamp_ns: int, now_ns: int) -> Outbound:
+    def _outbound(self, one: _FramesSent, poses: dict[str, Pose], stamp_ns: int, now_ns: int) -> OutboundMessage:
         request = one.request
         header = Header(stamp_ns, request.base)
         message: RosTrackingData | TransformStamped
@@ -108,8 +108,8 @@ class TfOut:
             message = TransformStamped(header, frame, pose[:3], pose[3:])
         conversion = row_to_igtl(message.TYPE, request.type)
         assert conversion is not None
-        outgoing = conversion.convert(message, ToIgtl(self._config.lengths(one.row)))
-        return Outbound(
+        outgoing = conversion.convert(message, ToIgtlContext(self._config.lengths(one.row)))
+        return OutboundMessage(
             request.type,
             one.device,
             outgoing.content,
@@ -120,7 +120,7 @@ class TfOut:
             "" if len(request.frames) > 1 else request.frames[0],
         )
 
-    def latest(self, now_ns: int | None = None) -> list[Outbound]:
+    def latest(self, now_ns: int | None = None) -> list[OutboundMessage]:
         """What was last sent, for who asks or comes later; of that, what is not too old at that time."""
         return [
             one.last
@@ -133,6 +133,6 @@ class TfOut:
             )
         ]
 
-    def static(self) -> list[Outbound]:
+    def static(self) -> list[OutboundMessage]:
         """Of these, what does not move: it is said once."""
         return [one.last for one in self._requests if one.last and not one.last.ros_stamp_ns]

@@ -9,10 +9,10 @@ import numpy as np
 
 from igtl_gateway.convert.frames import compose
 from igtl_gateway.convert.igtl_msgs import Pose
-from igtl_gateway.convert.poses import matrix_of
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.poses import rotation_matrix
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.peers import Peer
-from igtl_gateway.gateway.to_igtl.sender import Outbound
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import cut_text, encode_text
 from igtl_gateway.wire.tracking import (
@@ -33,10 +33,10 @@ TRACKING_DEVICE = "Tracking"
 TRACKING = {"TDATA": "TRANSFORM", "QTDATA": "POSITION"}
 
 #: Latest messages of a type and device ("" = any), as they would be sent.
-Latest = Callable[[str, str], list[Outbound]]
+Latest = Callable[[str, str], list[OutboundMessage]]
 
 
-def tracking(igtl_type: str, device: str, now_ns: int, latest: Latest) -> Outbound | None:
+def tracking_content(igtl_type: str, device: str, now_ns: int, latest: Latest) -> OutboundMessage | None:
     """TDATA or QTDATA of all single poses that go out; None without any."""
     poses = latest(TRACKING[igtl_type], "")
     if not poses:
@@ -48,7 +48,7 @@ def tracking(igtl_type: str, device: str, now_ns: int, latest: Latest) -> Outbou
     content = (TrackingData if igtl_type == "TDATA" else QuaternionTrackingData)(elements)
     stamp_ns = max(pose.stamp_ns for pose in poses)
     frames = {pose.frame_id for pose in poses}
-    return Outbound(
+    return OutboundMessage(
         igtl_type,
         device or TRACKING_DEVICE,
         content,
@@ -58,7 +58,7 @@ def tracking(igtl_type: str, device: str, now_ns: int, latest: Latest) -> Outbou
     )
 
 
-def _fill(element: Any, pose: Outbound) -> None:
+def _fill(element: Any, pose: OutboundMessage) -> None:
     element["name"] = name_field(pose.full_name or pose.device, NAME_BYTES)
     element["type"] = TOOL_6D
     match pose.content:
@@ -69,13 +69,13 @@ def _fill(element: Any, pose: Outbound) -> None:
             element["quaternion"] = quaternion
 
 
-def in_frame(content: Body, pose: Pose, lengths: Lengths) -> Body:
+def in_frame(content: Body, pose: Pose, lengths: LengthUnits) -> Body:
     """Tracking data in another frame, in which its own has the pose ``pose`` (metres)."""
     if isinstance(content, TrackingData):
         elements = content.elements.copy()
         columns = elements["matrix"].astype(np.float64).reshape(-1, 4, 3)
         turned = np.empty_like(columns)
-        for row, (a, b, c) in enumerate(matrix_of(pose[3:])):  # plain sums: the same bits on every machine
+        for row, (a, b, c) in enumerate(rotation_matrix(pose[3:])):  # plain sums: the same bits on every machine
             turned[:, :, row] = a * columns[:, :, 0] + b * columns[:, :, 1] + c * columns[:, :, 2]
             turned[:, 3, row] += lengths.to_igtl(pose[row])
         elements["matrix"] = turned.reshape(-1, 12)
@@ -93,7 +93,7 @@ def trackers(peers: Iterable[Peer]) -> dict[tuple[str, str], list[Peer]]:
     """Who has asked for streams of tracking data, by (type, device asked for)."""
     wanted: dict[tuple[str, str], list[Peer]] = {}
     for peer in peers:
-        for (igtl_type, device), wish in peer.wishes.items():
+        for (igtl_type, device), wish in peer.stream_requests.items():
             if igtl_type in TRACKING and wish.wanted:
                 wanted.setdefault((igtl_type, device), []).append(peer)
     return wanted

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.outcome import Item
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.latest import Latest
-from igtl_gateway.gateway.to_igtl.sender import Outbound
-from igtl_gateway.gateway.to_igtl.trackdata import TRACKING, TRACKING_DEVICE, trackers, tracking
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
+from igtl_gateway.gateway.to_igtl.trackdata import TRACKING, TRACKING_DEVICE, trackers, tracking_content
 from igtl_gateway.session.entry import Entry
 
 _POSES = frozenset(TRACKING.values())
@@ -24,12 +24,12 @@ class Tracking:
         self._latest = latest
         self._delivery = delivery
 
-    def after(self, entry: Entry, out: Outbound, lengths: Lengths) -> list[Item]:
+    def follow_pose(self, entry: Entry, out: OutboundMessage, lengths: LengthUnits) -> list[Item]:
         """What follows a pose that has gone out: tracking data, for each peer whose stream is due."""
         if out.igtl_type not in _POSES:
             return []
         items: list[Item] = []
-        made: dict[str, Outbound | None] = {}  # the same for every device name that it is asked for by
+        made: dict[str, OutboundMessage | None] = {}  # the same for every device name that it is asked for by
         for (igtl_type, device), peers in trackers(self._peers.all()).items():
             name = device or TRACKING_DEVICE
             if not any(peer.is_due(igtl_type, name, entry.stamp_ns) for peer in peers):
@@ -37,9 +37,9 @@ class Tracking:
             if igtl_type not in made:
                 made[igtl_type] = (
                     None
-                    if self._latest.goes_out(igtl_type)
-                    else tracking(igtl_type, "", entry.stamp_ns, lambda *key: self._latest.of(entry, *key))
+                    if self._latest.has_stream_of(igtl_type)
+                    else tracking_content(igtl_type, "", entry.stamp_ns, lambda *key: self._latest.of(entry, *key))
                 )
             if found := made[igtl_type]:
-                items += self._delivery.streamed(entry, peers, replace(found, device=name), lengths)
+                items += self._delivery.deliver_stream(entry, peers, replace(found, device=name), lengths)
         return items

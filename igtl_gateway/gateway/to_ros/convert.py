@@ -6,17 +6,25 @@ from collections.abc import Sequence
 
 from igtl_gateway.buffers import join
 from igtl_gateway.convert.common_msgs import TFMessage
-from igtl_gateway.convert.context import ToRos
+from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.igtl_msgs import Metadata
 from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.convert.rosmsg import Header as RosHeader
 from igtl_gateway.convert.rosmsg import RosMessage
-from igtl_gateway.convert.table import Role, RosRow
+from igtl_gateway.convert.table import ConversionToRos, Role
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED, Finding, Item, Outcome, refused, warned
-from igtl_gateway.gateway.output import published
+from igtl_gateway.gateway.outcome import (
+    CONVERTED,
+    UNSUBSCRIBED,
+    Finding,
+    Item,
+    Outcome,
+    conversion_failure,
+    warning_findings,
+)
+from igtl_gateway.gateway.output import ros_output
 from igtl_gateway.gateway.streams import Streams, ToRosStream
-from igtl_gateway.gateway.to_igtl.frames import Frames
+from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry
@@ -30,12 +38,14 @@ _METADATA_QOS = Qos(depth=100)
 class Converter:
     """See the module."""
 
-    def __init__(self, streams: Streams, subscribers: Subscribers, frames: Frames) -> None:
+    def __init__(self, streams: Streams, subscribers: Subscribers, frames: TfReceiver) -> None:
         self._streams = streams
         self._subscribers = subscribers
         self._frames = frames
 
-    def convert(self, entry: Entry, message: Message, content: object, stream: ToRosStream, to: ToRos) -> Outcome:
+    def convert(
+        self, entry: Entry, message: Message, content: object, stream: ToRosStream, to: ToRosContext
+    ) -> Outcome:
         """The ROS messages of a content; of a type without conversions, the message as it is.
 
         Raises ConversionError where no row can convert it.
@@ -49,12 +59,17 @@ class Converter:
         return Outcome(items, CONVERTED if items or self._subscribers.ask is None else UNSUBSCRIBED)
 
     def publish(
-        self, entry: Entry, content: object, to: ToRos, stream: ToRosStream, outputs: Sequence[tuple[RosRow, str]]
+        self,
+        entry: Entry,
+        content: object,
+        to: ToRosContext,
+        stream: ToRosStream,
+        outputs: Sequence[tuple[ConversionToRos, str]],
     ) -> list[Item]:
         """By every row that applies.  What one refuses costs the others nothing; raises ConversionError if all do."""
         items: list[Item] = []
         frames: list[Item] = []
-        problems: list[tuple[RosRow, ConversionError]] = []
+        problems: list[tuple[ConversionToRos, ConversionError]] = []
         full = False
         for row, topic in outputs:
             if not row.applies(content):
@@ -66,15 +81,15 @@ class Converter:
                 continue
             full = full or row.role is Role.FULL
             for message in messages:
-                items.append(published(topic, message, to.stamp_ns))
+                items.append(ros_output(topic, message, to.stamp_ns))
                 if self._frames and isinstance(message, TFMessage):
                     frames += self._frames.update(entry, message, static=False)
         if problems and not items:
             raise problems[0][1]
-        items += [refused(error, f"not published as {row.message.TYPE}", entry) for row, error in problems]
+        items += [conversion_failure(error, f"not published as {row.message.TYPE}", entry) for row, error in problems]
         if to.metadata and not full and self._subscribers.has(stream.metadata_topic, Metadata.TYPE):
             items.append(self._metadata(stream, to))
-        return items + warned(to.warnings, entry) + frames
+        return items + warning_findings(to.warnings, entry) + frames
 
     def build_waiting(self, topic: str) -> list[Item]:
         """The last message of a latched topic, for its first subscriber."""
@@ -83,11 +98,13 @@ class Converter:
             return []
         entry, row, content, to = waiting
         try:
-            return [published(topic, message, to.stamp_ns) for message in _converted(row, content, to)]
+            return [ros_output(topic, message, to.stamp_ns) for message in _converted(row, content, to)]
         except ConversionError as error:
-            return [refused(error, f"not published as {row.message.TYPE}", entry)]
+            return [conversion_failure(error, f"not published as {row.message.TYPE}", entry)]
 
-    def _built(self, topic: str, entry: Entry, row: RosRow, content: object, to: ToRos) -> Sequence[RosMessage]:
+    def _built(
+        self, topic: str, entry: Entry, row: ConversionToRos, content: object, to: ToRosContext
+    ) -> Sequence[RosMessage]:
         """The messages of a row; none where nobody subscribes.  Raises ConversionError."""
         if self._subscribers.has(topic, row.message.TYPE):
             messages = _converted(row, content, to)
@@ -98,14 +115,14 @@ class Converter:
             self._subscribers.waiting[topic] = entry, row, content, to
         return ()
 
-    def _metadata(self, stream: ToRosStream, to: ToRos) -> Item:
+    def _metadata(self, stream: ToRosStream, to: ToRosContext) -> Item:
         """What the sender said besides, for messages that cannot carry it."""
         header = RosHeader(to.stamp_ns, to.frame_id)
         message = Metadata(header, to.igtl_type, to.device_name, to.message_id, to.metadata)
         self._streams.advertise(stream.metadata_topic, _METADATA_QOS)
-        return published(stream.metadata_topic, message, to.stamp_ns)
+        return ros_output(stream.metadata_topic, message, to.stamp_ns)
 
-    def _unconverted(self, entry: Entry, message: Message, stream: ToRosStream, to: ToRos) -> Outcome:
+    def _unconverted(self, entry: Entry, message: Message, stream: ToRosStream, to: ToRosContext) -> Outcome:
         """A message without a conversion: as it is; an empty one of a type that has conversions: not at all."""
         if stream.outputs and isinstance(message.content, Raw):
             text = f"{to.igtl_type} has an empty body: nothing to publish"
@@ -118,15 +135,15 @@ class Converter:
         raw = raw_message(data, entry.stamp_ns, to.link)
         text = f"{to.igtl_type} has no conversion to ROS and is published as it is"
         found = _first(entry, "no_conversion", text, message, to)
-        return Outcome([published(stream.raw_topic, raw, to.stamp_ns), found], CONVERTED)
+        return Outcome([ros_output(stream.raw_topic, raw, to.stamp_ns), found], CONVERTED)
 
 
-def _first(entry: Entry, code: str, text: str, message: Message, to: ToRos) -> Finding:
+def _first(entry: Entry, code: str, text: str, message: Message, to: ToRosContext) -> Finding:
     """Noted for the first message of a type from each link."""
     return Finding(Level.INFO, code, text, entry.channel, entry.links, subject=message.type, by=to.link)
 
 
-def _converted(row: RosRow, content: object, to: ToRos) -> Sequence[RosMessage]:
+def _converted(row: ConversionToRos, content: object, to: ToRosContext) -> Sequence[RosMessage]:
     """What a row converts a content to; other rows may use it.  Raises ConversionError."""
     converted = row.convert(content, to)
     messages = converted if isinstance(converted, list) else [converted]

@@ -8,8 +8,8 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import Links
 from igtl_gateway.gateway.dialogue.querying import Queries
-from igtl_gateway.gateway.metadata import restore
-from igtl_gateway.gateway.outcome import Finding, Item, Outcome, refused
+from igtl_gateway.gateway.metadata import restore_metadata
+from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_ros.route import Router
 from igtl_gateway.session.entry import Entry
@@ -51,14 +51,14 @@ class IgtlReceiver:
         try:
             message = decode(entry.payload[0], check_crc=self._config.check_crc)
         except WireError as error:
-            return Outcome([refused(error, "message refused", entry, error.code)], error.code)
+            return Outcome([conversion_failure(error, "message refused", entry, error.code)], error.code)
         peer = self._peers.get(entry.links[0])
         news = self._learned(entry, peer, message) if peer else []
         if denied := self._denied.message(message):
             return Outcome([*news, *self._deny(entry, peer, message, denied)], "denied", decoded=True)
-        if peer and (answer := self._commands.refuse(entry, peer, message)):
+        if peer and (answer := self._commands.accept(entry, peer, message)):
             return Outcome([*news, *answer], "command_refused", decoded=True)
-        outcome = self._router.route(entry, message, restore(message))
+        outcome = self._router.route(entry, message, restore_metadata(message))
         outcome.decoded = True
         if peer is None:
             outcome.origin = None
@@ -67,7 +67,7 @@ class IgtlReceiver:
             outcome.items[:0] = news
             outcome.origin = None
         if isinstance(message.content, Command):
-            self._commands.replied(peer, message)
+            self._commands.on_reply(peer, message)
         else:
             outcome.items += self._queries.respond(entry, peer, message)
         return outcome
@@ -75,7 +75,7 @@ class IgtlReceiver:
     def _learned(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
         """What a message shows of its sender."""
         before = peer.profile
-        if not peer.hear(message):
+        if not peer.learn_from(message):
             return []
         self._peers.changed()
         items: list[Item] = [self._links.status(entry.stamp_ns)]

@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from igtl_gateway.config import Config
-from igtl_gateway.convert.context import ToRos
+from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.errors import ConversionError, WireError
-from igtl_gateway.gateway.guard import STALE, Guard, Watched, looked_at, place_of
-from igtl_gateway.gateway.metadata import Restored
-from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, refused
+from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
+from igtl_gateway.gateway.metadata import RestoredMetadata
+from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_ros.convert import Converter
 from igtl_gateway.gateway.to_ros.volumes import Volumes
@@ -29,8 +29,8 @@ class RosOrigin(NamedTuple):
 
     message: Message
     stream: ToRosStream
-    to: ToRos
-    watched: Watched | None
+    to: ToRosContext
+    watched: GuardedStream | None
 
 
 class Router:
@@ -43,7 +43,7 @@ class Router:
         self._volumes = volumes
         self._converter = converter
 
-    def route(self, entry: Entry, message: Message, restored: Restored) -> Outcome:
+    def route(self, entry: Entry, message: Message, restored: RestoredMetadata) -> Outcome:
         """A decoded message to ROS; ``restored`` is what its metadata says."""
         igtl_type, link = visible(message.type), entry.links[0]
         stream = self._streams.to_ros(igtl_type, restored.device_name)
@@ -52,7 +52,7 @@ class Router:
             finding = Finding(Level.WARN, "too_many_streams", text, entry.channel, entry.links, subject="", by=link)
             return Outcome([finding], "too_many_streams")
         source_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
-        to = ToRos(
+        to = ToRosContext(
             restored.device_name,
             self._config.pick_stamp(stream.row, source_ns, entry.stamp_ns),
             stream.row.frame_id or restored.frame_id or stream.frame_id,
@@ -68,23 +68,25 @@ class Router:
             entry.channel if entry.payload else f"{igtl_type}/{restored.device_name}"
         )  # of a child of a BIND: its own
         if watched := self._guard.of(link, name, stream.row.max_age_s):
-            withheld, found = looked_at(entry, watched, source_ns, to.stamp_ns, place_of(message.content))
+            withheld, found = check_stamp(entry, watched, source_ns, to.stamp_ns, translation_of(message.content))
             if withheld:
                 return Outcome(found, STALE)
         try:
             outcome = self._converted(entry, message, restored, stream, to)
         except (ConversionError, WireError) as error:
             fate = error.code if isinstance(error, ConversionError) else ConversionError.code
-            outcome = Outcome([refused(error, "not published", entry)], fate)
+            outcome = Outcome([conversion_failure(error, "not published", entry)], fate)
         outcome.items += found
         outcome.origin = RosOrigin(message, stream, to, watched)
         return outcome
 
-    def _converted(self, entry: Entry, message: Message, restored: Restored, stream: ToRosStream, to: ToRos) -> Outcome:
+    def _converted(
+        self, entry: Entry, message: Message, restored: RestoredMetadata, stream: ToRosStream, to: ToRosContext
+    ) -> Outcome:
         """The conversion of a message that is fresh enough.  Raises ConversionError and WireError."""
         content = message.content
         if isinstance(content, Bind):
-            return Outcome(self._unbound(entry, message, content, restored, stream, to), CONVERTED)
+            return Outcome(self._split_bind(entry, message, content, restored, stream, to), CONVERTED)
         if isinstance(content, Image):
             whole = self._volumes.assembled(restored.device_name, content)
             if whole is None:
@@ -92,8 +94,14 @@ class Router:
             content = whole
         return self._converter.convert(entry, message, content, stream, to)
 
-    def _unbound(
-        self, entry: Entry, message: Message, bind: Bind, restored: Restored, stream: ToRosStream, to: ToRos
+    def _split_bind(
+        self,
+        entry: Entry,
+        message: Message,
+        bind: Bind,
+        restored: RestoredMetadata,
+        stream: ToRosStream,
+        to: ToRosContext,
     ) -> list[Item]:
         """A BIND as a whole, then each of its children as if it had come alone."""
         items = self._converter.publish(entry, bind, to, stream, stream.outputs) if stream.outputs else []
@@ -103,7 +111,9 @@ class Router:
                 content = child.body()
             except WireError as error:
                 items.append(
-                    refused(error, f"child {visible(child.name)!r} of {entry.channel} refused", entry, error.code)
+                    conversion_failure(
+                        error, f"child {visible(child.name)!r} of {entry.channel} refused", entry, error.code
+                    )
                 )
                 continue
             name = visible(child.name) or restored.device_name

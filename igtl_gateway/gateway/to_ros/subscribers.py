@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from igtl_gateway.convert.common_msgs import TFMessage
-from igtl_gateway.convert.context import ToRos
-from igtl_gateway.convert.table import RosRow
+from igtl_gateway.convert.context import ToRosContext
+from igtl_gateway.convert.table import ConversionToRos
 from igtl_gateway.session.entry import Entry
 
 #: Topic and ROS type → whether there is a subscriber.
@@ -29,7 +29,7 @@ class Subscribers:
 
     def __init__(self, *, needs_tf: bool) -> None:
         self.ask: Ask | None = None
-        self.waiting: dict[str, tuple[Entry, RosRow, object, ToRos]] = {}
+        self.waiting: dict[str, tuple[Entry, ConversionToRos, object, ToRosContext]] = {}
         self._needs_tf = needs_tf
 
     def has(self, topic: str, ros_type: str) -> bool:

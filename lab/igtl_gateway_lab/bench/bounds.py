@@ -15,7 +15,7 @@ class Bound:
     """One figure of some rows.
 
     Attributes:
-        field: of the row, or of what is ``derived`` of it; where a row has none the bound says nothing.
+        field: of the row, or of what is ``with_derived_figures`` of it; where a row has none the bound says nothing.
         limit: at most so much, or, with ``least``, at least.
         cases: patterns, one of which the name of the case matches.
         stream: pattern for what was sent.
@@ -70,11 +70,11 @@ BOUNDS: Sequence[Bound] = (
 )
 
 
-def judged(row: Row) -> Row:
+def with_verdict(row: Row) -> Row:
     """A row of a measurement, with our own programs, with its ``bounds``: what should be → whether it is."""
     if not row.get("direction") or row.get("peer"):
         return row
-    values = derived(row)
+    values = with_derived_figures(row)
     found = {
         bound.text: bound.met(values[bound.field])
         for bound in BOUNDS
@@ -83,7 +83,7 @@ def judged(row: Row) -> Row:
     return row | {"bounds": found}
 
 
-def derived(row: Row) -> Row:
+def with_derived_figures(row: Row) -> Row:
     """A row, and what bounds need to know besides."""
     p50, floor = row.get("p50_ms"), row.get("floor_p50_ms")
     told = row | {

@@ -24,7 +24,7 @@ FLOOD = 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class BenchStream:
     """One device that sends one kind of message.
 
     Attributes:
@@ -64,7 +64,7 @@ class Case:
     """
 
     name: str
-    streams: tuple[Stream, ...]
+    streams: tuple[BenchStream, ...]
     text: str
     ways: tuple[Direction, ...] = tuple(Direction)
     at_once: bool = False
@@ -132,21 +132,21 @@ USUAL_HZ = 30.0
 _RATES = {"image-4k": 5.0, "polydata-600k": 1.0}
 
 CASES: dict[str, Case] = {
-    **{kind: Case(kind, (Stream(kind, _RATES.get(kind, USUAL_HZ)),), _TEXTS[kind]) for kind in PAYLOADS},
+    **{kind: Case(kind, (BenchStream(kind, _RATES.get(kind, USUAL_HZ)),), _TEXTS[kind]) for kind in PAYLOADS},
     "mixed": Case(
         "mixed",
         (
-            *(Stream("transform", 100.0, index) for index in range(10)),
-            Stream("image-vga", 30.0),
-            Stream("cloud-30k", 10.0),
-            Stream("string-100", 20.0),
+            *(BenchStream("transform", 100.0, index) for index in range(10)),
+            BenchStream("image-vga", 30.0),
+            BenchStream("cloud-30k", 10.0),
+            BenchStream("string-100", 20.0),
         ),
         "surgical load: 10 transforms at 100 Hz, VGA at 30 Hz, 30,000 points at 10 Hz, 20 strings a second, both ways",
         at_once=True,
     ),
     "stalled-client": Case(
         "stalled-client",
-        (Stream("image-fullhd", FLOOD), Stream("transform", 100.0)),
+        (BenchStream("image-fullhd", FLOOD), BenchStream("transform", 100.0)),
         "flood of Full HD and a transform at 100 Hz to two clients, one of which stops reading for a while",
         ways=(Direction.ROS_TO_IGTL,),
         stalls=True,

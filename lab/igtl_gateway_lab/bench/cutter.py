@@ -20,7 +20,7 @@ _BUFFER_BYTES = 1 << 20
 _MANY = 8  # messages from which on an array is cheaper
 
 
-class Heard:
+class Arrivals:
     """Arrivals of one stream: sequence numbers and times.
 
     Args:
@@ -57,7 +57,7 @@ class Cutter:
         readers: device name, filled up to 20 bytes → where its numbers are, and who keeps them.
     """
 
-    def __init__(self, readers: Mapping[bytes, tuple[Form, Heard]]) -> None:
+    def __init__(self, readers: Mapping[bytes, tuple[Form, Arrivals]]) -> None:
         self._readers = readers
         self._view = memoryview(bytearray(_BUFFER_BYTES))
         self._filled = 0
@@ -91,7 +91,7 @@ class Cutter:
             self._view[: filled - begin] = bytes(view[begin:filled])
             self._filled = filled - begin
 
-    def _run(self, form: Form, heard: Heard, begin: int, size: int, at_ns: int) -> int:
+    def _run(self, form: Form, heard: Arrivals, begin: int, size: int, at_ns: int) -> int:
         """Take all that are like the first, up to the next knock; how many."""
         count = (self._filled - begin) // size
         rows = np.frombuffer(self._view, np.uint8, count * size, begin).reshape(count, size)

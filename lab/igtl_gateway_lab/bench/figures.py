@@ -17,7 +17,7 @@ _MS = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class Passage:
+class Transmission:
     """What was sent and what arrived of one stream, on one monotonic clock.
 
     Attributes:
@@ -40,7 +40,7 @@ class Passage:
         return received - self.sent[numbers - 1], received
 
 
-def latency(passages: Sequence[Passage]) -> dict[str, Any]:
+def latency(passages: Sequence[Transmission]) -> dict[str, Any]:
     """Of several streams of the same kind together: messages, rate of arrival, latencies in ms.
 
     Percentiles are those of a sorted list without interpolation: a latency that some message had.  Nothing that could
@@ -64,7 +64,7 @@ def latency(passages: Sequence[Passage]) -> dict[str, Any]:
     }
 
 
-def lateness(passages: Sequence[Passage], rate_hz: float) -> dict[str, Any]:
+def lateness(passages: Sequence[Transmission], rate_hz: float) -> dict[str, Any]:
     """How well the senders kept the pace of ``rate_hz``: how late they were, as against the one that was least so."""
     period_ns = NS_PER_S / rate_hz
     late = [passage.sent - np.arange(len(passage.sent)) * period_ns for passage in passages if len(passage.sent)]

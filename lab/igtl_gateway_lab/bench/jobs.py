@@ -6,11 +6,11 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Self
 
-from igtl_gateway_lab.bench.cases import Direction, Stream
+from igtl_gateway_lab.bench.cases import BenchStream, Direction
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class JobStream:
     """A stream that a program sends or hears.
 
     Attributes:
@@ -23,7 +23,7 @@ class Part:
         progress: file that the last number is told in, see ``window``.
     """
 
-    stream: Stream
+    stream: BenchStream
     direction: Direction
     topic: str
     count: int = 0
@@ -57,8 +57,8 @@ class Job:
 
     side: str
     name: str
-    sends: tuple[Part, ...]
-    hears: tuple[Part, ...]
+    sends: tuple[JobStream, ...]
+    hears: tuple[JobStream, ...]
     seconds: float
     times: str
     address: tuple[str, int] = ("127.0.0.1", 0)
@@ -72,7 +72,8 @@ class Job:
         values = json.loads(text)
         for name in ("sends", "hears"):
             values[name] = tuple(
-                Part(Stream(**part.pop("stream")), Direction(part.pop("direction")), **part) for part in values[name]
+                JobStream(BenchStream(**part.pop("stream")), Direction(part.pop("direction")), **part)
+                for part in values[name]
             )
         values["address"] = tuple(values["address"])
         return cls(**values)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from igtl_gateway.clock import Clock
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway_lab.bench.window import Window
+from igtl_gateway_lab.bench.window import SendWindow
 
 #: The kernel wakes a sleeper so much late; the rest of a wait is spent looking at the clock.
 _SPIN_NS = 20_000
@@ -37,10 +37,10 @@ class Schedule:
     send: Send
     rate_hz: float
     count: int
-    window: Window | None = None
+    window: SendWindow | None = None
 
 
-class Pace:
+class SendPacer:
     """Sends by schedules until all are through; ``stop`` from another thread ends it before."""
 
     def __init__(self, clock: Clock) -> None:

@@ -103,7 +103,7 @@ class Program:
         )
         self._threads = [
             threading.Thread(target=read, args=(stream,), name=f"igtl-bench-{name}", daemon=True)
-            for read, stream in ((self._read_events, self._process.stdout), (self._read_words, self._process.stderr))
+            for read, stream in ((self._read_events, self._process.stdout), (self._read_stderr, self._process.stderr))
         ]
         for thread in self._threads:
             thread.start()
@@ -194,6 +194,6 @@ class Program:
                     self._events.put(event)
         self._events.put(None)
 
-    def _read_words(self, stream: IO[str]) -> None:
+    def _read_stderr(self, stream: IO[str]) -> None:
         with stream:
             self._words.extend(line.rstrip("\n") for line in stream)

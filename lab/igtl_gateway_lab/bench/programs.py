@@ -29,12 +29,12 @@ from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import decode
 from igtl_gateway_lab.bench.cases import payload
-from igtl_gateway_lab.bench.cutter import Cutter, Heard
-from igtl_gateway_lab.bench.jobs import Job, Part
-from igtl_gateway_lab.bench.pace import Pace, Schedule, Send
+from igtl_gateway_lab.bench.cutter import Arrivals, Cutter
+from igtl_gateway_lab.bench.jobs import Job, JobStream
+from igtl_gateway_lab.bench.pace import Schedule, Send, SendPacer
 from igtl_gateway_lab.bench.payloads import Form
-from igtl_gateway_lab.bench.ros_side import RosSide
-from igtl_gateway_lab.bench.window import Window, progress
+from igtl_gateway_lab.bench.ros_side import RosTransport
+from igtl_gateway_lab.bench.window import SendWindow, progress
 
 _KNOCK_S = 0.1
 #: Knocks of large messages must not become a queue: slower than that no gateway is.
@@ -44,7 +44,7 @@ _BEGIN_NS = 50_000_000
 _SOCKET_BYTES = 4 << 20
 
 
-class Side(Protocol):
+class BenchTransport(Protocol):
     """A connection to the world."""
 
     def open(self) -> None:
@@ -53,20 +53,20 @@ class Side(Protocol):
     def found(self) -> None:
         """Wait for the others."""
 
-    def sender(self, part: Part) -> Send:
+    def sender(self, part: JobStream) -> Send:
         """Sends messages by their numbers; returns the time just before each."""
 
     def close(self) -> None:
         """Leave."""
 
 
-class IgtlSide:
+class IgtlTransport:
     """Blocking sockets: one for each client that we are."""
 
-    def __init__(self, job: Job, heard: dict[str, Heard]) -> None:
+    def __init__(self, job: Job, heard: dict[str, Arrivals]) -> None:
         self._job = job
         self._now = SystemClock().monotonic_ns
-        clients: dict[int, dict[bytes, tuple[Form, Heard]]] = {}
+        clients: dict[int, dict[bytes, tuple[Form, Arrivals]]] = {}
         for part in job.hears:
             readers = clients.setdefault(part.client, {})
             readers[part.device.encode().ljust(20, b"\0")] = (payload(part.stream.kind).forms[1], heard[part.key])
@@ -94,13 +94,13 @@ class IgtlSide:
             return socket.create_connection(self._job.address)
         with socket.create_server(self._job.address) as server:
             host, port = server.getsockname()
-            tell({"event": "listening", "host": host, "port": port})
+            print_event({"event": "listening", "host": host, "port": port})
             return server.accept()[0]
 
     def found(self) -> None:
         """A connection is all."""
 
-    def sender(self, part: Part) -> Send:
+    def sender(self, part: JobStream) -> Send:
         kind, sendall, now = payload(part.stream.kind), self._sockets[0].sendall, self._now
         make, (most, batch) = kind.igtl_maker(part.device), kind.igtl_batch(part.device)
 
@@ -143,13 +143,13 @@ class IgtlSide:
 def run(job: Job) -> None:
     """A program from beginning to end."""
     prepare_environment()
-    heard = {part.key: Heard(_first_of(part, job.side), progress(part.progress)) for part in job.hears}
+    heard = {part.key: Arrivals(_first_of(part, job.side), progress(part.progress)) for part in job.hears}
     side = _side(job, heard)
     side.open()
-    orders = _Orders(heard, side)
+    orders = _StdinCommands(heard, side)
     try:
         side.found()
-        tell({"event": "ready"})
+        print_event({"event": "ready"})
         sent = _send(job, side, orders)
         orders.ended.wait()
     finally:
@@ -162,32 +162,32 @@ def run(job: Job) -> None:
         columns[f"received {key}"] = np.frombuffer(arrivals.times, np.int64)
     with Path(job.times).open("wb") as file:
         np.savez(file, allow_pickle=False, **columns)
-    tell({"event": "written"})
+    print_event({"event": "written"})
 
 
-def _side(job: Job, heard: dict[str, Heard]) -> Side:
+def _side(job: Job, heard: dict[str, Arrivals]) -> BenchTransport:
     match job.side:
         case "ros":
-            return RosSide(job, heard)
+            return RosTransport(job, heard)
         case "pyigtl":
-            from igtl_gateway_lab.bench.pyigtl_side import PyigtlSide
+            from igtl_gateway_lab.bench.pyigtl_side import PyigtlTransport
 
-            return PyigtlSide(job, heard)
+            return PyigtlTransport(job, heard)
         case _:
-            return IgtlSide(job, heard)
+            return IgtlTransport(job, heard)
 
 
-class _Orders:
+class _StdinCommands:
     """What standard input says."""
 
-    def __init__(self, heard: dict[str, Heard], side: Side) -> None:
+    def __init__(self, heard: dict[str, Arrivals], side: BenchTransport) -> None:
         self.knocking, self.begun, self.ended = threading.Event(), threading.Event(), threading.Event()
         self._heard = heard
         self._side = side
-        self.pace: Pace | None = None
-        threading.Thread(target=self._obey, name="igtl-bench-orders", daemon=True).start()
+        self.pace: SendPacer | None = None
+        threading.Thread(target=self._read_commands, name="igtl-bench-orders", daemon=True).start()
 
-    def _obey(self) -> None:
+    def _read_commands(self) -> None:
         # not sys.stdin: a thread that waits there holds a lock that the end of the program needs
         rest = b""
         while data := os.read(0, 1 << 10):
@@ -198,10 +198,10 @@ class _Orders:
                         self.knocking.set()
                     case b"begin":
                         self.begun.set()
-                    case b"stall" | b"resume" if isinstance(self._side, IgtlSide):
+                    case b"stall" | b"resume" if isinstance(self._side, IgtlTransport):
                         (self._side.reading.clear if line == b"stall" else self._side.reading.set)()
                     case b"count":
-                        tell({"event": "count", "messages": sum(len(one.times) for one in self._heard.values())})
+                        print_event({"event": "count", "messages": sum(len(one.times) for one in self._heard.values())})
         self.ended.set()
         self.begun.set()
         self.knocking.set()
@@ -209,7 +209,7 @@ class _Orders:
             self.pace.stop()
 
 
-def _send(job: Job, side: Side, orders: _Orders) -> list[list[int]]:
+def _send(job: Job, side: BenchTransport, orders: _StdinCommands) -> list[list[int]]:
     """Knock, then send; when each message was sent."""
     senders = [side.sender(part) for part in job.sends]
     size = sum(payload(part.stream.kind).size for part in job.sends)
@@ -219,7 +219,7 @@ def _send(job: Job, side: Side, orders: _Orders) -> list[list[int]]:
             send(0, 1)
         orders.begun.wait(max(_KNOCK_S, size / _KNOCK_BYTES_PER_S))
     clock = SystemClock()
-    pace = orders.pace = Pace(clock)
+    pace = orders.pace = SendPacer(clock)
     if orders.ended.is_set():
         pace.stop()
     begin_ns = clock.monotonic_ns() + _BEGIN_NS
@@ -228,25 +228,25 @@ def _send(job: Job, side: Side, orders: _Orders) -> list[list[int]]:
             send,
             part.stream.rate_hz,
             part.count,
-            Window(progress(part.progress), part.window, clock) if part.window else None,
+            SendWindow(progress(part.progress), part.window, clock) if part.window else None,
         )
         for part, send in zip(job.sends, senders, strict=True)
     ]
     sent = pace.run(schedules, begin_ns, begin_ns + round(job.seconds * NS_PER_S))
     if job.sends:
-        tell({"event": "sent", "messages": sum(map(len, sent))})
+        print_event({"event": "sent", "messages": sum(map(len, sent))})
     return sent
 
 
-def _first_of(part: Part, side: str) -> Callable[[Buffer], None]:
+def _first_of(part: JobStream, side: str) -> Callable[[Buffer], None]:
     """What is done at the first message: it has to be a good one, and somebody waits for it."""
 
     def first(message: Buffer) -> None:
         if side == "igtl":
             content = decode(message).content  # raises if the CRC is wrong
-            tell({"event": "heard", "key": part.key, "as": type(content).__name__, "bytes": len(message)})
+            print_event({"event": "heard", "key": part.key, "as": type(content).__name__, "bytes": len(message)})
         else:
-            tell({"event": "heard", "key": part.key, "as": part.topic, "bytes": len(message)})
+            print_event({"event": "heard", "key": part.key, "as": part.topic, "bytes": len(message)})
 
     return first
 
@@ -258,7 +258,7 @@ def _received(source: socket.socket, view: memoryview) -> int:
         return 0  # closed under us, by ``close``
 
 
-def tell(event: dict[str, Any]) -> None:
+def print_event(event: dict[str, Any]) -> None:
     """One line to whoever started us."""
     sys.stdout.write(json.dumps(event) + "\n")
     sys.stdout.flush()

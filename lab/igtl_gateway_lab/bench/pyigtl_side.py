@@ -15,18 +15,18 @@ from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.text import String
 from igtl_gateway_lab.bench.cases import payload
-from igtl_gateway_lab.bench.cutter import Heard
-from igtl_gateway_lab.bench.jobs import Job, Part
+from igtl_gateway_lab.bench.cutter import Arrivals
+from igtl_gateway_lab.bench.jobs import Job, JobStream
 from igtl_gateway_lab.bench.pace import Send
 from igtl_gateway_lab.bench.payloads import EPOCH_S
 
 _LOOK_S = 0.2
 
 
-class PyigtlSide:
+class PyigtlTransport:
     """A client of pyigtl's; of one stream."""
 
-    def __init__(self, job: Job, heard: dict[str, Heard]) -> None:
+    def __init__(self, job: Job, heard: dict[str, Arrivals]) -> None:
         self._job = job
         self._heard = heard
         self._now = SystemClock().monotonic_ns
@@ -47,7 +47,7 @@ class PyigtlSide:
     def found(self) -> None:
         """A connection is all."""
 
-    def sender(self, part: Part) -> Send:
+    def sender(self, part: JobStream) -> Send:
         make, send_message, now = _maker(part), self._client.send_message, self._now
 
         def send(first: int, count: int) -> list[int]:
@@ -66,7 +66,7 @@ class PyigtlSide:
             thread.join()
         self._client.stop()
 
-    def _hear(self, part: Part) -> None:
+    def _hear(self, part: JobStream) -> None:
         heard = self._heard[part.key]
         while not self._ended.is_set():
             message = self._client.wait_for_message(part.device, timeout=_LOOK_S)
@@ -77,7 +77,7 @@ class PyigtlSide:
                 heard.take(number, at_ns, b"")
 
 
-def _maker(part: Part) -> Callable[[int], Any]:
+def _maker(part: JobStream) -> Callable[[int], Any]:
     """Makes a message by its number, with the content of our own."""
     device = part.device
     content = decode(bytes(payload(part.stream.kind).igtl_maker(device)(0))).content

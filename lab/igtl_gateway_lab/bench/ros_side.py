@@ -13,8 +13,8 @@ from igtl_gateway.errors import GatewayError
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.note import Note
 from igtl_gateway_lab.bench.cases import payload
-from igtl_gateway_lab.bench.cutter import Heard
-from igtl_gateway_lab.bench.jobs import Job, Part
+from igtl_gateway_lab.bench.cutter import Arrivals
+from igtl_gateway_lab.bench.jobs import Job, JobStream
 from igtl_gateway_lab.bench.pace import Send
 from igtl_gateway_lab.bench.payloads import Number
 
@@ -26,7 +26,7 @@ _DEPTH_BYTES, _DEPTH_MOST, _DEPTH_LEAST = 256 << 20, 20_000, 5
 class _Node(RosEdge):
     """The gateway's edge, without what it does for a gateway with each message."""
 
-    def __init__(self, name: str, heard: dict[str, tuple[Number, Heard]]) -> None:
+    def __init__(self, name: str, heard: dict[str, tuple[Number, Arrivals]]) -> None:
         super().__init__(node_name=name, on_message=_no_message, wants=lambda *_: None, on_note=_no_note)
         self._now = SystemClock().monotonic_ns
         self._heard = heard
@@ -46,10 +46,10 @@ class _Node(RosEdge):
         return receive
 
 
-class RosSide:
+class RosTransport:
     """See ``programs.Side``."""
 
-    def __init__(self, job: Job, heard: dict[str, Heard]) -> None:
+    def __init__(self, job: Job, heard: dict[str, Arrivals]) -> None:
         self._job = job
         self._now = SystemClock().monotonic_ns
         numbers = {part.topic: (payload(part.stream.kind).forms[0].number, heard[part.key]) for part in job.hears}
@@ -67,7 +67,7 @@ class RosSide:
             if not self._node.wait_for_subscribers(part.topic, 1, _FOUND_S):
                 raise GatewayError(f"{part.topic}: nobody subscribed within {_FOUND_S:g} s")
 
-    def sender(self, part: Part) -> Send:
+    def sender(self, part: JobStream) -> Send:
         make, publish, now = payload(part.stream.kind).ros_maker(), self._node.raw_publisher(part.topic), self._now
 
         def send(first: int, count: int) -> list[int]:

@@ -19,7 +19,7 @@ _MOST = frozenset(
 _LOSSES = (("sent", "delivered"), ("sent_after_resume", "delivered_after_resume"))
 
 
-def merged(rounds: Sequence[Sequence[Row]]) -> list[Row]:
+def merge_rounds(rounds: Sequence[Sequence[Row]]) -> list[Row]:
     """A row for each of a round, with the figures of all of them as ``rounds``; of one round alone its rows."""
     if len(rounds) == 1:
         return list(rounds[0])

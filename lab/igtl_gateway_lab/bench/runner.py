@@ -13,9 +13,9 @@ from typing import Any
 from igtl_gateway.clock import Clock
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.bench import flame
-from igtl_gateway_lab.bench.cases import FLOOD, Case, Direction, Stream, payload
-from igtl_gateway_lab.bench.figures import Passage, latency, lateness, ratio
-from igtl_gateway_lab.bench.jobs import Job, Part
+from igtl_gateway_lab.bench.cases import FLOOD, BenchStream, Case, Direction, payload
+from igtl_gateway_lab.bench.figures import Transmission, latency, lateness, ratio
+from igtl_gateway_lab.bench.jobs import Job, JobStream
 from igtl_gateway_lab.bench.peers import LIBRARY, PEERS, Library, command, times_of
 from igtl_gateway_lab.bench.processes import BenchError, Program, Usage, ours
 from igtl_gateway_lab.bench.stalled import NAMES, STALLED, Stall
@@ -50,13 +50,13 @@ class Extent:
     seconds: float = 10.0
     count: int = 0
 
-    def messages(self, stream: Stream) -> int:
+    def messages(self, stream: BenchStream) -> int:
         """How many of a stream are measured; 0: as many as go into the time."""
         return self.count or (0 if stream.rate_hz == FLOOD else max(1, round(self.seconds * stream.rate_hz)))
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class BenchPlan:
     """What is measured of a case.
 
     Attributes:
@@ -81,7 +81,7 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True)
-class Passed:
+class RunResult:
     """What came of one run of streams.
 
     Attributes:
@@ -90,7 +90,7 @@ class Passed:
         begin, end: what the gateway had used, where there is one.
     """
 
-    passages: dict[tuple[str, int], Passage]
+    passages: dict[tuple[str, int], Transmission]
     seconds: float
     begin: Usage | None = None
     end: Usage | None = None
@@ -128,9 +128,9 @@ class Runner:
         self._rest = threading.Event()
         self._library = Library(folder)
 
-    def measure(self, plan: Plan) -> list[Row]:
+    def measure(self, plan: BenchPlan) -> list[Row]:
         """The rows of a case.  Raises BenchError."""
-        runs: list[tuple[Sequence[Direction], Passed]] = []
+        runs: list[tuple[Sequence[Direction], RunResult]] = []
         turns = [plan.directions] if plan.case.at_once else [(direction,) for direction in plan.directions]
         with self._gateway(plan) as gateway:
             for directions in turns:
@@ -151,7 +151,7 @@ class Runner:
     # -- the gateway ---------------------------------------------------------------------------------------------
 
     @contextmanager
-    def _gateway(self, plan: Plan) -> Iterator[_Gateway]:
+    def _gateway(self, plan: BenchPlan) -> Iterator[_Gateway]:
         longest = max(
             plan.extent.count / stream.rate_hz if stream.rate_hz and plan.extent.count else plan.extent.seconds
             for stream in plan.case.streams
@@ -172,7 +172,7 @@ class Runner:
                 gateway.recorded["recorder_dropped"] = told["recording"]["dropped"]
                 gateway.recorded["recorded_mb"] = round(told["recording"]["bytes"] / 1e6, 1)
 
-    def _through_gateway(self, plan: Plan, directions: Sequence[Direction], gateway: _Gateway) -> Passed:
+    def _through_gateway(self, plan: BenchPlan, directions: Sequence[Direction], gateway: _Gateway) -> RunResult:
         parts = {direction: self._parts(plan, direction) for direction in directions}
         out = parts.get(Direction.ROS_TO_IGTL, ())
         back = parts.get(Direction.IGTL_TO_ROS, ())
@@ -198,7 +198,7 @@ class Runner:
     # -- the floor -----------------------------------------------------------------------------------------------
 
     @staticmethod
-    def _briefly(plan: Plan) -> Plan:
+    def _briefly(plan: BenchPlan) -> BenchPlan:
         """As long as a median needs, or a rate."""
         (stream,) = plan.case.streams
         extent = Extent(count=min(_FLOOR_COUNT, plan.extent.messages(stream) or _FLOOR_COUNT))
@@ -206,7 +206,7 @@ class Runner:
             extent = Extent(min(_FLOOR_FLOOD_S, plan.extent.seconds))
         return replace(plan, extent=extent, clients=1)
 
-    def _bare(self, plan: Plan, side: str) -> Row:
+    def _bare(self, plan: BenchPlan, side: str) -> Row:
         """Figures of a bare hop with the same bytes at the same rate."""
         parts = tuple(
             replace(part, topic=f"/bench/floor/{part.device}")
@@ -228,13 +228,13 @@ class Runner:
 
     # -- one run -------------------------------------------------------------------------------------------------
 
-    def _parts(self, plan: Plan, direction: Direction, hearer: str = "") -> tuple[Part, ...]:
+    def _parts(self, plan: BenchPlan, direction: Direction, hearer: str = "") -> tuple[JobStream, ...]:
         """What is sent; ``hearer``: by whom it is heard, where that is not known of the plan."""
         self._runs += 1
         parts = []
         for stream in plan.case.streams:
             count = plan.extent.messages(stream)
-            part = Part(stream, direction, stream.topic(direction), count + warm(stream) if count else 0)
+            part = JobStream(stream, direction, stream.topic(direction), count + warm(stream) if count else 0)
             # programs by others do not tell how far they have come; all but one of them hear in ROS
             hears = hearer or (plan.peer if direction is Direction.ROS_TO_IGTL else "ros")
             if stream.rate_hz == FLOOD and hears not in PEERS:
@@ -245,12 +245,12 @@ class Runner:
 
     def _job(
         self,
-        plan: Plan,
+        plan: BenchPlan,
         side: str,
         name: str,
         *,
-        sends: tuple[Part, ...] = (),
-        hears: tuple[Part, ...] = (),
+        sends: tuple[JobStream, ...] = (),
+        hears: tuple[JobStream, ...] = (),
         address: Address = ("127.0.0.1", 0),
         listen: bool = False,
     ) -> Job:
@@ -261,7 +261,7 @@ class Runner:
     def _start(self, stack: ExitStack, job: Job) -> Program:
         return stack.enter_context(Program(f"{job.side} {job.name}", command(job, self._library)))
 
-    def _passed(self, programs: Sequence[tuple[Job, Program]], plan: Plan, gateway: _Gateway | None) -> Passed:
+    def _passed(self, programs: Sequence[tuple[Job, Program]], plan: BenchPlan, gateway: _Gateway | None) -> RunResult:
         """Knock, begin, wait until all have arrived or nothing more does, end; all programs are ready."""
         senders = [(job, program) for job, program in programs if job.sends]
         listeners = [(job, program) for job, program in programs if job.hears]
@@ -283,7 +283,7 @@ class Runner:
                 program.order("begin")
             if gateway and plan.case.stalls:
                 (idler,) = [program for job, program in listeners if job.name == "stalled"]
-                gateway.stall.take_place(idler, plan.extent.seconds, self._rest.wait, self._clock.monotonic_ns)
+                gateway.stall.run(idler, plan.extent.seconds, self._rest.wait, self._clock.monotonic_ns)
             sent = sum(program.wait_for("sent", self._limit_s(job))["messages"] for job, program in senders)
             self._wait_for_arrivals([program for _, program in listeners], sent * plan.clients, plan)
             end = Usage.of(gateway.program.pid) if gateway else None
@@ -292,9 +292,9 @@ class Runner:
         passages = _passages(programs)
         # not until now: where something is lost, we have waited for it
         last_ns = max((int(one.received.max()) for one in passages.values() if len(one.received)), default=begun_ns)
-        return Passed(passages, (last_ns - begun_ns) / NS_PER_S, begin, end)
+        return RunResult(passages, (last_ns - begun_ns) / NS_PER_S, begin, end)
 
-    def _wait_for_arrivals(self, listeners: Sequence[Program], sent: int, plan: Plan) -> None:
+    def _wait_for_arrivals(self, listeners: Sequence[Program], sent: int, plan: BenchPlan) -> None:
         large = any(payload(stream.kind).size > _LARGE_BYTES for stream in plan.case.streams) and not plan.case.stalls
         patience_ns = round((_LARGE_SILENCE_S if large else _SILENCE_S) * NS_PER_S)
         last, changed_ns = -1, self._clock.monotonic_ns()
@@ -315,8 +315,8 @@ class Runner:
         return 2 * max(longest, job.seconds) + _HEARD_S
 
     @staticmethod
-    def _rows(plan: Plan, directions: Sequence[Direction], passed: Passed, stall: Stall) -> list[Row]:
-        kinds: dict[str, list[Stream]] = {}
+    def _rows(plan: BenchPlan, directions: Sequence[Direction], passed: RunResult, stall: Stall) -> list[Row]:
+        kinds: dict[str, list[BenchStream]] = {}
         for stream in plan.case.streams:
             kinds.setdefault(stream.kind, []).append(stream)
         usage = _usage(passed, sum(len(passage.numbers) for passage in passed.passages.values()))
@@ -328,7 +328,7 @@ class Runner:
                     row["stream"] = kind
                 rate_hz = streams[0].rate_hz or None
                 row |= {"direction": direction.value, "rate_hz": rate_hz, "recording": plan.record}
-                heard: dict[int, list[tuple[Stream, Passage]]] = {}
+                heard: dict[int, list[tuple[BenchStream, Transmission]]] = {}
                 for stream in streams:
                     for (device, client), passage in passed.passages.items():
                         if device == stream.device(direction):
@@ -339,7 +339,7 @@ class Runner:
                     rows.append(row | latency(passages) | late | usage)
                     continue
                 for client, ((stream, passage),) in sorted(heard.items()):
-                    told = stall.told(stream, passage) if client == STALLED else {}
+                    told = stall.to_row(stream, passage) if client == STALLED else {}
                     rows.append(row | {"client": NAMES[client]} | latency([passage]) | late | told | usage)
         return rows
 
@@ -358,14 +358,14 @@ def against_floor(row: Row, dds: Row, tcp: Row) -> Row:
     }
 
 
-def warm(stream: Stream) -> int:
+def warm(stream: BenchStream) -> int:
     """How many messages at the beginning do not count."""
     if stream.rate_hz == FLOOD:
         return _WARM_FLOOD
     return max(1, min(_WARM_MOST, round(_WARM_S * stream.rate_hz)))
 
 
-def _usage(passed: Passed, arrived: int) -> Row:
+def _usage(passed: RunResult, arrived: int) -> Row:
     """What the gateway used meanwhile, by all streams together."""
     begin, end = passed.begin, passed.end
     if begin is None or end is None or not arrived:
@@ -381,13 +381,13 @@ def _usage(passed: Passed, arrived: int) -> Row:
     }
 
 
-def _passages(programs: Sequence[tuple[Job, Program]]) -> dict[tuple[str, int], Passage]:
+def _passages(programs: Sequence[tuple[Job, Program]]) -> dict[tuple[str, int], Transmission]:
     """What the programs wrote, by device and client."""
     columns: dict[str, Any] = {}
     for job, _ in programs:
         columns |= times_of(job)
     return {
-        (part.device, part.client): Passage(
+        (part.device, part.client): Transmission(
             columns[f"sent {part.device}"], columns[f"numbers {part.key}"], columns[f"received {part.key}"]
         )
         for job, _ in programs

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway_lab.bench.cases import Direction, Stream, payload
-from igtl_gateway_lab.bench.figures import Passage, latency
+from igtl_gateway_lab.bench.cases import BenchStream, Direction, payload
+from igtl_gateway_lab.bench.figures import Transmission, latency
 from igtl_gateway_lab.bench.processes import Event, Program
 
 #: Client numbers of the two.
@@ -30,7 +30,7 @@ class Stall:
     resumed_ns: int = 0
     dropped: dict[tuple[int, str], int] = field(default_factory=dict)
 
-    def take_place(self, client: Program, seconds: float, rest: Callable[[float], Any], now: Callable[[], int]) -> None:
+    def run(self, client: Program, seconds: float, rest: Callable[[float], Any], now: Callable[[], int]) -> None:
         """Have the client stop, and go on."""
         rest(_BEFORE * seconds)
         client.order("stall")
@@ -44,10 +44,10 @@ class Stall:
             dropped = event["data"].get("dropped", {})
             self.dropped |= {(link, stream): number for stream, number in dropped.items()}
 
-    def told(self, what: Stream, passage: Passage) -> dict[str, Any]:
+    def to_row(self, what: BenchStream, passage: Transmission) -> dict[str, Any]:
         """Of one stream to the client that stopped: what was sent after it went on, and what of that arrived."""
         after = int((passage.sent <= self.resumed_ns).sum())
-        late = latency([Passage(passage.sent, passage.numbers, passage.received, after)])
+        late = latency([Transmission(passage.sent, passage.numbers, passage.received, after)])
         channel = f"{payload(what.kind).igtl_type}/{what.device(Direction.ROS_TO_IGTL)}"
         return {
             "sent_after_resume": late["sent"],

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway_lab.bench.cases import SIZES, USUAL_HZ, Case, Direction, Stream, payload
-from igtl_gateway_lab.bench.runner import Extent, Plan, Row
+from igtl_gateway_lab.bench.cases import SIZES, USUAL_HZ, BenchStream, Case, Direction, payload
+from igtl_gateway_lab.bench.runner import BenchPlan, Extent, Row
 
 _CPU, _P50, _FLOOR = "gateway_cpu_percent", "p50_ms", "floor_p50_ms"
 _BYTES_PER_S = 60e6  # of the largest pictures, which would not pass at 30 Hz
@@ -20,7 +20,7 @@ _FLAT = 1e-12  # less is rounding
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class SweepPoint:
     """One size.
 
     Attributes:
@@ -52,16 +52,16 @@ class Sweep:
     text: str
     x: str
     charts: tuple[tuple[str, ...], ...]
-    points: Callable[[float], list[Point]]
+    points: Callable[[float], list[SweepPoint]]
     floor: bool = False
     logarithmic: bool = False
 
-    def plans(self, extent: Extent, directions: Sequence[Direction]) -> list[tuple[Row, Plan]]:
+    def plans(self, extent: Extent, directions: Sequence[Direction]) -> list[tuple[Row, BenchPlan]]:
         """What is to be measured, and what its rows are marked with."""
         return [
             (
                 {"x": point.x},
-                Plan(
+                BenchPlan(
                     point.case,
                     ways,
                     Extent(extent.seconds, extent.count or point.count),
@@ -74,33 +74,35 @@ class Sweep:
         ]
 
 
-def _payloads(seconds: float) -> list[Point]:
+def _payloads(seconds: float) -> list[SweepPoint]:
     points = []
     for kind in SIZES.values():
         size = payload(kind).size
         rate_hz = min(USUAL_HZ, round(_BYTES_PER_S / size, 1))
-        case = Case(kind, (Stream(kind, rate_hz),), "")
-        points.append(Point(size, case, count=max(_LEAST, round(rate_hz * seconds))))
+        case = Case(kind, (BenchStream(kind, rate_hz),), "")
+        points.append(SweepPoint(size, case, count=max(_LEAST, round(rate_hz * seconds))))
     return points
 
 
-def _rates(_seconds: float) -> list[Point]:
+def _rates(_seconds: float) -> list[SweepPoint]:
     return [
-        Point(rate_hz, Case("transform", (Stream("transform", rate_hz),), ""))
+        SweepPoint(rate_hz, Case("transform", (BenchStream("transform", rate_hz),), ""))
         for rate_hz in (30.0, 100.0, 300.0, 1000.0, 2000.0, 3000.0, 4000.0, 5000.0)
     ]
 
 
-def _streams(_seconds: float) -> list[Point]:
+def _streams(_seconds: float) -> list[SweepPoint]:
     return [
-        Point(many, Case(f"transform-x{many}", tuple(Stream("transform", _STREAM_HZ, at) for at in range(many)), ""))
+        SweepPoint(
+            many, Case(f"transform-x{many}", tuple(BenchStream("transform", _STREAM_HZ, at) for at in range(many)), "")
+        )
         for many in (1, 10, 25, 50, 100, 150, 200)
     ]
 
 
-def _clients(_seconds: float) -> list[Point]:
-    case = Case("transform", (Stream("transform", _CLIENTS_HZ),), "", ways=(Direction.ROS_TO_IGTL,))
-    return [Point(many, case, many) for many in (1, 2, 5, 10, 15, 20)]
+def _clients(_seconds: float) -> list[SweepPoint]:
+    case = Case("transform", (BenchStream("transform", _CLIENTS_HZ),), "", ways=(Direction.ROS_TO_IGTL,))
+    return [SweepPoint(many, case, many) for many in (1, 2, 5, 10, 15, 20)]
 
 
 SWEEPS: dict[str, Sweep] = {
@@ -120,7 +122,7 @@ SWEEPS: dict[str, Sweep] = {
 }
 
 
-def fits(rows: Sequence[Row]) -> list[dict[str, Any]]:
+def fit_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """For each sweep, direction and figure: the line ``a + b x`` with the least squares, and how much it explains.
 
     The floor is that of both directions, and told once.

@@ -47,7 +47,7 @@ def window(kind: str, direction: Direction) -> int:
     return max(_LEAST, min(_MOST, _BYTES // made.size, *depths[direction]))
 
 
-class Window:
+class SendWindow:
     """What a sender may send.
 
     Args:

@@ -20,8 +20,8 @@ from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway_lab.bench.cases import CASES, Direction, Stream, payload
-from igtl_gateway_lab.bench.jobs import Job, Part
+from igtl_gateway_lab.bench.cases import CASES, BenchStream, Direction, payload
+from igtl_gateway_lab.bench.jobs import Job, JobStream
 from igtl_gateway_lab.bench.processes import Program, Usage, ours
 from igtl_gateway_lab.bench.runner import Row
 
@@ -37,7 +37,7 @@ _LOOK_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Workshop:
+class WorkContext:
     """What a work is done with.
 
     Attributes:
@@ -56,10 +56,10 @@ class Work:
     """Something to measure: one line for people, and what gives its rows."""
 
     text: str
-    run: Callable[[Workshop], list[Row]]
+    run: Callable[[WorkContext], list[Row]]
 
 
-def start_up(shop: Workshop) -> list[Row]:
+def start_up(shop: WorkContext) -> list[Row]:
     """From the command to the open port and the node in ROS."""
     waits, memory = [], 0.0
     for _ in range(_STARTS):
@@ -83,7 +83,7 @@ def start_up(shop: Workshop) -> list[Row]:
     ]
 
 
-def recording(shop: Workshop) -> list[Row]:
+def recording(shop: WorkContext) -> list[Row]:
     """The mixed load through the recorder alone, as fast as it writes: from the first entry until the file is closed.
 
     Twice, for it depends on what becomes smaller: nothing does of a picture with the noise of a camera.
@@ -104,7 +104,7 @@ def _noisy(entry: Entry, noise: np.random.Generator) -> Entry:
     return replace(entry, payload=(entry.data()[:_HEAD_BYTES] + noise.bytes(entry.size - _HEAD_BYTES),))
 
 
-def _recorded(shop: Workshop, second: Sequence[Entry]) -> Row:
+def _recorded(shop: WorkContext, second: Sequence[Entry]) -> Row:
     """How fast the entries of a second are recorded, again and again."""
     path = shop.folder / "throughput.mcap"
     rest = threading.Event()
@@ -137,12 +137,12 @@ def _recorded(shop: Workshop, second: Sequence[Entry]) -> Row:
     }
 
 
-def replay(shop: Workshop) -> list[Row]:
+def replay(shop: WorkContext) -> list[Row]:
     """A recording to a local peer, as fast as possible."""
     rows = []
     for kind, count in _REPLAYED.items():
         shop.tell(f"replay {kind}")
-        stream = Stream(kind, 0.0)
+        stream = BenchStream(kind, 0.0)
         path = shop.folder / f"{kind}.mcap"
         record_passage(path, stream, count, shop.clock)
         rows.append({"case": "replay", "what": kind, "sent": count} | _replayed(shop, path, stream, count))
@@ -150,13 +150,13 @@ def replay(shop: Workshop) -> list[Row]:
     return rows
 
 
-def verify(shop: Workshop) -> list[Row]:
+def verify(shop: WorkContext) -> list[Row]:
     """The synthetic suturing session, and a recording of small messages: until the verdict, the start included."""
     star = shop.folder / "star.mcap"
     _until_end("simulate", ["simulate", "star", "--out", str(star), "--overwrite", "--json"])
     small = shop.folder / "small.mcap"
     count = _REPLAYED["transform"]
-    record_passage(small, Stream("transform", 0.0), count, shop.clock)
+    record_passage(small, BenchStream("transform", 0.0), count, shop.clock)
     rows = []
     for name, path in (("star", star), ("transform", small)):
         shop.tell(f"verify {name}")
@@ -194,7 +194,7 @@ def _mixed_second(clock: Clock) -> Iterator[Entry]:
             yield from session.input(clock.utc_ns(), Kind.ROS_IN, (cdr,), channel=topic, type_name=made.ros_type)
 
 
-def record_passage(path: Path, stream: Stream, count: int, clock: Clock) -> None:
+def record_passage(path: Path, stream: BenchStream, count: int, clock: Clock) -> None:
     """A recording of so many messages from ROS to OpenIGTLink."""
     made, topic = payload(stream.kind), stream.topic(Direction.ROS_TO_IGTL)
     make = made.ros_maker()
@@ -210,7 +210,7 @@ def record_passage(path: Path, stream: Stream, count: int, clock: Clock) -> None
     recorder.close(session.gateway.ledger.to_dict())
 
 
-def _config(streams: Sequence[Stream]) -> Config:
+def _config(streams: Sequence[BenchStream]) -> Config:
     way = Direction.ROS_TO_IGTL
     return Config(
         to_igtl=tuple(
@@ -220,7 +220,7 @@ def _config(streams: Sequence[Stream]) -> Config:
     )
 
 
-def _session(streams: Sequence[Stream], clock: Clock, recorder: Recorder | None = None) -> Session:
+def _session(streams: Sequence[BenchStream], clock: Clock, recorder: Recorder | None = None) -> Session:
     """A session with one peer."""
     session = Session(Gateway(_config(streams)))
     for entry in session.input(clock.utc_ns(), Kind.LINK, (Note(Level.INFO, LINK_UP, "up").pack(),), links=(1,)):
@@ -234,9 +234,9 @@ def _recorder(path: Path, config: Config, clock: Clock) -> Recorder:
     return Recorder(path, facts, qos_of=lambda *_: None, on_note=lambda _note: None, clock=clock)
 
 
-def _replayed(shop: Workshop, path: Path, stream: Stream, count: int) -> Row:
+def _replayed(shop: WorkContext, path: Path, stream: BenchStream, count: int) -> Row:
     """How fast the recorded messages of a stream reach a peer."""
-    part = Part(stream, Direction.ROS_TO_IGTL, "", count)
+    part = JobStream(stream, Direction.ROS_TO_IGTL, "", count)
     times = shop.folder / "replayed.npz"
     job = Job("igtl", "peer", (), (part,), 0.0, str(times), listen=True)
     rest = threading.Event()

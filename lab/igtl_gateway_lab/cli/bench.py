@@ -13,19 +13,19 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.terminal import print_json, say
+from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.extras import missing
 from igtl_gateway_lab.bench import flame
-from igtl_gateway_lab.bench.bounds import judged, shown
+from igtl_gateway_lab.bench.bounds import shown, with_verdict
 from igtl_gateway_lab.bench.cases import CASES, FLOOD, TABLE_1, Case, Direction
 from igtl_gateway_lab.bench.peers import PEERS, lacks
 from igtl_gateway_lab.bench.plot import latency_plots, sweep_plots
-from igtl_gateway_lab.bench.rounds import merged, with_costs
-from igtl_gateway_lab.bench.runner import Extent, Plan, Row, Runner
-from igtl_gateway_lab.bench.sweeps import SWEEPS, fits
-from igtl_gateway_lab.bench.works import WORKS, Workshop
+from igtl_gateway_lab.bench.rounds import merge_rounds, with_costs
+from igtl_gateway_lab.bench.runner import BenchPlan, Extent, Row, Runner
+from igtl_gateway_lab.bench.sweeps import SWEEPS, fit_lines
+from igtl_gateway_lab.bench.works import WORKS, WorkContext
 
 EXAMPLES = """\
   igtl-gateway bench --case transform                     30 Hz, both ways, and the bare hops
@@ -103,11 +103,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     if options.list:
         for case in CASES.values():
-            say(f"{case.name:<15} {case.text}")
+            print_line(f"{case.name:<15} {case.text}")
         for name, work in WORKS.items():
-            say(f"{name:<15} {work.text}")
+            print_line(f"{name:<15} {work.text}")
         for name, sweep in SWEEPS.items():
-            say(f"{f'--sweep {name}':<15} {sweep.text}")
+            print_line(f"{f'--sweep {name}':<15} {sweep.text}")
         return 0
     groups, works = _asked(options)
     if importlib.util.find_spec("rclpy") is None:
@@ -122,12 +122,12 @@ def run(options: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="igtl-gateway-bench-") as folder:
         runner = Runner(Path(folder), clock, _tell)
         for group in groups:
-            rows += merged([_measured(runner, group) for _ in range(options.rounds)])
-        workshop = Workshop(Path(folder), clock, _tell)
+            rows += merge_rounds([_measured(runner, group) for _ in range(options.rounds)])
+        workshop = WorkContext(Path(folder), clock, _tell)
         for name in works:
-            rows += merged([WORKS[name].run(workshop) for _ in range(options.rounds)])
-    rows = [judged(row) for row in rows]
-    lines = fits(rows)
+            rows += merge_rounds([WORKS[name].run(workshop) for _ in range(options.rounds)])
+    rows = [with_verdict(row) for row in rows]
+    lines = fit_lines(rows)
     ambient["load_after"] = _load()
     ambient["stolen_percent"] = _stolen_percent(ticks, _ticks())
     if options.plot:
@@ -137,7 +137,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"rows": rows, **({"fits": lines} if lines else {}), "ambient": ambient})
     else:
-        say(*_table(rows), *_fitted(lines), "", *_words(ambient))
+        print_line(*_table(rows), *_fitted(lines), "", *_words(ambient))
     return 0
 
 
@@ -145,7 +145,7 @@ def run(options: argparse.Namespace) -> int:
 class _Group:
     """What is measured in turns, to be compared, and what marks its rows."""
 
-    plans: tuple[Plan, ...]
+    plans: tuple[BenchPlan, ...]
     marks: Row = field(default_factory=dict)
 
 
@@ -159,7 +159,7 @@ def _asked(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
     names = list(dict.fromkeys([*options.case, *(TABLE_1 if options.table1 else ())]))
     if unknown := [name for name in names if name not in CASES and name not in WORKS]:
         raise ConfigError(f"--case: found {unknown[0]!r}, expected one of {', '.join([*CASES, *WORKS])}")
-    if not names and not options.sweep:
+    if not names and not options.check_liveness:
         raise ConfigError(
             "found nothing to measure, expected --case NAME, --sweep or --table1 (--list shows the cases)"
         )
@@ -174,7 +174,7 @@ def _asked(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
     directions = tuple(one for one in Direction if options.direction in (one.value, _BOTH))
     extent = Extent(options.duration, options.count or (_TABLE_COUNT if options.table1 else 0))
     groups = [_group(_at_rate(CASES[name], options), directions, extent, options) for name in names if name in CASES]
-    for name in options.sweep:
+    for name in options.check_liveness:
         plans = SWEEPS[name].plans(Extent(options.duration, options.count or 0), directions)
         if not plans:
             raise ConfigError(f"--direction: found {options.direction}, --sweep {name} goes the other way only")
@@ -190,7 +190,7 @@ def _group(case: Case, directions: tuple[Direction, ...], extent: Extent, option
     ways = tuple(way for way in directions if way in case.ways)
     if not ways:
         raise ConfigError(f"--direction: found {options.direction}, {case.name} goes {case.ways[0].value} only")
-    plan = Plan(case, ways, extent, options.floor)
+    plan = BenchPlan(case, ways, extent, options.floor)
     recorded = [replace(plan, record=True, floor=False)] if options.record else []
     return _Group((plan, *recorded, *(_with_peers(plan) if options.peers else ())))
 
@@ -207,7 +207,7 @@ def _in_flames(groups: list[_Group], works: list[str], options: argparse.Namespa
     return [_Group((replace(group.plans[0], flame=options.flame.absolute()),), group.marks)]
 
 
-def _with_peers(plan: Plan) -> list[Plan]:
+def _with_peers(plan: BenchPlan) -> list[BenchPlan]:
     """The same with each peer that is there; of the others it is said why not."""
     reasons = {peer: lacks(peer, plan.case) for peer in PEERS}
     for reason in filter(None, reasons.values()):
@@ -350,4 +350,4 @@ def _words(ambient: dict[str, Any]) -> list[str]:
 
 
 def _tell(line: str) -> None:
-    say(line, error=True, flush=True)
+    print_line(line, error=True, flush=True)

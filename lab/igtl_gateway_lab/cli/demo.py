@@ -20,8 +20,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from igtl_gateway.cli.common import count, size
-from igtl_gateway.cli.terminal import say
+from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.terminal import print_line
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.errors import ConfigError, GatewayError, Unavailable
 from igtl_gateway.extras import missing
@@ -63,12 +63,12 @@ def _demo(recording: Path, seconds: float) -> int:
     _title(1, "the bridge runs and records; a ROS 2 node and an OpenIGTLink client talk through it")
     summaries = _traffic(recording, seconds)
     for name, summary in summaries.items():
-        say("", f"{name} sent {count(sum(summary['sent'].values()), 'message')} and received:")
+        print_line("", f"{name} sent {count_text(sum(summary['sent'].values()), 'message')} and received:")
         for stream, told in sorted(summary["received"].items()):
-            say(f"  {stream:<36} {told['messages']:>5}, last: {told['last']}")
+            print_line(f"  {stream:<36} {told['messages']:>5}, last: {told['last']}")
         if not summary["received"]:
             raise DemoError(f"{name} received nothing")
-    _title(2, f"what was recorded ({size(recording.stat().st_size)})")
+    _title(2, f"what was recorded ({size_text(recording.stat().st_size)})")
     _gateway("info", str(recording))
     _title(3, "verify: do the recorded outputs follow from the recorded inputs?")
     _gateway("verify", str(recording))
@@ -77,14 +77,14 @@ def _demo(recording: Path, seconds: float) -> int:
     digests = [_replayed(recording, pace) for pace in (("--rate", "4"), ("--as-fast-as-possible",))]
     if any(digest != wanted for digest in digests):
         raise DemoError(f"the replays differ from the recording: {digests}, expected {wanted}")
-    say(f"both replays delivered {count(wanted[1], 'byte')} with SHA-256 {wanted[0][:16]}…")
-    say("the bytes were identical to those that the bridge sent to the client.")
-    say("", "demo: all good")
+    print_line(f"both replays delivered {count_text(wanted[1], 'byte')} with SHA-256 {wanted[0][:16]}…")
+    print_line("the bytes were identical to those that the bridge sent to the client.")
+    print_line("", "demo: all good")
     return 0
 
 
 def _title(number: int, text: str) -> None:
-    say("", f"--- {number}/4  {text}", flush=True)
+    print_line("", f"--- {number}/4  {text}", flush=True)
 
 
 def _traffic(recording: Path, seconds: float) -> dict[str, dict[str, Any]]:
@@ -93,20 +93,21 @@ def _traffic(recording: Path, seconds: float) -> dict[str, dict[str, Any]]:
     with _program("igtl_gateway", *command) as bridge:
         started = _event(bridge, "started")
         port = started["listen"][0]["port"]
-        say(f"bridge: OpenIGTLink server on 127.0.0.1:{port}, ROS 2 node /igtl_gateway", flush=True)
+        print_line(f"bridge: OpenIGTLink server on 127.0.0.1:{port}, ROS 2 node /igtl_gateway", flush=True)
         with _program("igtl_gateway_lab.demo.ros_node") as node:
             _event(node, "ready")
-            say("ROS 2 node (rclpy): publishes and listens", flush=True)
+            print_line("ROS 2 node (rclpy): publishes and listens", flush=True)
             with _program("igtl_gateway_lab.demo.igtl_client", str(port), str(seconds)) as client:
                 _event(client, "ready")
-                say(f"OpenIGTLink client (pyigtl): sends and listens for {seconds:g} s", flush=True)
+                print_line(f"OpenIGTLink client (pyigtl): sends and listens for {seconds:g} s", flush=True)
                 client_said = _event(client, "summary")
             _close_input(node)
             node_said = _event(node, "summary")
         bridge.send_signal(signal.SIGINT)
         stopped = _event(bridge, "stopped")
         recorded = stopped["recording"]
-        say(f"bridge: stopped, {count(recorded['entries'], 'entry', 'entries')} recorded, {recorded['dropped']} lost")
+        entries = count_text(recorded["entries"], "entry", "entries")
+        print_line(f"bridge: stopped, {entries} recorded, {recorded['dropped']} lost")
     return {"ROS 2 node (rclpy)": node_said, "OpenIGTLink client (pyigtl)": client_said}
 
 
@@ -131,7 +132,7 @@ def _event(program: subprocess.Popen[str], name: str) -> dict[str, Any]:
         if told["event"] == name:
             return told
         if told.get("level") in ("WARN", "ERROR"):
-            say(f"  {told['text']}")
+            print_line(f"  {told['text']}")
     raise DemoError(f"{program.args!r} ended before it said {name!r}")
 
 
@@ -143,7 +144,7 @@ def _close_input(program: subprocess.Popen[str]) -> None:
 
 def _gateway(*arguments: str) -> None:
     """Another verb of this command line, as the user would call it."""
-    say(f"$ igtl-gateway {' '.join(arguments)}", flush=True)
+    print_line(f"$ igtl-gateway {' '.join(arguments)}", flush=True)
     code = subprocess.run([sys.executable, "-m", "igtl_gateway", *arguments], check=False).returncode
     if code:
         raise DemoError(f"igtl-gateway {arguments[0]} ended with exit code {code}")
@@ -172,5 +173,5 @@ def _replayed(recording: Path, pace: tuple[str, ...]) -> tuple[str, int]:
         with _program("igtl_gateway", "replay", str(recording), "--to", "igtl", "--connect", target, "--json", *pace):
             told = _event(collector, "summary")
         seconds = (clock.monotonic_ns() - begun_ns) / NS_PER_S
-    say(f"replay {' '.join(pace):<24} {count(told['bytes'], 'byte')} in {seconds:.1f} s", flush=True)
+    print_line(f"replay {' '.join(pace):<24} {count_text(told['bytes'], 'byte')} in {seconds:.1f} s", flush=True)
     return told["sha256"], told["bytes"]

@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import address, count, size
-from igtl_gateway.cli.terminal import print_json, say, show
+from igtl_gateway.cli.common import address, count_text, size_text
+from igtl_gateway.cli.terminal import print_json, print_line, print_text
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway import Gateway
@@ -94,10 +94,10 @@ def run(options: argparse.Namespace) -> int:
     if options.actor:
         return stage.play_actor(options, scenario)
     if options.print_config:
-        show(scenario.config.to_toml())
+        print_text(scenario.config.to_toml())
         return 0
     if not options.out:
-        return stage.play(options, scenario)
+        return stage.play_live(options, scenario)
     for name in ("record", "view", "side", "connect", "listen", "timeout"):
         if getattr(options, name):
             raise ConfigError(f"--{name} is for a live scenario: it cannot be used with --out")
@@ -127,7 +127,7 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
     gateway = Gateway(scenario.config)
     writer = SessionWriter(
         options.out,
-        facts(options.name, scenario.config),
+        scenario_facts(options.name, scenario.config),
         qos_of=lambda topic, ros_type: gateway.qos(topic) or gateway.subscription(topic, ros_type),
         compression="zstd",
         overwrite=options.overwrite,
@@ -151,14 +151,17 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
         actors = {name: stage.report_facts(done, report) for name, (done, report) in reports.items()}
         print_json(told | ({"actors": actors} if actors else {}))
     else:
-        say(scenario.title)
+        print_line(scenario.title)
         for name, (done, report) in reports.items():
-            say(*stage.report_lines(name, "", done, report))
-        say(f"{options.out}: {count(entries, 'entry', 'entries')}, {size(length)}", f"sha256 {sha256} of the content")
+            print_line(*stage.report_lines(name, "", done, report))
+        print_line(
+            f"{options.out}: {count_text(entries, 'entry', 'entries')}, {size_text(length)}",
+            f"sha256 {sha256} of the content",
+        )
     return 0 if good else 1
 
 
-def facts(name: str, config: Config) -> dict[str, str]:
+def scenario_facts(name: str, config: Config) -> dict[str, str]:
     """What the file says of itself: nothing of this machine or moment, so that equal sessions have equal contents."""
     return {
         "config": json.dumps(config.to_dict(), sort_keys=True),

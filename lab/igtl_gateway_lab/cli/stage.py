@@ -13,24 +13,24 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import DEFAULT_HOST, DEFAULT_PORT, count, recorded_config, size, stop_event
-from igtl_gateway.cli.terminal import clear, finish, is_terminal, live, print_json, say
+from igtl_gateway.cli.common import DEFAULT_HOST, DEFAULT_PORT, config_to_run, count_text, size_text, stop_event
+from igtl_gateway.cli.terminal import clear_live_line, flush_outputs, is_terminal, live_line, print_json, print_line
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.errors import ConfigError, RecordingError, Unavailable
 from igtl_gateway.extras import missing
-from igtl_gateway.replay.verify import Losses, verify
-from igtl_gateway.replay.verify import Report as Verification
+from igtl_gateway.replay.verify import DeclaredLosses, verify
+from igtl_gateway.replay.verify import VerifyReport as Verification
 from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway_lab.simulate.actor import Actor, Report, Side
+from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, ActorReport
 from igtl_gateway_lab.simulate.scenario import SYNTHETIC, Scenario
-from igtl_gateway_lab.stage.actor import ActorProgram, Connection
-from igtl_gateway_lab.stage.live import End, Event, Outcome, Plan, Stage
+from igtl_gateway_lab.stage.actor import ActorProgram, IgtlEndpoint
+from igtl_gateway_lab.stage.live import Event, Stage, StageEnd, StageOutcome, StagePlan
 
 #: Option → field of ``Load``.
 LOAD_OPTIONS = {"type": "type", "size": "size", "rate": "rate_hz", "count": "count", "sender": "sender"}
 
-_SIDES = {Side.ROS: "ROS 2 node", Side.IGTL: "OpenIGTLink program"}
+_SIDES = {ActorProtocol.ROS: "ROS 2 node", ActorProtocol.IGTL: "OpenIGTLink program"}
 #: So long after the stage's own limits a bridge ends that nobody has ended.
 _BRIDGE_S = 60.0
 _PATIENCE_S = 3600.0
@@ -39,19 +39,19 @@ _START_S = 180.0
 _WARNINGS = 5
 
 
-def play(options: argparse.Namespace, scenario: Scenario) -> int:
+def play_live(options: argparse.Namespace, scenario: Scenario) -> int:
     """Play it live and tell how it went."""
     if not scenario.actors:
         raise ConfigError(f"{options.name} has no actors to play live: write it with --out FILE")
-    side = Side(options.side) if options.side else None
+    side = ActorProtocol(options.side) if options.side else None
     actors = [actor for actor in scenario.cast(options.duration) if side in (None, actor.side)]
-    own_bridge = side is None or (side is Side.ROS and options.listen is not None)
+    own_bridge = side is None or (side is ActorProtocol.ROS and options.listen is not None)
     _check(options, side, own_bridge, actors)
     if side is None or own_bridge:
         # a scenario must neither hear nor disturb other robots
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
-    out = _Output(options.name, scenario, actors, options.json)
+    out = _StageOutput(options.name, scenario, actors, options.json)
     with tempfile.TemporaryDirectory(prefix="igtl-gateway-simulate-") as folder, stop_event() as stop:
         record = options.record or Path(folder) / f"{options.name}.mcap"
         bridge = _bridge(options, scenario, actors, Path(folder), record) if own_bridge else None
@@ -68,20 +68,20 @@ def play(options: argparse.Namespace, scenario: Scenario) -> int:
     return 0 if good else 1
 
 
-def _check(options: argparse.Namespace, side: Side | None, own_bridge: bool, actors: Sequence[Actor]) -> None:
+def _check(options: argparse.Namespace, side: ActorProtocol | None, own_bridge: bool, actors: Sequence[Actor]) -> None:
     """Raises ConfigError for what does not fit together."""
-    if options.connect and side is not Side.IGTL:
+    if options.connect and side is not ActorProtocol.IGTL:
         raise ConfigError("--connect is for --side igtl: otherwise the actors connect to a bridge of their own")
     if options.record and not own_bridge:
         raise ConfigError("--record: with --side the bridge is yours, and records with `igtl-gateway bridge --record`")
     if options.view and not own_bridge:
         raise ConfigError("--view: with --side the bridge is yours, and shows itself with `igtl-gateway bridge --view`")
-    ours = sum(actor.side is Side.IGTL for actor in actors)
+    ours = sum(actor.side is ActorProtocol.IGTL for actor in actors)
     if options.listen and ours > 1 and options.listen[1]:
         raise ConfigError(f"--listen: found one port, expected port 0 (any) for {ours} OpenIGTLink programs")
     if not actors:
         raise ConfigError(f"--side {options.side}: {options.name} has no actors of that side")
-    if any(actor.side is Side.ROS for actor in actors) and importlib.util.find_spec("rclpy") is None:
+    if any(actor.side is ActorProtocol.ROS for actor in actors) and importlib.util.find_spec("rclpy") is None:
         raise Unavailable(f"{missing('rclpy')}; --out FILE plays offline, without ROS")
 
 
@@ -108,10 +108,12 @@ def _bridge(
     return ["--config", str(config), "--record", str(record), *more, "--duration", seconds, *topics, *said]
 
 
-def _plan(options: argparse.Namespace, scenario: Scenario, actors: Sequence[Actor], bridge: list[str] | None) -> Plan:
+def _plan(
+    options: argparse.Namespace, scenario: Scenario, actors: Sequence[Actor], bridge: list[str] | None
+) -> StagePlan:
     words = [sys.executable, "-m", "igtl_gateway", "simulate", options.name, "--peers"]
     # of one side alone: whoever stands in for the other is one program
-    words.append(str(sum(actor.side is Side.IGTL for actor in actors) or 1))
+    words.append(str(sum(actor.side is ActorProtocol.IGTL for actor in actors) or 1))
     if options.duration is not None:
         words += ["--duration", str(options.duration)]
     for option in LOAD_OPTIONS:
@@ -123,29 +125,29 @@ def _plan(options: argparse.Namespace, scenario: Scenario, actors: Sequence[Acto
 
     limits_s = _limits_s(options, scenario)
     if options.side == "ros":
-        return Plan(actors, command, bridge, *limits_s, serve=options.listen or (DEFAULT_HOST, 0))
+        return StagePlan(actors, command, bridge, *limits_s, serve=options.listen or (DEFAULT_HOST, 0))
     connect = None if options.listen or bridge else options.connect or (DEFAULT_HOST, DEFAULT_PORT)
-    return Plan(actors, command, bridge, *limits_s, connect, options.listen)
+    return StagePlan(actors, command, bridge, *limits_s, connect, options.listen)
 
 
 def _verified(record: Path) -> Verification:
     with SessionFile.open(record) as file:
-        losses = Losses.of(file.session, file.ledger)
-        return verify(file.entries(), recorded_config(file.session), losses, before=file.prologue())
+        losses = DeclaredLosses.of(file.session, file.ledger)
+        return verify(file.entries(), config_to_run(file.session), losses, before=file.prologue())
 
 
-def report_facts(done: bool, report: Report) -> dict[str, Any]:
+def report_facts(done: bool, report: ActorReport) -> dict[str, Any]:
     """An actor's report as JSON values."""
     return {"done": done, **asdict(report)}
 
 
-def report_lines(name: str, what: str, done: bool, report: Report) -> list[str]:
+def report_lines(name: str, what: str, done: bool, report: ActorReport) -> list[str]:
     """An actor's report for people."""
     verdict = "good" if done and report.good else "NOT GOOD" if done else "NOT DONE"
     return [f"{name:<12} {verdict}{what}", *(f"             {line}" for line in report.lines)]
 
 
-class _Output:
+class _StageOutput:
     """Lines for people, with a live one on a terminal; or one JSON object at the end."""
 
     def __init__(self, name: str, scenario: Scenario, actors: Sequence[Actor], as_json: bool) -> None:
@@ -158,16 +160,16 @@ class _Output:
         self._terminal = is_terminal() and not as_json
         self._state = {actor.name: "starts" for actor in actors}
 
-    def started(self, plan: Plan, options: argparse.Namespace) -> None:
+    def started(self, plan: StagePlan, options: argparse.Namespace) -> None:
         if self._json:
             return
         self._alone = bool(options.side)
-        say(f"{self._name}: {self._scenario.title}")
+        print_line(f"{self._name}: {self._scenario.title}")
         if plan.bridge is None and options.side == "ros":
-            say("             waits for a bridge of yours in this ROS 2 domain that has an OpenIGTLink peer")
-            say(f"             igtl-gateway simulate {self._name} --print-config > its.toml")
-            say("             igtl-gateway bridge --config its.toml")
-        finish()
+            print_line("             waits for a bridge of yours in this ROS 2 domain that has an OpenIGTLink peer")
+            print_line(f"             igtl-gateway simulate {self._name} --print-config > its.toml")
+            print_line("             igtl-gateway bridge --config its.toml")
+        flush_outputs()
         self._status()
 
     def event(self, name: str, event: Event) -> None:
@@ -199,7 +201,7 @@ class _Output:
                 self._line("", "begun; Ctrl-C ends")
         self._status()
 
-    def ended(self, outcome: Outcome, verification: Verification | None, good: bool, kept: bool) -> None:
+    def ended(self, outcome: StageOutcome, verification: Verification | None, good: bool, kept: bool) -> None:
         if self._json:
             print_json(_facts(self._name, outcome, verification, good))
             return
@@ -207,42 +209,44 @@ class _Output:
         for name, part in outcome.parts.items() if self._begun else ():
             sent, received = sum(part.sent.values()), sum(part.received.values())
             what = f"  {_SIDES[part.side]}: {sent:,} sent, {received:,} received"
-            say(*report_lines(name, what, part.done, part.report))
+            print_line(*report_lines(name, what, part.done, part.report))
         for name, what in outcome.waiting.items():
-            say(f"{name:<12} waited for {what}")
+            print_line(f"{name:<12} waited for {what}")
         for text in outcome.warnings[:_WARNINGS]:
-            say(f"?            {text}")
+            print_line(f"?            {text}")
         if len(outcome.warnings) > _WARNINGS:
-            say(f"?            and {count(len(outcome.warnings) - _WARNINGS, 'more warning')}: --json shows all")
+            print_line(
+                f"?            and {count_text(len(outcome.warnings) - _WARNINGS, 'more warning')}: --json shows all"
+            )
         if outcome.recording and verification:
             where = f"{outcome.recording['path']}: " if kept else ""
-            entries = count(outcome.recording["entries"], "entry", "entries")
+            entries = count_text(outcome.recording["entries"], "entry", "entries")
             if lost := outcome.recording["dropped"]:
                 entries += f", LOST {lost:,}"
             told = (
-                f"verified: all {count(verification.equal, 'output')} equal, byte for byte"
+                f"verified: all {count_text(verification.equal, 'output')} equal, byte for byte"
                 if verification.good
                 else f"DIFFERENT: {verification.differences[0]}"
             )
-            say(f"recording    {where}{entries}, {size(outcome.recording['bytes'])}; {told}")
-        why = "" if outcome.end is End.OVER else f" ({outcome.end.value})"
-        say(f"{self._name}: {'good' if good else 'NOT GOOD'}{why}, {outcome.seconds:.1f} s")
+            print_line(f"recording    {where}{entries}, {size_text(outcome.recording['bytes'])}; {told}")
+        why = "" if outcome.end is StageEnd.OVER else f" ({outcome.end.value})"
+        print_line(f"{self._name}: {'good' if good else 'NOT GOOD'}{why}, {outcome.seconds:.1f} s")
 
     def _line(self, name: str, text: str) -> None:
         self._clear()
-        say(f"{name:<12} {text}", flush=True)
+        print_line(f"{name:<12} {text}", flush=True)
 
     def _clear(self) -> None:
         if self._terminal:
-            clear()
+            clear_live_line()
 
     def _status(self) -> None:
         if self._terminal:
             told = " | ".join(f"{name} {state}" for name, state in self._state.items())
-            live(told)
+            live_line(told)
 
 
-def _facts(name: str, outcome: Outcome, verification: Verification | None, good: bool) -> dict[str, Any]:
+def _facts(name: str, outcome: StageOutcome, verification: Verification | None, good: bool) -> dict[str, Any]:
     told: dict[str, Any] = {
         "scenario": name,
         "good": good,
@@ -272,16 +276,16 @@ def play_actor(options: argparse.Namespace, scenario: Scenario) -> int:
     actor = next((one for one in cast if one.name == options.actor), None)
     if actor is None:
         raise ConfigError(f"--actor: found {options.actor!r}, expected one of {', '.join(one.name for one in cast)}")
-    if actor.side is Side.ROS:
+    if actor.side is ActorProtocol.ROS:
         prepare_environment()
-    connection = Connection(options.listen or options.connect or (DEFAULT_HOST, DEFAULT_PORT), bool(options.listen))
+    connection = IgtlEndpoint(options.listen or options.connect or (DEFAULT_HOST, DEFAULT_PORT), bool(options.listen))
     program = ActorProgram(actor, cast, scenario.config, options.peers, connection, SystemClock(), print_json)
-    threading.Thread(target=_obey, args=(program.begin, program.end), name="igtl-orders", daemon=True).start()
+    threading.Thread(target=_read_commands, args=(program.begin, program.end), name="igtl-orders", daemon=True).start()
     program.run()
     return 0
 
 
-def _obey(begin: Callable[[], None], end: Callable[[], None]) -> None:
+def _read_commands(begin: Callable[[], None], end: Callable[[], None]) -> None:
     # not sys.stdin: a thread that waits there holds a lock that the end of the program needs
     while os.read(0, 1 << 10):
         begin()

@@ -36,7 +36,16 @@ from igtl_gateway.wire.image import Image as WireImage
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.text import String as WireString
 from igtl_gateway.wire.transform import Transform
-from igtl_gateway_lab.simulate.actor import Actor, Heard, Report, RosHeard, RosSaid, Said, Says, Side
+from igtl_gateway_lab.simulate.actor import (
+    Actor,
+    ActorProtocol,
+    ActorReport,
+    Publishes,
+    Received,
+    RosReceived,
+    RosSent,
+    Sent,
+)
 from igtl_gateway_lab.simulate.star_numbers import Noise, Rgb
 
 #: Where the lesion is, and the robot is sent to: millimetres in the robot's base frame.
@@ -68,10 +77,10 @@ _COMMAND_ID = 1
 def actors(duration_s: float | None = None) -> tuple[Actor, ...]:
     """Planner and robot; the robot moves so long that the session takes about ``duration_s``."""
     move_s = MOVE_S if duration_s is None else max(0.2, duration_s - 1.0)
-    return Planner(), Robot(move_s)
+    return AcquisitionPlanner(), AcquisitionRobot(move_s)
 
 
-def picture(position_mm: tuple[float, float, float]) -> Rgb:
+def probe_image(position_mm: tuple[float, float, float]) -> Rgb:
     """What the probe sees at a position: speckled tissue, and the lesion where it lies; 8 bits grey."""
     speckle = (Noise(9, 1).uniform(HEIGHT, WIDTH) * 100).astype(np.uint8)
     x = (np.arange(WIDTH) - (WIDTH - 1) / 2) * PIXEL_MM + position_mm[0] - LESION_MM[0]
@@ -81,11 +90,11 @@ def picture(position_mm: tuple[float, float, float]) -> Rgb:
     return np.where(inside, np.uint8(BRIGHT), speckle)
 
 
-class Robot:
+class AcquisitionRobot:
     """The ROS side: a robot that carries a probe."""
 
     name = "robot"
-    side = Side.ROS
+    side = ActorProtocol.ROS
 
     def __init__(self, move_s: float) -> None:
         self.hears = {
@@ -94,10 +103,10 @@ class Robot:
             "/igtl/in/Probe/command": RosCommand.TYPE,
         }
         self.says = {
-            _TOPIC["Robot/string"]: Says(String.TYPE),
-            _TOPIC["ProbeToBase/transform"]: Says(TransformStamped.TYPE),
-            "/igtl/out/Probe/command_reply": Says(CommandReply.TYPE),
-            _TOPIC["Probe/image"]: Says(Image.TYPE),
+            _TOPIC["Robot/string"]: Publishes(String.TYPE),
+            _TOPIC["ProbeToBase/transform"]: Publishes(TransformStamped.TYPE),
+            "/igtl/out/Probe/command_reply": Publishes(CommandReply.TYPE),
+            _TOPIC["Probe/image"]: Publishes(Image.TYPE),
         }
         self._move_ns = round(move_s * NS_PER_S)
         self._position = HOME_MM
@@ -105,7 +114,7 @@ class Robot:
         self._over = False
         self._told: list[str] = []
         # what it will do: time, number, deed
-        self._plans: list[tuple[int, int, Callable[[int], list[Said]]]] = []
+        self._plans: list[tuple[int, int, Callable[[int], list[Sent]]]] = []
         self._number = 0
 
     def begin(self, now_ns: int) -> None:
@@ -119,14 +128,14 @@ class Robot:
     def done(self) -> bool:
         return self._over and not self._plans
 
-    def act(self, now_ns: int) -> Iterable[Said]:
-        said: list[Said] = []
+    def act(self, now_ns: int) -> Iterable[Sent]:
+        said: list[Sent] = []
         while self._plans and self._plans[0][0] <= now_ns:
             said += heapq.heappop(self._plans)[2](now_ns)
         return said
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
-        assert isinstance(heard, RosHeard)
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+        assert isinstance(heard, RosReceived)
         match heard.type:
             case String.TYPE:
                 return self._order(now_ns, String.unpack(heard.cdr).data)
@@ -137,16 +146,16 @@ class Robot:
         self._told.append(f"refused {heard.topic}: not initialised")
         return ()
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         x, y, z = self._position
         lines = (*self._told, f"probe at ({x:.2f}, {y:.2f}, {z:.2f}) mm")
-        return Report(self.done, lines, {"position_mm": list(self._position), "initialised": self._ready})
+        return ActorReport(self.done, lines, {"position_mm": list(self._position), "initialised": self._ready})
 
-    def _later(self, time_ns: int, deed: Callable[[int], list[Said]]) -> None:
+    def _later(self, time_ns: int, deed: Callable[[int], list[Sent]]) -> None:
         self._number += 1
         heapq.heappush(self._plans, (time_ns, self._number, deed))
 
-    def _order(self, now_ns: int, order: str) -> list[Said]:
+    def _order(self, now_ns: int, order: str) -> list[Sent]:
         if order == "INITIALIZE":
             self._later(now_ns + _SETTLE_NS, self._initialised)
             return []
@@ -155,11 +164,11 @@ class Robot:
             return [self._status("SHUT DOWN")]
         return [self._status(f"UNKNOWN ORDER {order}")]
 
-    def _initialised(self, _now_ns: int) -> list[Said]:
+    def _initialised(self, _now_ns: int) -> list[Sent]:
         self._ready = True
         return [self._status("INITIALIZED")]
 
-    def _move(self, now_ns: int, target: PointStamped) -> list[Said]:
+    def _move(self, now_ns: int, target: PointStamped) -> list[Sent]:
         start = self._position
         x, y, z = (round(value * 1000, 4) for value in target.point)
         steps = max(1, self._move_ns // _POSE_NS)
@@ -169,8 +178,8 @@ class Robot:
 
     def _step(
         self, start: tuple[float, float, float], end: tuple[float, float, float], part: float
-    ) -> Callable[[int], list[Said]]:
-        def step(now_ns: int) -> list[Said]:
+    ) -> Callable[[int], list[Sent]]:
+        def step(now_ns: int) -> list[Sent]:
             smooth = part * part * (3 - 2 * part)
             x, y, z = (round(a + (b - a) * smooth, 4) for a, b in zip(start, end, strict=True))
             self._position = (x, y, z)
@@ -179,7 +188,7 @@ class Robot:
 
         return step
 
-    def _acquire(self, now_ns: int, order: RosCommand) -> list[Said]:
+    def _acquire(self, now_ns: int, order: RosCommand) -> list[Sent]:
         known = order.name == "Acquire"
         status = CommandReply.SUCCESS if known else CommandReply.FAIL
         error = "" if known else f"unknown command {order.name}"
@@ -187,10 +196,10 @@ class Robot:
             self._later(now_ns + _SETTLE_NS, self._image)
         reply = CommandReply(Header(now_ns), "Probe", order.id, order.name, status, error, link=order.link)
         self._told.append(f"command {order.name}: {error or 'done'}")
-        return [RosSaid("/igtl/out/Probe/command_reply", reply)]
+        return [RosSent("/igtl/out/Probe/command_reply", reply)]
 
-    def _image(self, now_ns: int) -> list[Said]:
-        pixels = picture(self._position)
+    def _image(self, now_ns: int) -> list[Sent]:
+        pixels = probe_image(self._position)
         image = Image(Header(now_ns, "probe"), HEIGHT, WIDTH, "mono8", 0, WIDTH, pixels.tobytes())
         return [self._say("ProbeToBase/transform", self._pose(now_ns)), self._say("Probe/image", image)]
 
@@ -198,23 +207,23 @@ class Robot:
         x, y, z = (value / 1000 for value in self._position)
         return TransformStamped(Header(now_ns, _BASE_FRAME), "probe", (x, y, z), (0.0, 0.0, 0.0, 1.0))
 
-    def _status(self, text: str) -> Said:
+    def _status(self, text: str) -> Sent:
         self._told.append(text.lower())
         return self._say("Robot/string", String(text))
 
-    def _say(self, stream: str, message: RosMessage) -> Said:
-        return RosSaid(_TOPIC[stream], message)
+    def _say(self, stream: str, message: RosMessage) -> Sent:
+        return RosSent(_TOPIC[stream], message)
 
 
-class Planner:
+class AcquisitionPlanner:
     """The OpenIGTLink side: a planning program, as 3D Slicer is."""
 
     name = "planner"
-    side = Side.IGTL
+    side = ActorProtocol.IGTL
 
     def __init__(self) -> None:
         self.hears: dict[str, str] = {}
-        self.says: dict[str, Says] = {}
+        self.says: dict[str, Publishes] = {}
         self._step = 0
         self._due_ns: int | None = None
         self._give_up_ns = 0
@@ -241,7 +250,7 @@ class Planner:
     def done(self) -> bool:
         return self._step == _LAST_STEP or bool(self._faults)
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         if self._late_ns is not None:
             self._judge(now_ns)
             return []
@@ -261,7 +270,7 @@ class Planner:
             case _:
                 return [self._text(now_ns, "SHUT DOWN")]
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         assert isinstance(heard, Message)
         content = heard.content
         match self._step, heard.type:
@@ -291,11 +300,11 @@ class Planner:
                 self._step = _LAST_STEP
         return ()
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         steps = min(self._step, _LAST_STEP - 1) if self._step == _LAST_STEP else max(0, self._step - 1)
         good = self._step == _LAST_STEP and not self._faults
         lines = (*self._lines, *self._faults)
-        return Report(good, lines, {"steps": steps, "poses": self._poses, "faults": self._faults, **self._facts})
+        return ActorReport(good, lines, {"steps": steps, "poses": self._poses, "faults": self._faults, **self._facts})
 
     def _judge(self, now_ns: int) -> None:
         """Look at what has come, once the pose that belongs to it has come, too, or is too late."""

@@ -16,7 +16,7 @@ from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.wire import Message
 
 
-class Side(Enum):
+class ActorProtocol(Enum):
     """What an actor speaks."""
 
     ROS = "ros"
@@ -24,7 +24,7 @@ class Side(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Says:
+class Publishes:
     """What is published on a ROS topic: its type as ``"std_msgs/msg/String"``.
 
     ``latched``: the last message is for late subscribers, too (transient local).  ``recorded``: it is for the recording
@@ -37,7 +37,7 @@ class Says:
 
 
 @dataclass(frozen=True, slots=True)
-class RosSaid:
+class RosSent:
     """A message for a ROS topic, one of those in the actor's ``says``."""
 
     topic: str
@@ -45,11 +45,11 @@ class RosSaid:
 
 
 #: What an actor says: an actor of ROS the first, one of OpenIGTLink the second.
-Said = RosSaid | Message
+Sent = RosSent | Message
 
 
 @dataclass(frozen=True, slots=True)
-class RosHeard:
+class RosReceived:
     """A message that came on a ROS topic: its type as ``"std_msgs/msg/String"`` and its CDR bytes."""
 
     topic: str
@@ -58,11 +58,11 @@ class RosHeard:
 
 
 #: What an actor hears: of ROS the first, of OpenIGTLink the decoded message.
-Heard = RosHeard | Message
+Received = RosReceived | Message
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class ActorReport:
     """How a scenario went for one actor.
 
     Attributes:
@@ -77,7 +77,7 @@ class Report:
 
 
 @runtime_checkable
-class Prepares(Protocol):
+class Preparable(Protocol):
     """An actor that has something to compute first; live, before anybody is told to begin."""
 
     def prepare(self) -> None:
@@ -96,9 +96,9 @@ class Actor(Protocol):
     """
 
     name: str
-    side: Side
+    side: ActorProtocol
     hears: dict[str, str]
-    says: dict[str, Says]
+    says: dict[str, Publishes]
 
     def begin(self, now_ns: int) -> None:
         """The connection is up, or the node has found its peers.  Called once, before all else."""
@@ -107,15 +107,15 @@ class Actor(Protocol):
     def due_ns(self) -> int | None:
         """When it wants to act next; None: not before it hears something."""
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         """What it says now that it is due."""
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         """What it answers to a message."""
 
     @property
     def done(self) -> bool:
         """Whether its part is over; the scenario ends when that of every actor is."""
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         """How it went."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable, Iterator
 
-from igtl_gateway_lab.simulate.actor import Said
+from igtl_gateway_lab.simulate.actor import Sent
 
 #: Is given the time (UTC ns) at which it is done, and gives what is said then.
-Task = Callable[[int], Iterable[Said]]
+Task = Callable[[int], Iterable[Sent]]
 
 
 class Agenda:
@@ -32,7 +32,7 @@ class Agenda:
         """When the next task is due; None if there is none."""
         return self._tasks[0][0] if self._tasks else None
 
-    def act(self, now_ns: int) -> Iterator[Said]:
+    def act(self, now_ns: int) -> Iterator[Sent]:
         """Do all that is due by ``now_ns``, what comes up meanwhile included."""
         while self._tasks and self._tasks[0][0] <= now_ns:
             yield from heapq.heappop(self._tasks)[2](now_ns)

@@ -30,9 +30,18 @@ from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway.wire.text import String
-from igtl_gateway_lab.simulate.actor import Actor, Heard, Report, RosHeard, RosSaid, Said, Says, Side
-from igtl_gateway_lab.simulate.brain_surface import Surface, procedural_brain, resampled, smoothed, surface_of
-from igtl_gateway_lab.simulate.volume import BRAIN, find_volume, read_nifti
+from igtl_gateway_lab.simulate.actor import (
+    Actor,
+    ActorProtocol,
+    ActorReport,
+    Publishes,
+    Received,
+    RosReceived,
+    RosSent,
+    Sent,
+)
+from igtl_gateway_lab.simulate.brain_surface import TriangleMesh, extract_surface, procedural_brain, resampled, smoothed
+from igtl_gateway_lab.simulate.volume import BRAIN, find_volume, read_nifti_volume
 
 SMALL_BELOW_S = 5.0  #: a session shorter than this is the small one
 ROUNDS = 3
@@ -62,24 +71,24 @@ CONFIG = Config(
 def actors(duration_s: float | None) -> tuple[Actor, ...]:
     """The planner and the node; see the module for what the duration decides."""
     if duration_s is not None and duration_s < SMALL_BELOW_S:
-        return Planner(small_brain, 1), Model(1)
-    return Planner(large_brain, ROUNDS), Model(ROUNDS)
+        return BrainPlanner(small_brain, 1), Model(1)
+    return BrainPlanner(large_brain, ROUNDS), Model(ROUNDS)
 
 
-def small_brain() -> tuple[Surface, str]:
+def small_brain() -> tuple[TriangleMesh, str]:
     """The surface, in millimetres RAS, and where it comes from."""
     return procedural_brain(SMALL_MM).unwelded(), f"synthetic brain, {SMALL_MM:g} mm"
 
 
-def large_brain() -> tuple[Surface, str]:
+def large_brain() -> tuple[TriangleMesh, str]:
     """As ``small_brain``: of the MR volume where there is one.  Raises ConfigError where it cannot be read."""
     path = find_volume(BRAIN)
     if path is None:
         return procedural_brain(FINE_MM).unwelded(), f"synthetic brain, {FINE_MM:g} mm"
-    volume = read_nifti(path)
+    volume = read_nifti_volume(path)
     field = resampled(smoothed(np.clip(volume.voxels, 0, 255).astype(np.uint8)), STEP)
     columns = STEP * volume.affine[:, [2, 1, 0]]  # the array's axes are k, j, i
-    surface = surface_of(field, 64.0 * LEVEL).placed(columns, volume.affine[:, 3])
+    surface = extract_surface(field, 64.0 * LEVEL).placed(columns, volume.affine[:, 3])
     return surface.unwelded(), volume.source
 
 
@@ -127,7 +136,7 @@ class _Cargo:
     source: str
 
 
-class Planner:
+class BrainPlanner:
     """Sends a surface, and compares what comes back.
 
     Args:
@@ -136,11 +145,11 @@ class Planner:
     """
 
     name = "planner"
-    side = Side.IGTL
+    side = ActorProtocol.IGTL
     hears: dict[str, str] = {}  # noqa: RUF012 - read only, as the protocol has it
-    says: dict[str, Says] = {}  # noqa: RUF012
+    says: dict[str, Publishes] = {}  # noqa: RUF012
 
-    def __init__(self, make: Callable[[], tuple[Surface, str]], rounds: int) -> None:
+    def __init__(self, make: Callable[[], tuple[TriangleMesh, str]], rounds: int) -> None:
         self._make = make
         self._rounds = rounds
         self._due_ns: int | None = None
@@ -170,11 +179,11 @@ class Planner:
     def due_ns(self) -> int | None:
         return self._due_ns
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         """The next round."""
         return self._send(now_ns)
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         match heard:
             case Message(type="STRING", device_name="Ready") if self._round == 0:
                 self._due_ns = now_ns
@@ -185,7 +194,7 @@ class Planner:
         self._compare(now_ns)
         return ()
 
-    def _send(self, now_ns: int) -> Iterable[Said]:
+    def _send(self, now_ns: int) -> Iterable[Sent]:
         self._due_ns = None
         self._round += 1
         self._sent_ns = now_ns
@@ -213,13 +222,13 @@ class Planner:
     def done(self) -> bool:
         return len(self._both_s) == self._rounds
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         if not self._round:
-            return Report(False, ("no node of ROS was ready",), {"sent": 0})
+            return ActorReport(False, ("no node of ROS was ready",), {"sent": 0})
         cargo = self._cargo
         size = sum(memoryview(part).nbytes for part in cargo.content.pack())
         good = self._equal == self._told_equal == self._rounds
-        return Report(
+        return ActorReport(
             good,
             (
                 f"{cargo.source}: {cargo.sum}, {size / 1e6:.1f} MB as POLYDATA",
@@ -244,14 +253,14 @@ class Model:
     """The node that has the surface on the ROS side, and gives it back ``rounds`` times."""
 
     name = "brain_model"
-    side = Side.ROS
+    side = ActorProtocol.ROS
 
     def __init__(self, rounds: int) -> None:
         self.hears = {_SURFACE: Mesh.TYPE, _CAPTION: RosString.TYPE}
         self.says = {
-            _MODEL: Says(Mesh.TYPE, latched=True),
-            _VERDICT: Says(RosString.TYPE),
-            _READY: Says(RosString.TYPE),
+            _MODEL: Publishes(Mesh.TYPE, latched=True),
+            _VERDICT: Publishes(RosString.TYPE),
+            _READY: Publishes(RosString.TYPE),
         }
         self._rounds = rounds
         self._due_ns: int | None = None
@@ -269,13 +278,13 @@ class Model:
     def due_ns(self) -> int | None:
         return self._due_ns
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         """It is ready, until the planner begins: whoever came later has not heard the first time."""
         self._due_ns = now_ns + _AGAIN_NS
-        return (RosSaid(_READY, RosString("ready")),)
+        return (RosSent(_READY, RosString("ready")),)
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
-        assert isinstance(heard, RosHeard)
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+        assert isinstance(heard, RosReceived)
         self._due_ns = None
         if heard.topic == _CAPTION:
             self._caption = Caption.unpack(RosString.unpack(heard.cdr).data)
@@ -290,16 +299,16 @@ class Model:
         self._last = str(found)
         self._to_ros_s.append((arrived_ns - caption.sent_ns) / NS_PER_S)
         verdict = Caption(found, caption.round, now_ns, found == caption.sum)
-        return RosSaid(_VERDICT, RosString(verdict.pack())), RosSaid(_MODEL, mesh)
+        return RosSent(_VERDICT, RosString(verdict.pack())), RosSent(_MODEL, mesh)
 
     @property
     def done(self) -> bool:
         return len(self._to_ros_s) == self._rounds
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         if not self._to_ros_s:
-            return Report(False, ("no surface arrived",), {"received": 0})
-        return Report(
+            return ActorReport(False, ("no surface arrived",), {"received": 0})
+        return ActorReport(
             self._equal == self._rounds,
             (
                 f"{len(self._to_ros_s)} received, {self._equal} equal to the last bit: {self._last}, "

@@ -26,7 +26,7 @@ _AROUND = ((-1, -1), (0, -1), (0, 0), (-1, 0))
 
 
 @dataclass(frozen=True)
-class Surface:
+class TriangleMesh:
     """Triangles that face outwards.
 
     Attributes:
@@ -54,7 +54,7 @@ def _determinant(m: Array) -> float:
     return float(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
 
 
-def surface_of(field: NDArray[Any], level: float) -> Surface:
+def extract_surface(field: NDArray[Any], level: float) -> TriangleMesh:
     """The surface between voxels below ``level`` and those from it on, in voxels; outside the field is below.
 
     Args:
@@ -87,7 +87,7 @@ def surface_of(field: NDArray[Any], level: float) -> Surface:
     points = np.stack([np.bincount(corner, sums[:, axis]) / count for axis in range(3)], axis=1) if len(names) else sums
     quad = corner.reshape(sum(quads), 4)
     faces = np.stack([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
-    return Surface(points - 1, faces.astype(np.int64))
+    return TriangleMesh(points - 1, faces.astype(np.int64))
 
 
 def resampled(field: NDArray[Any], step: float) -> Array:
@@ -127,7 +127,7 @@ _HEMISPHERES = (66.0, 84.0, 58.0)
 _CELL_MM = 13.0  #: size of the folds
 
 
-def procedural_brain(step_mm: float) -> Surface:
+def procedural_brain(step_mm: float) -> TriangleMesh:
     """A synthetic brain in millimetres, RAS: folded hemispheres, the fissure between them, cerebellum and stem.
 
     ``step_mm`` is the distance of the voxels that it is made of; it has about 360,000 faces divided by its square.
@@ -137,7 +137,7 @@ def procedural_brain(step_mm: float) -> Surface:
     grid = Noise(2017, 31).normal(*(2 * int(half / _CELL_MM) + 4 for half in _BOX_MM))
     # slab by slab: the intermediate arrays of the whole would take a gigabyte
     field = np.stack([_depth(np.array(x), axes[1][:, None], axes[2][None, :], grid) for x in axes[0]])
-    return surface_of(field, 0.0).placed(step_mm * np.eye(3), -np.array(_BOX_MM, float))
+    return extract_surface(field, 0.0).placed(step_mm * np.eye(3), -np.array(_BOX_MM, float))
 
 
 def _depth(x: Array, y: Array, z: Array, grid: Array) -> Array:

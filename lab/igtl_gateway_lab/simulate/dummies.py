@@ -22,7 +22,16 @@ from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway.wire.text import String as WireString
 from igtl_gateway.wire.transform import Transform
-from igtl_gateway_lab.simulate.actor import Actor, Heard, Report, RosHeard, RosSaid, Said, Says, Side
+from igtl_gateway_lab.simulate.actor import (
+    Actor,
+    ActorProtocol,
+    ActorReport,
+    Publishes,
+    Received,
+    RosReceived,
+    RosSent,
+    Sent,
+)
 from igtl_gateway_lab.simulate.star_numbers import Array, Noise, rounded
 
 ROUNDS = 4
@@ -141,12 +150,12 @@ _SPHERE, TRIANGLES = _sphere()
 class _Dummy:
     """What both have in common: rounds of sending, and the account of what came."""
 
-    side: Side
+    side: ActorProtocol
     sends = receives = ""  #: how its own devices begin, and the other's
 
     def __init__(self, rounds: int) -> None:
         self.hears: dict[str, str] = {}
-        self.says: dict[str, Says] = {}
+        self.says: dict[str, Publishes] = {}
         self._rounds = rounds
         self._begun_ns = self._last_ns = 0
         self._number = 0
@@ -169,7 +178,7 @@ class _Dummy:
         complete = all(count >= self._rounds for count in self._counts.values())
         return self._number == self._rounds and (complete or self._gave_up)
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         if self._number == self._rounds:
             self._gave_up = True
             return []
@@ -178,7 +187,7 @@ class _Dummy:
         self._last_ns = now_ns
         return [self._say(kind, dummies, now_ns) for kind in KINDS]
 
-    def _say(self, kind: str, dummies: Dummies, now_ns: int) -> Said:
+    def _say(self, kind: str, dummies: Dummies, now_ns: int) -> Sent:
         raise NotImplementedError
 
     def _take(self, now_ns: int, kind: str, found: Array | str) -> None:
@@ -189,7 +198,7 @@ class _Dummy:
         self._worst[kind] = max(self._worst[kind], off_mm)
         self._shown[kind] = _shown(kind, found)
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         lines = [f"sent {self._number} rounds of {', '.join(_WIRE_TYPES[kind] for kind in KINDS)}"]
         for kind in KINDS:
             lines.append(
@@ -202,7 +211,7 @@ class _Dummy:
             "received": {self.receives + kind: count for kind, count in self._counts.items()},
             "worst_mm": round(worst, 6) if math.isfinite(worst) else None,
         }
-        return Report(complete and worst <= _TOLERANCE_MM, tuple(lines), facts)
+        return ActorReport(complete and worst <= _TOLERANCE_MM, tuple(lines), facts)
 
     def _told(self, kind: str) -> str:
         if not self._counts[kind]:
@@ -227,35 +236,35 @@ class DummyNode(_Dummy):
     """The ROS side."""
 
     name = "test_node"
-    side = Side.ROS
+    side = ActorProtocol.ROS
     sends, receives = _NODE, _SERVER
 
     def __init__(self, rounds: int) -> None:
         super().__init__(rounds)
         for kind, (last, ros_type) in _ROS_KINDS.items():
             self.hears[f"/igtl/in/{_SERVER}{kind}/{last}"] = ros_type
-            self.says[f"/igtl/out/{_NODE}{kind}/{last}"] = Says(ros_type)
+            self.says[f"/igtl/out/{_NODE}{kind}/{last}"] = Publishes(ros_type)
         self._kinds = dict(zip(self.hears, _ROS_KINDS, strict=True))
 
-    def _say(self, kind: str, dummies: Dummies, now_ns: int) -> Said:
+    def _say(self, kind: str, dummies: Dummies, now_ns: int) -> Sent:
         topic = f"/igtl/out/{_NODE}{kind}/{_ROS_KINDS[kind][0]}"
         header = Header(now_ns, "test")
         match kind:
             case "Transform":
                 x, y, z, w = (float(value) for value in dummies.quaternion)
-                return RosSaid(topic, TransformStamped(header, "dummy", _metres(dummies.place), (x, y, z, w)))
+                return RosSent(topic, TransformStamped(header, "dummy", _metres(dummies.place), (x, y, z, w)))
             case "Point":
-                return RosSaid(topic, PointStamped(header, _metres(dummies.point)))
+                return RosSent(topic, PointStamped(header, _metres(dummies.point)))
             case "Cloud":
                 count, data = len(dummies.cloud), (dummies.cloud / 1000).astype("<f4").tobytes()
-                return RosSaid(topic, PointCloud2(header, 1, count, _XYZ, False, 12, 12 * count, data, True))
+                return RosSent(topic, PointCloud2(header, 1, count, _XYZ, False, 12, 12 * count, data, True))
             case "String":
-                return RosSaid(topic, String(dummies.text))
+                return RosSent(topic, String(dummies.text))
             case _:
-                return RosSaid(topic, Mesh(TRIANGLES, dummies.model / 1000))
+                return RosSent(topic, Mesh(TRIANGLES, dummies.model / 1000))
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
-        assert isinstance(heard, RosHeard)
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+        assert isinstance(heard, RosReceived)
         kind = self._kinds[heard.topic]
         self._take(now_ns, kind, _OF_ROS[kind](heard.cdr))
         return ()
@@ -265,14 +274,14 @@ class DummyServer(_Dummy):
     """The OpenIGTLink side."""
 
     name = "test_server"
-    side = Side.IGTL
+    side = ActorProtocol.IGTL
     sends, receives = _SERVER, _NODE
 
-    def _say(self, kind: str, dummies: Dummies, now_ns: int) -> Said:
+    def _say(self, kind: str, dummies: Dummies, now_ns: int) -> Sent:
         content = _WIRE[kind](dummies)
         return Message(_WIRE_TYPES[kind], _SERVER + kind, content, ns_to_ticks(now_ns))
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         assert isinstance(heard, Message)
         kind = heard.device_name.removeprefix(_NODE)
         if kind in KINDS and heard.type == _WIRE_TYPES[kind]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Item
-from igtl_gateway.wire.bind import Bind, Child
+from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.client_info import ClientInfo
@@ -25,7 +25,7 @@ from igtl_gateway.wire.metalists import ImageMetaList, LabelMetaList, VideoMetaL
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import CELL, NORMAL, RGBA, SCALAR, TCOORDS, TENSOR, VECTOR, Attribute, Cells, PolyData
-from igtl_gateway.wire.query import QUERIES, GetBind, Reply, StartBind, StartPolyData, StartTracking, StartVideo
+from igtl_gateway.wire.query import QUERIES, GetBind, QueryReply, StartBind, StartPolyData, StartTracking, StartVideo
 from igtl_gateway.wire.sensor import Sensor, parse_unit
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.tracking import (
@@ -198,8 +198,8 @@ def _lists() -> Iterator[Said]:
 
 
 def _binds() -> Iterator[Said]:
-    def child(igtl_type: str, name: str, content: Body) -> Child:
-        return Child(igtl_type, name, b"".join(bytes(part) for part in content.pack()))
+    def child(igtl_type: str, name: str, content: Body) -> BindChild:
+        return BindChild(igtl_type, name, b"".join(bytes(part) for part in content.pack()))
 
     inner = Bind((child("STRING", "Inner", String.of("deep")),))
     yield (
@@ -210,8 +210,8 @@ def _binds() -> Iterator[Said]:
                 child("TRANSFORM", "BoundTool", Transform((*QUARTER, 1.0, 2.0, 3.0))),
                 child("STRING", "BoundText", String.of("odd")),
                 child("BIND", "Nested", inner),
-                Child("MYTYPE", "BoundRaw", b"\x01\x02\x03"),
-                Child("SENSOR", "Broken", b"\x05"),
+                BindChild("MYTYPE", "BoundRaw", b"\x01\x02\x03"),
+                BindChild("SENSOR", "Broken", b"\x05"),
             )
         ),
     )
@@ -235,7 +235,7 @@ def query(name: str) -> Body:
     """The content of a query, with a value in every field that it has."""
     kind = QUERIES[name]
     made: dict[type[Body], Body] = {
-        Reply: Reply(0),
+        QueryReply: QueryReply(0),
         GetBind: GetBind((("TRANSFORM", "Tool"), ("SENSOR", "Force"))),
         StartBind: StartBind(50 * NS_PER_MS, (("TRANSFORM", "Tool"),)),
         StartTracking: StartTracking(50, "Base"),
@@ -256,5 +256,5 @@ METADATA = (
 )
 
 
-def command(command_id: int, name: str) -> Command:
+def command_content(command_id: int, name: str) -> Command:
     return Command.of(command_id, name, f'<Command Name="{name}" Größe="3"/>')

@@ -30,7 +30,7 @@ _FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], np.uint32)
 _RED, _CLEAR = (255, 0, 0, 255), (0, 0, 0, 0)
 
 
-def tracking(step: int) -> igtl_msgs.TrackingData:
+def tracking_step(step: int) -> igtl_msgs.TrackingData:
     """Two tools in the frame of the camera; the first moves 8 mm a step along z."""
     probe = TrackedTool("Probe", TOOL_6D, (0.1, 0.2, 0.3 + step / 128, *TURNED))
     return igtl_msgs.TrackingData(_IN_CAMERA, (probe, TrackedTool("Stylus", TOOL_3D, (0.0, 0.0, 0.5, *TURNED))), _ITEMS)
@@ -41,7 +41,7 @@ def tool_pose(step: int) -> common_msgs.PoseStamped:
     return common_msgs.PoseStamped(_BASE, (step / 128, 0.25, 0.5, *TURNED))
 
 
-def frames(*transforms: tuple[str, str, Pose]) -> TFMessage:
+def tf_frames(*transforms: tuple[str, str, Pose]) -> TFMessage:
     """Parent, child and pose of each, for /tf or /tf_static."""
     return TFMessage(tuple(FrameTransform(Header(0, parent), child, pose) for parent, child, pose in transforms))
 
@@ -53,8 +53,8 @@ def _poses() -> Iterator[Published]:
     yield "Pose", "", tool_pose(0)
     yield "Pose/as_position", "POSITION", tool_pose(0)
     yield "Tools/poses", "", common_msgs.PoseArray(_BASE, np.array([_POSE, _POSE]))
-    yield "Tools", "", tracking(0)
-    yield "Tools/as_quaternions", "QTDATA", tracking(0)
+    yield "Tools", "", tracking_step(0)
+    yield "Tools/as_quaternions", "QTDATA", tracking_step(0)
 
 
 def _texts() -> Iterator[Published]:

@@ -21,12 +21,21 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.body import Body
-from igtl_gateway.wire.query import QUERIES, Nothing, StartTracking
+from igtl_gateway.wire.query import QUERIES, EmptyQuery, StartTracking
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.transform import Transform
 from igtl_gateway_lab.simulate import every_igtl, every_ros
-from igtl_gateway_lab.simulate.every_ros import frames, tool_pose, topic, tracking
-from igtl_gateway_lab.simulate.scenario import Input, fact, from_peer, from_ros, link_down, link_up, stamped, tick
+from igtl_gateway_lab.simulate.every_ros import tf_frames, tool_pose, topic, tracking_step
+from igtl_gateway_lab.simulate.scenario import (
+    ScenarioInput,
+    link_down_input,
+    link_up_input,
+    note_input,
+    peer_input,
+    ros_input,
+    stamped,
+    tick_input,
+)
 
 START_NS = 1_767_225_600 * NS_PER_S
 _STEP_NS = 20 * NS_PER_MS
@@ -102,31 +111,33 @@ class _Tick:
 _Step = _Up | _Down | _Said | _Published | _Tick
 
 
-def inputs() -> Iterator[Input]:
+def inputs() -> Iterator[ScenarioInput]:
     """The whole session, in order of time."""
     time_ns = START_NS
-    yield fact(time_ns, "synthetic", "synthetic session: no robot, no patient, no camera; see simulate every-type")
+    yield note_input(
+        time_ns, "synthetic", "synthetic session: no robot, no patient, no camera; see simulate every-type"
+    )
     for step in _steps():
         time_ns += _STEP_NS
         match step:
             case _Up(link):
-                yield link_up(time_ns, link, _address(link))
+                yield link_up_input(time_ns, link, _address(link))
             case _Down(link):
-                yield link_down(time_ns, link, _address(link))
+                yield link_down_input(time_ns, link, _address(link))
             case _Tick(after_s):
                 time_ns += round(after_s * NS_PER_S)
-                yield tick(time_ns)
+                yield tick_input(time_ns)
             case _Published(name, message):
-                yield from_ros(time_ns, name, stamped(message, time_ns - 3 * NS_PER_MS), time_ns - 2 * NS_PER_MS)
+                yield ros_input(time_ns, name, stamped(message, time_ns - 3 * NS_PER_MS), time_ns - 2 * NS_PER_MS)
             case _Said():
                 yield _heard(step, time_ns)
 
 
-def _heard(said: _Said, time_ns: int) -> Input:
+def _heard(said: _Said, time_ns: int) -> ScenarioInput:
     if said.data:
-        return Input(time_ns, Kind.IGTL_IN, said.data, link=said.link)
+        return ScenarioInput(time_ns, Kind.IGTL_IN, said.data, link=said.link)
     ticks = ns_to_ticks(time_ns - 5 * NS_PER_MS) if said.stamped else 0
-    return from_peer(
+    return peer_input(
         time_ns, said.link, Message(said.type, said.device, said.content, ticks, said.version, 0, said.metadata)
     )
 
@@ -168,22 +179,22 @@ def _greetings() -> Iterator[_Step]:
 def _unanswered() -> Iterator[_Step]:
     """What there is nothing of yet: each peer is told so in the way that it survives."""
     for link, version in ((OLD, 1), (NEW, 2), (SLICER, 2), (BRAINLAB, 1)):
-        yield _Said(link, "GET_TRAJ", "", Nothing(), version=version)
-        yield _Said(link, "GET_TRANS", "", Nothing(), version=version)
+        yield _Said(link, "GET_TRAJ", "", EmptyQuery(), version=version)
+        yield _Said(link, "GET_TRANS", "", EmptyQuery(), version=version)
     yield _Said(NEW, "STT_TDATA", "", StartTracking(0, "NoSuchFrame"), version=2)
     yield _Said(NEW, "GET_MYTYPE", "", Raw(b""), version=2)
 
 
 def _frames() -> Iterator[_Step]:
     """A tree of frames from three sides: /tf_static, /tf, and a peer that sees a marker."""
-    yield _Published("/tf_static", frames(("Base", "Camera", (0.5, 0.0, 1.0, 0.6, 0.0, 0.0, 0.8))))
+    yield _Published("/tf_static", tf_frames(("Base", "Camera", (0.5, 0.0, 1.0, 0.6, 0.0, 0.0, 0.8))))
     arm, tool = ("Base", "Arm", (0.0, 0.0, 0.25, *every_igtl.TURNED)), ("Arm", "Tool", (0.0, 0.125, 0.0, *_UPRIGHT))
-    yield _Published("/tf", frames(arm, tool))
+    yield _Published("/tf", tf_frames(arm, tool))
     yield _Said(OLD, "TRANSFORM", "MarkerToCamera", Transform((*every_igtl.QUARTER, 10.0, 20.0, 30.0)))
     # of the two edges one is newer than the other: what goes out is between two samples
-    yield _Published("/tf", frames(("Base", "Arm", (0.0, 0.0, 0.5, *_UPRIGHT))))
-    yield _Published("/tf", frames(("Arm", "Tool", (0.25, 0.125, 0.0, *_UPRIGHT))))
-    yield _Published("/tf", frames(("Base", "Arm", (0.0, 0.0, 0.75, *every_igtl.TURNED))))
+    yield _Published("/tf", tf_frames(("Base", "Arm", (0.0, 0.0, 0.5, *_UPRIGHT))))
+    yield _Published("/tf", tf_frames(("Arm", "Tool", (0.25, 0.125, 0.0, *_UPRIGHT))))
+    yield _Published("/tf", tf_frames(("Base", "Arm", (0.0, 0.0, 0.75, *every_igtl.TURNED))))
 
 
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
@@ -194,11 +205,11 @@ def _tracked() -> Iterator[_Step]:
     yield _Up(TRACKER)
     yield _Published(topic("Pose"), tool_pose(0))
     yield _Published(topic("Pose/as_position"), tool_pose(0))
-    yield _Said(TRACKER, "GET_QTDATA", "", Nothing())
+    yield _Said(TRACKER, "GET_QTDATA", "", EmptyQuery())
     yield _Said(TRACKER, "STT_QTDATA", "", StartTracking(50, ""))
     for step in range(6):
         yield _Published(topic("Pose/as_position"), tool_pose(step))
-    yield _Said(TRACKER, "STP_QTDATA", "", Nothing())
+    yield _Said(TRACKER, "STP_QTDATA", "", EmptyQuery())
     yield _Published(topic("Pose/as_position"), tool_pose(6))
 
 
@@ -215,7 +226,7 @@ def _metadata() -> Iterator[_Step]:
     device = short_device_name(every_igtl.METADATA[0].text)
     for igtl_type, content in (("TRANSFORM", Transform((*every_igtl.TILTED, 4.0, 5.0, 6.0))), ("MYTYPE", Raw(b"x"))):
         yield _Said(NEW, igtl_type, device, content, every_igtl.METADATA, 2)
-    yield _Said(NEW, "GET_STATUS", device, Nothing(), every_igtl.METADATA, 2)
+    yield _Said(NEW, "GET_STATUS", device, EmptyQuery(), every_igtl.METADATA, 2)
     yield _Said(SLICER, "STRING", "Node", String.of("pushed"), (Item.of("MRMLNodeName", "Node"),), 2, stamped=False)
 
 
@@ -245,8 +256,8 @@ def _queries() -> Iterator[_Step]:
         yield _Published("/igtl/out/Query/query", query)
     for name in ("GET_STATUS", "GET_CAPABIL", "GET_TRANS", "GET_TDATA", "GET_POINT", "GET_IMGMETA"):
         for link, version in ((OLD, 1), (SLICER, 2), (PLUS, 2), (HOLOSCAN, 2)):
-            yield _Said(link, name, "", Nothing(), version=version)
-    yield _Said(OLD, "GET_TRANS", "ToolToBase", Nothing())
+            yield _Said(link, name, "", EmptyQuery(), version=version)
+    yield _Said(OLD, "GET_TRANS", "ToolToBase", EmptyQuery())
     yield _Published("/igtl/out/Query/query", Query(Header(0, "Base"), Query.GET, "STATUS"))
 
 
@@ -254,31 +265,33 @@ def _streams() -> Iterator[_Step]:
     """Tracking data at the pace and in the frame that a peer asked for, and none behind its STP_."""
     yield _Said(TRACKER, "STT_TDATA", "Tools", StartTracking(50, "Base"))
     for step in range(8):
-        yield _Published(topic("Tools"), tracking(step))
+        yield _Published(topic("Tools"), tracking_step(step))
     yield _Said(TRACKER, "STT_TDATA", "Tools", StartTracking(0, "Tool"))
-    yield _Published(topic("Tools"), tracking(8))
-    yield _Said(TRACKER, "STP_TDATA", "Tools", Nothing())
-    yield _Published(topic("Tools"), tracking(9))
+    yield _Published(topic("Tools"), tracking_step(8))
+    yield _Said(TRACKER, "STP_TDATA", "Tools", EmptyQuery())
+    yield _Published(topic("Tools"), tracking_step(9))
     yield _Said(TRACKER, "STT_TDATA", "Scene", StartTracking(0, "Camera"))
     arm, tool = ("Base", "Arm", (0.0, 0.0, 1.0, *_UPRIGHT)), ("Arm", "Tool", (0.5, 0.0, 0.0, *_UPRIGHT))
-    yield _Published("/tf", frames(arm, tool))
+    yield _Published("/tf", tf_frames(arm, tool))
 
 
 def _commands() -> Iterator[_Step]:
     """Commands both ways: answered, refused, too late, and lost with their peer."""
-    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command(7, "Start"), (Item.of("who", "surgeon"),), 2)
-    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command(7, "Again"), version=2)
-    yield _Said(OLD, "COMMAND", "Robot", every_igtl.command(7, "Start"))
+    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command_content(7, "Start"), (Item.of("who", "surgeon"),), 2)
+    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command_content(7, "Again"), version=2)
+    yield _Said(OLD, "COMMAND", "Robot", every_igtl.command_content(7, "Start"))
     yield _Published("/igtl/out/Robot/command_reply", _reply(7, CommandReply.SUCCESS, NEW, content="done"))
     yield _Published("/igtl/out/Robot/command_reply", _reply(7, CommandReply.FAIL, OLD, "arm is not homed"))
     yield _Published("/igtl/out/Robot/command_reply", _reply(7, CommandReply.SUCCESS, OLD, content="again"))
     order = igtl_msgs.Command(Header(), "Slicer", 0, "LoadScene", 106, "<Größe/>", (MetadataItem("who", 0, "robot"),))
     yield _Published("/igtl/out/Slicer/command", replace(order, link=SLICER))
-    yield _Said(SLICER, "RTS_COMMAND", "Slicer", every_igtl.command(1, "LoadScene"), (Item.of("Status", "FAIL"),), 2)
+    yield _Said(
+        SLICER, "RTS_COMMAND", "Slicer", every_igtl.command_content(1, "LoadScene"), (Item.of("Status", "FAIL"),), 2
+    )
     yield _Published("/igtl/out/Slicer/command", replace(order, id=12, timeout=0.5))
     for link, version in ((OLD, 1), (NEW, 2), (SLICER, 2), (PLUS, 2)):
-        yield _Said(link, "RTS_COMMAND", "Slicer", every_igtl.command(12, "LoadScene"), version=version)
-    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command(8, "Forgotten"), version=2)
+        yield _Said(link, "RTS_COMMAND", "Slicer", every_igtl.command_content(12, "LoadScene"), version=version)
+    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command_content(8, "Forgotten"), version=2)
     yield from map(_Tick, (0.1, 0.5, 0.5))
     yield _Published("/igtl/out/Slicer/command", replace(order, link=BRAINLAB, timeout=60.0))
     yield _Down(BRAINLAB)

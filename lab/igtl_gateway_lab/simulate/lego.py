@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from igtl_gateway.errors import ConfigError
 from igtl_gateway_lab.simulate.actor import Actor
-from igtl_gateway_lab.simulate.lego_planner import Planner
-from igtl_gateway_lab.simulate.lego_robot import Robot
+from igtl_gateway_lab.simulate.lego_planner import LegoPlanner
+from igtl_gateway_lab.simulate.lego_robot import LegoRobot
 from igtl_gateway_lab.simulate.lego_terms import CONFIG
-from igtl_gateway_lab.simulate.volume import Volume, head_volume
+from igtl_gateway_lab.simulate.volume import MrVolume, head_volume
 
 __all__ = ["CONFIG", "LENGTH_S", "actors"]
 
@@ -22,7 +22,7 @@ LENGTH_S = 37.0  #: of the story at its own pace
 _PACES = (0.75, 10.0)
 
 
-def actors(duration_s: float | None = None, volume: Volume | None = None) -> tuple[Actor, ...]:
+def actors(duration_s: float | None = None, volume: MrVolume | None = None) -> tuple[Actor, ...]:
     """Fresh actors.
 
     Args:
@@ -37,4 +37,4 @@ def actors(duration_s: float | None = None, volume: Volume | None = None) -> tup
         raise ConfigError(
             f"duration of lego: found {duration_s:g} s, expected {low * LENGTH_S:g} … {high * LENGTH_S:g} s"
         )
-    return Planner(head_volume() if volume is None else volume), Robot(pace)
+    return LegoPlanner(head_volume() if volume is None else volume), LegoRobot(pace)

@@ -88,11 +88,11 @@ def angles_of(tip: Point) -> Angles:
     upper = upward + at_shoulder
     fore = math.atan2(height - UPPER_M * math.sin(upper), reach - UPPER_M * math.cos(upper))
     angles = (math.atan2(y, x), upper, fore)
-    check(angles, tip)
+    check_reach(angles, tip)
     return angles
 
 
-def check(angles: Angles, tip: Point) -> None:
+def check_reach(angles: Angles, tip: Point) -> None:
     """Raises ConfigError where a joint would have to go beyond its end, or the links would block."""
     for joint, angle in zip(JOINTS, angles, strict=True):
         degrees = math.degrees(angle)

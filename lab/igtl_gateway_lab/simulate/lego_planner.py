@@ -25,7 +25,7 @@ from igtl_gateway.wire.polydata import RGBA, Attribute, Cells, PolyData
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
 from igtl_gateway_lab.simulate import lego_terms as terms
-from igtl_gateway_lab.simulate.actor import Heard, Report, Says, Side
+from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received
 from igtl_gateway_lab.simulate.lego_sheet import (
     AT_LESION,
     CHECKS,
@@ -48,7 +48,7 @@ from igtl_gateway_lab.simulate.registration import (
     stops,
 )
 from igtl_gateway_lab.simulate.star_numbers import Array
-from igtl_gateway_lab.simulate.volume import Volume
+from igtl_gateway_lab.simulate.volume import MrVolume
 
 _REPEAT_NS = 500 * NS_PER_MS
 #: Since the beginning: the image, then what lies in it.
@@ -66,15 +66,15 @@ _CROSS_MM, _DOT_MM = 4.0, 1.5
 _GUESS = Rigid(np.eye(3), np.array([210.0, 24.0, -HEIGHT_MM]))
 
 
-class Planner:
+class LegoPlanner:
     """The actor."""
 
     name = "planner"
-    side = Side.IGTL
+    side = ActorProtocol.IGTL
 
-    def __init__(self, volume: Volume) -> None:
+    def __init__(self, volume: MrVolume) -> None:
         self.hears: dict[str, str] = {}
-        self.says: dict[str, Says] = {}
+        self.says: dict[str, Publishes] = {}
         self._volume = volume
         self._crosses = on_sheet(LANDMARKS | CHECKS)
         self._plan = strokes()
@@ -126,7 +126,7 @@ class Planner:
             if self._result:
                 yield self._message("STRING", terms.SAYS, String.of(self._result), now_ns)
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Message]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Message]:
         if not isinstance(heard, Message):
             return
         match heard.device_name, heard.content:
@@ -140,7 +140,7 @@ class Planner:
             case terms.STATUS_DEVICE, String() as words:
                 yield from self._on_words(words.text, now_ns)
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         facts: dict[str, Any] = {"volume": self._volume.source, "stops": self._stops}
         lines = [f"planning volume: {self._volume.source}, {' × '.join(map(str, self._volume.size))} voxels"]
         if self._registration:
@@ -175,7 +175,7 @@ class Planner:
             )
         if self._result and not self._line:
             lines.append(self._result)
-        return Report(self._done and self._good, tuple(lines), facts)
+        return ActorReport(self._done and self._good, tuple(lines), facts)
 
     @property
     def _good(self) -> bool:

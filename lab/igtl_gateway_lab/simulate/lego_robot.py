@@ -19,12 +19,12 @@ import numpy as np
 from igtl_gateway.convert.common_msgs import JointState
 from igtl_gateway.convert.igtl_msgs import PointList
 from igtl_gateway.convert.igtl_msgs import Volume as VolumeMessage
-from igtl_gateway.convert.poses import matrix_of
+from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.rosmsg import Header, Marker, RosMessage, String, TransformStamped
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway_lab.simulate import lego_terms as terms
-from igtl_gateway_lab.simulate.actor import Heard, Report, RosHeard, RosSaid, Says, Side
+from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, RosReceived, RosSent
 from igtl_gateway_lab.simulate.lego_arm import JOINTS, Drives, Point, angles_of, skeleton_of, tip_of
 from igtl_gateway_lab.simulate.lego_world import World
 from igtl_gateway_lab.simulate.registration import Rigid, distances
@@ -53,20 +53,20 @@ class _Step:
     pressing: bool = False  #: the pen is down: it should draw
 
 
-class Robot:
+class LegoRobot:
     """The actor; ``pace`` above 1 makes everything slower."""
 
     name = "lego_robot"
-    side = Side.ROS
+    side = ActorProtocol.ROS
 
     def __init__(self, pace: float = 1.0, seed: int = SEED) -> None:
         self.hears = {topic: message.TYPE for topic, (message, _) in self._ears().items()}
         self.says = {
-            terms.JOINTS_TOPIC: Says(JointState.TYPE),
-            terms.PEN_TOPIC: Says(TransformStamped.TYPE),
-            terms.ARM_TOPIC: Says(Marker.TYPE, latched=True),
-            terms.INK_TOPIC: Says(Marker.TYPE, latched=True),
-            terms.STATUS_TOPIC: Says(String.TYPE, latched=True),
+            terms.JOINTS_TOPIC: Publishes(JointState.TYPE),
+            terms.PEN_TOPIC: Publishes(TransformStamped.TYPE),
+            terms.ARM_TOPIC: Publishes(Marker.TYPE, latched=True),
+            terms.INK_TOPIC: Publishes(Marker.TYPE, latched=True),
+            terms.STATUS_TOPIC: Publishes(String.TYPE, latched=True),
         }
         self._pace = pace
         self._world = World(seed)
@@ -98,28 +98,28 @@ class Robot:
     def done(self) -> bool:
         return self._done
 
-    def act(self, now_ns: int) -> Iterable[RosSaid]:
+    def act(self, now_ns: int) -> Iterable[RosSent]:
         stamp_ns = now_ns if self._due_ns is None else self._due_ns
         self._due_ns = stamp_ns + TICK_NS
         yield from self._spoken()
         finished = self._program is not None and not self._moved(self._program)
         yield from self._state(stamp_ns)
         if self._ticks % _ARM_EVERY == 0:
-            yield RosSaid(terms.ARM_TOPIC, self._skeleton(stamp_ns))
+            yield RosSent(terms.ARM_TOPIC, self._skeleton(stamp_ns))
         if self._world.ink and (finished or (self._world.drawing and self._ticks % _INK_EVERY == 0)):
-            yield RosSaid(terms.INK_TOPIC, self._drawn(stamp_ns))
+            yield RosSent(terms.INK_TOPIC, self._drawn(stamp_ns))
         if finished:
             self._program = None
             self._words.append(self._then.format(segments=len(self._world.ink)))
         self._ticks += 1
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[RosSaid]:
-        if isinstance(heard, RosHeard) and heard.topic in self.hears:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[RosSent]:
+        if isinstance(heard, RosReceived) and heard.topic in self.hears:
             message, answer = self._ears()[heard.topic]
             answer(message.unpack(heard.cdr))
         yield from self._spoken()
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         segments, gaps = len(self._world.ink), self._world.skipped
         facts = {"volume": list(self._voxels), "touched": self._touched, "segments": segments, "gaps": gaps}
         lines = [
@@ -132,7 +132,7 @@ class Robot:
             lines.append(f"registration against where the sheet really lies: {error:.2f} mm (rms)")
         if self._fault:
             lines.append(self._fault)
-        return Report(self._done and not self._fault and segments > 0 and gaps == 0, tuple(lines), facts)
+        return ActorReport(self._done and not self._fault and segments > 0 and gaps == 0, tuple(lines), facts)
 
     # -- What it hears ------------------------------------------------------------------------------------------------
 
@@ -164,7 +164,7 @@ class Robot:
 
     def _on_registration(self, message: TransformStamped) -> None:
         """It comes again and again; a new one is acknowledged."""
-        rotation: Array = np.array(matrix_of(message.rotation))
+        rotation: Array = np.array(rotation_matrix(message.rotation))
         found = Rigid(rotation, np.array(message.translation) * _METRE)
         if self._registration is None or found.rows != self._registration.rows:
             self._registration = found
@@ -201,10 +201,10 @@ class Robot:
         self._fault = f"{terms.REFUSED}: {why}"
         self._words.append(self._fault)
 
-    def _spoken(self) -> Iterator[RosSaid]:
+    def _spoken(self) -> Iterator[RosSent]:
         words, self._words = self._words, []
         for text in words:
-            yield RosSaid(terms.STATUS_TOPIC, String(text))
+            yield RosSent(terms.STATUS_TOPIC, String(text))
 
     # -- What it does -------------------------------------------------------------------------------------------------
 
@@ -260,14 +260,14 @@ class Robot:
 
     # -- What it says -------------------------------------------------------------------------------------------------
 
-    def _state(self, stamp_ns: int) -> Iterator[RosSaid]:
+    def _state(self, stamp_ns: int) -> Iterator[RosSent]:
         angles = self._drives.encoders
         header = Header(stamp_ns, terms.BASE)
         x, y, z = rounded(np.array(tip_of(angles)), _STEP_M).tolist()
         sin, cos = rounded(np.array([math.sin(angles[0] / 2), math.cos(angles[0] / 2)]), _TURN_STEP).tolist()
         names = tuple(joint.name for joint in JOINTS)
-        yield RosSaid(terms.JOINTS_TOPIC, JointState(header, names, rounded(np.array(angles), _TURN_STEP)))
-        yield RosSaid(terms.PEN_TOPIC, TransformStamped(header, terms.PEN, (x, y, z), (0.0, 0.0, sin, cos)))
+        yield RosSent(terms.JOINTS_TOPIC, JointState(header, names, rounded(np.array(angles), _TURN_STEP)))
+        yield RosSent(terms.PEN_TOPIC, TransformStamped(header, terms.PEN, (x, y, z), (0.0, 0.0, sin, cos)))
 
     def _skeleton(self, stamp_ns: int) -> Marker:
         points = rounded(skeleton_of(self._drives.encoders), _STEP_M)

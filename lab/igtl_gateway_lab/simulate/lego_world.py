@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from igtl_gateway.convert.poses import matrix_of, unit
+from igtl_gateway.convert.poses import rotation_matrix, unit_quaternion
 from igtl_gateway_lab.simulate.lego_sheet import CHECKS, HEIGHT_MM, LANDMARKS, on_sheet
 from igtl_gateway_lab.simulate.registration import Rigid, distances, rms
 from igtl_gateway_lab.simulate.star_numbers import Array, Noise, rounded
@@ -32,7 +32,7 @@ class World:
 
     def __init__(self, seed: int) -> None:
         half = _TURN / 2
-        rotation: Array = np.array(matrix_of(unit((*_TILT, math.sin(half), math.cos(half)))))
+        rotation: Array = np.array(rotation_matrix(unit_quaternion((*_TILT, math.sin(half), math.cos(half)))))
         self._sheet = Rigid(rotation, _MIDDLE_IN_BASE - Rigid(rotation, np.zeros(3)).apply(_MIDDLE))
         self._eye = Noise(seed, 41).normal(len(LANDMARKS) + len(CHECKS), 2) * _EYE_MM
         self._pen: Array | None = None  # where it has just drawn

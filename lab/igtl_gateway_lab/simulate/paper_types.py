@@ -21,7 +21,14 @@ from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import RGBA, SCALAR, Attribute, Cells, PolyData
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.transform import Position, Transform
-from igtl_gateway_lab.simulate.scenario import Input, from_peer, from_ros, link_down, link_up, stamped
+from igtl_gateway_lab.simulate.scenario import (
+    ScenarioInput,
+    link_down_input,
+    link_up_input,
+    peer_input,
+    ros_input,
+    stamped,
+)
 
 START_NS = 1_767_225_600 * NS_PER_S
 _STEP_NS = NS_PER_S // 10
@@ -104,23 +111,23 @@ def _ros_messages(header: Header) -> Iterator[tuple[str, RosMessage]]:
     yield "Device", rosmsg.DiagnosticStatus(0, "arm", "ready", "lwr", values)
 
 
-def inputs() -> Iterator[Input]:
+def inputs() -> Iterator[ScenarioInput]:
     """The whole session, in order of time."""
     time_ns = START_NS
-    yield link_up(time_ns, _OLD, "127.0.0.1:52001")
-    yield link_up(time_ns + 1, _NEW, "127.0.0.1:52002")
+    yield link_up_input(time_ns, _OLD, "127.0.0.1:52001")
+    yield link_up_input(time_ns + 1, _NEW, "127.0.0.1:52002")
     # what 3D Slicer says first: it shows header version 2
     hello = Message("STATUS", "", Status(1), 0, 2, 0, (Item("dummy", b"dummy"),))
-    yield from_peer(time_ns + 2, _NEW, hello)
+    yield peer_input(time_ns + 2, _NEW, hello)
     for index, (type_name, device, content) in enumerate(_igtl_messages()):
         time_ns += _STEP_NS
         link = _NEW if index % 2 else _OLD
         # one of them unstamped, as everything from 3D Slicer is
         ticks = 0 if type_name == "POSITION" else ns_to_ticks(time_ns - 5_000_000)
-        yield from_peer(time_ns, link, Message(type_name, device, content, ticks, header_version=link))
+        yield peer_input(time_ns, link, Message(type_name, device, content, ticks, header_version=link))
     for name, message in _ros_messages(Header(0, "base")):
         time_ns += _STEP_NS
         told = stamped(message, time_ns - 3_000_000)
-        yield from_ros(time_ns, f"/igtl/out/{name}", told, sent_ns=time_ns - 2_000_000)
-    yield link_down(time_ns + _STEP_NS, _OLD, "127.0.0.1:52001")
-    yield link_down(time_ns + _STEP_NS + 1, _NEW, "127.0.0.1:52002")
+        yield ros_input(time_ns, f"/igtl/out/{name}", told, sent_ns=time_ns - 2_000_000)
+    yield link_down_input(time_ns + _STEP_NS, _OLD, "127.0.0.1:52001")
+    yield link_down_input(time_ns + _STEP_NS + 1, _NEW, "127.0.0.1:52002")

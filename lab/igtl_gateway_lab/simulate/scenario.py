@@ -21,14 +21,14 @@ from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import Message, encode
 from igtl_gateway_lab.simulate.actor import Actor
 from igtl_gateway_lab.simulate.load import Load
-from igtl_gateway_lab.simulate.stage import came, play, went
+from igtl_gateway_lab.simulate.stage import came, play_offline, went
 
 #: What every recording of a scenario says of itself.
 SYNTHETIC = "yes: no robot, no patient, no camera"
 
 
 @dataclass(frozen=True, slots=True)
-class Input:
+class ScenarioInput:
     """Something that reaches the gateway at ``time_ns`` (UTC); fields as those of ``Entry``."""
 
     time_ns: int
@@ -40,7 +40,7 @@ class Input:
     source_ns: int = 0
 
 
-Inputs = Callable[[float | None], Iterable[Input]]
+Inputs = Callable[[float | None], Iterable[ScenarioInput]]
 #: The actors of a story of so many seconds (None: its own length), fresh with each call.
 Cast = Callable[[float | None], tuple[Actor, ...]]
 
@@ -85,7 +85,7 @@ class Scenario:
         """
         if self.inputs is None:
             limit_s = self.limit_s + (duration_s or 0.0)
-            yield from play(cast or self.cast(duration_s), self.config, limit_s=limit_s, gateway=gateway)
+            yield from play_offline(cast or self.cast(duration_s), self.config, limit_s=limit_s, gateway=gateway)
             return
         session = Session(gateway or Gateway(self.config))
         for given in self.inputs(duration_s):
@@ -100,39 +100,39 @@ class Scenario:
             )
 
 
-def merged(*sources: Iterable[Input]) -> Iterator[Input]:
+def merge_inputs(*sources: Iterable[ScenarioInput]) -> Iterator[ScenarioInput]:
     """Several sources in order of time; at equal times in the order given."""
     return heapq.merge(*sources, key=lambda item: item.time_ns)
 
 
-def link_up(time_ns: int, link: int, peer: str) -> Input:
+def link_up_input(time_ns: int, link: int, peer: str) -> ScenarioInput:
     """A peer connects to the (imagined) server."""
-    return Input(time_ns, Kind.LINK, came(peer).pack(), link=link)
+    return ScenarioInput(time_ns, Kind.LINK, came(peer).pack(), link=link)
 
 
-def link_down(time_ns: int, link: int, peer: str) -> Input:
+def link_down_input(time_ns: int, link: int, peer: str) -> ScenarioInput:
     """The peer closes."""
-    return Input(time_ns, Kind.LINK, went(peer).pack(), link=link)
+    return ScenarioInput(time_ns, Kind.LINK, went(peer).pack(), link=link)
 
 
-def fact(time_ns: int, code: str, text: str) -> Input:
+def note_input(time_ns: int, code: str, text: str) -> ScenarioInput:
     """A note of its own, such as that all this is synthetic."""
-    return Input(time_ns, Kind.EDGE_NOTE, Note(Level.INFO, code, text).pack())
+    return ScenarioInput(time_ns, Kind.EDGE_NOTE, Note(Level.INFO, code, text).pack())
 
 
-def from_peer(time_ns: int, link: int, message: Message) -> Input:
+def peer_input(time_ns: int, link: int, message: Message) -> ScenarioInput:
     """A message from a peer."""
-    return Input(time_ns, Kind.IGTL_IN, join(encode(message)), link=link)
+    return ScenarioInput(time_ns, Kind.IGTL_IN, join(encode(message)), link=link)
 
 
-def from_ros(time_ns: int, topic: str, message: RosMessage, sent_ns: int = 0) -> Input:
+def ros_input(time_ns: int, topic: str, message: RosMessage, sent_ns: int = 0) -> ScenarioInput:
     """A message of a ROS topic."""
-    return Input(time_ns, Kind.ROS_IN, message.pack(), topic, message.TYPE, source_ns=sent_ns)
+    return ScenarioInput(time_ns, Kind.ROS_IN, message.pack(), topic, message.TYPE, source_ns=sent_ns)
 
 
-def tick(time_ns: int) -> Input:
+def tick_input(time_ns: int) -> ScenarioInput:
     """The gateway is told that a time has come, whether it waits for one or not."""
-    return Input(time_ns, Kind.EDGE_NOTE, Note(Level.INFO, TICK, "a deadline has come").pack())
+    return ScenarioInput(time_ns, Kind.EDGE_NOTE, Note(Level.INFO, TICK, "a deadline has come").pack())
 
 
 def stamped(message: RosMessage, stamp_ns: int) -> RosMessage:

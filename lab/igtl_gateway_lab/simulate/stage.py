@@ -17,7 +17,7 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.wire import Message, decode, encode
-from igtl_gateway_lab.simulate.actor import Actor, Heard, RosHeard, RosSaid, Said, Side
+from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, Received, RosReceived, RosSent, Sent
 
 START_NS = 1_767_225_600 * NS_PER_S  #: 2026-01-01T00:00:00Z
 LIMIT_S = 600.0  #: a story that has not ended by then is stuck
@@ -28,7 +28,7 @@ _FIRST_PORT = 53000
 _SAME_TIME = 10_000  # an actor that acts so often at one time will never let it pass
 
 
-def play(
+def play_offline(
     actors: Sequence[Actor],
     config: Config,
     start_ns: int = START_NS,
@@ -47,7 +47,7 @@ def play(
         limit_s: see above.
         gateway: a new one with this configuration unless given.
     """
-    return _Stage(actors, gateway or Gateway(config), start_ns, start_ns + round(limit_s * NS_PER_S)).run()
+    return _OfflineStage(actors, gateway or Gateway(config), start_ns, start_ns + round(limit_s * NS_PER_S)).run()
 
 
 def came(peer: str) -> Note:
@@ -62,14 +62,14 @@ def went(peer: str) -> Note:
     return Note(Level.INFO, LINK_DOWN, f"{peer} gone: closed by the peer", data=data)
 
 
-class _Stage:
+class _OfflineStage:
     def __init__(self, actors: Sequence[Actor], gateway: Gateway, start_ns: int, end_ns: int) -> None:
         self._actors = actors
         self._gateway = gateway
         self._session = Session(gateway)
         self._now_ns = start_ns
         self._end_ns = end_ns
-        self._links = dict(enumerate((actor for actor in actors if actor.side is Side.IGTL), 1))
+        self._links = dict(enumerate((actor for actor in actors if actor.side is ActorProtocol.IGTL), 1))
         self._numbers = {actor.name: link for link, actor in self._links.items()}
         # what is on its way: arrival, serial number, what it does there
         self._coming: list[tuple[int, int, Callable[[], Iterable[Entry]]]] = []
@@ -122,10 +122,10 @@ class _Stage:
         self._serial += 1
         heapq.heappush(self._coming, (self._now_ns + travel_ns, self._serial, arrive))
 
-    def _say(self, actor: Actor, words: Iterable[Said]) -> None:
+    def _say(self, actor: Actor, words: Iterable[Sent]) -> None:
         """Put on its way what an actor says now."""
         for said in words:
-            if isinstance(said, RosSaid):
+            if isinstance(said, RosSent):
                 self._publish(actor, said)
             else:
                 self._send(IGTL_NS, self._to_gateway(said, self._numbers[actor.name]))
@@ -134,22 +134,22 @@ class _Stage:
         data = join(encode(message))
         return lambda: self._input(Kind.IGTL_IN, data, link=link)
 
-    def _publish(self, actor: Actor, said: RosSaid) -> None:
+    def _publish(self, actor: Actor, said: RosSent) -> None:
         topic, ros_type, cdr, sent_ns = said.topic, said.message.TYPE, said.message.pack(), self._now_ns
         if topic not in actor.says:
             raise ValueError(f"{actor.name}: publishes on {topic}, expected one of {', '.join(actor.says) or 'none'}")
         if actor.says[topic].recorded or self._gateway.subscription(topic, ros_type):
             self._send(ROS_NS, lambda: self._input(Kind.ROS_IN, cdr, topic, ros_type, source_ns=sent_ns))
-        self._to_ros(RosHeard(topic, ros_type, cdr), besides=actor)
+        self._to_ros(RosReceived(topic, ros_type, cdr), besides=actor)
 
-    def _to_ros(self, heard: RosHeard, besides: Actor | None = None) -> None:
+    def _to_ros(self, heard: RosReceived, besides: Actor | None = None) -> None:
         for actor in self._actors:
-            if actor is not besides and actor.side is Side.ROS and actor.hears.get(heard.topic) == heard.type:
+            if actor is not besides and actor.side is ActorProtocol.ROS and actor.hears.get(heard.topic) == heard.type:
                 self._send(ROS_NS, self._hearing(actor, heard))
 
-    def _hearing(self, actor: Actor, heard: Heard) -> Callable[[], Iterable[Entry]]:
+    def _hearing(self, actor: Actor, heard: Received) -> Callable[[], Iterable[Entry]]:
         def arrive() -> Iterable[Entry]:
-            self._say(actor, actor.hear(self._now_ns, heard))
+            self._say(actor, actor.receive(self._now_ns, heard))
             return ()
 
         return arrive
@@ -164,7 +164,7 @@ class _Stage:
         )
         for entry in entries:
             if entry.kind is Kind.ROS_OUT:
-                self._to_ros(RosHeard(entry.channel, entry.type, entry.data()))
+                self._to_ros(RosReceived(entry.channel, entry.type, entry.data()))
             elif entry.kind is Kind.IGTL_OUT:
                 for one in entry.links:
                     self._send(IGTL_NS, self._hearing(self._links[one], decode(entry.data())))

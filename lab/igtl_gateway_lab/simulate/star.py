@@ -12,8 +12,8 @@ import math
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.simulate.actor import Actor
-from igtl_gateway_lab.simulate.star_planner import Planner
-from igtl_gateway_lab.simulate.star_robot import Robot
+from igtl_gateway_lab.simulate.star_planner import SuturePlanner
+from igtl_gateway_lab.simulate.star_robot import SutureRobot
 from igtl_gateway_lab.simulate.star_sensors import Sensors
 
 DURATION_S = 12.0
@@ -29,4 +29,4 @@ def actors(duration_s: float | None = None) -> tuple[Actor, ...]:
     if not 0 < seconds < math.inf:
         raise ConfigError(f"duration of the STAR session: found {seconds} s, expected more than 0")
     duration_ns = round(seconds * NS_PER_S)
-    return Sensors(duration_ns), Robot(duration_ns), Planner(duration_ns)
+    return Sensors(duration_ns), SutureRobot(duration_ns), SuturePlanner(duration_ns)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from igtl_gateway_lab.simulate.star_numbers import Array, Noise, dot, rounded, unit
-from igtl_gateway_lab.simulate.star_tissue import Plan
+from igtl_gateway_lab.simulate.star_numbers import Array, Noise, dot, rounded, unit_vectors
+from igtl_gateway_lab.simulate.star_tissue import SuturePlan
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -64,7 +64,7 @@ class Waypoints:
     yaw: Array
 
 
-def waypoints(start: Array, plan: Plan, times: Array) -> Waypoints:
+def waypoints(start: Array, plan: SuturePlan, times: Array) -> Waypoints:
     """Where the needle is meant to be, ``times`` seconds after the arm sets off from ``start`` to the first stitch."""
     here, facing = start, 0.0
     tip = np.broadcast_to(here, (len(times), 3)).copy()
@@ -107,7 +107,7 @@ def _needle_arc(entry: Array, leave: Array, part: Array) -> Array:
     chord = leave - entry
     half = np.sqrt(dot(chord, chord)) / 2
     ahead = chord / (2 * half)
-    up = unit(np.array([0.0, 0.0, -1.0]) + ahead[2] * ahead)
+    up = unit_vectors(np.array([0.0, 0.0, -1.0]) + ahead[2] * ahead)
     radius = (half**2 + BITE_DEPTH_M**2) / (2 * BITE_DEPTH_M)
     angle = (2 * part - 1)[:, None] * np.arcsin(half / radius)
     return np.asarray(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from igtl_gateway_lab.simulate.star_numbers import Array, Mask, Noise, Rgb, dot, rounded, unit
+from igtl_gateway_lab.simulate.star_numbers import Array, Mask, Noise, Rgb, dot, rounded, unit_vectors
 from igtl_gateway_lab.simulate.star_tissue import (
     CLOTH,
     FOCUS_M,
@@ -106,10 +106,10 @@ def see(camera: Camera, markers: Array, wet_spot: Array) -> View:
     points = rays * depth[..., None]
     material = surface_distances(points).argmin(axis=0)
     normals = surface_normals(points)
-    sight = -unit(points)
+    sight = -unit_vectors(points)
     facing = np.clip(dot(normals, sight), 0, 1)
-    lamp = unit(np.array([0.035, -0.030, 0.02]) - points)
-    gloss = np.clip(dot(normals, unit(lamp + sight)), 0, 1) ** 150
+    lamp = unit_vectors(np.array([0.035, -0.030, 0.02]) - points)
+    gloss = np.clip(dot(normals, unit_vectors(lamp + sight)), 0, 1) ** 150
     gloss = np.maximum(gloss, shine(points, wet_spot))
     rgb = np.empty((*depth.shape, 3))
     for number, tube in enumerate(TUBES):
@@ -180,7 +180,7 @@ class ToolView:
 
 def draw_tool(view: View, tip: Array, shaft: Array) -> ToolView:
     """Jaw and shaft as round bars from ``tip`` along ``shaft``."""
-    sight = unit(view.rays)
+    sight = unit_vectors(view.rays)
     depth, shade = np.full(view.depth.shape, np.inf), np.zeros(view.depth.shape)
     for first, last, radius in ((0.0005, 0.014, 0.0011), (0.014, 0.120, 0.0025)):
         lean, forward, along = dot(sight, shaft), dot(sight, tip), dot(shaft, tip)
@@ -194,7 +194,9 @@ def draw_tool(view: View, tip: Array, shaft: Array) -> ToolView:
     return ToolView(depth < view.depth, depth, shade)
 
 
-def measure(view: View, rgb: Array, tool: ToolView, spots: Sequence[tuple[Array, float]], noise: Noise) -> CloudFrame:
+def depth_shot(
+    view: View, rgb: Array, tool: ToolView, spots: Sequence[tuple[Array, float]], noise: Noise
+) -> CloudFrame:
     """A shot of the depth camera: noise, outliers, spots that read too far or too near, and gaps.
 
     Args:

@@ -51,7 +51,7 @@ def dot(a: Array, b: Array) -> Array:
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
-def unit(a: Array) -> Array:
+def unit_vectors(a: Array) -> Array:
     """The vectors, of length 1."""
     return a / np.sqrt(dot(a, a))[..., None]
 

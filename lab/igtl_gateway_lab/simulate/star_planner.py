@@ -22,7 +22,7 @@ from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway_lab.simulate import star_topics as topics
-from igtl_gateway_lab.simulate.actor import Heard, Report, Said, Says, Side
+from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, Sent
 from igtl_gateway_lab.simulate.agenda import Agenda
 
 Array = NDArray[Any]
@@ -36,15 +36,15 @@ _LOOKING_NS, _APPROVING_NS = 400 * NS_PER_MS, 250 * NS_PER_MS  # a person's time
 _COLOUR, _MOVED_COLOUR = (255, 255, 255, 255), (255, 160, 0, 255)
 
 
-class Planner:
+class SuturePlanner:
     """An actor of OpenIGTLink; see the module."""
 
     name = "star_planner"
-    side = Side.IGTL
+    side = ActorProtocol.IGTL
 
     def __init__(self, duration_ns: int) -> None:
         self.hears: dict[str, str] = {}
-        self.says: dict[str, Says] = {}
+        self.says: dict[str, Publishes] = {}
         self._duration_ns = duration_ns
         self._agenda = Agenda()
         self._heard = self._over = False
@@ -61,10 +61,10 @@ class Planner:
     def due_ns(self) -> int | None:
         return self._agenda.due_ns
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         return self._agenda.act(now_ns)
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         if not self._heard:  # the session begins; until then a planner that was started alone waits
             self._heard = True
             self._agenda.add(now_ns + self._duration_ns, self._end)
@@ -83,14 +83,16 @@ class Planner:
     def done(self) -> bool:
         return self._over
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         moved = {name: round(by_mm, 2) for name, by_mm in self._moved.items()}
         told = ", ".join(f"{name} by {by_mm:.1f} mm" for name, by_mm in moved.items()) or "nothing"
         lines = (
             f"clouds looked at: {self._clouds}; moved: {told}",
             "plan approved" if self._approved else "plan not approved",
         )
-        return Report(self._approved, lines, {"clouds": self._clouds, "moved_mm": moved, "approved": self._approved})
+        return ActorReport(
+            self._approved, lines, {"clouds": self._clouds, "moved_mm": moved, "approved": self._approved}
+        )
 
     def _hear_plan(self, now_ns: int, plan: Message) -> None:
         if self._wanted is None:
@@ -120,16 +122,16 @@ class Planner:
         self._wanted = points.elements["position"].astype(np.float64)
         self._agenda.add(now_ns + _LOOKING_NS, lambda at_ns: self._correct(at_ns, points))
 
-    def _correct(self, now_ns: int, points: Points) -> Iterable[Said]:
+    def _correct(self, now_ns: int, points: Points) -> Iterable[Sent]:
         told = ", ".join(f"{name}, {by_mm:.1f} mm off the cloud" for name, by_mm in self._moved.items())
         yield _message("STRING", String.of(f"moved: {told}"), now_ns)
         yield _message("POINT", points, now_ns, topics.POINTS_DEVICE)
 
-    def _approve(self, now_ns: int) -> Iterable[Said]:
+    def _approve(self, now_ns: int) -> Iterable[Sent]:
         self._approved = True
         yield _message("STRING", String.of(topics.APPROVAL), now_ns)
 
-    def _end(self, _now_ns: int) -> Iterable[Said]:
+    def _end(self, _now_ns: int) -> Iterable[Sent]:
         self._agenda.clear()
         self._over = True
         return ()

@@ -15,7 +15,7 @@ import numpy as np
 from igtl_gateway.convert.rosmsg import Header, Marker, String, TransformStamped
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway_lab.simulate import star_topics as topics
-from igtl_gateway_lab.simulate.actor import Heard, Report, RosHeard, RosSaid, Said, Says, Side
+from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, RosReceived, RosSent, Sent
 from igtl_gateway_lab.simulate.agenda import Agenda
 from igtl_gateway_lab.simulate.star_arm import (
     APPROACH_S,
@@ -27,8 +27,8 @@ from igtl_gateway_lab.simulate.star_arm import (
     to_camera,
 )
 from igtl_gateway_lab.simulate.star_numbers import SEED, Array, Noise, dot
-from igtl_gateway_lab.simulate.star_scene import NEVER_S, Scene, lifted
-from igtl_gateway_lab.simulate.star_tissue import PLANTED, STITCHES, Plan
+from igtl_gateway_lab.simulate.star_scene import NEVER_S, StarScene, lifted
+from igtl_gateway_lab.simulate.star_tissue import PLANTED, STITCHES, SuturePlan
 
 TOOL_NS = 10 * NS_PER_MS  #: from tool pose to tool pose
 DRAWING_NS = 230 * NS_PER_MS  #: from the first cloud to the plan
@@ -37,29 +37,29 @@ _MOVED_M = 0.00005  #: a point that comes back so near to where it was has not b
 _LATCHED = (topics.CAMERA_POSE, topics.STATUS, topics.PLAN, topics.PLAN_POINTS)
 
 
-class Robot:
+class SutureRobot:
     """An actor of ROS; see the module."""
 
     name = "star_robot"
-    side = Side.ROS
+    side = ActorProtocol.ROS
 
     def __init__(self, duration_ns: int, seed: int = SEED) -> None:
         self.hears = {topic: topics.TYPES[topic] for topic in (topics.CLOUD, topics.CORRECTED, topics.SAID)}
-        self.says = {topic: Says(topics.TYPES[topic], topic in _LATCHED) for topic in (topics.TOOL, *_LATCHED)}
-        self._hearing: dict[str, Callable[[int, RosHeard], Iterable[Said]]] = {
+        self.says = {topic: Publishes(topics.TYPES[topic], topic in _LATCHED) for topic in (topics.TOOL, *_LATCHED)}
+        self._hearing: dict[str, Callable[[int, RosReceived], Iterable[Sent]]] = {
             topics.CLOUD: self._hear_cloud,
             topics.CORRECTED: self._hear_correction,
             topics.SAID: self._hear_text,
         }
         self._duration_ns = duration_ns
-        self._scene = Scene(seed)
+        self._scene = StarScene(seed)
         self._agenda = Agenda()
         self._jitter = Noise(seed, 5, 3)
         self._start_ns = 0
         self._over = False
         #: The plan as first measured, and the one in force.
-        self._measured: Plan | None = None
-        self._plan: Plan | None = None
+        self._measured: SuturePlan | None = None
+        self._plan: SuturePlan | None = None
         self._moved: dict[int, float] = {}  # number of a stitch → how far it was moved, in all, metres
         self._begun_s = NEVER_S
         self._times: Array = np.arange(0, duration_ns, TOOL_NS) / NS_PER_S
@@ -76,19 +76,19 @@ class Robot:
     def due_ns(self) -> int | None:
         return self._agenda.due_ns
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         return self._agenda.act(now_ns)
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
-        return self._hearing[heard.topic](now_ns, heard) if isinstance(heard, RosHeard) and not self._over else ()
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+        return self._hearing[heard.topic](now_ns, heard) if isinstance(heard, RosReceived) and not self._over else ()
 
     @property
     def done(self) -> bool:
         return self._over
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         if self._measured is None or self._plan is None:
-            return Report(False, ("no cloud came, so there was no plan",), {"planned": 0})
+            return ActorReport(False, ("no cloud came, so there was no plan",), {"planned": 0})
         first, last = (self._wrong_mm(plan) for plan in (self._measured, self._plan))
         moved = {str(number): round(1000 * by_m, 2) for number, by_m in sorted(self._moved.items())}
         beside_mm = self._beside_mm()
@@ -108,26 +108,26 @@ class Robot:
             f"{executed}, at most {max(beside_mm):.2f} mm beside the plan" if beside_mm else executed,
             "the plan was approved" if facts["approved"] else "the plan was not approved, so the arm did not move",
         )
-        return Report(bool(beside_mm), lines, facts)
+        return ActorReport(bool(beside_mm), lines, facts)
 
     # -- what it hears ------------------------------------------------------------------------------------------
 
-    def _hear_cloud(self, now_ns: int, heard: RosHeard) -> Iterable[Said]:
+    def _hear_cloud(self, now_ns: int, heard: RosReceived) -> Iterable[Sent]:
         if self._measured is None:
             self._measured = self._plan = lifted(self._scene.plan, topics.positions(heard.cdr))
             text = f"plan: {STITCHES} stitches from the first cloud"
             self._agenda.add(now_ns + DRAWING_NS, lambda at_ns: self._publish_plan(at_ns, text))
         return ()
 
-    def _hear_correction(self, now_ns: int, heard: RosHeard) -> Iterable[Said]:
+    def _hear_correction(self, now_ns: int, heard: RosReceived) -> Iterable[Sent]:
         """Entry points, then exit points, in the order of the plan; refused once the arm moves."""
         points = topics.positions(heard.cdr)[0].astype(np.float64)
         if self._plan is None or self._begun_s < NEVER_S:
             reason = "there is none yet" if self._plan is None else "the arm is at work"
-            return [RosSaid(topics.STATUS, String(f"plan: correction refused, {reason}"))]
+            return [RosSent(topics.STATUS, String(f"plan: correction refused, {reason}"))]
         if len(points) != 2 * STITCHES or not np.isfinite(points).all():
             text = f"plan: correction refused, found {len(points)} points, expected {2 * STITCHES}"
-            return [RosSaid(topics.STATUS, String(text))]
+            return [RosSent(topics.STATUS, String(text))]
         moved = []
         before = np.concatenate([self._plan.entry, self._plan.exit])
         for index, off in enumerate(points - before):
@@ -137,12 +137,12 @@ class Robot:
                 self._moved[number] = self._moved.get(number, 0.0) + by_m
                 moved.append(f"{'entry' if index < STITCHES else 'exit'} of stitch {number} by {1000 * by_m:.1f} mm")
                 before[index] = points[index]
-        self._plan = Plan(before[:STITCHES], before[STITCHES:])
+        self._plan = SuturePlan(before[:STITCHES], before[STITCHES:])
         text = f"plan: corrected by the planner: {', '.join(moved) or 'nothing moved'}"
         self._agenda.add(now_ns + 2 * NS_PER_MS, lambda at_ns: self._publish_plan(at_ns, text))
         return ()
 
-    def _hear_text(self, now_ns: int, heard: RosHeard) -> Iterable[Said]:
+    def _hear_text(self, now_ns: int, heard: RosReceived) -> Iterable[Sent]:
         if not String.unpack(heard.cdr).data.startswith(topics.APPROVAL):
             return ()
         if self._plan is None or self._begun_s < NEVER_S:
@@ -155,7 +155,7 @@ class Robot:
             for offset_s, phase in ((0.0, "approach"), (APPROACH_S, "drive"), (APPROACH_S + DRIVE_S, "pull")):
                 self._foresee(begin_ns, number * CYCLE_S + offset_s, f"{name}: {phase}")
         self._foresee(begin_ns, STITCHES * CYCLE_S, "session: all stitches placed")
-        return [RosSaid(topics.STATUS, String("plan: approved, the arm begins"))]
+        return [RosSent(topics.STATUS, String("plan: approved, the arm begins"))]
 
     # -- what it does -------------------------------------------------------------------------------------------
 
@@ -163,7 +163,7 @@ class Robot:
         """Say something when the work has gone on for so long."""
         self._agenda.add(self._start_ns + begin_ns + round(after_s * NS_PER_S), _status(text))
 
-    def _end(self, _now_ns: int) -> Iterable[Said]:
+    def _end(self, _now_ns: int) -> Iterable[Sent]:
         self._agenda.clear()
         self._over = True
         return ()
@@ -172,31 +172,31 @@ class Robot:
         """From the encoders to the message."""
         return NS_PER_MS + int(self._jitter.uniform(1)[0] * NS_PER_MS / 2)
 
-    def _tool(self, number: int) -> Iterable[Said]:
+    def _tool(self, number: int) -> Iterable[Sent]:
         at_ns = self._start_ns + (number + 1) * TOOL_NS + self._delay_ns()
         self._agenda.add(at_ns, lambda _now_ns: self._tool(number + 1))
         if number < len(self._times):
             stamp_ns = self._start_ns + number * TOOL_NS
             position, rotation = self._path.position[number], self._path.rotation[number]
-            yield RosSaid(topics.TOOL, _transform(stamp_ns, topics.TOOL_FRAME, position, rotation))
+            yield RosSent(topics.TOOL, _transform(stamp_ns, topics.TOOL_FRAME, position, rotation))
 
-    def _camera_pose(self, now_ns: int) -> Iterable[Said]:
+    def _camera_pose(self, now_ns: int) -> Iterable[Sent]:
         self._agenda.add(now_ns + NS_PER_S, self._camera_pose)
         rotation = quaternion(BASE_FROM_CAMERA[:3, :3])
-        yield RosSaid(topics.CAMERA_POSE, _transform(now_ns, topics.CAMERA_FRAME, BASE_FROM_CAMERA[:3, 3], rotation))
+        yield RosSent(topics.CAMERA_POSE, _transform(now_ns, topics.CAMERA_FRAME, BASE_FROM_CAMERA[:3, 3], rotation))
 
-    def _publish_plan(self, now_ns: int, text: str) -> Iterable[Said]:
+    def _publish_plan(self, now_ns: int, text: str) -> Iterable[Sent]:
         if self._plan is None:
             return
         header = Header(now_ns, topics.CAMERA_FRAME)
         rows = np.concatenate([self._plan.entry, self._plan.exit])
-        yield RosSaid(topics.PLAN, _marker(header, self._plan))
-        yield RosSaid(topics.PLAN_POINTS, topics.plain_cloud(header, rows))
-        yield RosSaid(topics.STATUS, String(text))
+        yield RosSent(topics.PLAN, _marker(header, self._plan))
+        yield RosSent(topics.PLAN_POINTS, topics.plain_cloud(header, rows))
+        yield RosSent(topics.STATUS, String(text))
 
     # -- what became of it --------------------------------------------------------------------------------------
 
-    def _wrong_mm(self, plan: Plan) -> dict[str, float]:
+    def _wrong_mm(self, plan: SuturePlan) -> dict[str, float]:
         """Of the planted stitches those that are off the true tissue, by how much."""
         found = {}
         for number in PLANTED:
@@ -222,8 +222,8 @@ class Robot:
         return found
 
 
-def _status(text: str) -> Callable[[int], Iterable[Said]]:
-    return lambda _now_ns: (RosSaid(topics.STATUS, String(text)),)
+def _status(text: str) -> Callable[[int], Iterable[Sent]]:
+    return lambda _now_ns: (RosSent(topics.STATUS, String(text)),)
 
 
 def _told(millimetres: dict[str, float]) -> str:
@@ -236,7 +236,7 @@ def _transform(stamp_ns: int, child: str, position: Array, rotation: Array) -> T
     return TransformStamped(Header(stamp_ns, topics.BASE_FRAME), child, (x, y, z), (qx, qy, qz, qw))
 
 
-def _marker(header: Header, plan: Plan) -> Marker:
+def _marker(header: Header, plan: SuturePlan) -> Marker:
     """A line of its own colour for each stitch."""
     colours = [(*colorsys.hsv_to_rgb(i / STITCHES, 0.8, 1.0), 1.0) for i in range(STITCHES)]
     return Marker(

@@ -4,7 +4,7 @@ Everything here is **synthetic**: no patient, no animal, no file; formulas and a
 tube of 15 mm radius with folds and a 30 mm incision lies 250 mm under a light-field camera, two further
 loops and a cloth behind it.  A KUKA-LWR-like arm brings the needle to eleven planned stitches.
 
-Ground truth stays reachable: ``Scene`` holds the true surface, the true plan and markers, and every
+Ground truth stays reachable: ``StarScene`` holds the true surface, the true plan and markers, and every
 ``CloudFrame`` its true points, so that a reviewer's tools can be judged against what really was there.
 As on the real system, the plan is drawn in the picture and gets its depth from one noisy cloud.  Two errors
 are planted (``PLANTED``): a glint in that first cloud lifts one stitch 2 mm off the tissue, and a wet spot,
@@ -30,9 +30,9 @@ from igtl_gateway_lab.simulate.star_camera import (
     Camera,
     CloudFrame,
     View,
+    depth_shot,
     draw_tool,
     glare,
-    measure,
     see,
     seven_bits,
     shine,
@@ -44,7 +44,7 @@ from igtl_gateway_lab.simulate.star_tissue import (
     GLINT_STITCH,
     WET_ERROR_M,
     WET_STITCH,
-    Plan,
+    SuturePlan,
     true_markers,
     true_plan,
 )
@@ -53,7 +53,7 @@ MARKER_STEP_M = 2.0**-20  #: positions of markers and stitches are multiples of 
 NEVER_S = math.inf
 
 
-class Scene:
+class StarScene:
     """The whole synthetic scene of one seed.  Everything is computed on demand and equal on every call.
 
     Attributes:
@@ -90,7 +90,7 @@ class Scene:
         if number == 0:
             spots.append((self._glint, GLINT_ERROR_M))
         tool = draw_tool(view, tip, shaft)
-        return measure(view, self._colours(number, view), tool, spots, Noise(self._seed, 1, number))
+        return depth_shot(view, self._colours(number, view), tool, spots, Noise(self._seed, 1, number))
 
     def image(self, number: int, tip: Array, shaft: Array) -> Rgb:
         """Picture ``number`` of the colour camera, (240, 320, 3), with the tool where it is."""
@@ -106,11 +106,11 @@ class Scene:
         return rounded(self.markers + across + along, MARKER_STEP_M)
 
     @cached_property
-    def measured_plan(self) -> Plan:
+    def measured_plan(self) -> SuturePlan:
         """The plan as drawn in the picture and lifted by the first cloud: the stitches ``PLANTED`` miss the tissue."""
         return lifted(self.plan, self.cloud(0, self.rest, SHAFT).points)
 
-    def tool(self, times: Array, plan: Plan, begin_s: float = NEVER_S) -> ToolPath:
+    def tool(self, times: Array, plan: SuturePlan, begin_s: float = NEVER_S) -> ToolPath:
         """Where the arm holds the needle tip, in the base frame, at ``times`` of the session.
 
         At rest until ``begin_s``; from then on each stitch of ``plan`` takes ``CYCLE_S``.
@@ -136,9 +136,9 @@ def _undisturbed(camera: Camera) -> View:
     return view
 
 
-def lifted(drawn: Plan, cloud: NDArray[np.float32]) -> Plan:
+def lifted(drawn: SuturePlan, cloud: NDArray[np.float32]) -> SuturePlan:
     """A plan drawn in the picture, at the depths of an organised cloud of ``CLOUD_CAMERA``."""
-    return Plan(_lift(drawn.entry, cloud), _lift(drawn.exit, cloud))
+    return SuturePlan(_lift(drawn.entry, cloud), _lift(drawn.exit, cloud))
 
 
 def _lift(points: Array, cloud: NDArray[np.float32]) -> Array:

@@ -16,12 +16,12 @@ from igtl_gateway.convert.common_msgs import CameraInfo
 from igtl_gateway.convert.rosmsg import Header, Image, TransformStamped
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway_lab.simulate import star_topics as topics
-from igtl_gateway_lab.simulate.actor import Heard, Report, RosHeard, RosSaid, Said, Says, Side
+from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, RosReceived, RosSent, Sent
 from igtl_gateway_lab.simulate.agenda import Agenda
 from igtl_gateway_lab.simulate.star_arm import SHAFT, held
 from igtl_gateway_lab.simulate.star_camera import IMAGE_CAMERA
 from igtl_gateway_lab.simulate.star_numbers import SEED, Array, Noise
-from igtl_gateway_lab.simulate.star_scene import Scene
+from igtl_gateway_lab.simulate.star_scene import StarScene
 
 _KEPT_POSES = 100  # a second of them: far more than the slowest sensor takes
 _SAID = (topics.CLOUD, topics.IMAGE, topics.CAMERA_INFO, topics.MARKERS)
@@ -40,10 +40,10 @@ class _Shot:
 
 
 @dataclass(frozen=True, slots=True)
-class _Stream:
+class _SensorStream:
     """Times in ns: first look since the beginning, from look to look, from look to message."""
 
-    make: Callable[[_Shot], Iterable[Said]]
+    make: Callable[[_Shot], Iterable[Sent]]
     first_ns: int
     period_ns: int
     latency_ns: int
@@ -55,13 +55,13 @@ class Sensors:
     """An actor of ROS; see the module."""
 
     name = "star_sensors"
-    side = Side.ROS
+    side = ActorProtocol.ROS
 
     def __init__(self, duration_ns: int, seed: int = SEED) -> None:
         self.hears = {topics.TOOL: topics.TYPES[topics.TOOL]}
-        self.says = {topic: Says(topics.TYPES[topic], recorded=topic == topics.CAMERA_INFO) for topic in _SAID}
+        self.says = {topic: Publishes(topics.TYPES[topic], recorded=topic == topics.CAMERA_INFO) for topic in _SAID}
         self._duration_ns = duration_ns
-        self._scene = Scene(seed)
+        self._scene = StarScene(seed)
         self._agenda = Agenda()
         self._start_ns = 0
         self._poses: deque[TransformStamped] = deque(maxlen=_KEPT_POSES)
@@ -69,7 +69,7 @@ class Sensors:
         self._over = False
         second = NS_PER_S
         self._streams = tuple(
-            _Stream(make, first * NS_PER_MS, period, latency * NS_PER_MS, Noise(seed, 5, row), jitter * NS_PER_MS)
+            _SensorStream(make, first * NS_PER_MS, period, latency * NS_PER_MS, Noise(seed, 5, row), jitter * NS_PER_MS)
             for row, (make, first, period, latency, jitter) in enumerate(
                 (
                     (self._markers, 50, second // 5, 30, 2),
@@ -93,11 +93,11 @@ class Sensors:
     def due_ns(self) -> int | None:
         return self._agenda.due_ns
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         return self._agenda.act(now_ns)
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
-        if isinstance(heard, RosHeard):
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+        if isinstance(heard, RosReceived):
             self._poses.append(TransformStamped.unpack(heard.cdr))
         return ()
 
@@ -105,20 +105,20 @@ class Sensors:
     def done(self) -> bool:
         return self._over
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         clouds, pictures, _, markers = (self._counts[topic] for topic in _SAID)
         facts = {"clouds": clouds, "pictures": pictures, "markers": markers}
         line = f"clouds taken: {clouds}; pictures: {pictures}; looks at the markers: {markers}"
-        return Report(bool(clouds), (line,), facts)
+        return ActorReport(bool(clouds), (line,), facts)
 
-    def _note(self, stream: _Stream, look: int, number: int) -> None:
+    def _note(self, stream: _SensorStream, look: int, number: int) -> None:
         """Note the look after ``look - 1`` others that were possible and ``number`` that happened."""
         since_ns = stream.first_ns + look * stream.period_ns
         if since_ns >= self._duration_ns:
             return
         delay_ns = stream.latency_ns + int(stream.jitter.uniform(1)[0] * stream.jitter_ns)
 
-        def say(now_ns: int) -> Iterable[Said]:
+        def say(now_ns: int) -> Iterable[Sent]:
             # what a slow machine could not look at in time is not looked at later
             missed = max(0, (now_ns - self._start_ns - since_ns - delay_ns) // stream.period_ns)
             self._note(stream, look + missed + 1, number + 1)
@@ -126,7 +126,7 @@ class Sensors:
 
         self._agenda.add(self._start_ns + since_ns + delay_ns, say)
 
-    def _end(self, _now_ns: int) -> Iterable[Said]:
+    def _end(self, _now_ns: int) -> Iterable[Sent]:
         self._agenda.clear()
         self._over = True
         return ()
@@ -136,22 +136,22 @@ class Sensors:
         past = next((pose for pose in reversed(self._poses) if pose.header.stamp_ns <= stamp_ns), None)
         return held(past.translation, past.rotation) if past else (self._scene.rest, SHAFT)
 
-    def _cloud(self, shot: _Shot) -> Iterable[Said]:
+    def _cloud(self, shot: _Shot) -> Iterable[Sent]:
         frame = self._scene.cloud(shot.number, *self._tool(shot.stamp_ns))
         self._counts[topics.CLOUD] += 1
-        yield RosSaid(topics.CLOUD, topics.coloured_cloud(shot.header, frame.points, frame.rgb))
+        yield RosSent(topics.CLOUD, topics.coloured_cloud(shot.header, frame.points, frame.rgb))
 
-    def _picture(self, shot: _Shot) -> Iterable[Said]:
+    def _picture(self, shot: _Shot) -> Iterable[Sent]:
         rgb = self._scene.image(shot.number, *self._tool(shot.stamp_ns))
         height, width, _ = rgb.shape
         self._counts[topics.IMAGE] += 1
         self._counts[topics.CAMERA_INFO] += 1
-        yield RosSaid(topics.CAMERA_INFO, camera_info(shot.header))
-        yield RosSaid(topics.IMAGE, Image(shot.header, height, width, "rgb8", 0, 3 * width, rgb.tobytes()))
+        yield RosSent(topics.CAMERA_INFO, camera_info(shot.header))
+        yield RosSent(topics.IMAGE, Image(shot.header, height, width, "rgb8", 0, 3 * width, rgb.tobytes()))
 
-    def _markers(self, shot: _Shot) -> Iterable[Said]:
+    def _markers(self, shot: _Shot) -> Iterable[Sent]:
         self._counts[topics.MARKERS] += 1
-        yield RosSaid(topics.MARKERS, topics.plain_cloud(shot.header, self._scene.detected_markers(shot.number)))
+        yield RosSent(topics.MARKERS, topics.plain_cloud(shot.header, self._scene.detected_markers(shot.number)))
 
 
 def camera_info(header: Header) -> CameraInfo:

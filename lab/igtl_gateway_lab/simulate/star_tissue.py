@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from igtl_gateway_lab.simulate.star_numbers import SEED, Array, Noise, unit
+from igtl_gateway_lab.simulate.star_numbers import SEED, Array, Noise, unit_vectors
 
 FOCUS_M = 0.250  #: camera to the top of the tube, where the lens is focused
 
@@ -120,7 +120,7 @@ def surface_normals(points: Array) -> Array:
         offset = np.zeros(3)
         offset[axis] = step
         slopes.append(surface_distance(points + offset) - surface_distance(points - offset))
-    return unit(np.stack(slopes, -1))
+    return unit_vectors(np.stack(slopes, -1))
 
 
 def tissue_colour(tube: Tube, along: Array, arc: Array) -> Array:
@@ -156,18 +156,18 @@ def tissue_colour(tube: Tube, along: Array, arc: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SuturePlan:
     """Stitches in the camera frame: ``entry[i]`` → ``exit[i]``, each (STITCHES, 3)."""
 
     entry: Array
     exit: Array
 
 
-def true_plan() -> Plan:
+def true_plan() -> SuturePlan:
     """The stitches on the true surface."""
     along = np.asarray(np.arange(STITCHES) - (STITCHES - 1) / 2, np.float64) * STITCH_SPACING_M
     bite: Array = np.full(STITCHES, BITE_M)
-    return Plan(MAIN.surface(along, -bite), MAIN.surface(along, bite))
+    return SuturePlan(MAIN.surface(along, -bite), MAIN.surface(along, bite))
 
 
 def true_markers() -> Array:

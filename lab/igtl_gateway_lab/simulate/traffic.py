@@ -24,7 +24,16 @@ from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway.wire.text import String as WireString
 from igtl_gateway.wire.transform import Transform
-from igtl_gateway_lab.simulate.actor import Actor, Heard, Report, RosHeard, RosSaid, Said, Says, Side
+from igtl_gateway_lab.simulate.actor import (
+    Actor,
+    ActorProtocol,
+    ActorReport,
+    Publishes,
+    Received,
+    RosReceived,
+    RosSent,
+    Sent,
+)
 from igtl_gateway_lab.simulate.load import Load
 from igtl_gateway_lab.simulate.scenario import Scenario
 from igtl_gateway_lab.simulate.star_numbers import Array, Noise, rounded
@@ -67,7 +76,7 @@ def actors(load: Load, duration_s: float | None = None) -> tuple[Actor, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _TestMessage:
     """What a message says of itself."""
 
     number: int
@@ -83,8 +92,8 @@ class _Form:
     ros_type: str
     ros: Callable[[int, int, int], RosMessage]
     igtl: Callable[[int, int, int], Body]
-    of_ros: Callable[[bytes, int], _Seen]
-    of_igtl: Callable[[Message, int], _Seen]
+    of_ros: Callable[[bytes, int], _TestMessage]
+    of_igtl: Callable[[Message, int], _TestMessage]
 
     @property
     def sends(self) -> str:
@@ -126,7 +135,7 @@ class _Tester:
     def done(self) -> bool:
         return self._sent == self._to_send and (self._gave_up or len(self._heard) >= self._to_hear)
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         if self._sent == self._to_send:
             self._gave_up = True
             return []
@@ -134,17 +143,17 @@ class _Tester:
         self._sent, self._sent_ns = self._sent + 1, now_ns
         return [said]
 
-    def _say(self, number: int, now_ns: int) -> Said:
+    def _say(self, number: int, now_ns: int) -> Sent:
         raise NotImplementedError
 
-    def _take(self, now_ns: int, seen: _Seen) -> None:
+    def _take(self, now_ns: int, seen: _TestMessage) -> None:
         self._first_ns = self._first_ns or now_ns
         self._last_ns = now_ns
         self._heard.append(seen.number)
         self._latencies.append(now_ns - seen.sent_ns)
         self._changed += not seen.intact
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         lines: list[str] = []
         facts: dict[str, Any] = {}
         if self._to_send:
@@ -169,7 +178,7 @@ class _Tester:
                 f"on its way {ms['median']:.2f} ms (median), {ms['p99']:.2f} (99 %), {ms['max']:.2f} (longest)"
             )
             facts["latency_ms"] = {name: round(value, 4) for name, value in ms.items()}
-        return Report(self.done and not (lost or swapped or self._changed), tuple(lines), facts)
+        return ActorReport(self.done and not (lost or swapped or self._changed), tuple(lines), facts)
 
     def _size(self) -> str:
         length = self._load.length
@@ -183,15 +192,15 @@ class TestServer(_Tester):
 
     __test__ = False  # for pytest: this is no test
     name = "test_server"
-    side = Side.IGTL
+    side = ActorProtocol.IGTL
     hears: dict[str, str] = {}  # noqa: RUF012  # as an actor's attributes are
-    says: dict[str, Says] = {}  # noqa: RUF012
+    says: dict[str, Publishes] = {}  # noqa: RUF012
 
-    def _say(self, number: int, now_ns: int) -> Said:
+    def _say(self, number: int, now_ns: int) -> Sent:
         content = self._form.igtl(number, self._load.length, now_ns)
         return Message(self._load.type, IGTL_NAME, content, ns_to_ticks(now_ns))
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         if isinstance(heard, Message) and (heard.type, heard.device_name) == (self._load.type, ROS_NAME):
             self._take(now_ns, self._form.of_igtl(heard, self._load.length))
         return ()
@@ -202,18 +211,18 @@ class TestNode(_Tester):
 
     __test__ = False
     name = "test_node"
-    side = Side.ROS
+    side = ActorProtocol.ROS
 
     def __init__(self, load: Load, to_send: int, to_hear: int) -> None:
         super().__init__(load, to_send, to_hear)
         self.hears = {self._form.hears: self._form.ros_type} if to_hear else {}
-        self.says = {self._form.sends: Says(self._form.ros_type)} if to_send else {}
+        self.says = {self._form.sends: Publishes(self._form.ros_type)} if to_send else {}
 
-    def _say(self, number: int, now_ns: int) -> Said:
-        return RosSaid(self._form.sends, self._form.ros(number, self._load.length, now_ns))
+    def _say(self, number: int, now_ns: int) -> Sent:
+        return RosSent(self._form.sends, self._form.ros(number, self._load.length, now_ns))
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
-        if isinstance(heard, RosHeard) and heard.topic == self._form.hears:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+        if isinstance(heard, RosReceived) and heard.topic == self._form.hears:
             self._take(now_ns, self._form.of_ros(heard.cdr, self._load.length))
         return ()
 
@@ -255,32 +264,32 @@ def _text(number: int, length: int, now_ns: int) -> str:
     return f"{number:09d} {now_ns:019d} " + "x" * (length - _HEAD)
 
 
-def _of_text(text: str, length: int) -> _Seen:
+def _of_text(text: str, length: int) -> _TestMessage:
     if len(text) != length or not (text[:9] + text[_STAMP]).isdigit():
-        return _Seen(-1, 0, False)
+        return _TestMessage(-1, 0, False)
     number, sent_ns = int(text[:9]), int(text[_STAMP])
-    return _Seen(number, sent_ns, text == _text(number, length, sent_ns))
+    return _TestMessage(number, sent_ns, text == _text(number, length, sent_ns))
 
 
 def _ros_pose(number: int, _length: int, now_ns: int) -> TransformStamped:
     return TransformStamped(_header(now_ns), ROS_NAME, (number / 1000, 0.25, -0.5), (0.0, 0.0, 0.6, 0.8))
 
 
-def _of_ros_pose(cdr: bytes, _length: int) -> _Seen:
+def _of_ros_pose(cdr: bytes, _length: int) -> _TestMessage:
     pose = TransformStamped.unpack(cdr)
     x, y, z = (1000 * value for value in pose.translation)
-    return _Seen(round(x), pose.header.stamp_ns, max(abs(y - 250), abs(z + 500)) < _TOLERANCE_MM)
+    return _TestMessage(round(x), pose.header.stamp_ns, max(abs(y - 250), abs(z + 500)) < _TOLERANCE_MM)
 
 
 def _igtl_pose(number: int, _length: int, _now_ns: int) -> Transform:
     return Transform((0.28, 0.96, 0.0, -0.96, 0.28, 0.0, 0.0, 0.0, 1.0, float(number), 250.0, -500.0))
 
 
-def _of_igtl_pose(message: Message, _length: int) -> _Seen:
+def _of_igtl_pose(message: Message, _length: int) -> _TestMessage:
     content = message.content
     assert isinstance(content, Transform)
     x, y, z = content.wire_matrix[9:]
-    return _Seen(round(x), ticks_to_ns(message.ticks), max(abs(y - 250), abs(z + 500)) < _TOLERANCE_MM)
+    return _TestMessage(round(x), ticks_to_ns(message.ticks), max(abs(y - 250), abs(z + 500)) < _TOLERANCE_MM)
 
 
 def _ros_cloud(number: int, length: int, now_ns: int) -> PointCloud2:
@@ -288,14 +297,14 @@ def _ros_cloud(number: int, length: int, now_ns: int) -> PointCloud2:
     return PointCloud2(_header(now_ns), 1, length, _XYZ, False, 12, 12 * length, data, True)
 
 
-def _of_points(points: Array, sent_ns: int, length: int) -> _Seen:
+def _of_points(points: Array, sent_ns: int, length: int) -> _TestMessage:
     if len(points) != length:
-        return _Seen(-1, sent_ns, False)
+        return _TestMessage(-1, sent_ns, False)
     intact = np.abs(points[1:] - _cloud(length)[1:]).max(initial=0.0) < _TOLERANCE_MM
-    return _Seen(round(float(points[0, 0])), sent_ns, bool(intact))
+    return _TestMessage(round(float(points[0, 0])), sent_ns, bool(intact))
 
 
-def _of_ros_cloud(cdr: bytes, length: int) -> _Seen:
+def _of_ros_cloud(cdr: bytes, length: int) -> _TestMessage:
     cloud = PointCloud2.unpack(cdr)
     at = {one.name: one.offset for one in cloud.fields}
     rows = np.dtype({"names": list("xyz"), "formats": ["<f4"] * 3, "offsets": [at[axis] for axis in "xyz"],
@@ -310,14 +319,14 @@ def _igtl_polydata(number: int, length: int, _now_ns: int) -> PolyData:
     return PolyData(points, Cells.of(np.arange(length).reshape(-1, 1)))
 
 
-def _of_igtl_polydata(message: Message, length: int) -> _Seen:
+def _of_igtl_polydata(message: Message, length: int) -> _TestMessage:
     content = message.content
     assert isinstance(content, PolyData)
     points = np.asarray(content.points, np.float64).reshape(-1, 3)
     return _of_points(points, ticks_to_ns(message.ticks), length)
 
 
-def _of_igtl_points(message: Message, length: int) -> _Seen:
+def _of_igtl_points(message: Message, length: int) -> _TestMessage:
     content = message.content
     assert isinstance(content, Points)
     points = np.asarray(content.elements["position"], np.float64).reshape(-1, 3)
@@ -332,13 +341,13 @@ def _ros_image(number: int, width: int, now_ns: int) -> Image:
     return Image(_header(now_ns), width * 3 // 4, width, "rgb8", 0, 3 * width, _picture(number, width))
 
 
-def _of_pixels(data: bytes, sent_ns: int, width: int) -> _Seen:
+def _of_pixels(data: bytes, sent_ns: int, width: int) -> _TestMessage:
     wanted = _pixels(width)
     intact = len(data) == len(wanted) and data[-_TAIL:] == wanted[-_TAIL:]
-    return _Seen(int.from_bytes(data[:4], "little"), sent_ns, intact)
+    return _TestMessage(int.from_bytes(data[:4], "little"), sent_ns, intact)
 
 
-def _of_ros_image(cdr: bytes, width: int) -> _Seen:
+def _of_ros_image(cdr: bytes, width: int) -> _TestMessage:
     image = Image.unpack(cdr)
     return _of_pixels(bytes(image.data), image.header.stamp_ns, width)
 
@@ -347,13 +356,13 @@ def _igtl_image(number: int, width: int, _now_ns: int) -> WireImage:
     return WireImage((width, width * 3 // 4, 1), 3, _picture(number, width), 3)
 
 
-def _of_igtl_image(message: Message, width: int) -> _Seen:
+def _of_igtl_image(message: Message, width: int) -> _TestMessage:
     content = message.content
     assert isinstance(content, WireImage)
     return _of_pixels(bytes(content.pixels), ticks_to_ns(message.ticks), width)
 
 
-def _of_igtl_text(message: Message, length: int) -> _Seen:
+def _of_igtl_text(message: Message, length: int) -> _TestMessage:
     content = message.content
     assert isinstance(content, WireString)
     return _of_text(content.text, length)

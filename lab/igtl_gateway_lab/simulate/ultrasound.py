@@ -21,7 +21,7 @@ import numpy as np
 
 from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert.igtl_msgs import Volume
-from igtl_gateway.convert.poses import matrix_of
+from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header, PointCloud2, PointField, TransformStamped
 from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.qos import Qos
@@ -31,12 +31,21 @@ from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.transform import Transform
-from igtl_gateway_lab.simulate.actor import Actor, Heard, Report, RosHeard, RosSaid, Said, Says, Side
+from igtl_gateway_lab.simulate.actor import (
+    Actor,
+    ActorProtocol,
+    ActorReport,
+    Publishes,
+    Received,
+    RosReceived,
+    RosSent,
+    Sent,
+)
 from igtl_gateway_lab.simulate.registration import Rigid, rms
 from igtl_gateway_lab.simulate.star_numbers import Array, dot, rounded
 from igtl_gateway_lab.simulate.ultrasound_finder import bone, dark, middle, walls
 from igtl_gateway_lab.simulate.ultrasound_phantom import HEIGHT, PIXEL_MM, WIDTH, bone_depth, phantom, vessels
-from igtl_gateway_lab.simulate.ultrasound_probe import IMAGE_TO_PROBE, Hand, composed
+from igtl_gateway_lab.simulate.ultrasound_probe import IMAGE_TO_PROBE, Hand, compose_rigid
 
 DURATION_S = 12.0
 FRAME_NS = 50 * NS_PER_MS
@@ -91,9 +100,9 @@ class Scanner:
     """Sends a sweep of so many pictures when it is asked to, and judges what is found in it."""
 
     name = "scanner"
-    side = Side.IGTL
+    side = ActorProtocol.IGTL
     hears: dict[str, str] = {}  # noqa: RUF012 - read only, as the protocol has it
-    says: dict[str, Says] = {}  # noqa: RUF012
+    says: dict[str, Publishes] = {}  # noqa: RUF012
 
     def __init__(self, pictures: int) -> None:
         self._count = pictures
@@ -118,7 +127,7 @@ class Scanner:
     def due_ns(self) -> int | None:
         return self._due_ns
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         """The next picture; after the last one it says so until there is an answer."""
         if self._sent == self._count:
             self._due_ns = now_ns + _AGAIN_NS
@@ -128,7 +137,7 @@ class Scanner:
         self._due_ns = self._start_ns + self._sent * FRAME_NS + _DELAY_NS
         return said
 
-    def _shot(self, number: int) -> Iterable[Said]:
+    def _shot(self, number: int) -> Iterable[Sent]:
         ticks = ns_to_ticks(self._start_ns + number * FRAME_NS)
         look = self._hand.look(number)
         if number not in self._hidden:
@@ -141,7 +150,7 @@ class Scanner:
         matrix = tuple(float(value) for axis in (across, down, beside, middle) for value in axis)
         yield Message("IMAGE", "Image_Probe", Image((WIDTH, HEIGHT, 1), 3, pixels.data, wire_matrix=matrix), ticks)
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         match heard:
             case Message(type="STRING", device_name="Request") if self._due_ns is None and not self._sent:
                 self._start_ns = now_ns
@@ -169,7 +178,7 @@ class Scanner:
         last = {shape.ticks for shape in self._shapes.values()}
         return self._status.code != _OK or (len(self._shapes) == len(_SHAPES) and last == {self._needle_ticks})
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         lines = [
             f"sent {self._sent} pictures of {WIDTH} × {HEIGHT} in {self._sent * FRAME_NS / NS_PER_S:.1f} s, "
             f"{len(self._hidden)} while the reference was out of sight"
@@ -186,7 +195,7 @@ class Scanner:
             lines.append(f"the navigator says: {self._status.message}")
         offs = [*(shape.rms_mm for shape in self._shapes.values()), self._needle_off]
         good = len(offs) > len(_SHAPES) and all(off is not None and off < GOOD_MM for off in offs)
-        return Report(good and self._sent == self._count, tuple(lines), facts)
+        return ActorReport(good and self._sent == self._count, tuple(lines), facts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +232,7 @@ def off_middle(points: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
+class _PictureFindings:
     """What a picture shows, as (n, 3) places in millimetres: its middle, that of the vessel (or none), and surfaces."""
 
     middle: Array
@@ -240,7 +249,7 @@ class Navigator:
     """Asks for a sweep and finds its way in it."""
 
     name = "navigator"
-    side = Side.ROS
+    side = ActorProtocol.ROS
 
     def __init__(self) -> None:
         self.hears = {
@@ -250,20 +259,20 @@ class Navigator:
             _SWEEP: RosString.TYPE,
         }
         self.says = {
-            _REQUEST: Says(RosString.TYPE),
-            _NEEDLE: Says(TransformStamped.TYPE, latched=True),
-            _BONE: Says(PointCloud2.TYPE, latched=True),
-            _VESSEL: Says(PointCloud2.TYPE, latched=True),
-            _STATUS: Says(DiagnosticStatus.TYPE),
+            _REQUEST: Publishes(RosString.TYPE),
+            _NEEDLE: Publishes(TransformStamped.TYPE, latched=True),
+            _BONE: Publishes(PointCloud2.TYPE, latched=True),
+            _VESSEL: Publishes(PointCloud2.TYPE, latched=True),
+            _STATUS: Publishes(DiagnosticStatus.TYPE),
         }
         self._due_ns: int | None = None
         self._announced: int | None = None
         # all by stamp
-        self._found: dict[int, _Found] = {}
+        self._found: dict[int, _PictureFindings] = {}
         self._probe: dict[int, Rigid] = {}
         self._reference: dict[int, Rigid] = {}
-        self._placed: dict[int, _Found] = {}  # in the frame of the reference
-        self._answer: tuple[Said, ...] = ()
+        self._placed: dict[int, _PictureFindings] = {}  # in the frame of the reference
+        self._answer: tuple[Sent, ...] = ()
         self._swept_mm = self._path_mm = 0.0
         self._bone_points = 0
 
@@ -274,15 +283,15 @@ class Navigator:
     def due_ns(self) -> int | None:
         return self._due_ns
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         """Asks until the sweep begins; once it is over, what has not come by now will not come."""
         if self._announced is not None:
             return self._answered(now_ns)
         self._due_ns = now_ns + _AGAIN_NS
-        return (RosSaid(_REQUEST, RosString("StartSweep")),)
+        return (RosSent(_REQUEST, RosString("StartSweep")),)
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
-        assert isinstance(heard, RosHeard)
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+        assert isinstance(heard, RosReceived)
         if self._announced is None:
             self._due_ns = None  # the sweep is under way
         if heard.topic == _SWEEP:
@@ -302,11 +311,11 @@ class Navigator:
         """Put the pictures in their places whose poses have come by now; whether there were any."""
         stamps = self._found.keys() & self._probe.keys() & self._reference.keys() - self._placed.keys()
         for stamp in sorted(stamps):
-            place = composed(self._reference[stamp].inverse(), self._probe[stamp])
+            place = compose_rigid(self._reference[stamp].inverse(), self._probe[stamp])
             self._placed[stamp] = self._found[stamp].placed(place)
         return bool(stamps)
 
-    def _finished(self, now_ns: int, text: str) -> Iterable[Said]:
+    def _finished(self, now_ns: int, text: str) -> Iterable[Sent]:
         """The scanner says how many pictures there were, and says it again where it has no answer."""
         word, _, rest = text.partition(":")
         if word != "finished":
@@ -320,29 +329,29 @@ class Navigator:
     def _complete(self) -> bool:
         return self._announced is not None and len(self._found) >= self._announced
 
-    def _answered(self, now_ns: int) -> tuple[Said, ...]:
+    def _answered(self, now_ns: int) -> tuple[Sent, ...]:
         self._due_ns = None
         self._answer = self._answer or tuple(self._stacked(now_ns))
         return self._answer
 
-    def _stack(self) -> list[_Found]:
+    def _stack(self) -> list[_PictureFindings]:
         """The slices in the order in which they were taken."""
         return [self._placed[stamp] for stamp in sorted(self._placed)]
 
-    def _grown(self, now_ns: int) -> Iterable[Said]:
+    def _grown(self, now_ns: int) -> Iterable[Sent]:
         """The surfaces as far as they are known."""
         stack, header = self._stack(), Header(now_ns, "Reference")
-        yield RosSaid(_BONE, _cloud(header, np.concatenate([one.bone for one in stack]), _IVORY))
-        yield RosSaid(_VESSEL, _cloud(header, np.concatenate([one.wall for one in stack]), _RED))
+        yield RosSent(_BONE, _cloud(header, np.concatenate([one.bone for one in stack]), _IVORY))
+        yield RosSent(_VESSEL, _cloud(header, np.concatenate([one.wall for one in stack]), _RED))
 
-    def _stacked(self, now_ns: int) -> Iterable[Said]:
+    def _stacked(self, now_ns: int) -> Iterable[Sent]:
         """The slices in the frame of the reference, and what follows from them."""
         self._pair()
         stack = self._stack()
         target = _target(stack)
         self._bone_points = sum(len(one.bone) for one in stack)
         if target is None or not self._bone_points:
-            yield RosSaid(_STATUS, DiagnosticStatus(2, "Navigator", f"nothing found in {len(stack)} pictures"))
+            yield RosSent(_STATUS, DiagnosticStatus(2, "Navigator", f"nothing found in {len(stack)} pictures"))
             return
         middles = np.concatenate([one.middle for one in stack])
         way = np.diff(middles, axis=0)
@@ -353,18 +362,18 @@ class Navigator:
         x, y, z = (float(value) for value in rounded(target / 1000, 1e-6))
         # down into the arm, leaning by 40° along it
         header = Header(now_ns, "Reference")
-        yield RosSaid(_NEEDLE, TransformStamped(header, "Needle", (x, y, z), (0.342, 0.0, 0.0, 0.94)))
+        yield RosSent(_NEEDLE, TransformStamped(header, "Needle", (x, y, z), (0.342, 0.0, 0.0, 0.94)))
         told = f"{len(stack)} of {len(self._found)} pictures have a pose; swept {self._swept_mm:.1f} mm"
-        yield RosSaid(_STATUS, DiagnosticStatus(0, "Navigator", told))
+        yield RosSent(_STATUS, DiagnosticStatus(0, "Navigator", told))
 
     @property
     def done(self) -> bool:
         return bool(self._answer)
 
-    def report(self) -> Report:
+    def report(self) -> ActorReport:
         came, announced = len(self._found), self._announced
         lost = (announced or came) - came
-        return Report(
+        return ActorReport(
             bool(announced and self._bone_points and len(self._placed) >= _GOOD_PAIRS * announced),
             (
                 f"received {came} pictures" + (f" of {announced}" if lost else ""),
@@ -385,10 +394,10 @@ class Navigator:
 
 def _rigid(pose: TransformStamped) -> Rigid:
     """In millimetres."""
-    return Rigid(np.array(matrix_of(pose.rotation)), np.array(pose.translation) * 1000)
+    return Rigid(np.array(rotation_matrix(pose.rotation)), np.array(pose.translation) * 1000)
 
 
-def _found_in(picture: Volume) -> _Found:
+def _found_in(picture: Volume) -> _PictureFindings:
     width, height, _ = picture.size
     grey = np.frombuffer(picture.data, np.uint8).reshape(height, width)
     across, down = np.array(picture.direction[:3]), np.array(picture.direction[3:6])
@@ -402,7 +411,7 @@ def _found_in(picture: Volume) -> _Found:
     blood = dark(grey)
     vessel_at = middle(blood)
     shown = ([((height - 1) / 2, (width - 1) / 2)], [vessel_at] if vessel_at else [], walls(blood), bone(grey))
-    return _Found(*(placed(np.asarray(pixels, float).reshape(-1, 2)) for pixels in shown))
+    return _PictureFindings(*(placed(np.asarray(pixels, float).reshape(-1, 2)) for pixels in shown))
 
 
 def _cloud(header: Header, points_mm: Array, colour: int) -> PointCloud2:
@@ -413,7 +422,7 @@ def _cloud(header: Header, points_mm: Array, colour: int) -> PointCloud2:
     return PointCloud2(header, 1, len(data), fields, False, 16, 16 * len(data), data.tobytes(), True)
 
 
-def _target(stack: list[_Found]) -> Array | None:
+def _target(stack: list[_PictureFindings]) -> Array | None:
     """Where the vessel is at a part of the sweep: the mean of the pictures there."""
     if not stack:
         return None

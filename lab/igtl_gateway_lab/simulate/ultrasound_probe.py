@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from igtl_gateway.convert.poses import matrix_of
+from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway_lab.simulate.registration import Rigid
 from igtl_gateway_lab.simulate.star_numbers import Array, Noise, dot
 from igtl_gateway_lab.simulate.ultrasound_phantom import LENGTH_MM, PIXEL_MM, WIDTH
@@ -22,7 +22,7 @@ TRACKING_MM = 0.05
 _SEED = 2017
 
 
-def composed(outer: Rigid, inner: Rigid) -> Rigid:
+def compose_rigid(outer: Rigid, inner: Rigid) -> Rigid:
     """First ``inner``, then ``outer``."""
     rotation = np.stack([dot(outer.rotation[row], inner.rotation.T) for row in range(3)])
     return Rigid(rotation, outer.apply(inner.translation))
@@ -31,7 +31,7 @@ def composed(outer: Rigid, inner: Rigid) -> Rigid:
 def turned(x: float, y: float, z: float, w: float, translation: Sequence[float]) -> Rigid:
     """Of a quaternion of any length."""
     length = math.sqrt(x * x + y * y + z * z + w * w)
-    rotation = matrix_of((x / length, y / length, z / length, w / length))
+    rotation = rotation_matrix((x / length, y / length, z / length, w / length))
     return Rigid(np.array(rotation), np.array(translation, float))
 
 
@@ -79,7 +79,7 @@ class Hand:
         x, y, z, w, *place = _ARM_TO_TRACKER
         x, y, z, w = _product((x, y, z, w), (0.004 * rx, 0.004 * ry, 0.004 * rz, 1.0))
         reference = turned(x, y, z, w, (place[0] + dx, place[1] + 2 * dy, place[2] + dz))
-        probe = composed(reference, composed(image, IMAGE_TO_PROBE.inverse()))
+        probe = compose_rigid(reference, compose_rigid(image, IMAGE_TO_PROBE.inverse()))
         seen = [
             Rigid(pose.rotation, pose.translation + TRACKING_MM * error)
             for pose, error in zip((probe, reference), self._seen[frame], strict=True)

@@ -37,7 +37,7 @@ _LOW, _HIGH = np.array([-90.5, -125.5, -71.5]), np.array([90.5, 91.5, 109.5])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Volume:
+class MrVolume:
     """A volume with its place in the patient.
 
     Attributes:
@@ -67,13 +67,13 @@ class Volume:
         return Image(self.size, kind, voxels.tobytes(), 1, LITTLE_ENDIAN, RAS, tuple(float(x) for x in matrix))
 
 
-def head_volume(name: str = HEAD, spacing_mm: float = 2.8) -> Volume:
+def head_volume(name: str = HEAD, spacing_mm: float = 2.8) -> MrVolume:
     """Colin27 where this machine has it, the head made of formulae, of that spacing, where not.
 
     ``$IGTL_GATEWAY_MRI`` goes before all, see ``VARIABLE``.  Raises ConfigError where what it names cannot be read.
     """
     path = find_volume(name)
-    return read_nifti(path) if path else synthetic_head(spacing_mm, brain_only=name == BRAIN)
+    return read_nifti_volume(path) if path else synthetic_head(spacing_mm, brain_only=name == BRAIN)
 
 
 def find_volume(name: str = HEAD) -> Path | None:
@@ -101,7 +101,7 @@ _GZIP = b"\x1f\x8b"
 _AXES = 3
 
 
-def read_nifti(path: Path) -> Volume:
+def read_nifti_volume(path: Path) -> MrVolume:
     """A volume of a NIfTI-1 file, ``.nii`` or ``.nii.gz``; scaled where the file says so.
 
     The place is that of the sform, else the qform, else the voxel sizes alone.  Raises ConfigError for a file that
@@ -123,7 +123,7 @@ def read_nifti(path: Path) -> Volume:
     slope, shift = header.scaling
     if (slope, shift) != (1.0, 0.0):
         voxels = (voxels * slope + shift).astype(np.float32)
-    return Volume(voxels, header.affine, path.name)
+    return MrVolume(voxels, header.affine, path.name)
 
 
 class _Header:
@@ -211,7 +211,7 @@ _EYES = ((31.0, 58.0, -34.0), 12.0)
 _NOSE = ((0.0, 68.0, -42.0), (13.0, 22.0, 20.0))
 
 
-def synthetic_head(spacing_mm: float = 2.8, *, brain_only: bool = False) -> Volume:
+def synthetic_head(spacing_mm: float = 2.8, *, brain_only: bool = False) -> MrVolume:
     """A head that was made up: scalp, skull, a folded brain with ventricles, eyes, and a bright lesion on the right.
 
     ``brain_only`` leaves the brain alone, as ``ch2bet`` does.  Raises ConfigError for a spacing below 0.4 mm (a
@@ -227,7 +227,7 @@ def synthetic_head(spacing_mm: float = 2.8, *, brain_only: bool = False) -> Volu
         voxels[k] = np.rint(_tissue(x[None, :], y[:, None], height, brain_only))
     affine = np.zeros((3, 4))
     affine[:, :3], affine[:, 3] = np.eye(3) * spacing_mm, origin
-    return Volume(voxels, affine, f"synthetic {'brain' if brain_only else 'head'}, {spacing_mm:g} mm")
+    return MrVolume(voxels, affine, f"synthetic {'brain' if brain_only else 'head'}, {spacing_mm:g} mm")
 
 
 def _tissue(x: Array, y: Array, z: float, brain_only: bool) -> Array:

@@ -29,7 +29,7 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import Message, decode, encode
-from igtl_gateway_lab.simulate.actor import Actor, Heard, Prepares, RosHeard, RosSaid, Said, Side
+from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, Preparable, Received, RosReceived, RosSent, Sent
 
 _LOOK_S = 0.25  # how soon an actor that waits for others sees that it is over
 _HEARS = Qos(depth=100)
@@ -39,14 +39,14 @@ Tell = Callable[[dict[str, Any]], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Connection:
+class IgtlEndpoint:
     """How an OpenIGTLink actor meets the gateway: as its client, or as the server that it connects to."""
 
     address: Address
     server: bool = False
 
 
-class Voice(Protocol):
+class ActorTransport(Protocol):
     """An actor's connection to the world."""
 
     def open(self) -> dict[str, Any]:
@@ -55,7 +55,7 @@ class Voice(Protocol):
     def missing(self, timeout_s: float) -> str:
         """What it still waits for before the story can begin; waits for so long at most."""
 
-    def say(self, said: Said) -> str:
+    def send(self, said: Sent) -> str:
         """Send it; the name of its stream."""
 
     def close(self) -> None:
@@ -81,21 +81,21 @@ class ActorProgram:
         others: Sequence[Actor],
         config: Config,
         peers: int,
-        connection: Connection,
+        connection: IgtlEndpoint,
         clock: Clock,
         tell: Tell,
     ) -> None:
         self._actor = actor
         self._clock = clock
         self._tell = tell
-        self._heard: SimpleQueue[Heard | None] = SimpleQueue()
+        self._heard: SimpleQueue[Received | None] = SimpleQueue()
         self._begin, self._end = threading.Event(), threading.Event()
         self._sent: Counter[str] = Counter()
         self._received: Counter[str] = Counter()
-        if actor.side is Side.ROS:
-            self._voice: Voice = _RosVoice(actor, others, config, peers, self._heard.put, self._warn)
+        if actor.side is ActorProtocol.ROS:
+            self._voice: ActorTransport = _RosActorTransport(actor, others, config, peers, self._heard.put, self._warn)
         else:
-            self._voice = _IgtlVoice(actor, connection, clock, self._heard.put, self._warn)
+            self._voice = _IgtlActorTransport(actor, connection, clock, self._heard.put, self._warn)
 
     def begin(self) -> None:
         """Everybody is ready; from any thread."""
@@ -109,7 +109,7 @@ class ActorProgram:
 
     def run(self) -> None:
         """Connect, play until the end, report.  Raises ConfigError or RosError if it cannot connect."""
-        if isinstance(self._actor, Prepares):
+        if isinstance(self._actor, Preparable):
             self._actor.prepare()
         if told := self._voice.open():
             self._tell({"event": "listening", **told})
@@ -154,16 +154,16 @@ class ActorProgram:
         while not self._end.is_set():
             # all that has come goes first, as offline: a slow act must not make an actor hear of ever older things
             for _ in range(self._heard.qsize()):
-                self._hear(0)
+                self._receive(0)
             now_ns, due_ns = self._clock.utc_ns(), actor.due_ns
             if due_ns is not None and due_ns <= now_ns:
-                self._say(actor.act(now_ns))
+                self._send(actor.act(now_ns))
             if not done and actor.done:
                 done = True
                 self._tell({"event": "done"})
-            self._hear(actor.due_ns)
+            self._receive(actor.due_ns)
 
-    def _hear(self, due_ns: int | None) -> None:
+    def _receive(self, due_ns: int | None) -> None:
         """What came next; nothing if the actor is due before."""
         left_ns = None if due_ns is None else max(0, due_ns - self._clock.utc_ns())
         try:
@@ -172,29 +172,29 @@ class ActorProgram:
             return
         if heard is not None:
             self._received[_stream(heard)] += 1
-            self._say(self._actor.hear(self._clock.utc_ns(), heard))
+            self._send(self._actor.receive(self._clock.utc_ns(), heard))
 
-    def _say(self, words: Any) -> None:
+    def _send(self, words: Any) -> None:
         for said in words:
-            self._sent[self._voice.say(said)] += 1
+            self._sent[self._voice.send(said)] += 1
 
     def _warn(self, text: str) -> None:
         self._tell({"event": "warning", "text": text})
 
 
-def _stream(one: Said | Heard) -> str:
+def _stream(one: Sent | Received) -> str:
     return f"{one.type}/{one.device_name}" if isinstance(one, Message) else one.topic
 
 
-class _IgtlVoice:
+class _IgtlActorTransport:
     """A TCP connection, as client or as server."""
 
     def __init__(
         self,
         actor: Actor,
-        connection: Connection,
+        connection: IgtlEndpoint,
         clock: Clock,
-        on_heard: Callable[[Heard], None],
+        on_heard: Callable[[Received], None],
         warn: Callable[[str], None],
     ) -> None:
         self._name = actor.name
@@ -222,7 +222,7 @@ class _IgtlVoice:
         host, port = self._connection.address
         return f"{'a client' if self._connection.server else 'a server'} at {host}:{port}"
 
-    def say(self, said: Said) -> str:
+    def send(self, said: Sent) -> str:
         assert isinstance(said, Message)
         stream = _stream(said)
         self._edge.send((self._link,), encode(said), stream, keep=True)
@@ -247,7 +247,7 @@ class _IgtlVoice:
             self._warn(f"{self._name}: refused a message: {error}")
 
 
-class _RosVoice:
+class _RosActorTransport:
     """A ROS 2 node."""
 
     def __init__(
@@ -256,7 +256,7 @@ class _RosVoice:
         others: Sequence[Actor],
         config: Config,
         peers: int,
-        on_heard: Callable[[Heard], None],
+        on_heard: Callable[[Received], None],
         warn: Callable[[str], None],
     ) -> None:
         self._actor = actor
@@ -264,7 +264,7 @@ class _RosVoice:
         self._on_heard = on_heard
         self._warn = warn
         gateway = Gateway(config)
-        listeners = [other for other in others if other.side is Side.ROS and other is not actor]
+        listeners = [other for other in others if other.side is ActorProtocol.ROS and other is not actor]
         self._qos: dict[str, Qos] = {}
         self._readers: dict[str, int] = {}
         for topic, says in actor.says.items():
@@ -302,8 +302,8 @@ class _RosVoice:
                 return f"{count} subscriber{'s' * (count > 1)} of {topic}"
         return ""
 
-    def say(self, said: Said) -> str:
-        assert isinstance(said, RosSaid)
+    def send(self, said: Sent) -> str:
+        assert isinstance(said, RosSent)
         message = said.message
         self._edge.publish(said.topic, message.TYPE, message.pack(), self._qos[said.topic])
         return said.topic
@@ -317,7 +317,7 @@ class _RosVoice:
 
     def _on_message(self, topic: str, ros_type: str, cdr: bytes, _source_ns: int) -> None:
         if self._actor.hears.get(topic) == ros_type:
-            self._on_heard(RosHeard(topic, ros_type, cdr))
+            self._on_heard(RosReceived(topic, ros_type, cdr))
         if topic == LINKS_TOPIC:
             with self._linked:
                 self._links = len(LinkStatusList.unpack(cdr).links)

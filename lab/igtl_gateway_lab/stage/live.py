@@ -22,7 +22,7 @@ from typing import IO, Any
 from igtl_gateway.clock import Clock
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway_lab.simulate.actor import Actor, Report, Side
+from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, ActorReport
 
 _LOOK_S = 0.2  # how soon a Ctrl-C or a time-out is seen
 _END_S = 15.0  # for a program to end that was told to
@@ -36,7 +36,7 @@ class StageError(GatewayError):
     """A program of the stage did not start, or died."""
 
 
-class End(Enum):
+class StageEnd(Enum):
     """How a story ended."""
 
     OVER = "over"  #: every actor was done
@@ -45,7 +45,7 @@ class End(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class ActorResult:
     """What an actor's program reported.
 
     Attributes:
@@ -55,15 +55,15 @@ class Part:
         sent, received: messages by stream.
     """
 
-    side: Side
+    side: ActorProtocol
     done: bool
-    report: Report
+    report: ActorReport
     sent: dict[str, int] = field(default_factory=dict)
     received: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class StageOutcome:
     """How it went.
 
     Attributes:
@@ -75,9 +75,9 @@ class Outcome:
         recording: what the bridge recorded; None without a bridge of ours or before its end.
     """
 
-    end: End
+    end: StageEnd
     waiting: dict[str, str]
-    parts: dict[str, Part]
+    parts: dict[str, ActorResult]
     seconds: float
     warnings: tuple[str, ...]
     recording: Event | None
@@ -86,11 +86,11 @@ class Outcome:
     def good(self) -> bool:
         """Whether the story came to its end and every actor is content."""
         reported = all(part.done and part.report.good for part in self.parts.values())
-        return self.end is End.OVER and bool(self.parts) and reported
+        return self.end is StageEnd.OVER and bool(self.parts) and reported
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class StagePlan:
     """What is played.
 
     Attributes:
@@ -124,7 +124,9 @@ class Stage:
         tell: called with ``(program, event)`` for everything worth showing as it happens.
     """
 
-    def __init__(self, plan: Plan, clock: Clock, stop: threading.Event, tell: Callable[[str, Event], None]) -> None:
+    def __init__(
+        self, plan: StagePlan, clock: Clock, stop: threading.Event, tell: Callable[[str, Event], None]
+    ) -> None:
         self._plan = plan
         self._clock = clock
         self._stop = stop
@@ -141,7 +143,7 @@ class Stage:
         self._failed = ""
         self._ending = False
 
-    def run(self) -> Outcome:
+    def run(self) -> StageOutcome:
         """Play it.  Raises StageError if a program cannot start or dies."""
         seconds = 0.0
         try:
@@ -153,7 +155,7 @@ class Stage:
                     self._programs[actor.name].write("begin\n")
                 self._tell("", {"event": "begun"})
                 names = {actor.name for actor in self._plan.actors}
-                end = self._wait(lambda: names <= self._state["done"]) or End.OVER
+                end = self._wait(lambda: names <= self._state["done"]) or StageEnd.OVER
                 seconds = (self._clock.monotonic_ns() - begun_ns) / NS_PER_S
             self._end()
         finally:
@@ -161,16 +163,16 @@ class Stage:
                 program.kill()
         waiting = {name: what for name, what in self._waiting.items() if name not in self._state["ready"]}
         parts = {actor.name: self._part(actor) for actor in self._plan.actors if actor.name in self._reports}
-        return Outcome(end, waiting, parts, seconds, tuple(self._warnings), self._recording)
+        return StageOutcome(end, waiting, parts, seconds, tuple(self._warnings), self._recording)
 
     # -- the course ---------------------------------------------------------------------------------------------
 
-    def _start(self) -> End | None:
+    def _start(self) -> StageEnd | None:
         """Start everything; None when all are ready, else why it ended before."""
         plan = self._plan
-        ours = [actor for actor in plan.actors if actor.side is Side.IGTL]
+        ours = [actor for actor in plan.actors if actor.side is ActorProtocol.IGTL]
         for actor in plan.actors:
-            if actor.side is Side.ROS:
+            if actor.side is ActorProtocol.ROS:
                 self._run(actor.name, plan.command(actor.name, ()))
         if plan.listen:
             for actor in ours:
@@ -217,15 +219,15 @@ class Stage:
                 return
             self._take(_LOOK_S)
 
-    def _wait(self, condition: Callable[[], bool]) -> End | None:
+    def _wait(self, condition: Callable[[], bool]) -> StageEnd | None:
         """Take events until the condition holds (None), or why it did not come to that."""
         while not condition():
             if self._failed:
                 self._end()
             if self._stop.is_set():
-                return End.INTERRUPTED
+                return StageEnd.INTERRUPTED
             if self._clock.monotonic_ns() > self._deadline_ns:
-                return End.TIMEOUT
+                return StageEnd.TIMEOUT
             self._take(_LOOK_S)
         return None
 
@@ -244,7 +246,7 @@ class Stage:
             program = self._programs[name]
             program.ended = True
             if not (name in self._reports or (name == _BRIDGE and self._recording is not None)):
-                self._failed = self._failed or f"{name}: {program.last_words()}"
+                self._failed = self._failed or f"{name}: {program.exit_reason()}"
             return
         match event.get("event"):
             case "started":
@@ -270,10 +272,10 @@ class Stage:
                 return
         self._tell(name, event)
 
-    def _part(self, actor: Actor) -> Part:
+    def _part(self, actor: Actor) -> ActorResult:
         told = self._reports[actor.name]
-        report = Report(told["good"], tuple(told["lines"]), told["facts"])
-        return Part(actor.side, actor.name in self._state["done"], report, told["sent"], told["received"])
+        report = ActorReport(told["good"], tuple(told["lines"]), told["facts"])
+        return ActorResult(actor.side, actor.name in self._state["done"], report, told["sent"], told["received"])
 
 
 class _Program:
@@ -296,7 +298,7 @@ class _Program:
         )
         self._threads = [
             threading.Thread(target=read, args=(stream,), name=f"igtl-{name}", daemon=True)
-            for read, stream in ((self._read_events, self._process.stdout), (self._read_words, self._process.stderr))
+            for read, stream in ((self._read_events, self._process.stdout), (self._read_stderr, self._process.stderr))
         ]
         for thread in self._threads:
             thread.start()
@@ -331,7 +333,7 @@ class _Program:
             thread.join()
         self.close_input()
 
-    def last_words(self) -> str:
+    def exit_reason(self) -> str:
         """Why it ended."""
         self._threads[1].join()
         code = self._process.wait()
@@ -351,7 +353,7 @@ class _Program:
                     self._events.put((self._name, event))
         self._events.put((self._name, None))
 
-    def _read_words(self, stream: IO[str]) -> None:
+    def _read_stderr(self, stream: IO[str]) -> None:
         with stream:
             self._said.extend(line.rstrip("\n") for line in stream)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.clock import ManualClock
-from igtl_gateway.edges.tcp import Limits, link, liveness
+from igtl_gateway.edges.tcp import PeerLimits, link, liveness
 from igtl_gateway.edges.tcp.receiver import Receiver
 from igtl_gateway.edges.tcp.sockets import UNANSWERED_S
 from igtl_gateway.wire.framer import Framer
@@ -47,7 +47,7 @@ def test_a_dribbling_peer_does_not_hold_up_the_others(world: World) -> None:
 
 @pytest.mark.parametrize("size", [2**62, 2**64 - 1, 10_001])
 def test_oversize_header_costs_its_own_link(world: World, size: int) -> None:
-    edge, seen, port = world.server(limits=Limits(max_body=10_000))
+    edge, seen, port = world.server(limits=PeerLimits(max_body=10_000))
     good, bad = world.peer(port), world.peer(port)
     seen.wait("up", 2)
     bad.send(message(1) + header(size))
@@ -63,7 +63,7 @@ def test_oversize_header_costs_its_own_link(world: World, size: int) -> None:
 
 
 def test_a_string_may_not_be_as_long_as_an_image(world: World) -> None:
-    _, seen, port = world.server(limits=Limits(max_body=10_000, bodies=(("STRING", 1_000),)))
+    _, seen, port = world.server(limits=PeerLimits(max_body=10_000, bodies=(("STRING", 1_000),)))
     peer = world.peer(port)
     peer.send(message(1, 10_000, b"IMAGE") + message(2, 1_000, b"STRING") + header(1_001, b"STRING"))
     (note,) = seen.wait("too_large")
@@ -73,7 +73,7 @@ def test_a_string_may_not_be_as_long_as_an_image(world: World) -> None:
 
 def test_who_sends_too_many_messages_is_read_no_faster_and_loses_nothing(world: World) -> None:
     clock = ManualClock()
-    _, seen, port = world.server(clock=clock, limits=Limits(messages_per_s=10))
+    _, seen, port = world.server(clock=clock, limits=PeerLimits(messages_per_s=10))
     flood, calm = world.peer(port), world.peer(port)
     seen.wait("up", 2)
     flood.send(b"".join(message(number) for number in range(25)))
@@ -98,7 +98,7 @@ def test_who_sends_too_many_messages_is_read_no_faster_and_loses_nothing(world: 
 
 def test_who_neither_speaks_nor_listens_is_let_go_where_that_is_wanted(world: World) -> None:
     clock = ManualClock()
-    edge, seen, port = world.server(clock=clock, limits=Limits(idle_s=60))
+    edge, seen, port = world.server(clock=clock, limits=PeerLimits(idle_s=60))
     world.peer(port)
     talks, hears = world.peer(port), world.peer(port)
     seen.wait("up", 3)
@@ -120,7 +120,7 @@ def test_who_cannot_be_reached_is_let_go_and_what_may_be_lost_is_told(
     silent_s = 0.0
     monkeypatch.setattr(liveness, "unanswered_s", lambda sock: silent_s)
     monkeypatch.setattr(link, "unconfirmed_bytes", lambda sock: 1234)
-    edge, seen, port = world.server(limits=Limits(stall_s=0.1))  # so often it is looked at
+    edge, seen, port = world.server(limits=PeerLimits(stall_s=0.1))  # so often it is looked at
     world.peer(port)
     seen.wait("up")
     silent_s = UNANSWERED_S
@@ -150,7 +150,7 @@ def test_peer_gone_inside_a_message(world: World, part: int, expected: int | Non
 
 def test_silence_inside_a_message_ends_the_link(world: World) -> None:
     clock = ManualClock()
-    _, seen, port = world.server(clock=clock, limits=Limits(stall_s=10))
+    _, seen, port = world.server(clock=clock, limits=PeerLimits(stall_s=10))
     quiet, dribbling, half, busy = [world.peer(port) for _ in range(4)]
     seen.wait("up", 4)
     quiet.send(message(1))
@@ -194,7 +194,7 @@ class Pace:
 def test_a_header_that_comes_byte_by_byte_has_no_more_time_than_any_other(world: World, tempo_s: float) -> None:
     """Never silent for ``stall_s``, it would hold its place for ever."""
     clock = ManualClock()
-    _, seen, port = world.server(clock=clock, limits=Limits(stall_s=10))
+    _, seen, port = world.server(clock=clock, limits=PeerLimits(stall_s=10))
     pace, loris = Pace(world, port, seen, clock), world.peer(port)
     seen.wait("up", 2)
     sent = 0
@@ -213,7 +213,7 @@ def test_a_header_that_comes_byte_by_byte_has_no_more_time_than_any_other(world:
 
 def test_a_long_message_over_a_slow_line_has_its_time_and_one_that_hardly_moves_has_not(world: World) -> None:
     clock = ManualClock()
-    _, seen, port = world.server(clock=clock, limits=Limits(stall_s=10, min_rate=1000))
+    _, seen, port = world.server(clock=clock, limits=PeerLimits(stall_s=10, min_rate=1000))
     pace, slow, slower = Pace(world, port, seen, clock), world.peer(port), world.peer(port)
     seen.wait("up", 3)
     data = message(1, 90_000)
@@ -232,7 +232,7 @@ def test_a_long_message_over_a_slow_line_has_its_time_and_one_that_hardly_moves_
 
 def test_time_that_we_had_not_ourselves_is_not_held_against_a_peer(world: World) -> None:
     clock = ManualClock()
-    _, seen, port = world.server(clock=clock, limits=Limits(stall_s=10))
+    _, seen, port = world.server(clock=clock, limits=PeerLimits(stall_s=10))
     going, release = threading.Event(), threading.Event()
 
     def hang(number: int, frame: Any) -> None:
@@ -287,7 +287,7 @@ def test_buffers_that_are_not_contiguous_are_refused_before_anything_is_sent(wor
 
 
 def test_block_mode_loses_nothing_with_a_slow_reader(world: World) -> None:
-    edge, seen, port = world.server(limits=Limits(queue_messages=5), when_full="block")
+    edge, seen, port = world.server(limits=PeerLimits(queue_messages=5), when_full="block")
     peer = world.peer(port, 4096)
     assert edge.wait_links(1, DEADLINE_S)
     lock = threading.Lock()  # held while sending and taken by callbacks: must not lock up
@@ -317,7 +317,7 @@ def test_block_mode_loses_nothing_with_a_slow_reader(world: World) -> None:
 
 @pytest.mark.parametrize("how", ["stop", "peer"])
 def test_a_blocked_sender_is_released(world: World, how: str) -> None:
-    edge, seen, port = world.server(limits=Limits(queue_messages=2), when_full="block")
+    edge, seen, port = world.server(limits=PeerLimits(queue_messages=2), when_full="block")
     peer = world.peer(port, 4096)
     assert edge.wait_links(1, DEADLINE_S)
     edge.send([1], [message(0, BIG)], "a", True)
@@ -345,7 +345,7 @@ def test_a_blocked_sender_is_released(world: World, how: str) -> None:
 
 
 def test_threads_never_interleave_and_keep_their_order(world: World) -> None:
-    edge, _, port = world.server(limits=Limits(queue_messages=100_000))
+    edge, _, port = world.server(limits=PeerLimits(queue_messages=100_000))
     peers = [world.peer(port, 8192), world.peer(port)]
     assert edge.wait_links(2, DEADLINE_S)
     each, threads = 1500, 4
@@ -412,7 +412,7 @@ def test_a_peer_that_half_closes_and_reads_slowly_gets_all_the_same(world: World
         goal = min(sent() + 100_000, len(message(0, BIG)))
         while sent() < goal:
             got += peer.sock.recv(1 << 16)
-        clock.advance(round(Limits().stall_s * 10**9))
+        clock.advance(round(PeerLimits().stall_s * 10**9))
         other.send(message(turn))
         seen.wait("frame", turn + 1)
     while part := peer.sock.recv(1 << 20):
@@ -437,7 +437,7 @@ def test_a_peer_that_half_closes_and_does_not_read_is_closed_in_time(world: Worl
     until(refused)  # the end was seen: nothing more is taken
     assert [link.number for link in edge.links()] == [1, 2]
     late = edge.counters()[1].queued_messages - 2
-    clock.advance(round(Limits().stall_s * 10**9))
+    clock.advance(round(PeerLimits().stall_s * 10**9))
     other.send(message(3))
     (down,) = seen.wait("down")
     assert (down.data["reason"], down.data["unsent"]) == ("closed by the peer", 2 + late)

@@ -11,13 +11,13 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from igtl_gateway.edges.tcp import Limits, listener, registry
-from igtl_gateway.edges.tcp.sockets import tune
+from igtl_gateway.edges.tcp import PeerLimits, listener, registry
+from igtl_gateway.edges.tcp.sockets import tune_socket
 from tests.edges.tcp.world import DEADLINE_S, HERE, World, message
 
 
 def test_one_client_too_many(world: World) -> None:
-    edge, seen, port = world.server(limits=Limits(max_clients=2))
+    edge, seen, port = world.server(limits=PeerLimits(max_clients=2))
     peers = [world.peer(port), world.peer(port)]
     seen.wait("up", 2)
     third = world.peer(port)
@@ -113,9 +113,9 @@ def test_an_error_of_our_own_is_noted_and_the_next_peer_is_served(
         if left[0]:
             left[0] -= 1
             raise ZeroDivisionError("our own fault")
-        tune(sock)
+        tune_socket(sock)
 
-    monkeypatch.setattr(registry, "tune", fail)
+    monkeypatch.setattr(registry, "tune_socket", fail)
     monkeypatch.setattr(listener, "NOTE_EVERY_S", 0.01)
     _, seen, port = world.server()
     assert world.peer(port).receive() is None

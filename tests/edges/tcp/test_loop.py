@@ -27,12 +27,12 @@ def test_every_kind_of_action_may_raise() -> None:
     with one, other:
         other.send(b"!")
         loop.watch(one, READ, raises("socket"), lambda exc: done.append(f"{exc} rescued"))
-        loop.post(raises("post"), lambda exc: done.append(f"{exc} rescued"))
-        loop.post(raises("orphan"))
-        loop.post(lambda: done.append("posted"))
-        loop.later(0, raises("timer"), lambda exc: done.append(f"{exc} rescued"))
-        loop.later(0, lambda: done.append("timed"))
-        loop.turn(None)
+        loop.call_soon(raises("post"), lambda exc: done.append(f"{exc} rescued"))
+        loop.call_soon(raises("orphan"))
+        loop.call_soon(lambda: done.append("posted"))
+        loop.call_later(0, raises("timer"), lambda exc: done.append(f"{exc} rescued"))
+        loop.call_later(0, lambda: done.append("timed"))
+        loop.run_once(None)
         loop.unwatch(one)
     loop.close()
     assert done == ["socket rescued", "post rescued", "orphan told", "posted", "timer rescued", "timed"]
@@ -44,10 +44,10 @@ def test_a_rescue_that_raises_is_the_last_resort(caplog: pytest.LogCaptureFixtur
 
     loop = Loop(ManualClock(), lambda: None, worse)
     done: list[int] = []
-    loop.post(lambda: done.append(1 // 0))
-    loop.post(lambda: done.append(1))
+    loop.call_soon(lambda: done.append(1 // 0))
+    loop.call_soon(lambda: done.append(1))
     with caplog.at_level(logging.ERROR):
-        loop.turn(None)
+        loop.run_once(None)
     loop.close()
     assert done == [1]
     assert "its rescue raised" in caplog.text
@@ -67,9 +67,9 @@ def test_who_was_stopped_while_waiting_looks_at_the_sockets_before_timers(monkey
     with one, other:
         other.send(b"!")
         loop.watch(one, READ, lambda _: done.append("socket"))
-        loop.later(0.001, lambda: done.append("timed"))
+        loop.call_later(0.001, lambda: done.append("timed"))
         while "timed" not in done:
-            loop.turn(None)
+            loop.run_once(None)
         loop.unwatch(one)
     loop.close()
     assert done[-2:] == ["socket", "timed"]

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.edges.tcp import Limits, link, sender, tls
+from igtl_gateway.edges.tcp import PeerLimits, link, sender, tls
 from tests.edges.tcp.test_tls import SERVER, client
 from tests.edges.tcp.world import BIG, DEADLINE_S, HERE, Peer, World, message, number_of
 
@@ -22,7 +22,7 @@ SENDERS = 4
 
 def test_slow_reader_loses_old_transforms_and_no_string(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sender, "NOTE_EVERY_S", 3600)
-    edge, seen, port = world.server(limits=Limits(queue_messages=50))
+    edge, seen, port = world.server(limits=PeerLimits(queue_messages=50))
     slow, fast = world.peer(port, 4096), world.peer(port)
     assert edge.wait_links(2, DEADLINE_S)
     got_fast: list[bytes] = []
@@ -61,7 +61,7 @@ def test_slow_reader_loses_old_transforms_and_no_string(world: World, monkeypatc
 
 
 def test_the_stream_that_holds_most_gives_way(world: World) -> None:
-    edge, _, port = world.server(limits=Limits(queue_bytes=10_000))
+    edge, _, port = world.server(limits=PeerLimits(queue_bytes=10_000))
     world.peer(port, 4096)
     assert edge.wait_links(1, DEADLINE_S)
     edge.send([1], [message(0, BIG)], "begun", True)
@@ -78,7 +78,7 @@ def test_the_stream_that_holds_most_gives_way(world: World) -> None:
 
 
 def test_a_newer_message_replaces_the_oldest_of_its_own_stream(world: World) -> None:
-    edge, _, port = world.server(limits=Limits(queue_messages=7))
+    edge, _, port = world.server(limits=PeerLimits(queue_messages=7))
     peer = world.peer(port, 4096)
     assert edge.wait_links(1, DEADLINE_S)
     edge.send([1], [message(0, BIG)], "begun", True)
@@ -94,7 +94,7 @@ def test_a_newer_message_replaces_the_oldest_of_its_own_stream(world: World) -> 
 
 
 def test_one_message_larger_than_the_queue_may_wait(world: World) -> None:
-    edge, _, port = world.server(limits=Limits(queue_bytes=10_000))
+    edge, _, port = world.server(limits=PeerLimits(queue_bytes=10_000))
     peer = world.peer(port, 4096)
     assert edge.wait_links(1, DEADLINE_S)
     edge.send([1], [message(0, BIG)], "a", False)
@@ -105,7 +105,7 @@ def test_one_message_larger_than_the_queue_may_wait(world: World) -> None:
 
 
 def test_queue_full_of_what_must_not_be_dropped_ends_the_link(world: World) -> None:
-    edge, seen, port = world.server(limits=Limits(queue_messages=10))
+    edge, seen, port = world.server(limits=PeerLimits(queue_messages=10))
     world.peer(port, 4096), world.peer(port)
     assert edge.wait_links(2, DEADLINE_S)
     edge.send([1], [message(0, BIG)], "STRING/plan", True)
@@ -166,7 +166,7 @@ def test_random_partial_sends(
         monkeypatch.setattr(link.Link, "__init__", begin)
     blocks = when_full == "block"
     # what must not be dropped (of sender 0) has room all the same
-    limits = Limits(queue_bytes=100_000, queue_messages=20) if blocks else Limits(queue_bytes=600_000)
+    limits = PeerLimits(queue_bytes=100_000, queue_messages=20) if blocks else PeerLimits(queue_bytes=600_000)
     edge, _ = world.edge(tls=SERVER, when_full=when_full, limits=limits)
     _, port = edge.listen(HERE, 0, tls=secure)
     edge.start()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.edges.tcp import Limits, TcpEdge
+from igtl_gateway.edges.tcp import PeerLimits, TcpEdge
 from igtl_gateway.edges.tcp.dialer import Dialer
 from igtl_gateway.errors import ConfigError
 from tests.edges.tcp.world import BIG, HERE, Peer, Seen, World, header, message, number_of
@@ -96,7 +96,7 @@ def test_broken_framing_costs_the_pair(world: World) -> None:
 
 def test_a_slow_reader_slows_its_partner_down_and_loses_nothing(world: World) -> None:
     server = world.listener()
-    edge, seen, port = between(world, server.getsockname()[1], limits=Limits(queue_bytes=4 * BIG))
+    edge, seen, port = between(world, server.getsockname()[1], limits=PeerLimits(queue_bytes=4 * BIG))
     client = world.peer(port, receive_buffer=4096)
     behind = world.accepted(server)
     small, big = [message(number) for number in range(20_000)], [message(7, BIG), message(8, BIG)]
@@ -139,7 +139,7 @@ def test_stop_closes_pairs_and_clients_that_wait(world: World, monkeypatch: pyte
 
 def test_a_crowd_is_refused_with_those_that_wait_counted(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Dialer, "dial", lambda self: None)
-    _, seen, port = between(world, 1, limits=Limits(max_clients=1))
+    _, seen, port = between(world, 1, limits=PeerLimits(max_clients=1))
     waiting: Peer = world.peer(port)
     assert world.peer(port).receive() is None
     (note,) = seen.wait("refused")

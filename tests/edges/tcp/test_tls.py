@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.clock import ManualClock
-from igtl_gateway.edges.tcp import Limits, TcpEdge, TlsFiles
+from igtl_gateway.edges.tcp import PeerLimits, TcpEdge, TlsFiles
 from igtl_gateway.edges.tcp.loop import READ, WRITE, Loop
 from igtl_gateway.edges.tcp.tls import PLAIN_TO_TLS, TLS_TO_PLAIN, Handshake, TlsSocket
 from igtl_gateway.errors import ConfigError
@@ -135,8 +135,8 @@ def test_garbage_behind_the_handshake_costs_its_link_only(world: World) -> None:
 
 def test_two_edges_flood_each_other_from_several_threads(world: World) -> None:
     """One lock, two directions, senders in threads of their own: nothing is lost, mixed up or stuck."""
-    server, served, port = secure(world, when_full="block", limits=Limits(queue_bytes=2**20))
-    dialer, dialled = world.edge(tls=VIEWER, when_full="block", limits=Limits(queue_bytes=2**20))
+    server, served, port = secure(world, when_full="block", limits=PeerLimits(queue_bytes=2**20))
+    dialer, dialled = world.edge(tls=VIEWER, when_full="block", limits=PeerLimits(queue_bytes=2**20))
     dialer.connect(HERE, port, tls=True)
     dialer.start()
     assert server.wait_links(1, DEADLINE_S) and dialer.wait_links(1, DEADLINE_S)
@@ -160,7 +160,7 @@ def test_two_edges_flood_each_other_from_several_threads(world: World) -> None:
 
 
 def test_a_slow_reader_gets_whole_messages_while_old_ones_are_dropped(world: World) -> None:
-    edge, seen, port = secure(world, limits=Limits(queue_messages=20))
+    edge, seen, port = secure(world, limits=PeerLimits(queue_messages=20))
     peer = client(world, port, receive_buffer=4096)
     assert edge.wait_links(1, DEADLINE_S)
     for number in range(400):
@@ -235,7 +235,7 @@ def test_a_plain_client_is_told_what_the_server_speaks(world: World) -> None:
 
 def test_who_says_nothing_is_refused_in_time(world: World) -> None:
     clock = ManualClock()
-    edge, seen, port = secure(world, clock=clock, limits=Limits(max_clients=2, handshake_s=10))
+    edge, seen, port = secure(world, clock=clock, limits=PeerLimits(max_clients=2, handshake_s=10))
     silent, client_ = world.peer(port), client(world, port)
     client_.send(message(1))
     seen.wait("frame")
@@ -246,7 +246,7 @@ def test_who_says_nothing_is_refused_in_time(world: World) -> None:
 
 
 def test_nobody_is_kept_out_by_those_who_say_nothing(world: World) -> None:
-    edge, seen, port = secure(world, limits=Limits(max_clients=3))
+    edge, seen, port = secure(world, limits=PeerLimits(max_clients=3))
     first = client(world, port)
     first.send(message(1))
     seen.wait("frame")
@@ -266,7 +266,7 @@ def test_nobody_is_kept_out_by_those_who_say_nothing(world: World) -> None:
 
 
 def test_who_has_begun_gives_way_last(world: World) -> None:
-    edge, seen, port = secure(world, limits=Limits(max_clients=2))
+    edge, seen, port = secure(world, limits=PeerLimits(max_clients=2))
     begun = world.peer(port)
     begun.send(b"\x16\x03\x01\x02\x00")  # of a first word, the beginning
     silent = world.peer(port)
@@ -292,7 +292,7 @@ def test_one_that_gave_way_in_the_turn_in_which_it_spoke_is_over() -> None:
     theirs.send(b"\x16\x03\x01")
     # both are ready: the listener, whose peer makes this one give way, and this one
     loop.watch(theirs, WRITE, lambda _: handshake.yield_to_newer() if not told else None)
-    loop.turn(0)
+    loop.run_once(0)
     handshake._step(READ)
     assert told == ["no TLS handshake before others came"]
     loop.close()

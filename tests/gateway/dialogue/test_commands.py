@@ -8,7 +8,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply, MetadataItem
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.gateway.dialogue.commands import MAX_PENDING, CommandBook, Pending
+from igtl_gateway.gateway.dialogue.commands import MAX_PENDING, PendingCommand, PendingCommands
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.text import Status
@@ -129,16 +129,16 @@ def test_a_peer_that_goes_leaves_no_one_waiting() -> None:
 
 
 def test_ids_are_reused_only_when_free_and_their_number_is_bounded() -> None:
-    book = CommandBook()
+    book = PendingCommands()
     for index in range(1, MAX_PENDING + 1):
-        assert book.add(Pending(1, index, "D", "N", index))
-    assert not book.add(Pending(1, MAX_PENDING + 1, "D", "N", 1))
+        assert book.add(PendingCommand(1, index, "D", "N", index))
+    assert not book.add(PendingCommand(1, MAX_PENDING + 1, "D", "N", 1))
     assert book.new_id() == MAX_PENDING + 1
     assert book.due_ns == 1
     assert [one.command_id for one in book.overdue(3)] == [1, 2, 3]
     taken = book.take(4)
     assert taken is not None and taken.command_id == 4 and book.take(4) is None
-    assert len(book.gone(1)) == MAX_PENDING - 4 and not len(book)
+    assert len(book.on_link_down(1)) == MAX_PENDING - 4 and not len(book)
 
 
 TOO_MUCH = (MetadataItem("key", 0, "x" * 100_000),)

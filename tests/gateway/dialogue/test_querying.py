@@ -19,7 +19,7 @@ from igtl_gateway.gateway.to_igtl import tracking as tracking_room
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.image import Image
-from igtl_gateway.wire.query import QUERIES, Nothing, Reply, StartTracking, StartVideo
+from igtl_gateway.wire.query import QUERIES, EmptyQuery, QueryReply, StartTracking, StartVideo
 from igtl_gateway.wire.text import Status
 from tests.script import T0_NS, Script
 
@@ -105,7 +105,7 @@ def test_what_is_not_there_is_a_message_without_content() -> None:
     assert isinstance(answer.content, Status) and answer.content.code == 4
     script.igtl(query("GET_POINT", "Targets"))
     assert script.sent()[0].type == "POINT" and not script.sent()[0].content.pack()
-    script.igtl(Message("GET_IMAGE", "CT", Nothing(), 0, 2))
+    script.igtl(Message("GET_IMAGE", "CT", EmptyQuery(), 0, 2))
     assert (script.sent()[0].type, script.sent()[0].content) == ("IMAGE", Raw(b""))
 
 
@@ -129,7 +129,7 @@ def test_tracking_is_paced_for_who_asked_for_it() -> None:
     script.up(2)
     lines = script.igtl(query("STT_TDATA", "Polaris", StartTracking(50)), link=1)
     assert "igtl RTS_TDATA/Polaris v1 to 1" in lines and "note stream_started" in lines
-    assert script.sent()[0].content == Reply(0)
+    assert script.sent()[0].content == QueryReply(0)
     got: dict[int, int] = {1: 0, 2: 0}
     for _ in range(200):  # a millisecond each
         script.ros("/igtl/out/Polaris", tracking("probe"))
@@ -163,10 +163,10 @@ def test_a_frame_that_nobody_knows_is_refused() -> None:
     script = Script()
     script.up(1)
     lines = script.igtl(query("STT_TDATA", "Polaris", StartTracking(50, "Patient")))
-    assert "note stream_refused" in lines and script.sent()[0].content == Reply(1)
+    assert "note stream_refused" in lines and script.sent()[0].content == QueryReply(1)
     script.ros("/igtl/out/Polaris", tracking("probe"))
     script.igtl(query("STT_TDATA", "Polaris", StartTracking(50, "base")))
-    assert script.sent()[0].content == Reply(0)
+    assert script.sent()[0].content == QueryReply(0)
 
 
 @pytest.mark.parametrize("name", ["TDATA", "QTDATA"])
@@ -179,7 +179,7 @@ def test_tracking_is_told_in_the_frame_asked_for(name: str) -> None:
     script.up(2)
     script.ros("/tf_static", TFMessage((place,)))
     script.igtl(query(f"STT_{name}", "Polaris", StartTracking(0, "world")))
-    assert script.sent()[0].content == Reply(0)
+    assert script.sent()[0].content == QueryReply(0)
     lines = script.ros("/polaris", tracking("probe"))
     assert lines == [f"igtl {name}/Polaris v1 to 1", f"igtl {name}/Polaris v1 to 2"]
     there, here = (message.content.describe()["elements"][0] for message in script.sent())
@@ -223,13 +223,13 @@ def test_tracking_data_by_many_names_costs_little(monkeypatch: pytest.MonkeyPatc
     assert "note stream_refused" in script.igtl(query("STT_QTDATA", "One more", StartTracking(1)))
     assert "note stream_started" in script.igtl(query("STT_TDATA", "T0", StartTracking(0))), "one that it has"
     made = []
-    tracking = trackdata.tracking
+    tracking = trackdata.tracking_content
 
     def counted(*args: object) -> object:
         made.append(args)
         return tracking(*args)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(tracking_room, "tracking", counted)
+    monkeypatch.setattr(tracking_room, "tracking_content", counted)
     lines = script.ros("/igtl/out/Tool", tool())
     assert [f"igtl TDATA/T{index} v1 to 1" in lines for index in range(MAX_TRACKED)] == [True] * MAX_TRACKED
     assert len(made) == 1
@@ -291,7 +291,7 @@ def test_plus_is_pinged_when_nothing_else_is_said() -> None:
     script.up(1)
     assert script.tick(0.1) == []
     assert script.tick(0.2) == ["igtl GET_STATUS/ v2 to 1"]
-    assert isinstance(script.sent()[0].content, Nothing)
+    assert isinstance(script.sent()[0].content, EmptyQuery)
     assert script.tick(0.1) == []
     script.ros("/igtl/out/Tool", tool())
     assert script.tick(0.2) == [], "a message is as good as a ping"

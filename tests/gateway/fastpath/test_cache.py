@@ -25,7 +25,7 @@ from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.image import SCALARS, Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import NO_CELLS, SCALAR, Attribute, Cells, PolyData
-from igtl_gateway.wire.query import Nothing, StartTracking
+from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.text import String as StringBody
 from igtl_gateway.wire.transform import Position, Transform
@@ -219,7 +219,7 @@ def others(draw: st.DrawFn) -> Step:
     if kind == LISTENED:
         return "listened", "/igtl/in/B/points"
     if kind in ("STT", "STP"):
-        content = StartTracking(20, "") if kind == "STT" else Nothing()
+        content = StartTracking(20, "") if kind == "STT" else EmptyQuery()
         return "igtl", join(encode(Message(f"{kind}_TDATA", "", content, 0, 2))), link
     return "link", kind, link
 

@@ -10,7 +10,7 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Message
-from igtl_gateway.wire.query import Nothing, StartTracking
+from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.transform import Transform
 from tests.script import T0_NS, Script
 
@@ -65,7 +65,7 @@ def test_frames_are_found_by_queries() -> None:
     script = Script(Config(tf_out=(TfOutRow(frames=("tool",), base="base", device="Tool"),)))
     script.ros("/tf", tf(("base", "tool", 0.5)))
     script.up(1)
-    assert "igtl TRANSFORM/Tool v1 to 1" in script.igtl(Message("GET_TRANS", "Tool", Nothing()))
+    assert "igtl TRANSFORM/Tool v1 to 1" in script.igtl(Message("GET_TRANS", "Tool", EmptyQuery()))
 
 
 def test_what_a_tracker_sends_is_part_of_the_tree() -> None:

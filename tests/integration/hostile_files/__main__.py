@@ -11,7 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from igtl_gateway.cli.terminal import say
+from igtl_gateway.cli.terminal import print_line
 from tests.integration.hostile_files.case import ROOT
 from tests.integration.hostile_files.page import RESULTS, answers, results, write
 from tests.integration.hostile_files.table import CASES, Outcome, outcomes, summary
@@ -35,9 +35,9 @@ def main() -> int:
         found.append(outcome)
         if outcome.faults:
             cost = f"{outcome.seconds:5.1f} s {outcome.peak_mb:6.0f} MB  {outcome.why[:120]!r}"
-            say(f"{outcome.name:<28} {outcome.verb[:40]:<40} {', '.join(outcome.faults):<20} {cost}", flush=True)
+            print_line(f"{outcome.name:<28} {outcome.verb[:40]:<40} {', '.join(outcome.faults):<20} {cost}", flush=True)
     counts = summary(found)
-    say(json.dumps(counts))
+    print_line(json.dumps(counts))
     if options.only:
         return int(bool(counts["files with a fault"]))
     commit = subprocess.run(

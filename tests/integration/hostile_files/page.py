@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.untrusted.limits import MEANINGS, Limits
+from igtl_gateway.untrusted.limits import MEANINGS, FileLimits
 from tests.integration.hostile_files.case import ROOT, VERBS, Hostile
 from tests.integration.hostile_files.table import CASES, FAULTS, Outcome
 
@@ -48,8 +48,10 @@ def page(told: Mapping[str, Any]) -> str:
     ]
     lines += [f"| {key} | {' | '.join(f'{told[entry][key]:,}' for entry in columns)} |" for key in keys]
     lines += ["", "## Limits", "", "| `--limit` | usual value | what it bounds |", "| --- | ---: | --- |"]
-    usual = Limits()
-    lines += [f"| `{each.name}` | {getattr(usual, each.name):,} | {MEANINGS[each.name]} |" for each in fields(Limits)]
+    usual = FileLimits()
+    lines += [
+        f"| `{each.name}` | {getattr(usual, each.name):,} | {MEANINGS[each.name]} |" for each in fields(FileLimits)
+    ]
     lines += ["", "## Verbs", "", "| sort of file | verbs that it is given to |", "| --- | --- |"]
     lines += [f"| {sort} | {', '.join(f'`{verb}`' for verb in verbs)} |" for sort, verbs in VERBS.items()]
     lines += [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway_lab.bench.bounds import BOUNDS, judged, shown
+from igtl_gateway_lab.bench.bounds import BOUNDS, shown, with_verdict
 from igtl_gateway_lab.bench.cases import CASES
 from igtl_gateway_lab.bench.runner import Row
 
@@ -13,15 +13,15 @@ def row(case: str, rate_hz: float | None = 30.0, **figures: float | str | None) 
 
 
 def test_what_is_met_and_what_is_not() -> None:
-    good = judged(row("transform", ratio=1.5))
+    good = with_verdict(row("transform", ratio=1.5))
     assert good["bounds"] == {"lost <= 0": True, "ratio <= 1.6": True, "p99/p50 <= 3": True}
     assert shown(good) == "met"
-    assert shown(judged(row("image-vga", ratio=1.5, delivered=9))) == "not lost <= 0, ratio <= 1.3"
-    assert shown(judged(row("points-10000", floor_p50_ms=0.5, p50_ms=2.6))) == "not ms over floor <= 2"
+    assert shown(with_verdict(row("image-vga", ratio=1.5, delivered=9))) == "not lost <= 0, ratio <= 1.3"
+    assert shown(with_verdict(row("points-10000", floor_p50_ms=0.5, p50_ms=2.6))) == "not ms over floor <= 2"
 
 
 def test_a_flood_is_judged_by_its_rate() -> None:
-    assert judged(row("transform", None, received_per_s=19_000.0, p99_ms=99.0))["bounds"] == {
+    assert with_verdict(row("transform", None, received_per_s=19_000.0, p99_ms=99.0))["bounds"] == {
         "lost <= 0": True,
         "received_per_s >= 20000": False,
     }
@@ -29,15 +29,15 @@ def test_a_flood_is_judged_by_its_rate() -> None:
 
 def test_of_the_client_that_stopped_only_what_came_after_counts() -> None:
     after = {"sent_after_resume": 5, "delivered_after_resume": 4, "gateway_rss_peak_mb": 300.0}
-    found = judged(row("stalled-client", 100.0, stream="transform", delivered=2, **after))["bounds"]
-    assert "gateway_rss_peak_mb <= 400" not in judged(row("stalled-client", recording=True, **after))["bounds"]
+    found = with_verdict(row("stalled-client", 100.0, stream="transform", delivered=2, **after))["bounds"]
+    assert "gateway_rss_peak_mb <= 400" not in with_verdict(row("stalled-client", recording=True, **after))["bounds"]
     assert found == {"gateway_rss_peak_mb <= 400": True, "lost after resume <= 0": False}
 
 
 def test_nothing_arrived_and_what_is_no_passage() -> None:
-    assert shown(judged(row("transform", delivered=0, p50_ms=None, p99_ms=None))) == "not lost <= 0"
+    assert shown(with_verdict(row("transform", delivered=0, p50_ms=None, p99_ms=None))) == "not lost <= 0"
     work = {"case": "start-up", "p50_s": 1.0}
-    assert judged(work) == work and shown(work) == ""
+    assert with_verdict(work) == work and shown(work) == ""
 
 
 def test_every_row_of_the_table_is_for_some_case() -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from igtl_gateway_lab.bench.cases import payload
-from igtl_gateway_lab.bench.cutter import Cutter, Heard
+from igtl_gateway_lab.bench.cutter import Arrivals, Cutter
 from igtl_gateway_lab.bench.window import progress
 
 
 def test_many_at_once_are_as_one_by_one() -> None:
     kinds, firsts, told = ("transform", "string-100"), [], progress()
-    heard = {kind: Heard(lambda message: firsts.append(bytes(message)), told) for kind in kinds}
+    heard = {kind: Arrivals(lambda message: firsts.append(bytes(message)), told) for kind in kinds}
     cutter = Cutter({kind.encode().ljust(20, b"\0"): (payload(kind).forms[1], heard[kind]) for kind in kinds})
     made = {
         kind: [bytes(payload(kind).igtl_maker(kind)(number)) for number in (0, *range(1, 41), 0, *range(41, 61))]

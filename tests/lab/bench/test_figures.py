@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway_lab.bench.figures import Passage, latency, lateness, quantile, ratio
+from igtl_gateway_lab.bench.figures import Transmission, latency, lateness, quantile, ratio
 
 MS = 1_000_000
 
 
-def passage(waits_ms: list[float], warm: int = 0) -> Passage:
+def passage(waits_ms: list[float], warm: int = 0) -> Transmission:
     """Sent every 10 ms, arriving so much later."""
     sent = np.arange(len(waits_ms)) * 10 * MS
-    return Passage(sent, np.arange(1, len(waits_ms) + 1), sent + (np.array(waits_ms) * MS).astype(np.int64), warm)
+    return Transmission(sent, np.arange(1, len(waits_ms) + 1), sent + (np.array(waits_ms) * MS).astype(np.int64), warm)
 
 
 def test_latency_of_known_times() -> None:
@@ -33,7 +33,7 @@ def test_losses_duplicates_and_disorder() -> None:
     sent = np.arange(5) * 10 * MS
     numbers = np.array([2, 1, 2, 5, 0, 9])
     received = np.array([11, 12, 99, 41, 1, 1]) * MS
-    told = latency([Passage(sent, numbers, received)])
+    told = latency([Transmission(sent, numbers, received)])
     assert (told["sent"], told["delivered"]) == (5, 3)
     assert told["max_ms"] == 12.0  # number 1; the second arrival of number 2 is none
 
@@ -45,7 +45,7 @@ def test_streams_together() -> None:
 
 def test_nothing_arrived() -> None:
     nothing = np.empty(0, np.int64)
-    told = latency([Passage(np.arange(3), nothing, nothing)])
+    told = latency([Transmission(np.arange(3), nothing, nothing)])
     assert (told["sent"], told["delivered"]) == (3, 0)
     assert told["p50_ms"] is None and told["received_per_s"] is None
 
@@ -64,5 +64,5 @@ def test_ratio() -> None:
 def test_how_late_a_sender_was() -> None:
     nothing = np.empty(0, np.int64)
     sent = (np.array([5.0, 10.0, 15.5, 20.0]) * MS).astype(np.int64)
-    assert lateness([Passage(sent, nothing, nothing)], 200.0) == {"late_p99_ms": 0.5, "late_max_ms": 0.5}
-    assert lateness([Passage(nothing, nothing, nothing)], 200.0)["late_p99_ms"] is None
+    assert lateness([Transmission(sent, nothing, nothing)], 200.0) == {"late_p99_ms": 0.5, "late_max_ms": 0.5}
+    assert lateness([Transmission(nothing, nothing, nothing)], 200.0)["late_p99_ms"] is None

@@ -8,7 +8,7 @@ import pytest
 from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.wire import decode
-from igtl_gateway_lab.bench.cases import PAYLOADS, Direction, Stream, payload
+from igtl_gateway_lab.bench.cases import PAYLOADS, BenchStream, Direction, payload
 from tests.script import Script
 
 #: Those of tens of megabytes differ from their smaller kin in nothing but size.
@@ -16,7 +16,7 @@ KINDS = [kind for kind in PAYLOADS if kind not in ("image-4k", "image-hd", "imag
 
 
 def script(kind: str) -> Script:
-    stream, way = Stream(kind, 30.0), Direction.ROS_TO_IGTL
+    stream, way = BenchStream(kind, 30.0), Direction.ROS_TO_IGTL
     row = ToIgtlRow(topic=stream.topic(way), device=stream.device(way), type=payload(kind).igtl_type)
     made = Script(Config(to_igtl=(row,)))
     made.up(1)
@@ -26,18 +26,18 @@ def script(kind: str) -> Script:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_number_goes_to_openigtlink(kind: str) -> None:
     made, gateway = payload(kind), script(kind)
-    make, topic = made.ros_maker(), Stream(kind, 30.0).topic(Direction.ROS_TO_IGTL)
+    make, topic = made.ros_maker(), BenchStream(kind, 30.0).topic(Direction.ROS_TO_IGTL)
     for number in (0, 1, 4_321):
         gateway.feed(Kind.ROS_IN, (bytes(make(number)),), topic, made.ros_type)
         (frame,) = [entry.data() for entry in gateway.last if entry.kind is Kind.IGTL_OUT]
         assert made.forms[1].number(frame) == number
-        assert decode(frame).device_name == Stream(kind, 30.0).device(Direction.ROS_TO_IGTL)
+        assert decode(frame).device_name == BenchStream(kind, 30.0).device(Direction.ROS_TO_IGTL)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_number_goes_to_ros(kind: str) -> None:
     made, gateway = payload(kind), script(kind)
-    stream = Stream(kind, 30.0)
+    stream = BenchStream(kind, 30.0)
     make, topic = made.igtl_maker(stream.device(Direction.IGTL_TO_ROS)), stream.topic(Direction.IGTL_TO_ROS)
     for number in (0, 1, 4_321):
         gateway.feed(Kind.IGTL_IN, (bytes(make(number)),), link=1)
@@ -50,8 +50,8 @@ def test_the_number_goes_to_ros(kind: str) -> None:
 def test_both_sides_say_the_same(kind: str) -> None:
     # else the sizes of the floor would not be those of what goes through the gateway
     made, gateway = payload(kind), script(kind)
-    device = Stream(kind, 30.0).device(Direction.ROS_TO_IGTL)
-    topic = Stream(kind, 30.0).topic(Direction.ROS_TO_IGTL)
+    device = BenchStream(kind, 30.0).device(Direction.ROS_TO_IGTL)
+    topic = BenchStream(kind, 30.0).topic(Direction.ROS_TO_IGTL)
     gateway.feed(Kind.ROS_IN, (bytes(made.ros_maker()(7)),), topic, made.ros_type)
     (frame,) = [entry.data() for entry in gateway.last if entry.kind is Kind.IGTL_OUT]
     assert len(frame) == len(made.igtl_maker(device)(7))

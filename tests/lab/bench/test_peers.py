@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from igtl_gateway_lab.bench import peers
-from igtl_gateway_lab.bench.cases import CASES, Direction, Stream
-from igtl_gateway_lab.bench.jobs import Job, Part
+from igtl_gateway_lab.bench.cases import CASES, BenchStream, Direction
+from igtl_gateway_lab.bench.jobs import Job, JobStream
 from igtl_gateway_lab.bench.peers import LIBRARY, PEERS, PYIGTL, Library, command, lacks, times_of
 from igtl_gateway_lab.bench.processes import BenchError, Program
 
-PART = Part(Stream("string-100", 200.0), Direction.ROS_TO_IGTL, "/topic", 20)
+PART = JobStream(BenchStream("string-100", 200.0), Direction.ROS_TO_IGTL, "/topic", 20)
 
 
 def test_who_takes_part(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

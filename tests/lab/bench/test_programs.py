@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 
 from igtl_gateway_lab.bench import programs
-from igtl_gateway_lab.bench.cases import Direction, Stream, payload
-from igtl_gateway_lab.bench.cutter import Heard
-from igtl_gateway_lab.bench.jobs import Job, Part
-from igtl_gateway_lab.bench.programs import IgtlSide
+from igtl_gateway_lab.bench.cases import BenchStream, Direction, payload
+from igtl_gateway_lab.bench.cutter import Arrivals
+from igtl_gateway_lab.bench.jobs import Job, JobStream
+from igtl_gateway_lab.bench.programs import IgtlTransport
 
 
-def part(kind: str, index: int = 0) -> Part:
-    return Part(Stream(kind, 30.0, index), Direction.ROS_TO_IGTL, "/topic", 10)
+def part(kind: str, index: int = 0) -> JobStream:
+    return JobStream(BenchStream(kind, 30.0, index), Direction.ROS_TO_IGTL, "/topic", 10)
 
 
 def test_a_job_survives_the_command_line() -> None:
@@ -27,11 +27,11 @@ def test_a_job_survives_the_command_line() -> None:
 
 def test_messages_are_found_however_they_are_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     events: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-    monkeypatch.setattr(programs, "tell", events.put)
+    monkeypatch.setattr(programs, "print_event", events.put)
     parts = (part("transform"), part("image-xga"), part("string-100"))
     firsts: list[str] = []
-    heard = {one.device: Heard(lambda _message, name=one.device: firsts.append(name)) for one in parts}  # type: ignore[misc]
-    side = IgtlSide(Job("igtl", "listener", (), parts, 0.0, "", listen=True), heard)
+    heard = {one.device: Arrivals(lambda _message, name=one.device: firsts.append(name)) for one in parts}  # type: ignore[misc]
+    side = IgtlTransport(Job("igtl", "listener", (), parts, 0.0, "", listen=True), heard)
     opening = threading.Thread(target=side.open)
     opening.start()
     place = events.get(timeout=10)

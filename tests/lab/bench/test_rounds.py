@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway_lab.bench.rounds import merged, with_costs
+from igtl_gateway_lab.bench.rounds import merge_rounds, with_costs
 from igtl_gateway_lab.bench.runner import Row
 
 
@@ -23,12 +23,12 @@ def row(p50: float, delivered: int = 10, recording: bool = False, **more: float)
 
 def test_one_round_stays_as_it_is() -> None:
     rows = [row(1.0), row(2.0, recording=True)]
-    assert merged([rows]) == rows
+    assert merge_rounds([rows]) == rows
 
 
 def test_medians_and_the_worst() -> None:
     rounds = [[row(p50, delivered), row(10.0, recording=True)] for p50, delivered in ((3.0, 10), (1.0, 8), (2.0, 10))]
-    first, second = merged(rounds)
+    first, second = merge_rounds(rounds)
     assert (first["p50_ms"], first["max_ms"]) == (2.0, 27.0)
     assert (first["sent"], first["delivered"]) == (10, 8)
     assert [one["p50_ms"] for one in first["rounds"]] == [3.0, 1.0, 2.0]
@@ -37,8 +37,8 @@ def test_medians_and_the_worst() -> None:
 
 def test_what_was_not_measured_in_one_round() -> None:
     rounds = [[row(1.0) | {"ratio": value}] for value in (None, 1.5, 1.25)]
-    assert merged(rounds)[0]["ratio"] == 1.25
-    assert merged([[row(1.0) | {"ratio": None}]] * 2)[0]["ratio"] is None
+    assert merge_rounds(rounds)[0]["ratio"] == 1.25
+    assert merge_rounds([[row(1.0) | {"ratio": None}]] * 2)[0]["ratio"] is None
 
 
 def test_what_a_recording_costs() -> None:

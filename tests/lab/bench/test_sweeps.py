@@ -9,7 +9,7 @@ import pytest
 from igtl_gateway_lab.bench.cases import SIZES, Direction, payload
 from igtl_gateway_lab.bench.plot import sweep_plots
 from igtl_gateway_lab.bench.runner import Extent, Row
-from igtl_gateway_lab.bench.sweeps import SWEEPS, fits, line
+from igtl_gateway_lab.bench.sweeps import SWEEPS, fit_lines, line
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -45,7 +45,7 @@ def test_what_was_swept_is_drawn_with_its_lines() -> None:
         for x in sizes
         for way in Direction
     ]
-    found = fits(rows)
+    found = fit_lines(rows)
     assert len(found) == 2 + 1 + 4
     assert {(fit["sweep"], fit["figure"]): fit["b"] for fit in found} == {
         ("payload", "p50_ms"): 1e-6,

@@ -10,8 +10,8 @@ from igtl_gateway.clock import ManualClock
 from igtl_gateway.config import Config
 from igtl_gateway.gateway import Gateway
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway_lab.bench.cases import PAYLOADS, Direction, Stream, payload
-from igtl_gateway_lab.bench.window import Window, progress, window
+from igtl_gateway_lab.bench.cases import PAYLOADS, BenchStream, Direction, payload
+from igtl_gateway_lab.bench.window import SendWindow, progress, window
 
 
 @pytest.mark.parametrize("direction", Direction)
@@ -24,13 +24,13 @@ def test_there_is_no_more_on_the_way_than_memory_for_it(direction: Direction) ->
 def test_no_window_is_wider_than_the_queue_that_the_gateway_asks_for() -> None:
     way, gateway = Direction.ROS_TO_IGTL, Gateway(Config())
     for kind in PAYLOADS:
-        qos = gateway.subscription(Stream(kind, 30.0).topic(way), payload(kind).ros_type)
+        qos = gateway.subscription(BenchStream(kind, 30.0).topic(way), payload(kind).ros_type)
         assert qos and window(kind, way) <= max(2, qos.depth)
 
 
 def test_it_opens_as_messages_arrive() -> None:
     heard = progress()
-    open_to = Window(heard, 8, ManualClock())
+    open_to = SendWindow(heard, 8, ManualClock())
     assert open_to.room(0) == 8
     assert open_to.room(8) == 0
     heard[0] = 1
@@ -42,7 +42,7 @@ def test_it_opens_as_messages_arrive() -> None:
 def test_what_is_lost_does_not_close_it_for_ever() -> None:
     clock = ManualClock()
     clock.advance(NS_PER_S)
-    open_to = Window(progress(), 8, clock)
+    open_to = SendWindow(progress(), 8, clock)
     assert (open_to.room(0), open_to.room(8)) == (8, 0)
     clock.advance(3 * NS_PER_S)
     assert open_to.room(8) == 8

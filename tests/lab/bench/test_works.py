@@ -9,24 +9,24 @@ import pytest
 from igtl_gateway.cli import main
 from igtl_gateway.clock import SystemClock
 from igtl_gateway_lab.bench import works
-from igtl_gateway_lab.bench.cases import Stream
-from igtl_gateway_lab.bench.works import WORKS, Workshop
+from igtl_gateway_lab.bench.cases import BenchStream
+from igtl_gateway_lab.bench.works import WORKS, WorkContext
 
 
 @pytest.fixture
-def shop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workshop:
+def shop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> WorkContext:
     monkeypatch.setattr(works, "_REPLAYED", {"image-vga": 3})  # as against small messages, never in one piece
     monkeypatch.setattr(works, "_RECORDED_S", 1)
-    return Workshop(tmp_path, SystemClock(), lambda _line: None)
+    return WorkContext(tmp_path, SystemClock(), lambda _line: None)
 
 
 def test_what_is_recorded_verifies(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
-    works.record_passage(path, Stream("transform", 0.0), 50, SystemClock())
+    works.record_passage(path, BenchStream("transform", 0.0), 50, SystemClock())
     assert main(["verify", str(path)]) == 0
 
 
-def test_recording(shop: Workshop) -> None:
+def test_recording(shop: WorkContext) -> None:
     rows = WORKS["recording"].run(shop)
     assert [row["what"] for row in rows] == ["mixed", "mixed, noise"]
     for row in rows:
@@ -36,7 +36,7 @@ def test_recording(shop: Workshop) -> None:
         assert row["gateway_cpu_percent"] > 0 and row["recorder_cpu_percent"] > 0
 
 
-def test_replay(shop: Workshop) -> None:
+def test_replay(shop: WorkContext) -> None:
     (row,) = WORKS["replay"].run(shop)
     assert (row["what"], row["sent"], row["delivered"]) == ("image-vga", 3, 3)
     assert row["received_per_s"] > 0

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.cli import main
-from igtl_gateway_lab.bench.runner import Plan, Runner
+from igtl_gateway_lab.bench.runner import BenchPlan, Runner
 from igtl_gateway_lab.bench.sweeps import SWEEPS
 from igtl_gateway_lab.bench.works import WORKS
 
@@ -17,11 +17,11 @@ FIGURES = {"p50_ms": 0.5, "p99_ms": 1.0, "mean_ms": 0.6, "sd_ms": 0.1, "max_ms":
 
 
 @pytest.fixture
-def plans(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
+def plans(monkeypatch: pytest.MonkeyPatch) -> list[BenchPlan]:
     """What would be measured; rows that are made up come of it."""
-    asked: list[Plan] = []
+    asked: list[BenchPlan] = []
 
-    def measure(_runner: Runner, plan: Plan) -> list[dict[str, Any]]:
+    def measure(_runner: Runner, plan: BenchPlan) -> list[dict[str, Any]]:
         asked.append(plan)
         slower = {"p50_ms": 0.55, "p99_ms": 1.5} if plan.record else {}
         (stream, *_) = plan.case.streams
@@ -64,7 +64,7 @@ def test_the_cases_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.ros
-def test_the_papers_table(plans: list[Plan]) -> None:
+def test_the_papers_table(plans: list[BenchPlan]) -> None:
     assert main(["bench", "--table1", "--json"]) == 0
     assert len(plans) == 11
     assert {plan.extent.count for plan in plans} == {1000}
@@ -72,7 +72,7 @@ def test_the_papers_table(plans: list[Plan]) -> None:
 
 
 @pytest.mark.ros
-def test_the_table(plans: list[Plan], capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table(plans: list[BenchPlan], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "--case", "transform", "--direction", "igtl-to-ros", "--flood", "--record"]) == 0
     assert [(plan.record, plan.floor) for plan in plans] == [(False, True), (True, False)]
     head, first, second, cost, *_, load, versions = capsys.readouterr().out.splitlines()
@@ -85,7 +85,7 @@ def test_the_table(plans: list[Plan], capsys: pytest.CaptureFixture[str]) -> Non
 
 
 @pytest.mark.ros
-def test_rounds_take_turns(plans: list[Plan], capsys: pytest.CaptureFixture[str]) -> None:
+def test_rounds_take_turns(plans: list[BenchPlan], capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--case", "mixed", "--record", "--rounds", "3", "--direction", "ros-to-igtl", "--json"]
     assert main(["bench", *words]) == 0
     assert [plan.record for plan in plans] == [False, True] * 3
@@ -96,7 +96,7 @@ def test_rounds_take_turns(plans: list[Plan], capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.ros
-def test_a_sweep(plans: list[Plan], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sweep(plans: list[BenchPlan], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "--sweep", "clients", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert [row["x"] for row in told["rows"]] == [plan.clients for plan in plans]
@@ -106,7 +106,7 @@ def test_a_sweep(plans: list[Plan], capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.ros
-def test_pictures(plans: list[Plan], tmp_path: Path) -> None:
+def test_pictures(plans: list[BenchPlan], tmp_path: Path) -> None:
     assert main(["bench", "--case", "transform", "--plot", str(tmp_path / "out"), "--json"]) == 0
     assert plans
     names = sorted(path.name for path in (tmp_path / "out").iterdir())

@@ -16,7 +16,7 @@ from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.cli import stage
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
 from igtl_gateway_lab.simulate.star_topics import CAMERA_INFO
-from igtl_gateway_lab.stage.live import End, Outcome, Plan
+from igtl_gateway_lab.stage.live import StageEnd, StageOutcome, StagePlan
 
 
 def test_a_recording_verifies_and_is_always_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -107,11 +107,11 @@ def test_the_live_bridge_records_what_is_for_the_recording_alone(monkeypatch: py
     class Nobody:
         """In place of the programs: only how the bridge was to be started is of interest."""
 
-        def __init__(self, plan: Plan, *_: object) -> None:
+        def __init__(self, plan: StagePlan, *_: object) -> None:
             bridges.append(plan.bridge)
 
-        def run(self) -> Outcome:
-            return Outcome(End.INTERRUPTED, {}, {}, 0.0, (), None)
+        def run(self) -> StageOutcome:
+            return StageOutcome(StageEnd.INTERRUPTED, {}, {}, 0.0, (), None)
 
     monkeypatch.setattr(stage, "Stage", Nobody)
     for name in ("star", "acquisition"):

@@ -11,19 +11,19 @@ from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway_lab.simulate.star_arm import held
 from igtl_gateway_lab.simulate.star_camera import CloudFrame
-from igtl_gateway_lab.simulate.star_scene import Scene
+from igtl_gateway_lab.simulate.star_scene import StarScene
 from tests.lab.simulate.star_truth import BEGIN_S, SECONDS
 
 STAR = Path(__file__).parents[3] / "fixtures" / "star.mcap"
 
 
 @pytest.fixture(scope="session")
-def scene() -> Scene:
-    return Scene()
+def scene() -> StarScene:
+    return StarScene()
 
 
 @pytest.fixture(scope="session")
-def frames(scene: Scene) -> list[CloudFrame]:
+def frames(scene: StarScene) -> list[CloudFrame]:
     path = scene.tool(np.arange(SECONDS) + np.float64(0.1), scene.measured_plan, BEGIN_S)
     poses = zip(map(tuple, path.position), map(tuple, path.rotation), strict=True)
     return [scene.cloud(number, *held(*pose)) for number, pose in enumerate(poses)]

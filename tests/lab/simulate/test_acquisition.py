@@ -10,13 +10,13 @@ import pytest
 from igtl_gateway.config import Config
 from igtl_gateway.convert.rosmsg import Image, TransformStamped
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway_lab.simulate.acquisition import Planner, Robot, actors
-from igtl_gateway_lab.simulate.actor import Actor, RosSaid, Said
-from igtl_gateway_lab.simulate.stage import play
+from igtl_gateway_lab.simulate.acquisition import AcquisitionPlanner, AcquisitionRobot, actors
+from igtl_gateway_lab.simulate.actor import Actor, RosSent, Sent
+from igtl_gateway_lab.simulate.stage import play_offline
 
 
 def played(*cast: Actor) -> list[Entry]:
-    return list(play(cast, Config(), limit_s=30.0))
+    return list(play_offline(cast, Config(), limit_s=30.0))
 
 
 def test_the_six_steps_in_their_order() -> None:
@@ -44,19 +44,19 @@ def test_the_six_steps_in_their_order() -> None:
     assert planner.facts["lesion_off_centre_mm"] < 0.1
 
 
-class Liar(Robot):
+class Liar(AcquisitionRobot):
     """A robot some of whose words are changed on the way, or lost."""
 
-    def __init__(self, change: Callable[[RosSaid], RosSaid | None]) -> None:
+    def __init__(self, change: Callable[[RosSent], RosSent | None]) -> None:
         super().__init__(0.2)
         self._change = change
 
-    def act(self, now_ns: int) -> Iterable[Said]:
-        changed = (self._change(said) for said in super().act(now_ns) if isinstance(said, RosSaid))
+    def act(self, now_ns: int) -> Iterable[Sent]:
+        changed = (self._change(said) for said in super().act(now_ns) if isinstance(said, RosSent))
         return [said for said in changed if said is not None]
 
 
-def off(said: RosSaid) -> RosSaid:
+def off(said: RosSent) -> RosSent:
     """One millimetre beside where it says."""
     if not isinstance(said.message, TransformStamped):
         return said
@@ -64,7 +64,7 @@ def off(said: RosSaid) -> RosSaid:
     return replace(said, message=replace(said.message, translation=(x + 0.001, y, z)))
 
 
-def shifted(said: RosSaid) -> RosSaid:
+def shifted(said: RosSent) -> RosSent:
     """An image of somewhere else: four rows further."""
     if not isinstance(said.message, Image):
         return said
@@ -72,7 +72,7 @@ def shifted(said: RosSaid) -> RosSaid:
     return replace(said, message=replace(said.message, data=data[640:] + data[:640]))
 
 
-def late(said: RosSaid) -> RosSaid:
+def late(said: RosSent) -> RosSent:
     """An image with a stamp of its own."""
     if not isinstance(said.message, Image):
         return said
@@ -80,7 +80,7 @@ def late(said: RosSaid) -> RosSaid:
     return replace(said, message=replace(said.message, header=replace(header, stamp_ns=header.stamp_ns + 1)))
 
 
-def lost(said: RosSaid) -> RosSaid | None:
+def lost(said: RosSent) -> RosSent | None:
     """No image."""
     return None if isinstance(said.message, Image) else said
 
@@ -95,9 +95,9 @@ def lost(said: RosSaid) -> RosSaid | None:
     ],
 )
 def test_the_planner_finds_what_is_wrong_and_shuts_the_robot_down(
-    change: Callable[[RosSaid], RosSaid | None], fault: str
+    change: Callable[[RosSent], RosSent | None], fault: str
 ) -> None:
-    planner, robot = Planner(), Liar(change)
+    planner, robot = AcquisitionPlanner(), Liar(change)
     played(planner, robot)
     report = planner.report()
     assert not report.good and planner.done
@@ -106,17 +106,17 @@ def test_the_planner_finds_what_is_wrong_and_shuts_the_robot_down(
         assert robot.done, "it was shut down"
 
 
-class Overtaken(Robot):
+class Overtaken(AcquisitionRobot):
     """Between its poses and whatever belongs to them lies a ROS graph: the poses come last."""
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         return sorted(
             super().act(now_ns), key=lambda said: isinstance(getattr(said, "message", None), TransformStamped)
         )
 
 
 def test_what_overtakes_its_pose_waits_for_it() -> None:
-    planner, robot = Planner(), Overtaken(0.2)
+    planner, robot = AcquisitionPlanner(), Overtaken(0.2)
     log = played(planner, robot)
     streams = [entry.channel for entry in log if entry.kind is Kind.IGTL_OUT]
     assert streams.index("IMAGE/Probe") < len(streams) - 1 - streams[::-1].index("TRANSFORM/ProbeToBase")
@@ -124,7 +124,7 @@ def test_what_overtakes_its_pose_waits_for_it() -> None:
 
 
 def test_a_planner_without_a_robot_gives_up() -> None:
-    planner = Planner()
+    planner = AcquisitionPlanner()
     played(planner)
     assert planner.done
     assert planner.report().lines == ("step 1: no STRING INITIALIZED within 5 s",)
@@ -132,12 +132,12 @@ def test_a_planner_without_a_robot_gives_up() -> None:
 
 
 def test_a_robot_obeys_nothing_before_it_is_initialised() -> None:
-    class Hasty(Planner):
+    class Hasty(AcquisitionPlanner):
         def begin(self, now_ns: int) -> None:
             super().begin(now_ns)
             self._next(now_ns)  # the first order is forgotten
 
-    planner, robot = Hasty(), Robot(0.2)
+    planner, robot = Hasty(), AcquisitionRobot(0.2)
     played(planner, robot)
     assert not planner.report().good
     assert "refused /igtl/in/Target/point: not initialised" in robot.report().lines

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from igtl_gateway.convert.rosmsg import String
-from igtl_gateway_lab.simulate.actor import RosSaid, Said
+from igtl_gateway_lab.simulate.actor import RosSent, Sent
 from igtl_gateway_lab.simulate.agenda import Agenda, Task
 
 
 def say(text: str) -> Task:
-    return lambda now_ns: [RosSaid(f"/{text}", String(str(now_ns)))]
+    return lambda now_ns: [RosSent(f"/{text}", String(str(now_ns)))]
 
 
-def topics(said: Iterable[Said]) -> list[str]:
-    return [one.topic for one in said if isinstance(one, RosSaid)]
+def topics(said: Iterable[Sent]) -> list[str]:
+    return [one.topic for one in said if isinstance(one, RosSent)]
 
 
 def test_first_things_first_and_equal_times_in_the_order_noted() -> None:
@@ -31,13 +31,13 @@ def test_a_task_is_given_the_time_at_which_it_is_done() -> None:
     agenda = Agenda()
     agenda.add(10, say("late"))
     (said,) = agenda.act(25)
-    assert isinstance(said, RosSaid) and said.message == String("25")
+    assert isinstance(said, RosSent) and said.message == String("25")
 
 
 def test_a_task_that_notes_another_is_followed_by_it_if_that_is_due_too() -> None:
     agenda = Agenda()
 
-    def again(now_ns: int) -> Iterable[Said]:
+    def again(now_ns: int) -> Iterable[Sent]:
         agenda.add(agenda_times.pop(), again)
         return say("tick")(now_ns)
 

@@ -12,23 +12,23 @@ from igtl_gateway.convert.rosmsg import Mesh
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.wire import decode
 from igtl_gateway_lab.simulate import brain
-from igtl_gateway_lab.simulate.actor import Actor, Heard, RosHeard, Said
-from igtl_gateway_lab.simulate.brain_surface import Surface
-from igtl_gateway_lab.simulate.stage import play
+from igtl_gateway_lab.simulate.actor import Actor, Received, RosReceived, Sent
+from igtl_gateway_lab.simulate.brain_surface import TriangleMesh
+from igtl_gateway_lab.simulate.stage import play_offline
 from igtl_gateway_lab.simulate.volume import SYNTHETIC, VARIABLE
 
 
-def tetrahedron() -> tuple[Surface, str]:
+def tetrahedron() -> tuple[TriangleMesh, str]:
     points = np.array([[0.1, 0, 0], [1, 0.2, 0], [0, 1.3, 0], [0, 0, 100.7]])
-    return Surface(points, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])).unwelded(), "tetrahedron"
+    return TriangleMesh(points, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])).unwelded(), "tetrahedron"
 
 
 def played(actors: tuple[Actor, ...], limit_s: float = 5.0) -> list[Entry]:
-    return list(play(actors, brain.CONFIG, limit_s=limit_s))
+    return list(play_offline(actors, brain.CONFIG, limit_s=limit_s))
 
 
 def test_it_arrives_equal_and_comes_back_equal() -> None:
-    planner, model = brain.Planner(tetrahedron, 2), brain.Model(2)
+    planner, model = brain.BrainPlanner(tetrahedron, 2), brain.Model(2)
     log = played((planner, model))
     assert planner.done and model.done
     told, heard = planner.report(), model.report()
@@ -41,7 +41,7 @@ def test_it_arrives_equal_and_comes_back_equal() -> None:
 
 
 def test_ros_has_metres() -> None:
-    log = played((brain.Planner(tetrahedron, 1), brain.Model(1)))
+    log = played((brain.BrainPlanner(tetrahedron, 1), brain.Model(1)))
     (mesh,) = (Mesh.unpack(entry.data()) for entry in log if entry.kind is Kind.ROS_OUT and entry.type == Mesh.TYPE)
     assert mesh.vertices.max() == pytest.approx(0.1007)
 
@@ -49,17 +49,17 @@ def test_ros_has_metres() -> None:
 class Bending(brain.Model):
     """A node whose mesh is not the one that was sent: by the last bit of one number."""
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
-        if isinstance(heard, RosHeard) and heard.type == Mesh.TYPE:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+        if isinstance(heard, RosReceived) and heard.type == Mesh.TYPE:
             mesh = Mesh.unpack(heard.cdr)
             vertices = mesh.vertices.copy()
             vertices[0, 0] = np.nextafter(np.float32(vertices[0, 0] * 1000), np.float32(1)) / 1000
             heard = replace(heard, cdr=Mesh(mesh.triangles, vertices).pack())
-        return super().hear(now_ns, heard)
+        return super().receive(now_ns, heard)
 
 
 def test_one_bit_is_seen_on_both_sides() -> None:
-    planner, model = brain.Planner(tetrahedron, 1), Bending(1)
+    planner, model = brain.BrainPlanner(tetrahedron, 1), Bending(1)
     played((planner, model))
     assert planner.done and model.done
     assert not planner.report().good and not model.report().good
@@ -67,7 +67,7 @@ def test_one_bit_is_seen_on_both_sides() -> None:
 
 
 def test_nobody_at_the_other_end_is_no_success() -> None:
-    planner = brain.Planner(tetrahedron, 1)
+    planner = brain.BrainPlanner(tetrahedron, 1)
     assert played((planner,)) and not planner.done and not planner.report().good
     model = brain.Model(1)
     log = played((model,))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from igtl_gateway_lab.simulate.brain_surface import Surface, procedural_brain, resampled, smoothed, surface_of
+from igtl_gateway_lab.simulate.brain_surface import TriangleMesh, extract_surface, procedural_brain, resampled, smoothed
 
 RADIUS = 9.0
 MIDDLE = np.array([12.0, 14.0, 11.0])
@@ -20,13 +20,13 @@ def ball() -> NDArray[np.float64]:
     return np.asarray(RADIUS - np.sqrt(((place - MIDDLE) ** 2).sum(axis=-1)))
 
 
-def volume_of(surface: Surface) -> float:
+def volume_of(surface: TriangleMesh) -> float:
     """By the divergence theorem: positive where faces look outwards."""
     a, b, c = (surface.points[surface.faces[:, corner]] for corner in range(3))
     return float((a * np.cross(b, c)).sum() / 6)
 
 
-def edges_of(surface: Surface) -> NDArray[np.int64]:
+def edges_of(surface: TriangleMesh) -> NDArray[np.int64]:
     """How many faces each edge has."""
     faces = surface.faces
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
@@ -34,32 +34,32 @@ def edges_of(surface: Surface) -> NDArray[np.int64]:
 
 
 def test_a_sphere_is_where_it_is() -> None:
-    surface = surface_of(ball(), 0.0)
+    surface = extract_surface(ball(), 0.0)
     off = np.sqrt(((surface.points - MIDDLE) ** 2).sum(axis=1)) - RADIUS
     assert np.abs(off).max() < 0.06
     assert volume_of(surface) == pytest.approx(4 / 3 * math.pi * RADIUS**3, rel=0.02)
 
 
 def test_a_sphere_is_closed_and_of_one_piece() -> None:
-    surface = surface_of(ball(), 0.0)
+    surface = extract_surface(ball(), 0.0)
     assert set(edges_of(surface)) == {2}
     # Euler: corners − edges + faces of a sphere
     assert len(surface.points) - len(edges_of(surface)) + len(surface.faces) == 2
 
 
 def test_what_reaches_the_border_is_closed_there() -> None:
-    surface = surface_of(np.ones((14, 15, 16)), 0.5)
+    surface = extract_surface(np.ones((14, 15, 16)), 0.5)
     assert set(edges_of(surface)) == {2}
     assert volume_of(surface) == pytest.approx(14 * 15 * 16, rel=0.1)
 
 
 def test_nothing_has_no_surface() -> None:
-    surface = surface_of(np.zeros((4, 4, 4)), 0.5)
+    surface = extract_surface(np.zeros((4, 4, 4)), 0.5)
     assert surface.points.shape == surface.faces.shape == (0, 3)
 
 
 def test_placed_surfaces_face_outwards_in_mirrored_volumes_too() -> None:
-    surface = surface_of(ball(), 0.0)
+    surface = extract_surface(ball(), 0.0)
     mirrored = np.diag([2.0, -1.0, 1.0])
     placed = surface.placed(mirrored, np.array([5.0, 0.0, 0.0]))
     assert volume_of(placed) == pytest.approx(2 * volume_of(surface))
@@ -67,7 +67,7 @@ def test_placed_surfaces_face_outwards_in_mirrored_volumes_too() -> None:
 
 
 def test_unwelded_is_the_same_surface_with_three_points_for_each_face() -> None:
-    surface = surface_of(ball(), 0.0)
+    surface = extract_surface(ball(), 0.0)
     loose = surface.unwelded()
     assert loose.points.shape == (3 * len(surface.faces), 3)
     assert (loose.points[loose.faces] == surface.points[surface.faces]).all()

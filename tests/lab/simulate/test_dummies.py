@@ -9,14 +9,14 @@ import numpy as np
 
 from igtl_gateway.convert.rosmsg import PointStamped, TransformStamped
 from igtl_gateway.session.entry import Kind
-from igtl_gateway_lab.simulate.actor import Actor, RosSaid, Said
+from igtl_gateway_lab.simulate.actor import Actor, RosSent, Sent
 from igtl_gateway_lab.simulate.dummies import CONFIG, KINDS, TRIANGLES, Dummies, DummyNode, DummyServer, actors
-from igtl_gateway_lab.simulate.stage import play
+from igtl_gateway_lab.simulate.stage import play_offline
 
 
 def played(*cast: Actor) -> list[str]:
     """The OpenIGTLink streams of the session."""
-    log = list(play(cast, CONFIG))
+    log = list(play_offline(cast, CONFIG))
     return [entry.channel for entry in log if entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT)]
 
 
@@ -51,9 +51,9 @@ def test_the_model_is_a_closed_surface() -> None:
 class Off(DummyNode):
     """Moves its point by a hundredth of a millimetre, and turns its transform by a thousandth of a degree."""
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         for said in super().act(now_ns):
-            assert isinstance(said, RosSaid)
+            assert isinstance(said, RosSent)
             match said.message:
                 case PointStamped(_, (x, y, z)):
                     yield replace(said, message=replace(said.message, point=(x + 0.00001, y, z)))

@@ -8,7 +8,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.gateway import Gateway
 from igtl_gateway.session.entry import Kind
 from igtl_gateway_lab.simulate.acquisition import actors
-from igtl_gateway_lab.simulate.scenario import Scenario, fact
+from igtl_gateway_lab.simulate.scenario import Scenario, note_input
 
 
 def test_it_is_one_or_the_other() -> None:
@@ -19,7 +19,7 @@ def test_it_is_one_or_the_other() -> None:
 
 
 def test_inputs_have_no_cast() -> None:
-    scenario = Scenario("inputs", Config(), lambda _duration_s: [fact(5, "synthetic", "nothing")])
+    scenario = Scenario("inputs", Config(), lambda _duration_s: [note_input(5, "synthetic", "nothing")])
     assert scenario.cast() == ()
     assert [(entry.stamp_ns, entry.kind) for entry in scenario.entries()] == [(5, Kind.EDGE_NOTE)]
 

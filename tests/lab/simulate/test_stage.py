@@ -18,8 +18,17 @@ from igtl_gateway.session.note import Note
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.text import String as WireString
-from igtl_gateway_lab.simulate.actor import Actor, Heard, Report, RosHeard, RosSaid, Said, Says, Side
-from igtl_gateway_lab.simulate.stage import IGTL_NS, ROS_NS, START_NS, play
+from igtl_gateway_lab.simulate.actor import (
+    Actor,
+    ActorProtocol,
+    ActorReport,
+    Publishes,
+    Received,
+    RosReceived,
+    RosSent,
+    Sent,
+)
+from igtl_gateway_lab.simulate.stage import IGTL_NS, ROS_NS, START_NS, play_offline
 
 OUT, IN, ASIDE = "/igtl/out/Robot/string", "/igtl/in/Planner/string", "/robot/internal"
 Answer = Callable[[int, str], Iterable[str]]
@@ -28,10 +37,12 @@ Answer = Callable[[int, str], Iterable[str]]
 class Teller:
     """Says its lines, one every 10 ms, and remembers what it hears; ``answer`` gives what it says to that."""
 
-    def __init__(self, name: str, side: Side, lines: Iterable[str] = (), waits_for: int = 0, topic: str = OUT) -> None:
+    def __init__(
+        self, name: str, side: ActorProtocol, lines: Iterable[str] = (), waits_for: int = 0, topic: str = OUT
+    ) -> None:
         self.name, self.side = name, side
-        self.hears = {IN: String.TYPE, ASIDE: String.TYPE} if side is Side.ROS else {}
-        self.says = {topic: Says(String.TYPE)} if side is Side.ROS else {}
+        self.hears = {IN: String.TYPE, ASIDE: String.TYPE} if side is ActorProtocol.ROS else {}
+        self.says = {topic: Publishes(String.TYPE)} if side is ActorProtocol.ROS else {}
         self.answer: Answer = lambda _now_ns, _text: ()
         self.heard: list[tuple[int, str]] = []
         self.began_ns = self.due_at_ns = 0
@@ -44,12 +55,12 @@ class Teller:
     def due_ns(self) -> int | None:
         return self.due_at_ns if self._lines else None
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         self.due_at_ns = now_ns + 10 * NS_PER_MS
         return [self._say(self._lines.pop(0))]
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
-        if isinstance(heard, RosHeard):
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+        if isinstance(heard, RosReceived):
             text = String.unpack(heard.cdr).data
         else:
             assert isinstance(heard.content, WireString)
@@ -57,22 +68,22 @@ class Teller:
         self.heard.append((now_ns, text))
         return [self._say(answer) for answer in self.answer(now_ns, text)]
 
-    def _say(self, text: str) -> Said:
-        if self.side is Side.ROS:
-            return RosSaid(self._topic, String(text))
+    def _say(self, text: str) -> Sent:
+        if self.side is ActorProtocol.ROS:
+            return RosSent(self._topic, String(text))
         return Message("STRING", "Planner", WireString.of(text))
 
     @property
     def done(self) -> bool:
         return not self._lines and len(self.heard) >= self._waits_for
 
-    def report(self) -> Report:
-        return Report(self.done)
+    def report(self) -> ActorReport:
+        return ActorReport(self.done)
 
 
 def pair() -> tuple[Teller, Teller]:
     """A planner that asks twice, and a robot that answers."""
-    planner, robot = Teller("planner", Side.IGTL, ["one", "two"], 2), Teller("robot", Side.ROS, (), 2)
+    planner, robot = Teller("planner", ActorProtocol.IGTL, ["one", "two"], 2), Teller("robot", ActorProtocol.ROS, (), 2)
     robot.answer = lambda _now_ns, text: [text.upper()]
     return planner, robot
 
@@ -81,7 +92,7 @@ _CONFIG = Config()
 
 
 def played(*actors: Actor, config: Config = _CONFIG, limit_s: float = 5.0) -> list[Entry]:
-    return list(play(actors, config, limit_s=limit_s))
+    return list(play_offline(actors, config, limit_s=limit_s))
 
 
 def test_what_one_says_the_other_hears_after_its_way_through_the_gateway() -> None:
@@ -122,8 +133,8 @@ def test_equal_actors_give_equal_bytes() -> None:
 
 def test_ros_actors_hear_each_other_past_the_gateway() -> None:
     """What is no business of the gateway's is not in the session; nobody hears himself."""
-    camera = Teller("camera", Side.ROS, ["frame"], topic=ASIDE)
-    robot = Teller("robot", Side.ROS, (), 1)
+    camera = Teller("camera", ActorProtocol.ROS, ["frame"], topic=ASIDE)
+    robot = Teller("robot", ActorProtocol.ROS, (), 1)
     log = played(camera, robot)
     assert robot.heard == [(camera.began_ns + ROS_NS, "frame")]
     assert camera.heard == []
@@ -131,8 +142,8 @@ def test_ros_actors_hear_each_other_past_the_gateway() -> None:
 
 
 def test_each_planner_has_a_link_of_its_own() -> None:
-    one, other = Teller("one", Side.IGTL, (), 1), Teller("other", Side.IGTL, ["hello"], 1)
-    robot = Teller("robot", Side.ROS, ["to all"], 1)
+    one, other = Teller("one", ActorProtocol.IGTL, (), 1), Teller("other", ActorProtocol.IGTL, ["hello"], 1)
+    robot = Teller("robot", ActorProtocol.ROS, ["to all"], 1)
     log = played(one, other, robot)
     assert [text for _, text in one.heard] == [text for _, text in other.heard] == ["to all"]
     assert [entry.links for entry in log if entry.kind is Kind.IGTL_IN] == [(2,)]
@@ -140,7 +151,7 @@ def test_each_planner_has_a_link_of_its_own() -> None:
 
 
 def test_it_ends_when_nobody_would_act_again() -> None:
-    planner = Teller("planner", Side.IGTL, (), 1)
+    planner = Teller("planner", ActorProtocol.IGTL, (), 1)
     log = played(planner)
     assert not planner.done
     assert log[-1].stamp_ns - START_NS < NS_PER_S
@@ -148,7 +159,10 @@ def test_it_ends_when_nobody_would_act_again() -> None:
 
 def test_it_ends_at_its_limit() -> None:
     """Two that never stop talking."""
-    planner, robot = Teller("planner", Side.IGTL, ["ball"], 10**9), Teller("robot", Side.ROS, (), 10**9)
+    planner, robot = (
+        Teller("planner", ActorProtocol.IGTL, ["ball"], 10**9),
+        Teller("robot", ActorProtocol.ROS, (), 10**9),
+    )
     planner.answer = robot.answer = lambda _now_ns, text: [text]
     log = played(planner, robot, limit_s=0.1)
     assert 10 < len(planner.heard) < 100
@@ -157,7 +171,7 @@ def test_it_ends_at_its_limit() -> None:
 
 
 def test_what_is_on_its_way_when_all_are_done_arrives() -> None:
-    robot, planner = Teller("robot", Side.ROS, ["last word"]), Teller("planner", Side.IGTL)
+    robot, planner = Teller("robot", ActorProtocol.ROS, ["last word"]), Teller("planner", ActorProtocol.IGTL)
     played(robot, planner)
     assert [text for _, text in planner.heard] == ["last word"]
 
@@ -165,7 +179,7 @@ def test_what_is_on_its_way_when_all_are_done_arrives() -> None:
 class Pinged(Teller):
     """Hears messages of any type."""
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         self.heard.append((now_ns, heard.type))
         return ()
 
@@ -173,34 +187,34 @@ class Pinged(Teller):
 def test_the_gateway_gets_its_ticks() -> None:
     """A peer of the profile plus is pinged when it is silent."""
     config = replace(Config(), peers=(PeerRow("**", "plus"),))
-    planner = Pinged("planner", Side.IGTL, (), 1)
+    planner = Pinged("planner", ActorProtocol.IGTL, (), 1)
     log = played(planner, config=config, limit_s=20.0)
     ticks = [e for e in log if e.kind is Kind.EDGE_NOTE and Note.unpack(e.data()).code == TICK]
     assert ticks and planner.heard[0][1] == "GET_STATUS"
 
 
 def test_a_topic_that_nobody_bridges_is_in_the_recording_where_the_actor_wants_it() -> None:
-    robot = Teller("robot", Side.ROS, ["calibration"], topic=ASIDE)
+    robot = Teller("robot", ActorProtocol.ROS, ["calibration"], topic=ASIDE)
     assert [entry for entry in played(robot) if entry.kind is Kind.ROS_IN] == []
-    robot = Teller("robot", Side.ROS, ["calibration"], topic=ASIDE)
-    robot.says = {ASIDE: Says(String.TYPE, recorded=True)}
+    robot = Teller("robot", ActorProtocol.ROS, ["calibration"], topic=ASIDE)
+    robot.says = {ASIDE: Publishes(String.TYPE, recorded=True)}
     assert [entry.channel for entry in played(robot) if entry.kind is Kind.ROS_IN] == [ASIDE]
 
 
 def test_a_topic_that_an_actor_did_not_name_is_refused() -> None:
-    robot = Teller("robot", Side.ROS, ["word"])
-    robot.says = {"/other": Says(String.TYPE)}
+    robot = Teller("robot", ActorProtocol.ROS, ["word"])
+    robot.says = {"/other": Publishes(String.TYPE)}
     with pytest.raises(ValueError, match=r"robot: publishes on /igtl/out/Robot/string, expected one of /other"):
         played(robot)
 
 
 def test_an_actor_that_never_lets_time_pass_is_named() -> None:
     class Stuck(Teller):
-        def act(self, now_ns: int) -> Iterable[Said]:
+        def act(self, now_ns: int) -> Iterable[Sent]:
             return ()
 
     with pytest.raises(RuntimeError, match="stuck: due at"):
-        played(Stuck("stuck", Side.ROS, ["never said"]))
+        played(Stuck("stuck", ActorProtocol.ROS, ["never said"]))
 
 
 def test_ros_hears_who_is_connected() -> None:
@@ -215,5 +229,5 @@ def test_the_example_of_the_page_plays() -> None:
     exec(page.partition("```python\n")[2].partition("```")[0], names)
     cast = names["QUESTION"].cast()
     log = list(names["QUESTION"].entries(cast=cast))
-    assert cast[0].report() == Report(True, ("the robot says: ready",))
+    assert cast[0].report() == ActorReport(True, ("the robot says: ready",))
     assert verify(log, Config()).good

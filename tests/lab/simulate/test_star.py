@@ -27,7 +27,7 @@ from igtl_gateway_lab.simulate import star_topics as topics
 from igtl_gateway_lab.simulate.star_arm import APPROACH_S, BASE_FROM_CAMERA, CYCLE_S, DRIVE_S, to_base, to_camera
 from igtl_gateway_lab.simulate.star_camera import IMAGE_CAMERA, CloudFrame
 from igtl_gateway_lab.simulate.star_numbers import Array
-from igtl_gateway_lab.simulate.star_scene import Scene
+from igtl_gateway_lab.simulate.star_scene import StarScene
 from igtl_gateway_lab.simulate.star_tissue import GLINT_STITCH, PLANTED, STITCHES, surface_distance
 from tests.lab.simulate.star_truth import SECONDS, length, matrix
 
@@ -158,7 +158,7 @@ def test_status_says_synthetic_first_and_then_the_phases(heard: Topics) -> None:
 
 
 def test_the_planner_puts_one_planted_stitch_onto_the_tissue_and_the_other_stays_wrong(
-    heard: Topics, scene: Scene
+    heard: Topics, scene: StarScene
 ) -> None:
     wrong = []
     for message in heard[topics.PLAN_POINTS]:
@@ -194,7 +194,7 @@ def test_the_robot_repeats_the_plan_as_it_came_back(star_session: list[Entry], h
     np.testing.assert_allclose(IMAGE_CAMERA.project(first), IMAGE_CAMERA.project(second), atol=0.01)
 
 
-def test_plan_messages_hold_both_rows(heard: Topics, scene: Scene) -> None:
+def test_plan_messages_hold_both_rows(heard: Topics, scene: StarScene) -> None:
     for plan, points in zip(heard[topics.PLAN], heard[topics.PLAN_POINTS], strict=True):
         marker, rows = Marker.unpack(plan.data()), xyz(points)[0]
         assert marker.type == Marker.LINE_LIST
@@ -253,7 +253,7 @@ def camera_axes(rotation: tuple[float, ...]) -> Array:
     return np.asarray(BASE_FROM_CAMERA[:3, :3].T @ matrix(rotation))
 
 
-def test_camera_info_is_the_pinhole_of_the_picture(heard: Topics, scene: Scene) -> None:
+def test_camera_info_is_the_pinhole_of_the_picture(heard: Topics, scene: StarScene) -> None:
     for message, picture in zip(heard[topics.CAMERA_INFO], heard[topics.IMAGE], strict=True):
         info, image = CameraInfo.unpack(message.data()), Image.unpack(picture.data())
         assert info.header == image.header
@@ -265,7 +265,7 @@ def test_camera_info_is_the_pinhole_of_the_picture(heard: Topics, scene: Scene) 
     np.testing.assert_array_equal(np.reshape(info.r, (3, 3)), np.eye(3))
 
 
-def test_marker_messages_are_near_the_glue_dots(heard: Topics, scene: Scene) -> None:
+def test_marker_messages_are_near_the_glue_dots(heard: Topics, scene: StarScene) -> None:
     found = np.array([xyz(message)[0] for message in heard[topics.MARKERS]])
     error = found - scene.markers
     assert error.shape == (60, 6, 3)
@@ -322,7 +322,7 @@ def test_tool_waits_for_the_approval_then_moves_smoothly_and_trembles(heard: Top
     assert 1e-6 < length(at_rest - at_rest.mean(axis=0)).max() < 1e-4
 
 
-def test_tool_reaches_the_stitches_of_the_corrected_plan(heard: Topics, scene: Scene) -> None:
+def test_tool_reaches_the_stitches_of_the_corrected_plan(heard: Topics, scene: StarScene) -> None:
     """Within 0.1 mm of the plan in force, within 0.5 mm of the truth, and under the tissue in between."""
     tip = to_camera(tool_poses(heard)[0])
     plan, done = xyz(heard[topics.PLAN_POINTS][-1])[0], int((SECONDS - begin_s(heard)) // CYCLE_S)

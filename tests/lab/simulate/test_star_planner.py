@@ -13,9 +13,9 @@ from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.text import String
-from igtl_gateway_lab.simulate.actor import Said
+from igtl_gateway_lab.simulate.actor import Sent
 from igtl_gateway_lab.simulate.star_numbers import Array
-from igtl_gateway_lab.simulate.star_planner import LIMIT_MM, Planner, offsets
+from igtl_gateway_lab.simulate.star_planner import LIMIT_MM, SuturePlanner, offsets
 
 START_NS = 10**18
 
@@ -36,28 +36,28 @@ class Played:
     """A planner that is spoken to, and everything it says."""
 
     def __init__(self) -> None:
-        self.planner = Planner(100 * NS_PER_S)
+        self.planner = SuturePlanner(100 * NS_PER_S)
         self.planner.begin(START_NS)
         self.said: list[Message] = []
         self.pass_time(START_NS)
 
-    def hear(self, since_s: float, device: str, content: Body) -> None:
+    def receive(self, since_s: float, device: str, content: Body) -> None:
         at_ns = START_NS + round(since_s * NS_PER_S)
         kind = "POINT" if isinstance(content, Points) else "POLYDATA"
-        self._take(self.planner.hear(at_ns, Message(kind, device, content, ns_to_ticks(at_ns))))
+        self._take(self.planner.receive(at_ns, Message(kind, device, content, ns_to_ticks(at_ns))))
         self.pass_time(at_ns + NS_PER_S // 2)
 
     def plan(self, since_s: float, points: Array) -> None:
-        self.hear(since_s, "PlanPoints", Points.of(points))
+        self.receive(since_s, "PlanPoints", Points.of(points))
 
     def cloud(self, since_s: float, points: Array) -> None:
-        self.hear(since_s, "TissueCloud", PolyData(points.astype(">f4")))
+        self.receive(since_s, "TissueCloud", PolyData(points.astype(">f4")))
 
     def pass_time(self, until_ns: int) -> None:
         while self.planner.due_ns is not None and self.planner.due_ns <= until_ns:
             self._take(self.planner.act(self.planner.due_ns))
 
-    def _take(self, words: Iterable[Said]) -> None:
+    def _take(self, words: Iterable[Sent]) -> None:
         self.said += [word for word in words if isinstance(word, Message)]
 
     @property
@@ -118,12 +118,12 @@ def test_a_cloud_that_is_no_newer_than_the_plan_tells_nothing_of_it() -> None:
 
 
 def test_a_planner_waits_for_the_session_and_ends_with_it() -> None:
-    planner = Planner(NS_PER_S)
+    planner = SuturePlanner(NS_PER_S)
     planner.begin(START_NS)
     list(planner.act(START_NS))
     states = [(planner.done, planner.due_ns)]
     later_ns = START_NS + 500 * NS_PER_S
-    planner.hear(later_ns, Message("STRING", "StarStatus", String.of("session: SYNTHETIC"), 1))
+    planner.receive(later_ns, Message("STRING", "StarStatus", String.of("session: SYNTHETIC"), 1))
     states.append((planner.done, planner.due_ns))
     assert list(planner.act(later_ns + NS_PER_S)) == []
     states.append((planner.done, planner.due_ns))

@@ -8,47 +8,47 @@ import pytest
 from igtl_gateway.convert.rosmsg import Header, Marker, String, TransformStamped
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.simulate import star_topics as topics
-from igtl_gateway_lab.simulate.actor import RosHeard, RosSaid
+from igtl_gateway_lab.simulate.actor import RosReceived, RosSent
 from igtl_gateway_lab.simulate.star_arm import SHAFT, to_camera
 from igtl_gateway_lab.simulate.star_numbers import Array
-from igtl_gateway_lab.simulate.star_robot import Robot
-from igtl_gateway_lab.simulate.star_scene import Scene
+from igtl_gateway_lab.simulate.star_robot import SutureRobot
+from igtl_gateway_lab.simulate.star_scene import StarScene
 from igtl_gateway_lab.simulate.star_tissue import STITCHES
 from tests.lab.simulate.star_truth import length
 
 START_NS = 10**18
-APPROVED = RosHeard(topics.SAID, String.TYPE, String("plan approved").pack())
+APPROVED = RosReceived(topics.SAID, String.TYPE, String("plan approved").pack())
 
 
 class Played:
     """A robot that is spoken to, and everything it says."""
 
     def __init__(self, seconds: float = 20.0) -> None:
-        self.robot = Robot(round(seconds * NS_PER_S))
+        self.robot = SutureRobot(round(seconds * NS_PER_S))
         self.robot.begin(START_NS)
-        self.said: list[RosSaid] = []
+        self.said: list[RosSent] = []
         self.now_ns = START_NS
 
-    def hear(self, heard: RosHeard) -> None:
-        self.said += [word for word in self.robot.hear(self.now_ns, heard) if isinstance(word, RosSaid)]
+    def receive(self, heard: RosReceived) -> None:
+        self.said += [word for word in self.robot.receive(self.now_ns, heard) if isinstance(word, RosSent)]
 
     def play(self, seconds: float) -> None:
         end_ns = self.now_ns + round(seconds * NS_PER_S)
         while self.robot.due_ns is not None and self.robot.due_ns <= end_ns:
             self.now_ns = self.robot.due_ns
-            self.said += [word for word in self.robot.act(self.now_ns) if isinstance(word, RosSaid)]
+            self.said += [word for word in self.robot.act(self.now_ns) if isinstance(word, RosSent)]
         self.now_ns = end_ns
 
-    def see(self, scene: Scene) -> None:
+    def see(self, scene: StarScene) -> None:
         """The first cloud comes, and the plan is drawn."""
         frame = scene.cloud(0, scene.rest, SHAFT)
         cloud = topics.coloured_cloud(Header(self.now_ns), frame.points, frame.rgb)
-        self.hear(RosHeard(topics.CLOUD, cloud.TYPE, cloud.pack()))
+        self.receive(RosReceived(topics.CLOUD, cloud.TYPE, cloud.pack()))
         self.play(0.5)
 
     def correct(self, points: Array) -> None:
         cloud = topics.plain_cloud(Header(self.now_ns), points)
-        self.hear(RosHeard(topics.CORRECTED, cloud.TYPE, cloud.pack()))
+        self.receive(RosReceived(topics.CORRECTED, cloud.TYPE, cloud.pack()))
         self.play(0.1)
 
     def plans(self) -> list[Array]:
@@ -68,17 +68,17 @@ class Played:
 
 
 @pytest.fixture
-def play(scene: Scene) -> Played:
+def play(scene: StarScene) -> Played:
     made = Played()
     made.play(0.1)
     made.see(scene)
     return made
 
 
-def test_without_a_cloud_there_is_no_plan_and_no_approval(scene: Scene) -> None:
+def test_without_a_cloud_there_is_no_plan_and_no_approval(scene: StarScene) -> None:
     play = Played(1.0)
     play.play(0.1)
-    play.hear(APPROVED)
+    play.receive(APPROVED)
     play.correct(np.zeros((2 * STITCHES, 3)))
     assert play.status() == "plan: correction refused, there is none yet"
     play.play(2.0)
@@ -101,19 +101,19 @@ def test_a_list_of_another_length_is_refused(play: Played) -> None:
 
 
 def test_the_arm_moves_after_the_approval_along_the_plan_in_force_and_takes_no_other(
-    play: Played, scene: Scene
+    play: Played, scene: StarScene
 ) -> None:
     points = play.plans()[-1].copy()
     points[0] += [0.0, 0.0, 0.001]
     play.correct(points)
-    play.hear(RosHeard(topics.SAID, String.TYPE, String("not yet").pack()))
+    play.receive(RosReceived(topics.SAID, String.TYPE, String("not yet").pack()))
     play.play(2.0)
     assert length(play.tips() - scene.rest).max() < 1e-4
-    play.hear(APPROVED)
+    play.receive(APPROVED)
     play.play(1.0)
     play.correct(play.plans()[0])
     assert play.status() == "plan: correction refused, the arm is at work"
-    play.hear(APPROVED)  # again: nothing begins anew
+    play.receive(APPROVED)  # again: nothing begins anew
     play.play(2.5)
     assert length(play.tips() - points[0]).min() < 1e-4
     assert length(play.tips() - points[STITCHES]).min() < 1e-4

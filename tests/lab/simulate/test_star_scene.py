@@ -8,7 +8,7 @@ import pytest
 from igtl_gateway_lab.simulate.star_arm import CYCLE_S, RETRACT_M, SHAFT, held, to_camera
 from igtl_gateway_lab.simulate.star_camera import IMAGE_CAMERA, CloudFrame, View, noise_sigma
 from igtl_gateway_lab.simulate.star_numbers import Array, Mask
-from igtl_gateway_lab.simulate.star_scene import Scene
+from igtl_gateway_lab.simulate.star_scene import StarScene
 from igtl_gateway_lab.simulate.star_tissue import (
     FOCUS_M,
     GLINT_ERROR_M,
@@ -24,11 +24,11 @@ from tests.lab.simulate.star_truth import BEGIN_S, length
 
 
 def test_another_seed_gives_other_noise() -> None:
-    assert not np.array_equal(Scene(1).detected_markers(0), Scene(2).detected_markers(0))
+    assert not np.array_equal(StarScene(1).detected_markers(0), StarScene(2).detected_markers(0))
 
 
 @pytest.mark.parametrize("camera", ["cloud_view", "image_view"])
-def test_views_lie_on_the_true_surface(scene: Scene, camera: str) -> None:
+def test_views_lie_on_the_true_surface(scene: StarScene, camera: str) -> None:
     view: View = getattr(scene, camera)
     assert np.abs(surface_distance(view.rays * view.depth[..., None])).max() < 1e-6
     assert abs(view.depth.min() - FOCUS_M) < 0.002
@@ -36,7 +36,7 @@ def test_views_lie_on_the_true_surface(scene: Scene, camera: str) -> None:
     assert width * FOCUS_M == pytest.approx(0.070, rel=0.01)
 
 
-def test_the_measured_plan_misses_the_tissue_at_the_planted_stitches_and_nowhere_else(scene: Scene) -> None:
+def test_the_measured_plan_misses_the_tissue_at_the_planted_stitches_and_nowhere_else(scene: StarScene) -> None:
     plan = scene.measured_plan
     miss = np.maximum(length(plan.entry - scene.plan.entry), length(plan.exit - scene.plan.exit))
     assert [int(number) + 1 for number in np.flatnonzero(miss > 0.0005)] == list(PLANTED)
@@ -47,7 +47,7 @@ def test_the_measured_plan_misses_the_tissue_at_the_planted_stitches_and_nowhere
         np.testing.assert_allclose(IMAGE_CAMERA.project(row), IMAGE_CAMERA.project(truth), atol=0.05)
 
 
-def test_the_glint_is_in_the_first_shot_alone_and_the_wet_spot_in_all(scene: Scene) -> None:
+def test_the_glint_is_in_the_first_shot_alone_and_the_wet_spot_in_all(scene: StarScene) -> None:
     spots = (scene.plan.entry[GLINT_STITCH], scene.plan.exit[WET_STITCH])
     found = []
     for number in range(3):
@@ -60,14 +60,14 @@ def test_the_glint_is_in_the_first_shot_alone_and_the_wet_spot_in_all(scene: Sce
     assert (first - later)[row, column, 1:].min() > 40  # it shines white on red
 
 
-def dry(scene: Scene, frame: CloudFrame) -> Mask:
+def dry(scene: StarScene, frame: CloudFrame) -> Mask:
     """All but the two spots, which read wrong on purpose."""
     spots = (scene.plan.exit[WET_STITCH], scene.plan.entry[GLINT_STITCH])
     return np.asarray(np.all([length(frame.truth - spot) > SPOT_RADIUS_M for spot in spots], axis=0))
 
 
 @pytest.fixture(scope="module")
-def depth_errors(scene: Scene, frames: list[CloudFrame]) -> tuple[Array, Array, Array]:
+def depth_errors(scene: StarScene, frames: list[CloudFrame]) -> tuple[Array, Array, Array]:
     """Depth error, true depth and facing of every measured tissue point, without outliers and the wet spot."""
     error, depth, facing = [], [], []
     for frame in frames:
@@ -97,7 +97,7 @@ def test_depth_noise_grows_with_depth_and_towards_grazing(depth_errors: tuple[Ar
     assert steep > 1.4 * flat
 
 
-def test_depth_noise_is_alike_between_neighbours(scene: Scene, frames: list[CloudFrame]) -> None:
+def test_depth_noise_is_alike_between_neighbours(scene: StarScene, frames: list[CloudFrame]) -> None:
     def likeness(pixels: int) -> float:
         products = []
         for frame in frames:
@@ -111,7 +111,7 @@ def test_depth_noise_is_alike_between_neighbours(scene: Scene, frames: list[Clou
     assert abs(likeness(40)) < 0.05
 
 
-def test_what_the_camera_loses(scene: Scene, frames: list[CloudFrame]) -> None:
+def test_what_the_camera_loses(scene: StarScene, frames: list[CloudFrame]) -> None:
     view = scene.cloud_view
     lost = np.mean([np.isnan(frame.points[..., 0]) & ~frame.tool for frame in frames], axis=0)
     clear = (view.facing > 0.5) & (view.gloss < 0.5) & (view.depth < 0.268)
@@ -130,14 +130,14 @@ def test_tool_covers_part_of_the_later_clouds_only(frames: list[CloudFrame]) -> 
     np.testing.assert_allclose(frames[3].points[shown][:, 2], frames[3].truth[shown][:, 2], atol=0.002)
 
 
-def test_pulled_needle_leaves_the_tissue(scene: Scene) -> None:
+def test_pulled_needle_leaves_the_tissue(scene: StarScene) -> None:
     ends = np.array([BEGIN_S + CYCLE_S * (stitch + 1) for stitch in range(STITCHES)])
     tips = to_camera(scene.tool(ends, scene.plan, BEGIN_S).position)
     np.testing.assert_allclose(length(tips - scene.plan.exit), RETRACT_M, atol=1e-4)
     assert surface_distance(tips).min() > 0.005
 
 
-def test_the_pose_of_the_tool_tells_where_the_needle_is_and_points(scene: Scene) -> None:
+def test_the_pose_of_the_tool_tells_where_the_needle_is_and_points(scene: StarScene) -> None:
     path = scene.tool(np.array([0.0]), scene.plan)
     tip, shaft = held(tuple(path.position[0]), tuple(path.rotation[0]))
     np.testing.assert_allclose(tip, scene.rest, atol=5e-5)

@@ -9,13 +9,13 @@ import pytest
 
 from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.session.entry import Kind
-from igtl_gateway_lab.simulate.actor import Report, RosSaid, Said, Side
+from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, RosSent, Sent
 from igtl_gateway_lab.simulate.load import SIZES, Load
-from igtl_gateway_lab.simulate.stage import IGTL_NS, ROS_NS, play
+from igtl_gateway_lab.simulate.stage import IGTL_NS, ROS_NS, play_offline
 from igtl_gateway_lab.simulate.traffic import TestNode, TestServer, scenario
 
 
-def reports(load: Load) -> dict[Side, Report]:
+def reports(load: Load) -> dict[ActorProtocol, ActorReport]:
     made = scenario(load)
     cast = made.cast()
     log = list(made.entries(cast=cast))
@@ -36,8 +36,8 @@ def test_every_type_arrives_both_ways_at_its_least_and_its_usual_size(name: str)
             assert report.facts["received_hz"] == pytest.approx(100.0, rel=0.01)
 
 
-@pytest.mark.parametrize(("sender", "silent"), [("igtl", Side.ROS), ("ros", Side.IGTL)])
-def test_one_side_may_only_receive(sender: str, silent: Side) -> None:
+@pytest.mark.parametrize(("sender", "silent"), [("igtl", ActorProtocol.ROS), ("ros", ActorProtocol.IGTL)])
+def test_one_side_may_only_receive(sender: str, silent: ActorProtocol) -> None:
     found = reports(Load(count=3, sender=sender))
     assert all(report.good for report in found.values())
     assert "sent" not in found[silent].facts and found[silent].facts["received"] == 3
@@ -49,8 +49,8 @@ def test_what_is_lost_swapped_or_changed_is_counted() -> None:
     class Bad(TestNode):
         """Loses number 3, says number 6 before 5, and changes number 8."""
 
-        def act(self, now_ns: int) -> Iterable[Said]:
-            said = [one for one in super().act(now_ns) if isinstance(one, RosSaid)]
+        def act(self, now_ns: int) -> Iterable[Sent]:
+            said = [one for one in super().act(now_ns) if isinstance(one, RosSent)]
             if not said:
                 return []
             number = self._sent - 1
@@ -70,7 +70,7 @@ def test_what_is_lost_swapped_or_changed_is_counted() -> None:
 
     load = Load(count=10)
     server, node = TestServer(load, 0, 10), Bad(load, 10, 0)
-    list(play((server, node), scenario(load).config))
+    list(play_offline((server, node), scenario(load).config))
     report = server.report()
     assert server.done and not report.good
     assert {name: report.facts[name] for name in ("received", "lost", "out_of_order", "changed")} == {
@@ -81,7 +81,7 @@ def test_what_is_lost_swapped_or_changed_is_counted() -> None:
 
 def test_a_receiver_that_hears_nothing_gives_up() -> None:
     server = TestServer(Load(), 0, 5)
-    list(play((server,), scenario(Load()).config))
+    list(play_offline((server,), scenario(Load()).config))
     assert server.done and not server.report().good
     assert server.report().lines == ("received 0 of 5: 5 lost, 0 out of order, 0 changed",)
 

@@ -17,15 +17,15 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.wire import Message, decode
 from igtl_gateway.wire.text import String
 from igtl_gateway_lab.simulate import ultrasound
-from igtl_gateway_lab.simulate.actor import Actor, Heard, RosHeard, RosSaid, Said
-from igtl_gateway_lab.simulate.stage import play
+from igtl_gateway_lab.simulate.actor import Actor, Received, RosReceived, RosSent, Sent
+from igtl_gateway_lab.simulate.stage import play_offline
 from igtl_gateway_lab.simulate.ultrasound import Navigator, Scanner
 
 PICTURES = 16
 
 
 def played(actors: tuple[Actor, ...], limit_s: float = 10.0) -> list[Entry]:
-    return list(play(actors, ultrasound.CONFIG, limit_s=limit_s))
+    return list(play_offline(actors, ultrasound.CONFIG, limit_s=limit_s))
 
 
 @pytest.fixture(scope="module")
@@ -82,12 +82,12 @@ def test_tf_leads_from_the_pictures_to_the_tracker(sweep: tuple[Scanner, Navigat
 class Wrong(Navigator):
     """A navigator that hears the poses of the probe a little beside where they are."""
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
-        if isinstance(heard, RosHeard) and heard.topic.startswith("/igtl/in/ProbeToTracker"):
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+        if isinstance(heard, RosReceived) and heard.topic.startswith("/igtl/in/ProbeToTracker"):
             pose = TransformStamped.unpack(heard.cdr)
             x, y, z = pose.translation
             heard = replace(heard, cdr=replace(pose, translation=(x + 0.001, y, z - 0.001)).pack())
-        return super().hear(now_ns, heard)
+        return super().receive(now_ns, heard)
 
 
 def test_a_millimetre_is_seen_in_the_report() -> None:
@@ -100,10 +100,10 @@ def test_a_millimetre_is_seen_in_the_report() -> None:
 class Lossy(Navigator):
     """A navigator that does not get its last picture."""
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
-        if isinstance(heard, RosHeard) and heard.type == Volume.TYPE and len(self._found) == PICTURES - 1:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+        if isinstance(heard, RosReceived) and heard.type == Volume.TYPE and len(self._found) == PICTURES - 1:
             return ()
-        return super().hear(now_ns, heard)
+        return super().receive(now_ns, heard)
 
 
 def test_what_does_not_come_is_not_waited_for() -> None:
@@ -119,8 +119,8 @@ def test_an_empty_sweep_is_answered_with_an_error() -> None:
     navigator = Navigator()
     navigator.begin(0)
     finished = RosString("finished: 0 pictures").pack()
-    said = list(navigator.hear(5, RosHeard("/igtl/in/Sweep/string", "std_msgs/msg/String", finished)))
-    assert [words.topic for words in said if isinstance(words, RosSaid)] == ["/ultrasound/status"]
+    said = list(navigator.receive(5, RosReceived("/igtl/in/Sweep/string", "std_msgs/msg/String", finished)))
+    assert [words.topic for words in said if isinstance(words, RosSent)] == ["/ultrasound/status"]
     assert navigator.done and not navigator.report().good
 
 
@@ -129,7 +129,7 @@ def test_the_scanner_begins_when_it_is_asked_to() -> None:
     scanner.begin(0)
     waits = scanner.due_ns is None
     assert waits and not scanner.done and not scanner.report().good
-    scanner.hear(1000, Message("STRING", "Request", String.of("StartSweep")))
+    scanner.receive(1000, Message("STRING", "Request", String.of("StartSweep")))
     assert scanner.due_ns is not None
     first = [message for message in scanner.act(scanner.due_ns) if isinstance(message, Message)]
     assert [message.device_name for message in first] == ["ReferenceToTracker", "ProbeToTracker", "Image_Probe"]
@@ -139,7 +139,7 @@ def test_the_scanner_begins_when_it_is_asked_to() -> None:
 def test_the_duration_is_that_of_the_sweep() -> None:
     scanner, _ = ultrasound.actors(0.75)
     scanner.begin(0)
-    scanner.hear(0, Message("STRING", "Request", String.of("StartSweep")))
+    scanner.receive(0, Message("STRING", "Request", String.of("StartSweep")))
     sent = 0
     while scanner.due_ns is not None and scanner.due_ns < 750_000_000:
         sent += any(isinstance(said, Message) and said.type == "IMAGE" for said in scanner.act(scanner.due_ns))

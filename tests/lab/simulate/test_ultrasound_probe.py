@@ -7,7 +7,7 @@ import numpy as np
 from igtl_gateway_lab.simulate.registration import Rigid
 from igtl_gateway_lab.simulate.star_numbers import Array
 from igtl_gateway_lab.simulate.ultrasound_phantom import LENGTH_MM
-from igtl_gateway_lab.simulate.ultrasound_probe import IMAGE_TO_PROBE, TRACKING_MM, Hand, composed, turned
+from igtl_gateway_lab.simulate.ultrasound_probe import IMAGE_TO_PROBE, TRACKING_MM, Hand, compose_rigid, turned
 
 
 def matrix(pose: Rigid) -> Array:
@@ -16,8 +16,8 @@ def matrix(pose: Rigid) -> Array:
 
 def test_composed_is_the_product_of_matrices() -> None:
     one, other = turned(0.1, -0.2, 0.3, 0.9, (1, 2, 3)), turned(-0.4, 0.1, 0.2, 0.8, (-5, 0, 7))
-    np.testing.assert_allclose(matrix(composed(one, other)), matrix(one) @ matrix(other), atol=1e-12)
-    np.testing.assert_allclose(matrix(composed(one, one.inverse())), np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(matrix(compose_rigid(one, other)), matrix(one) @ matrix(other), atol=1e-12)
+    np.testing.assert_allclose(matrix(compose_rigid(one, one.inverse())), np.eye(4), atol=1e-12)
 
 
 def test_what_the_tracker_sees_leads_to_the_picture() -> None:
@@ -25,7 +25,7 @@ def test_what_the_tracker_sees_leads_to_the_picture() -> None:
     off = []
     for frame in range(20):
         look = hand.look(frame)
-        seen = composed(look.reference_to_tracker.inverse(), composed(look.probe_to_tracker, IMAGE_TO_PROBE))
+        seen = compose_rigid(look.reference_to_tracker.inverse(), compose_rigid(look.probe_to_tracker, IMAGE_TO_PROBE))
         np.testing.assert_allclose(seen.rotation, look.image_to_reference.rotation, atol=1e-12)
         off.append(seen.translation - look.image_to_reference.translation)
     # two sensors, each seen a little beside where it is

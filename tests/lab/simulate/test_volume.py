@@ -15,7 +15,14 @@ from igtl_gateway.errors import ConfigError
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.image import Image
 from igtl_gateway_lab.simulate import volume
-from igtl_gateway_lab.simulate.volume import LESION, Volume, find_volume, head_volume, read_nifti, synthetic_head
+from igtl_gateway_lab.simulate.volume import (
+    LESION,
+    MrVolume,
+    find_volume,
+    head_volume,
+    read_nifti_volume,
+    synthetic_head,
+)
 
 SIZE = (4, 3, 2)
 SROW = (0, -2, 0, 10, 3, 0, 0, -20, 0, 0, 5, 7)
@@ -52,7 +59,7 @@ def test_voxels_of_every_kind_come_in_their_order(
     tmp_path: Path, order: str, packed: bool, code: int, dtype: str
 ) -> None:
     data = nifti(order, code, dtype)
-    read = read_nifti(written(tmp_path, gzip.compress(data, mtime=0) if packed else data))
+    read = read_nifti_volume(written(tmp_path, gzip.compress(data, mtime=0) if packed else data))
     assert read.size == SIZE and read.source == "head.nii"
     assert read.voxels[1, 2, 3] == 23 and read.voxels[0, 1, 0] == 4
     assert read.affine.tolist() == [[0, -2, 0, 10], [3, 0, 0, -20], [0, 0, 5, 7]]
@@ -63,7 +70,7 @@ def test_voxels_of_every_kind_come_in_their_order(
 
 
 def test_scaling_is_applied(tmp_path: Path) -> None:
-    read = read_nifti(written(tmp_path, nifti(scl=(112, "2f", (0.5, 10.0)))))
+    read = read_nifti_volume(written(tmp_path, nifti(scl=(112, "2f", (0.5, 10.0)))))
     assert read.voxels[1, 2, 3] == 21.5 and read.voxels.dtype == np.float32
 
 
@@ -72,9 +79,9 @@ def test_a_quaternion_places_where_there_are_no_rows(tmp_path: Path) -> None:
     qform = nifti(
         codes=(252, "2h", (1, 0)), quatern=(256, "6f", (0, 0, half, 1, 2, 3)), pixdim=(76, "4f", (-1, 3, 2, 5))
     )
-    read = read_nifti(written(tmp_path, qform))
+    read = read_nifti_volume(written(tmp_path, qform))
     assert read.affine == pytest.approx(np.array([[0, -2, 0, 1], [3, 0, 0, 2], [0, 0, -5, 3]]), abs=1e-6)
-    bare = read_nifti(written(tmp_path, nifti(codes=(252, "2h", (0, 0)))))
+    bare = read_nifti_volume(written(tmp_path, nifti(codes=(252, "2h", (0, 0)))))
     assert bare.affine.tolist() == [[3, 0, 0, 0], [0, 2, 0, 0], [0, 0, 5, 0]]
 
 
@@ -99,16 +106,16 @@ def test_a_quaternion_places_where_there_are_no_rows(tmp_path: Path) -> None:
 )
 def test_a_broken_file_is_refused_in_one_sentence(tmp_path: Path, data: bytes, told: str) -> None:
     with pytest.raises(ConfigError) as error:
-        read_nifti(written(tmp_path, data))
+        read_nifti_volume(written(tmp_path, data))
     assert told in str(error.value) and "\n" not in str(error.value) and "head.nii" in str(error.value)
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"nothing\.nii: cannot be read"):
-        read_nifti(tmp_path / "nothing.nii")
+        read_nifti_volume(tmp_path / "nothing.nii")
 
 
-def value_at(read: Volume, point: Any) -> float:
+def value_at(read: MrVolume, point: Any) -> float:
     """Of the voxel nearest to a point (mm RAS)."""
     i, j, k = np.rint(np.linalg.solve(read.affine[:, :3], np.asarray(point) - read.affine[:, 3])).astype(int)
     return float(read.voxels[k, j, i])
@@ -158,7 +165,7 @@ def test_which_volume_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_the_real_head(shared_dir: Path) -> None:
-    head = read_nifti(shared_dir / "data/mri/ch2.nii.gz")
+    head = read_nifti_volume(shared_dir / "data/mri/ch2.nii.gz")
     assert head.size == (181, 217, 181) and head.voxels.dtype == np.uint8
     assert head.affine.tolist() == [[1, 0, 0, -90], [0, 1, 0, -125], [0, 0, 1, -71]]
     assert value_at(head, (0, 0, 200 - 100)) < value_at(head, (25, -40, 30)), "white matter is bright"

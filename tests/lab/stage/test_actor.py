@@ -15,8 +15,8 @@ from igtl_gateway.config import Config
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.text import String
-from igtl_gateway_lab.simulate.actor import Heard, Report, Said, Says, Side
-from igtl_gateway_lab.stage.actor import ActorProgram, Connection
+from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, Sent
+from igtl_gateway_lab.stage.actor import ActorProgram, IgtlEndpoint
 
 TIMEOUT_S = 10.0
 
@@ -25,11 +25,11 @@ class Echo:
     """Says ``hello``, then answers whatever it hears, until that is ``bye``."""
 
     name = "echo"
-    side = Side.IGTL
+    side = ActorProtocol.IGTL
 
     def __init__(self) -> None:
         self.hears: dict[str, str] = {}
-        self.says: dict[str, Says] = {}
+        self.says: dict[str, Publishes] = {}
         self.due_ns: int | None = None
         self.done = False
         self.began_ns = 0
@@ -43,18 +43,18 @@ class Echo:
         self.began_ns = now_ns
         self.due_ns = now_ns + 20 * NS_PER_MS
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         assert self.due_ns is not None and now_ns >= self.due_ns
         self.due_ns = None
         return [Message("STRING", "Echo", String.of("hello"))]
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         assert isinstance(heard, Message) and isinstance(heard.content, String)
         self.done = heard.content.text == "bye"
         return [Message("STRING", "Echo", heard.content)]
 
-    def report(self) -> Report:
-        return Report(self.done, ("heard it all",))
+    def report(self) -> ActorReport:
+        return ActorReport(self.done, ("heard it all",))
 
 
 class Peer:
@@ -64,13 +64,13 @@ class Peer:
         self._socket = connection
         self._socket.settimeout(TIMEOUT_S)
 
-    def say(self, text: str) -> None:
+    def send(self, text: str) -> None:
         self._socket.sendall(join(encode(Message("STRING", "Peer", String.of(text)))))
 
     def raw(self, data: bytes) -> None:
         self._socket.sendall(data)
 
-    def hear(self) -> str:
+    def receive(self) -> str:
         header = self._exactly(58)
         content = decode(header + self._exactly(int.from_bytes(header[42:50], "big"))).content
         assert isinstance(content, String)
@@ -88,9 +88,9 @@ class Peer:
 class Running:
     """A program in a thread, and what it told."""
 
-    def __init__(self, connection: Connection, actor: Echo) -> None:
+    def __init__(self, connection: IgtlEndpoint, actor: Echo) -> None:
         self.actor = actor
-        self.told: list[dict[str, Any]] = []
+        self.to_row: list[dict[str, Any]] = []
         self._changed = threading.Condition()
         self.program = ActorProgram(self.actor, (self.actor,), Config(), 1, connection, SystemClock(), self._tell)
         self._thread = threading.Thread(target=self.program.run)
@@ -98,22 +98,22 @@ class Running:
 
     def _tell(self, event: dict[str, Any]) -> None:
         with self._changed:
-            self.told.append(event)
+            self.to_row.append(event)
             self._changed.notify_all()
 
     def wait(self, name: str) -> dict[str, Any]:
         with self._changed:
-            assert self._changed.wait_for(lambda: name in self.names(), TIMEOUT_S), self.told
-        return next(event for event in self.told if event["event"] == name)
+            assert self._changed.wait_for(lambda: name in self.names(), TIMEOUT_S), self.to_row
+        return next(event for event in self.to_row if event["event"] == name)
 
     def names(self) -> list[str]:
-        return [event["event"] for event in self.told]
+        return [event["event"] for event in self.to_row]
 
     def end(self) -> dict[str, Any]:
         self.program.end()
         self._thread.join(TIMEOUT_S)
         assert not self._thread.is_alive()
-        return self.told[-1]
+        return self.to_row[-1]
 
 
 Run = Callable[..., Running]
@@ -123,7 +123,7 @@ Run = Callable[..., Running]
 def running() -> Iterator[Run]:
     started: list[Running] = []
 
-    def run(connection: Connection, actor: Echo | None = None) -> Running:
+    def run(connection: IgtlEndpoint, actor: Echo | None = None) -> Running:
         started.append(Running(connection, actor or Echo()))
         return started[-1]
 
@@ -140,17 +140,17 @@ def listener() -> Iterator[socket.socket]:
 
 
 def test_it_says_nothing_before_it_begins_and_reports_at_the_end(running: Run, listener: socket.socket) -> None:
-    echo = running(Connection(listener.getsockname()))
+    echo = running(IgtlEndpoint(listener.getsockname()))
     with listener.accept()[0] as connection:
         peer = Peer(connection)
         echo.wait("ready")
-        peer.say("early")
+        peer.send("early")
         assert echo.actor.began_ns == 0
         echo.program.begin()
         # what came before the beginning is heard behind it; what is due waits for its time
-        assert sorted((peer.hear(), peer.hear())) == ["early", "hello"]
-        peer.say("bye")
-        assert peer.hear() == "bye"
+        assert sorted((peer.receive(), peer.receive())) == ["early", "hello"]
+        peer.send("bye")
+        assert peer.receive() == "bye"
         echo.wait("done")
         assert echo.end() == {
             "event": "report",
@@ -164,12 +164,12 @@ def test_it_says_nothing_before_it_begins_and_reports_at_the_end(running: Run, l
 
 
 def test_as_a_server_it_tells_its_port(running: Run) -> None:
-    echo = running(Connection(("127.0.0.1", 0), server=True))
+    echo = running(IgtlEndpoint(("127.0.0.1", 0), server=True))
     port = echo.wait("listening")["port"]
     with socket.create_connection(("127.0.0.1", port), TIMEOUT_S) as connection:
         echo.wait("ready")
         echo.program.begin()
-        assert Peer(connection).hear() == "hello"
+        assert Peer(connection).receive() == "hello"
         report = echo.end()
     assert not report["good"] and report["sent"] == {"STRING/Echo": 1}
 
@@ -177,35 +177,35 @@ def test_as_a_server_it_tells_its_port(running: Run) -> None:
 def test_it_says_for_whom_it_waits_and_ends_when_told(running: Run, listener: socket.socket) -> None:
     address = listener.getsockname()
     listener.close()
-    echo = running(Connection(address))
+    echo = running(IgtlEndpoint(address))
     assert echo.wait("waiting")["for"] == f"a server at 127.0.0.1:{address[1]}"
     assert echo.end()["event"] == "report"
     assert "ready" not in echo.names()
 
 
 def test_a_message_that_cannot_be_read_is_told_of_and_costs_only_itself(running: Run, listener: socket.socket) -> None:
-    echo = running(Connection(listener.getsockname()))
+    echo = running(IgtlEndpoint(listener.getsockname()))
     with listener.accept()[0] as connection:
         peer = Peer(connection)
         echo.wait("ready")
         echo.program.begin()
-        assert peer.hear() == "hello"
+        assert peer.receive() == "hello"
         good = join(encode(Message("STRING", "Peer", String.of("good"))))
         peer.raw(good[:-1] + b"?")
         peer.raw(good)
-        assert peer.hear() == "good"
+        assert peer.receive() == "good"
         assert echo.wait("warning")["text"].startswith("echo: refused a message: ")
 
 
 class Slow(Echo):
     """Always late: each act takes longer than until the next one is due; what it says is what it has heard."""
 
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         threading.Event().wait(0.03)
         self.due_ns = now_ns + NS_PER_MS
         return [Message("STRING", "Echo", String.of(str(self.heard)))]
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         self.heard += 1
         return ()
 
@@ -213,13 +213,13 @@ class Slow(Echo):
 
 
 def test_who_is_always_late_hears_everything_all_the_same(running: Run, listener: socket.socket) -> None:
-    slow = running(Connection(listener.getsockname()), Slow())
+    slow = running(IgtlEndpoint(listener.getsockname()), Slow())
     with listener.accept()[0] as connection:
         peer = Peer(connection)
         slow.wait("ready")
         slow.program.begin()
-        assert peer.hear() == "0"
+        assert peer.receive() == "0"
         for _ in range(100):
-            peer.say("news")
+            peer.send("news")
         # one by one it would take as many acts
-        assert any(peer.hear() == "100" for _ in range(50))
+        assert any(peer.receive() == "100" for _ in range(50))

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from igtl_gateway.clock import SystemClock
-from igtl_gateway_lab.simulate.actor import Heard, Report, Said, Says, Side
-from igtl_gateway_lab.stage.live import End, Event, Plan, Stage, StageError
+from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, Sent
+from igtl_gateway_lab.stage.live import Event, Stage, StageEnd, StageError, StagePlan
 
 LIMIT_S = 20.0
 
@@ -44,22 +44,22 @@ GOOD = ({"event": "ready"}, "wait", {"event": "done"}, "wait", REPORT)
 class Named:
     """An actor, as far as the stage needs one."""
 
-    def __init__(self, name: str, side: Side) -> None:
+    def __init__(self, name: str, side: ActorProtocol) -> None:
         self.name, self.side = name, side
         self.hears: dict[str, str] = {}
-        self.says: dict[str, Says] = {}
+        self.says: dict[str, Publishes] = {}
         self.due_ns: int | None = None
         self.done = False
 
     def begin(self, now_ns: int) -> None: ...
-    def act(self, now_ns: int) -> Iterable[Said]:
+    def act(self, now_ns: int) -> Iterable[Sent]:
         return ()
 
-    def hear(self, now_ns: int, heard: Heard) -> Iterable[Said]:
+    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         return ()
 
-    def report(self) -> Report:
-        return Report(False)
+    def report(self) -> ActorReport:
+        return ActorReport(False)
 
 
 class Theatre:
@@ -83,7 +83,7 @@ class Theatre:
             self.stop.set()
 
     def stage(self, **settings: Any) -> Stage:
-        actors = [Named(name, Side.IGTL if name == "planner" else Side.ROS) for name in self.scripts]
+        actors = [Named(name, ActorProtocol.IGTL if name == "planner" else ActorProtocol.ROS) for name in self.scripts]
         usual: dict[str, Any] = {
             "actors": actors,
             "command": self.command,
@@ -91,14 +91,14 @@ class Theatre:
             "start_s": LIMIT_S,
             "limit_s": LIMIT_S,
         }
-        plan = Plan(**usual | settings)
+        plan = StagePlan(**usual | settings)
         return Stage(plan, SystemClock(), self.stop, self.tell)
 
 
 def test_all_begin_when_all_are_ready_and_end_when_all_are_done() -> None:
     theatre = Theatre(planner=GOOD, robot=GOOD)
     outcome = theatre.stage(connect=("::1", 7)).run()
-    assert outcome.good and outcome.end is End.OVER
+    assert outcome.good and outcome.end is StageEnd.OVER
     assert theatre.where == {"planner": ("--connect", "[::1]:7"), "robot": ()}
     told = [event["event"] for _, event in theatre.events]
     assert sorted(told[:2]) == ["ready", "ready"]
@@ -106,13 +106,13 @@ def test_all_begin_when_all_are_ready_and_end_when_all_are_done() -> None:
     assert sorted(told[3:]) == ["done", "done", "report", "report"]
     part = outcome.parts["planner"]
     assert (part.side, part.done, part.sent, part.report) == (
-        Side.IGTL, True, {"A": 2}, Report(True, ("it went well",), {"n": 1}),
+        ActorProtocol.IGTL, True, {"A": 2}, ActorReport(True, ("it went well",), {"n": 1}),
     )  # fmt: skip
 
 
 def test_a_report_that_is_not_good_is_not_good() -> None:
     outcome = Theatre(robot=(*GOOD[:-1], {**REPORT, "good": False})).stage().run()
-    assert outcome.end is End.OVER and not outcome.good
+    assert outcome.end is StageEnd.OVER and not outcome.good
 
 
 def test_a_program_that_dies_ends_all_with_its_last_words() -> None:
@@ -129,7 +129,7 @@ def test_one_that_dies_without_a_word_is_named_with_its_code() -> None:
 def test_a_limit_before_it_begins_tells_who_waits_for_what() -> None:
     waiting = ({"event": "waiting", "for": "a server"}, "wait", {**REPORT, "good": False})
     outcome = Theatre(planner=waiting, robot=GOOD).stage(start_s=0.5, connect=("h", 1)).run()
-    assert outcome.end is End.TIMEOUT and not outcome.good
+    assert outcome.end is StageEnd.TIMEOUT and not outcome.good
     assert outcome.waiting == {"planner": "a server"}
     assert outcome.seconds == 0.0
 
@@ -137,7 +137,7 @@ def test_a_limit_before_it_begins_tells_who_waits_for_what() -> None:
 def test_a_story_that_does_not_end_is_ended() -> None:
     theatre = Theatre(robot=({"event": "ready"}, "wait", "wait", REPORT))
     outcome = theatre.stage(limit_s=0.3).run()
-    assert outcome.end is End.TIMEOUT and not outcome.good and outcome.waiting == {}
+    assert outcome.end is StageEnd.TIMEOUT and not outcome.good and outcome.waiting == {}
     assert not outcome.parts["robot"].done and outcome.seconds > 0.3
 
 
@@ -146,7 +146,7 @@ def test_an_interruption_takes_the_reports() -> None:
     theatre = Theatre(robot=({"event": "ready"}, "wait", {"event": "warning", "text": "slow"}, "wait", REPORT))
     theatre.stop_at = "warning"
     outcome = theatre.stage().run()
-    assert outcome.end is End.INTERRUPTED and not outcome.good
+    assert outcome.end is StageEnd.INTERRUPTED and not outcome.good
     assert not outcome.parts["robot"].done and outcome.parts["robot"].report.good
     assert outcome.warnings == ("slow",)
 

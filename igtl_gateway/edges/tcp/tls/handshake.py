@@ -34,7 +34,7 @@ class Handshake:
         self._waiting = False  # for the server's verdict
 
     def begin(self, timeout_s: float) -> None:
-        self._loop.later(timeout_s, self._timed_out, self._failed)
+        self._loop.call_later(timeout_s, self._timed_out, self._failed)
         self._step(0)
 
     def yield_to_newer(self) -> None:
@@ -69,7 +69,7 @@ class Handshake:
             else:
                 if self.sock.shaken and not self._waiting:
                     self._waiting = True
-                    self._loop.later(_VERDICT_S, self._no_verdict, self._failed)
+                    self._loop.call_later(_VERDICT_S, self._no_verdict, self._failed)
                 events = READ | (WRITE if self.sock.pending else 0)
                 self._loop.watch(self.sock, events, self._step, self._failed)
 

@@ -29,7 +29,7 @@ MAX_BODIES: tuple[tuple[str, int], ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class PeerLimits:
     """What a peer can cost.  Raises ConfigError for a limit that is not positive.
 
     Attributes:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from igtl_gateway.config import TfOutRow
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.errors import ConversionError
-from igtl_gateway.gateway.guard import Guard, reported
-from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, refused
+from igtl_gateway.gateway.guard import Guard, findings_of
+from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.tf_out import TF_TOPICS, TfOut
@@ -15,7 +15,7 @@ from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level
 
 
-class Frames:
+class TfReceiver:
     """See the module.  False where no frame goes out."""
 
     def __init__(self, tf: TfOut, guard: Guard, peers: Peers, delivery: Delivery, tracking: Tracking) -> None:
@@ -37,7 +37,7 @@ class Frames:
         try:
             message = TFMessage.unpack(entry.payload[0])
         except ConversionError as error:
-            return Outcome([refused(error, "not sent", entry)], "conversion")
+            return Outcome([conversion_failure(error, "not sent", entry)], "conversion")
         return Outcome(self.update(entry, message, static=TF_TOPICS[entry.channel]), CONVERTED)
 
     def update(self, entry: Entry, message: TFMessage, *, static: bool) -> list[Item]:
@@ -47,22 +47,24 @@ class Frames:
         def is_stale(row: TfOutRow, frame: str, stamp_ns: int) -> bool:
             watched = self._guard.of(0, f"frame {frame} in {row.base}", row.max_age_s)
             withheld, findings = watched.judge(entry.stamp_ns, stamp_ns) if watched else (False, [])
-            items.extend(reported(entry, findings))
+            items.extend(findings_of(entry, findings))
             return withheld
 
         changed, problems = self._tf.update(message, static, entry.stamp_ns, is_stale)
         items += [Finding(Level.ERROR, "conversion", f"not sent: {text}", entry.channel) for text in problems]
         lengths = {out.channel: lengths for out, lengths in changed}
         outs = [out for out, _ in changed]
-        items += self._delivery.each(
-            entry, outs, lambda out: self._delivery.streamed(entry, self._peers.all(), out, lengths[out.channel])
+        items += self._delivery.deliver_each(
+            entry, outs, lambda out: self._delivery.deliver_stream(entry, self._peers.all(), out, lengths[out.channel])
         )
         # tracking data is put together of all poses: once for each type, however many of them have changed
         last = {out.igtl_type: out for out in outs}
-        return items + self._delivery.each(
-            entry, last.values(), lambda out: self._tracking.after(entry, out, lengths[out.channel])
+        return items + self._delivery.deliver_each(
+            entry, last.values(), lambda out: self._tracking.follow_pose(entry, out, lengths[out.channel])
         )
 
-    def welcome(self, entry: Entry, peer: Peer) -> list[Item]:
+    def send_static(self, entry: Entry, peer: Peer) -> list[Item]:
         """The frames that do not move, for a peer that has just connected."""
-        return self._delivery.each(entry, self._tf.static(), lambda out: self._delivery.to(entry, [peer], [out]))
+        return self._delivery.deliver_each(
+            entry, self._tf.static(), lambda out: self._delivery.to(entry, [peer], [out])
+        )

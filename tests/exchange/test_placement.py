@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from igtl_gateway.errors import DamagedRecording
-from igtl_gateway.exchange.place import Place, has_own_normal, normal
-from igtl_gateway.exchange.volume_out import header
+from igtl_gateway.exchange.placement import ImagePlacement, has_own_normal, normal
+from igtl_gateway.exchange.volume_out import nrrd_header
 from igtl_gateway.wire.image import LPS, RAS, Image
 from tests.exchange.itk import (
     MICROMETRE,
@@ -67,7 +67,7 @@ def test_an_image_goes_out_to_nrrd_where_it_was(tmp_path: Path, coordinate: int)
     for direction in DIRECTIONS:
         image = placed(direction, coordinate)
         path = tmp_path / "some.nrrd"
-        path.write_bytes(header(image) + bytes(image.pixels))
+        path.write_bytes(nrrd_header(image) + bytes(image.pixels))
         assert np.abs(corners(image) - itk_corners(read(path), SIZE)).max() < MICROMETRE
         (again,) = images_of(path)
         assert np.abs(corners(image) - corners(again)).max() < MICROMETRE
@@ -82,7 +82,7 @@ def placed(direction: Array, coordinate: int = RAS) -> Image:
 @pytest.mark.parametrize("space", ["RAS", "LAS", "LPS"])
 def test_a_space_turns_there_and_back(space: str) -> None:
     axes = [(1.0, 2.0, 3.0), (-2.0, 1.0, 0.0), (0.5, 0.0, 4.0)]
-    place = Place.of_file(axes, (10.0, 20.0, 30.0), space, "here")
+    place = ImagePlacement.of_file(axes, (10.0, 20.0, 30.0), space, "here")
     assert place.in_space(space) == (tuple(axes), (10.0, 20.0, 30.0))
 
 
@@ -99,18 +99,18 @@ def test_a_space_turns_there_and_back(space: str) -> None:
 )
 def test_axes_that_place_nothing_are_refused(axes: list[tuple[float, ...]]) -> None:
     with pytest.raises(DamagedRecording, match="here: found axes"):
-        Place.of_file(axes, (0.0, 0.0, 0.0), "RAS", "here")
+        ImagePlacement.of_file(axes, (0.0, 0.0, 0.0), "RAS", "here")
 
 
 def test_a_place_beyond_float32_is_refused() -> None:
-    place = Place.of_file([(3e38, 0.0, 0.0), (0.0, 1.0, 0.0)], (0.0, 0.0, 0.0), "RAS", "here")
+    place = ImagePlacement.of_file([(3e38, 0.0, 0.0), (0.0, 1.0, 0.0)], (0.0, 0.0, 0.0), "RAS", "here")
     with pytest.raises(DamagedRecording, match="float32"):
         place.wire_matrix((9, 1, 1), "here")
 
 
 def test_a_slice_without_a_third_axis_gets_its_normal() -> None:
     flat = Image((4, 3, 1), 3, bytes(12), wire_matrix=(2.0, 0, 0, 0, 0, 3.0, 0, 0, 0, 1, 2, 3))
-    place = Place.of_image(flat)
+    place = ImagePlacement.of_image(flat)
     assert place is not None
     assert place.axes[2] == (0.0, -1.0, 0.0) == normal(place.axes[0], place.axes[1])
     assert not has_own_normal(flat)
@@ -128,4 +128,4 @@ def test_a_slice_without_a_third_axis_gets_its_normal() -> None:
     ],
 )
 def test_a_matrix_that_is_no_place(matrix: tuple[float, ...], slices: int) -> None:
-    assert Place.of_image(Image((4, 3, slices), 3, bytes(12 * slices), wire_matrix=matrix)) is None
+    assert ImagePlacement.of_image(Image((4, 3, slices), 3, bytes(12 * slices), wire_matrix=matrix)) is None

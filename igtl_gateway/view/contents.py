@@ -23,7 +23,7 @@ REVIEW_DISTANCE = f"{REVIEW}/distance"
 REVIEW_LEGENDS = {REVIEW_CLOUD: f"{REVIEW}/legends/noise", REVIEW_DISTANCE: f"{REVIEW}/legends/distance"}
 
 
-class What(Enum):
+class EntityKind(Enum):
     """What an entity is to the eye, which decides the view that it belongs in."""
 
     CLOUD = "cloud"  #: many points, 3-D
@@ -48,14 +48,24 @@ class What(Enum):
 
 #: Kinds that have something in 3-D.
 IN_3D = frozenset(
-    (What.CLOUD, What.POINTS, What.POSE, What.POSES, What.LINES, What.MARKERS, What.MESH, What.PLANE, What.VOLUME)
+    (
+        EntityKind.CLOUD,
+        EntityKind.POINTS,
+        EntityKind.POSE,
+        EntityKind.POSES,
+        EntityKind.LINES,
+        EntityKind.MARKERS,
+        EntityKind.MESH,
+        EntityKind.PLANE,
+        EntityKind.VOLUME,
+    )
 )
 #: Kinds that have something in 2-D at their own path (VOLUME: at ``<path>/slice``).
-IN_2D = frozenset((What.IMAGE, What.PLANE, What.VIDEO))
+IN_2D = frozenset((EntityKind.IMAGE, EntityKind.PLANE, EntityKind.VIDEO))
 
 
 @dataclass(slots=True)
-class Shown:
+class ShownTopic:
     """One topic and its picture.
 
     Attributes:
@@ -79,7 +89,7 @@ class Shown:
     path: str
     topic: str
     ros_type: str
-    what: What
+    what: EntityKind
     frame: str = ""
     count: int = 0
     outdone: int = 0
@@ -106,7 +116,7 @@ class Shown:
 
 
 @dataclass(slots=True)
-class Seen:
+class SessionContents:
     """All of it.
 
     Attributes:
@@ -122,7 +132,7 @@ class Seen:
     """
 
     base_frame: str = "world"
-    shown: dict[str, Shown] = field(default_factory=dict)
+    shown: dict[str, ShownTopic] = field(default_factory=dict)
     parents: dict[str, str] = field(default_factory=dict)
     places: dict[str, tuple[float, ...]] = field(default_factory=dict)
     first_ns: int = 0
@@ -132,7 +142,7 @@ class Seen:
     fields: set[str] = field(default_factory=set)
     frames: dict[str, str] = field(default_factory=dict)
 
-    def of(self, *kinds: What) -> list[Shown]:
+    def of(self, *kinds: EntityKind) -> list[ShownTopic]:
         """Everything of these kinds, in the order of appearance."""
         return [shown for shown in self.shown.values() if shown.what in kinds]
 
@@ -155,13 +165,13 @@ class Seen:
             frame = parent
         return steps
 
-    def trees(self) -> dict[str, list[Shown]]:
+    def trees(self) -> dict[str, list[ShownTopic]]:
         """Root frame → what is drawn in 3-D below it, the fullest first.
 
         What lies in different trees has no place to each other: one 3-D view each, else the viewer reports
         missing transforms.
         """
-        trees: dict[str, list[Shown]] = {}
+        trees: dict[str, list[ShownTopic]] = {}
         for shown in self.shown.values():
             if shown.drawn:
                 trees.setdefault(self.root_of(shown.frame), []).append(shown)
@@ -183,17 +193,25 @@ class Seen:
 
 
 #: How much a picture counts where trees compete for the main view.
-_WEIGHTS = {What.CLOUD: 5, What.VOLUME: 5, What.MESH: 4, What.PLANE: 3, What.LINES: 3, What.POSE: 2, What.POSES: 2}
+_WEIGHTS = {
+    EntityKind.CLOUD: 5,
+    EntityKind.VOLUME: 5,
+    EntityKind.MESH: 4,
+    EntityKind.PLANE: 3,
+    EntityKind.LINES: 3,
+    EntityKind.POSE: 2,
+    EntityKind.POSES: 2,
+}
 
 #: What stands for itself in one part of an entity path; the rest becomes ``_``, so that no tool needs escapes.
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-.")
 
 
-def escape(name: str) -> str:
+def escape_path_part(name: str) -> str:
     """A name as one part of an entity path."""
     return "".join(sign if sign in _PLAIN else "_" for sign in name) or "unnamed"
 
 
 def path_of(topic: str) -> str:
     """Entity path of a topic or stream: ``/star/cloud`` → ``star/cloud``."""
-    return "/".join(escape(part) for part in topic.split("/") if part) or "unnamed"
+    return "/".join(escape_path_part(part) for part in topic.split("/") if part) or "unnamed"

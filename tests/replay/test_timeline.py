@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.replay.pace import Pace, steps_of
 from igtl_gateway.replay.playback import PlaybackClock
+from igtl_gateway.replay.timeline import SessionTimeline, clock_steps_of
 from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -16,14 +16,18 @@ from tests.record import samples
 
 S = 1_000_000_000
 #: Jumps of an hour, noticed at 3,610.05 s and 7,230.05 s: ten and twenty-ten seconds have passed.
-PACE = Pace(
+PACE = SessionTimeline(
     [ClockStep(3600 * S, 3600 * S, 0, 3610 * S + S // 20), ClockStep(3600 * S, 3600 * S, 0, 7230 * S + S // 20)]
 )
 
 
 def test_without_jumps_it_is_gateway_time() -> None:
-    assert [Pace().passed_ns(7), Pace().recorded_ns(7), Pace().behind_jump_ns(7)] == [7, 7, 7]
-    assert Pace([ClockStep(-3600 * S, 0, 3600 * S, 5 * S)]).passed_ns(9 * S) == 9 * S
+    assert [SessionTimeline().passed_ns(7), SessionTimeline().recorded_ns(7), SessionTimeline().behind_jump_ns(7)] == [
+        7,
+        7,
+        7,
+    ]
+    assert SessionTimeline([ClockStep(-3600 * S, 0, 3600 * S, 5 * S)]).passed_ns(9 * S) == 9 * S
 
 
 @pytest.mark.parametrize(
@@ -60,4 +64,4 @@ def test_the_steps_of_a_recording(tmp_path: Path, ledger: dict[str, object]) -> 
     writer.close(ledger)
     with SessionFile.open(tmp_path / "a.mcap") as file:
         # a ledger that knows of no step is believed, and nothing read
-        assert steps_of(file) == ([] if ledger == {"streams": {}} else [step])
+        assert clock_steps_of(file) == ([] if ledger == {"streams": {}} else [step])

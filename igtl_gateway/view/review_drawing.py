@@ -9,9 +9,9 @@ import rerun as rr
 from igtl_gateway.review import Level, PlanReview, Review, StitchReview
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.view import colours
+from igtl_gateway.view.contents import REVIEW_CLOUD, REVIEW_DISTANCE, REVIEW_LEGENDS, REVIEW_STITCHES, REVIEW_TABLE
 from igtl_gateway.view.legend import scale_bar
 from igtl_gateway.view.pen import Pen
-from igtl_gateway.view.seen import REVIEW_CLOUD, REVIEW_DISTANCE, REVIEW_LEGENDS, REVIEW_STITCHES, REVIEW_TABLE
 
 _COLOURS = {Level.OK: 0x66BB6AFF, Level.LOOK: 0xFFB300FF, Level.WRONG: 0xFF1744FF}
 #: Of the same, lighter: letters that can be read on a cloud.
@@ -31,7 +31,7 @@ def draw_review(review: Review, pen: Pen) -> dict[str, str]:
     red_mm = review.thresholds.noise_mm * _RED
     points = rr.Points3D(
         cloud.positions,
-        colors=colours.scale(cloud.noise_mm, 0.0, red_mm),
+        colors=colours.scale_colours(cloud.noise_mm, 0.0, red_mm),
         radii=[rr.Radius.ui_points(2.0)],
     )
     pen.static(REVIEW_CLOUD, rr.CoordinateFrame(cloud.frame_id), points)
@@ -73,7 +73,7 @@ def _by_distance(positions: npt.NDArray[np.float32], plan: PlanReview) -> rr.Poi
         share = (positions - begin) @ along / (float(along @ along) or 1.0)
         off = positions - (begin + np.clip(share, 0.0, 1.0)[:, None] * along)
         np.minimum(nearest, np.sqrt((off**2).sum(axis=1)), out=nearest)
-    colour = colours.scale(nearest * 1000.0, 0.0, _FAR_MM)
+    colour = colours.scale_colours(nearest * 1000.0, 0.0, _FAR_MM)
     return rr.Points3D(positions, colors=colour, radii=[rr.Radius.ui_points(2.0)])
 
 

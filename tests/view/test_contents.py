@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.view.seen import Seen, Shown, What, path_of
+from igtl_gateway.view.contents import EntityKind, SessionContents, ShownTopic, path_of
 
 
 @pytest.mark.parametrize(
@@ -22,17 +22,17 @@ def test_paths_need_no_escapes(topic: str, path: str) -> None:
 
 
 def test_frames_that_go_in_a_circle_have_a_root_all_the_same() -> None:
-    seen = Seen(parents={"a": "b", "b": "a", "c": "a"})
+    seen = SessionContents(parents={"a": "b", "b": "a", "c": "a"})
     assert seen.root_of("c") in {"a", "b"}
 
 
 def test_the_tree_with_the_most_to_see_comes_first() -> None:
-    seen = Seen(
+    seen = SessionContents(
         "world",
         {
-            "/pose": Shown("pose", "/pose", "t", What.POSE, "tracker", count=1),
-            "/cloud": Shown("cloud", "/cloud", "t", What.CLOUD, "camera", count=1),
-            "/text": Shown("text", "/text", "t", What.TEXT, "nowhere", count=1),
+            "/pose": ShownTopic("pose", "/pose", "t", EntityKind.POSE, "tracker", count=1),
+            "/cloud": ShownTopic("cloud", "/cloud", "t", EntityKind.CLOUD, "camera", count=1),
+            "/text": ShownTopic("text", "/text", "t", EntityKind.TEXT, "nowhere", count=1),
         },
         {"camera": "base"},
     )

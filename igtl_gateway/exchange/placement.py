@@ -32,7 +32,7 @@ SIGNS: dict[str, Vector] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ImagePlacement:
     """Axes and origin of an image in RAS, millimetres.
 
     Attributes:
@@ -58,7 +58,7 @@ class Place:
             raise DamagedRecording(f"{where}: found axes {turned} and origin {first}, expected finite millimetres")
         if len(turned) == 2:
             turned.append(normal(turned[0], turned[1]) or (0.0, 0.0, 0.0))
-        if flat(turned):
+        if is_degenerate(turned):
             raise DamagedRecording(f"{where}: found axes {turned[: len(axes)]}, expected ones that span the image")
         i, j, k = turned
         return cls((i, j, k), first)
@@ -74,9 +74,9 @@ class Place:
             return None
         signs = SIGNS["LPS" if image.coordinate == LPS else "RAS"]
         i, j, k, centre = (_turned(matrix[start : start + 3], signs) for start in (0, 3, 6, 9))
-        if image.dimensions[2] == 1 and flat((i, j, k)):
+        if image.dimensions[2] == 1 and is_degenerate((i, j, k)):
             k = normal(i, j) or k
-        if flat((i, j, k)):
+        if is_degenerate((i, j, k)):
             return None
         return cls((i, j, k), _moved(centre, (i, j, k), image.dimensions, -1.0))
 
@@ -96,7 +96,7 @@ class Place:
 
 def has_own_normal(image: Image) -> bool:
     """Whether the third axis of an IMAGE with a place is its own, rather than the normal of its slice."""
-    place = Place.of_image(image)
+    place = ImagePlacement.of_image(image)
     signs = SIGNS["LPS" if image.coordinate == LPS else "RAS"]
     return place is not None and place.axes[2] == _turned(image.wire_matrix[6:9], signs)
 
@@ -110,7 +110,7 @@ def normal(i: Vector, j: Vector) -> Vector | None:
     return cross[0] / length, cross[1] / length, cross[2] / length
 
 
-def flat(axes: Sequence[Vector]) -> bool:
+def is_degenerate(axes: Sequence[Vector]) -> bool:
     """Whether three axes lie in one plane, or one has no length: ITK refuses such an image."""
     lengths = [math.hypot(*axis) for axis in axes]
     if not all(lengths):

@@ -4,8 +4,8 @@ Each oddity is noted once per *episode*: when it begins, and when it is over, wi
 
 The fast path (`igtl_gateway.gateway.fastpath`) must give what the full path gives, and a verification knows the full
 path only.  So what is looked at depends on the stamps of the entries alone: that a stamp runs backwards is seen in
-every message, all else in one message of each ``LOOK_NS``; and the fast path asks ``passes``, which leaves the message
-to the full path if there is anything to note.
+every message, all else in one message of each ``LOOK_NS``; and the fast path asks ``passes_quickly``, which leaves the
+message to the full path if there is anything to note.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.session.note import Level
-from igtl_gateway.session.timing import FUTURE_NS, Timing
+from igtl_gateway.session.timing import FUTURE_NS, StampTiming
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 
 #: How often a stream is looked at: a tenth of a second costs a stream of 1 kHz nothing, and slow ones miss nothing.
@@ -48,13 +48,13 @@ Place = tuple[float, float, float]
 Remark = tuple[Level, str, str]
 
 
-class Watched:
+class GuardedStream:
     """One stream.
 
     Attributes:
         stream: its name, for the sentences.
         last_ns: stamp told of its last message (gateway time where it had none).
-        look_ns: gateway time from which ``passes`` has to ask ``calm``.
+        look_ns: gateway time from which ``passes_quickly`` has to ask ``is_unremarkable``.
         arrived_ns: gateway time of the last look.
         ahead_ns: by how much gateway time is ahead of the host's clock, by which senders are judged.
         timing: of its stamps, as far as they were looked at.
@@ -84,7 +84,7 @@ class Watched:
     def __init__(self, stream: str, max_age_ns: int, *, watch: bool) -> None:
         self.stream = stream
         self.last_ns = self.look_ns = self.arrived_ns = self.ahead_ns = 0
-        self.timing = Timing()
+        self.timing = StampTiming()
         self.stale = 0
         self.episodes: dict[str, list[int]] = {}
         self._max_age_ns = max_age_ns
@@ -130,7 +130,7 @@ class Watched:
 
     # -- watchers -----------------------------------------------------------------------------------------------
 
-    def see(self, now_ns: int, told_ns: int, place: Place | None = None) -> list[Remark]:
+    def observe(self, now_ns: int, told_ns: int, place: Place | None = None) -> list[Remark]:
         """Look at a message; what is new about its stream.
 
         Args:
@@ -140,7 +140,7 @@ class Watched:
         """
         if not self._watch:
             return []
-        odd = self._odd(now_ns, told_ns, place)
+        odd = self._find_oddities(now_ns, told_ns, place)
         findings: list[Remark] = []
         for code in odd:
             if code in self.episodes:
@@ -148,10 +148,10 @@ class Watched:
                 self.episodes[code][2] += 1
             else:
                 self.episodes[code] = [now_ns, now_ns, 1]
-                findings.append((Level.WARN, code, f"{self.stream}: {self._sentence(code, now_ns, told_ns, place)}"))
+                findings.append((Level.WARN, code, f"{self.stream}: {self._describe(code, now_ns, told_ns, place)}"))
         self.last_ns = told_ns
         if now_ns >= self._due_ns:
-            for code in self._over(now_ns):
+            for code in self._end_episodes(now_ns):
                 since_ns, last_ns, number = self.episodes.pop(code)
                 seen = f"{_WORDS[code]}, {number:,} times in {_seconds(last_ns - since_ns)}, are over"
                 findings.append((Level.INFO, CALM, f"{self.stream}: {seen}"))
@@ -164,18 +164,20 @@ class Watched:
             self.look_ns = 0 if self._max_age_ns else self._due_ns
         return findings
 
-    def passes(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
-        """``calm``, of a message on the fast path: most pass after two comparisons."""
-        if (told_ns < self.last_ns or now_ns >= self.look_ns) and not self.calm(now_ns, told_ns, data, numbers, at):
+    def passes_quickly(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
+        """``is_unremarkable``, of a message on the fast path: most pass after two comparisons."""
+        if (told_ns < self.last_ns or now_ns >= self.look_ns) and not self.is_unremarkable(
+            now_ns, told_ns, data, numbers, at
+        ):
             return False
         self.last_ns = told_ns
         return True
 
-    def calm(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
+    def is_unremarkable(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
         """Whether nothing is to be said of a message and it may go out: then it was looked at, else nothing is changed.
 
         Args:
-            now_ns, told_ns: as for ``see``.
+            now_ns, told_ns: as for ``observe``.
             data, numbers, at: a message whose translation is written so at that offset; None: it is no pose.
         """
         if self._max_age_ns:
@@ -189,14 +191,14 @@ class Watched:
             if numbers:
                 x, y, z = numbers.unpack_from(data, at)
                 place = x, y, z
-            if self._over(now_ns):
+            if self._end_episodes(now_ns):
                 return False
-        if any(code not in self.episodes for code in self._odd(now_ns, told_ns, place)):
+        if any(code not in self.episodes for code in self._find_oddities(now_ns, told_ns, place)):
             return False
-        self.see(now_ns, told_ns, place)
+        self.observe(now_ns, told_ns, place)
         return True
 
-    def _odd(self, now_ns: int, told_ns: int, place: Place | None) -> list[str]:
+    def _find_oddities(self, now_ns: int, told_ns: int, place: Place | None) -> list[str]:
         """What is seen of a message."""
         odd = [BACKWARDS] if told_ns < self.last_ns else []
         if now_ns < self._due_ns:
@@ -209,10 +211,10 @@ class Watched:
             odd.append(JUMP)
         return odd
 
-    def _over(self, now_ns: int) -> list[str]:
+    def _end_episodes(self, now_ns: int) -> list[str]:
         return [code for code, (_, last_ns, _) in self.episodes.items() if now_ns - last_ns > EPISODE_NS]
 
-    def _sentence(self, code: str, now_ns: int, told_ns: int, place: Place | None) -> str:
+    def _describe(self, code: str, now_ns: int, told_ns: int, place: Place | None) -> str:
         if code == BACKWARDS:
             return f"its stamps run backwards, by {_seconds(self.last_ns - told_ns)}"
         if code == FUTURE:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.convert.columns import check_rows, set_texts, texts
-from igtl_gateway.convert.context import Outgoing, ToIgtl, ToRos
+from igtl_gateway.convert.columns import check_rows, set_text_fields, texts
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import LabeledPoint, PointList, Trajectory, TrajectoryList
 from igtl_gateway.convert.rosmsg import Header, Marker
 from igtl_gateway.convert.surfaces import DRAWN_WIDTH, GREY
@@ -34,7 +34,7 @@ _LABELS = ("name", "group", "owner")
 _FIRST_BYTES = tuple(POINT_DTYPE.fields[name][1] for name in _LABELS) if POINT_DTYPE.fields else ()
 
 
-def trajectories_to_ros(content: Trajectories, to: ToRos) -> TrajectoryList:
+def trajectories_to_ros(content: Trajectories, to: ToRosContext) -> TrajectoryList:
     """One ``Trajectory`` for each element.  Raises ConversionError above MAX_ROWS."""
     elements = content.elements
     check_rows(elements, content.NAME)
@@ -52,7 +52,7 @@ def trajectories_to_ros(content: Trajectories, to: ToRos) -> TrajectoryList:
     return TrajectoryList(_header(to), tuple(Trajectory(*row) for row in columns), to.metadata)
 
 
-def trajectories_to_igtl(message: TrajectoryList, to: ToIgtl) -> Outgoing:
+def trajectories_to_igtl(message: TrajectoryList, to: ToIgtlContext) -> ConvertedMessage:
     """The inverse.  Raises ConversionError for numbers that float32 cannot hold."""
     rows = message.trajectories
     elements = np.zeros(len(rows), TRAJECTORY_DTYPE)
@@ -65,7 +65,7 @@ def trajectories_to_igtl(message: TrajectoryList, to: ToIgtl) -> Outgoing:
 
 
 @ieee_754
-def trajectories_to_lines(content: Trajectories, to: ToRos) -> Marker:
+def trajectories_to_lines(content: Trajectories, to: ToRosContext) -> Marker:
     """A line from entry to target for each trajectory that has both; without any, what was drawn is deleted."""
     elements = content.elements
     points = np.stack([_to_ros(elements["entry"], to), _to_ros(elements["target"], to)], axis=1)
@@ -98,7 +98,7 @@ def is_labeled(content: Points) -> bool:
     return any(np.bitwise_or.reduce(data[at :: POINT_DTYPE.itemsize]) for at in _FIRST_BYTES)
 
 
-def points_to_ros(content: Points, to: ToRos) -> PointList:
+def points_to_point_list(content: Points, to: ToRosContext) -> PointList:
     """One ``LabeledPoint`` for each element.  Raises ConversionError above MAX_POINTS."""
     elements = content.elements
     check_rows(elements, content.NAME, MAX_POINTS)
@@ -114,7 +114,7 @@ def points_to_ros(content: Points, to: ToRos) -> PointList:
     return PointList(_header(to), tuple(LabeledPoint(*row) for row in columns), to.metadata)
 
 
-def points_to_igtl(message: PointList, to: ToIgtl) -> Outgoing:
+def point_list_to_igtl(message: PointList, to: ToIgtlContext) -> ConvertedMessage:
     """The inverse.  Raises ConversionError for numbers that float32 cannot hold."""
     rows = message.points
     elements = np.zeros(len(rows), POINT_DTYPE)
@@ -124,27 +124,27 @@ def points_to_igtl(message: PointList, to: ToIgtl) -> Outgoing:
     return _outgoing(Points(elements), message)
 
 
-def _header(to: ToRos) -> Header:
+def _header(to: ToRosContext) -> Header:
     return Header(to.stamp_ns, to.frame_id)
 
 
-def _outgoing(content: Points | Trajectories, message: PointList | TrajectoryList) -> Outgoing:
-    return Outgoing(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
+def _outgoing(content: Points | Trajectories, message: PointList | TrajectoryList) -> ConvertedMessage:
+    return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
 
 
 @ieee_754
-def _to_ros(lengths: Array, to: ToRos) -> Array:
+def _to_ros(lengths: Array, to: ToRosContext) -> Array:
     return to.lengths.to_ros(lengths)
 
 
-def _set_labels(elements: Array, rows: tuple[Trajectory, ...] | tuple[LabeledPoint, ...], to: ToIgtl) -> None:
+def _set_labels(elements: Array, rows: tuple[Trajectory, ...] | tuple[LabeledPoint, ...], to: ToIgtlContext) -> None:
     for field in _LABELS:
-        set_texts(elements, field, [getattr(row, field) for row in rows], to)
+        set_text_fields(elements, field, [getattr(row, field) for row in rows], to)
     elements["rgba"] = np.array([row.rgba for row in rows], np.uint8).reshape(-1, 4)
 
 
 @ieee_754
-def _set_lengths(elements: Array, field: str, values: list[Any], to: ToIgtl, place: str) -> None:
+def _set_lengths(elements: Array, field: str, values: list[Any], to: ToIgtlContext, place: str) -> None:
     """As float32 of OpenIGTLink's unit."""
     column = elements[field]
     column[...] = to.lengths.to_igtl(np.array(values, np.float64).reshape(column.shape))

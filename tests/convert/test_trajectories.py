@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.buffers import join
-from igtl_gateway.convert import plans
+from igtl_gateway.convert import trajectories
 from igtl_gateway.convert.columns import MAX_ROWS
-from igtl_gateway.convert.context import ToIgtl, ToRos
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import LabeledPoint, MetadataItem, PointList, Trajectory, TrajectoryList
 from igtl_gateway.convert.rosmsg import Header, Marker
 from igtl_gateway.convert.surfaces import GREY
-from igtl_gateway.convert.units import Lengths
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.point import Points
@@ -25,11 +25,11 @@ from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, ENTRY_ONLY, TARGET_ON
 from tests import strategies
 
 ITEMS = (MetadataItem("key", 3, "value"),)
-TO = ToRos("Plan", 5, "ct", "", metadata=ITEMS)
+TO = ToRosContext("Plan", 5, "ct", "", metadata=ITEMS)
 HEADER = Header(5, "ct")
 
 
-def trajectories(*rows: tuple[Any, ...]) -> Trajectories:
+def traj(*rows: tuple[Any, ...]) -> Trajectories:
     """Name, group, type, rgba, entry, target, diameter, owner of each."""
     return Trajectories(np.array([(*row[:3], 0, *row[3:]) for row in rows], Trajectories.DTYPE))
 
@@ -39,7 +39,7 @@ def points(*rows: tuple[Any, ...]) -> Points:
     return Points(np.array(list(rows), Points.DTYPE))
 
 
-PLAN = trajectories(
+PLAN = traj(
     (b"left", b"DBS", ENTRY_AND_TARGET, (255, 51, 0, 102), (1, -2, 3), (4, 5, -6), 1.5, b"CT1"),
     ("für".encode(), b"", ENTRY_ONLY, (0, 0, 0, 0), (7, 8, 9), (0, 0, 0), 0, b""),
 )
@@ -63,31 +63,31 @@ def received(content: Elements) -> Any:
 
 
 def test_trajectories_by_hand() -> None:
-    message = plans.trajectories_to_ros(PLAN, TO)
+    message = trajectories.trajectories_to_ros(PLAN, TO)
     assert TrajectoryList.unpack(message.pack()) == TrajectoryList(HEADER, ROS_PLAN, ITEMS)
-    to = ToIgtl()
-    outgoing = plans.trajectories_to_igtl(TrajectoryList(Header(7, "mr"), ROS_PLAN, ITEMS), to)
+    to = ToIgtlContext()
+    outgoing = trajectories.trajectories_to_igtl(TrajectoryList(Header(7, "mr"), ROS_PLAN, ITEMS), to)
     assert (outgoing.stamp_ns, outgoing.frame_id, outgoing.metadata) == (7, "mr", ITEMS)
     assert received(outgoing.content) == PLAN  # type: ignore[arg-type]
     assert to.warnings == []
 
 
 def test_landmarks_by_hand() -> None:
-    message = plans.points_to_ros(MARKS, TO)
+    message = trajectories.points_to_point_list(MARKS, TO)
     assert PointList.unpack(message.pack()) == PointList(HEADER, ROS_MARKS, ITEMS)
-    to = ToIgtl()
-    outgoing = plans.points_to_igtl(PointList(Header(7, "mr"), ROS_MARKS, ITEMS), to)
+    to = ToIgtlContext()
+    outgoing = trajectories.point_list_to_igtl(PointList(Header(7, "mr"), ROS_MARKS, ITEMS), to)
     assert (outgoing.stamp_ns, outgoing.frame_id, outgoing.metadata) == (7, "mr", ITEMS)
     assert received(outgoing.content) == MARKS  # type: ignore[arg-type]
     assert to.warnings == []
 
 
 def test_empty_lists() -> None:
-    plan, marks = trajectories(), points()
-    assert plans.trajectories_to_ros(plan, TO) == TrajectoryList(HEADER, (), ITEMS)
-    assert plans.points_to_ros(marks, TO) == PointList(HEADER, (), ITEMS)
-    assert plans.trajectories_to_igtl(TrajectoryList(HEADER, ()), ToIgtl()).content == plan
-    assert plans.points_to_igtl(PointList(HEADER, ()), ToIgtl()).content == marks
+    plan, marks = traj(), points()
+    assert trajectories.trajectories_to_ros(plan, TO) == TrajectoryList(HEADER, (), ITEMS)
+    assert trajectories.points_to_point_list(marks, TO) == PointList(HEADER, (), ITEMS)
+    assert trajectories.trajectories_to_igtl(TrajectoryList(HEADER, ()), ToIgtlContext()).content == plan
+    assert trajectories.point_list_to_igtl(PointList(HEADER, ()), ToIgtlContext()).content == marks
 
 
 # -- exactness ----------------------------------------------------------------------------------------------------
@@ -106,23 +106,25 @@ def lists(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Trajectories |
     xyz = st.tuples(*[numbers] * 3)
     plan = st.tuples(texts(64), texts(32), u8, rgba, xyz, xyz, numbers, texts(20))
     marks = st.tuples(texts(64), texts(32), rgba, xyz, numbers, texts(20))
-    return st.lists(plan, max_size=4).map(lambda rows: trajectories(*rows)) | st.lists(marks, max_size=4).map(
+    return st.lists(plan, max_size=4).map(lambda rows: traj(*rows)) | st.lists(marks, max_size=4).map(
         lambda rows: points(*rows)
     )
 
 
-lengths = st.builds(Lengths, st.sampled_from(["m", "cm", "mm"]), st.sampled_from(["mm", "m", "um"]))
+lengths = st.builds(LengthUnits, st.sampled_from(["m", "cm", "mm"]), st.sampled_from(["mm", "m", "um"]))
 
 
 @given(lists(strategies.finite32), lengths)
-def test_igtl_to_ros_and_back_is_exact(content: Any, units: Lengths) -> None:
+def test_igtl_to_ros_and_back_is_exact(content: Any, units: LengthUnits) -> None:
     """Every float32 comes back to its bits, in any unit: rounding to float64 is far too fine to move it."""
-    to, back = ToRos("Plan", 5, "ct", "", units), ToIgtl(units)
+    to, back = ToRosContext("Plan", 5, "ct", "", units), ToIgtlContext(units)
     if isinstance(content, Trajectories):
-        plan = TrajectoryList.unpack(plans.trajectories_to_ros(content, to).pack())
-        outgoing = plans.trajectories_to_igtl(plan, back)
+        plan = TrajectoryList.unpack(trajectories.trajectories_to_ros(content, to).pack())
+        outgoing = trajectories.trajectories_to_igtl(plan, back)
     else:
-        outgoing = plans.points_to_igtl(PointList.unpack(plans.points_to_ros(content, to).pack()), back)
+        outgoing = trajectories.point_list_to_igtl(
+            PointList.unpack(trajectories.points_to_point_list(content, to).pack()), back
+        )
     assert received(outgoing.content) == content  # type: ignore[arg-type]
     assert back.warnings == []
 
@@ -131,34 +133,36 @@ def test_igtl_to_ros_and_back_is_exact(content: Any, units: Lengths) -> None:
 def test_ros_to_igtl_and_back_is_exact(content: Any) -> None:
     """For numbers that float32 millimetres can hold; others are rounded to these."""
     if isinstance(content, Trajectories):
-        plan = plans.trajectories_to_ros(content, TO)
-        assert plans.trajectories_to_ros(plans.trajectories_to_igtl(plan, ToIgtl()).content, TO) == plan  # type: ignore[arg-type]
+        plan = trajectories.trajectories_to_ros(content, TO)
+        back = trajectories.trajectories_to_igtl(plan, ToIgtlContext()).content
+        assert trajectories.trajectories_to_ros(back, TO) == plan  # type: ignore[arg-type]
     else:
-        marks = plans.points_to_ros(content, TO)
-        assert plans.points_to_ros(plans.points_to_igtl(marks, ToIgtl()).content, TO) == marks  # type: ignore[arg-type]
+        marks = trajectories.points_to_point_list(content, TO)
+        back = trajectories.point_list_to_igtl(marks, ToIgtlContext()).content
+        assert trajectories.points_to_point_list(back, TO) == marks  # type: ignore[arg-type]
 
 
 @given(strategies.bodies()["TRAJ"])
 def test_any_trajectories_are_converted(content: Any) -> None:
-    assert len(plans.trajectories_to_ros(content, TO).trajectories) == len(content)
-    marker = plans.trajectories_to_lines(content, TO)
+    assert len(trajectories.trajectories_to_ros(content, TO).trajectories) == len(content)
+    marker = trajectories.trajectories_to_lines(content, TO)
     assert np.isfinite(marker.points).all()
     assert Marker.unpack(marker.pack()).points.shape == marker.points.shape
 
 
 @given(strategies.bodies()["POINT"])
 def test_any_points_are_converted(content: Any) -> None:
-    message = plans.points_to_ros(content, TO)
+    message = trajectories.points_to_point_list(content, TO)
     labels = [label for point in message.points for label in (point.name, point.group, point.owner)]
-    assert plans.is_labeled(content) == (any(labels) or not len(content))
+    assert trajectories.is_labeled(content) == (any(labels) or not len(content))
 
 
 def test_longer_lists_are_refused() -> None:
     """Each of their rows is an object: 16 MB of them would be seconds of work."""
     with pytest.raises(ConversionError, match="TRAJ: found 10001 elements"):
-        plans.trajectories_to_ros(Trajectories(np.zeros(MAX_ROWS + 1, Trajectories.DTYPE)), TO)
+        trajectories.trajectories_to_ros(Trajectories(np.zeros(MAX_ROWS + 1, Trajectories.DTYPE)), TO)
     with pytest.raises(ConversionError, match="POINT: found 65536 elements"):
-        plans.points_to_ros(Points(np.zeros(plans.MAX_POINTS + 1, Points.DTYPE)), TO)
+        trajectories.points_to_point_list(Points(np.zeros(trajectories.MAX_POINTS + 1, Points.DTYPE)), TO)
 
 
 # -- what does not fit --------------------------------------------------------------------------------------------
@@ -166,8 +170,8 @@ def test_longer_lists_are_refused() -> None:
 
 def test_long_labels_are_cut_with_a_warning() -> None:
     mark = LabeledPoint("n" * 64, "g" * 32, (0, 0, 0, 0), (0, 0, 0), 0, "o" * 20)
-    to = ToIgtl()
-    content: Any = plans.points_to_igtl(PointList(HEADER, (mark,)), to).content
+    to = ToIgtlContext()
+    content: Any = trajectories.point_list_to_igtl(PointList(HEADER, (mark,)), to).content
     assert content.elements[["name", "group", "owner"]].tolist() == [(b"n" * 63, b"g" * 31, b"o" * 19)]
     assert [code for code, _ in to.warnings] == ["text_cut"] * 3
 
@@ -182,18 +186,18 @@ def test_numbers_that_float32_cannot_hold_are_not_sent(bad: float) -> None:
     ):
         rows = (ROS_PLAN[0], Trajectory("", "", 3, (0, 0, 0, 0), entry, target, diameter, ""))
         with pytest.raises(ConversionError, match=f"element 1: found {field} .*expected finite"):
-            plans.trajectories_to_igtl(TrajectoryList(HEADER, rows), ToIgtl())
+            trajectories.trajectories_to_igtl(TrajectoryList(HEADER, rows), ToIgtlContext())
     for position, diameter, field in (((bad, 0, 0), 0, "position"), (good, bad, "diameter")):
         marks = (ROS_MARKS[0], LabeledPoint("", "", (0, 0, 0, 0), position, diameter, ""))
         with pytest.raises(ConversionError, match=f"element 1: found {field} .*expected finite"):
-            plans.points_to_igtl(PointList(HEADER, marks), ToIgtl())
+            trajectories.point_list_to_igtl(PointList(HEADER, marks), ToIgtlContext())
 
 
 # -- lines --------------------------------------------------------------------------------------------------------
 
 
 def test_lines_lead_from_entry_to_target() -> None:
-    marker = Marker.unpack(plans.trajectories_to_lines(PLAN, TO).pack())
+    marker = Marker.unpack(trajectories.trajectories_to_lines(PLAN, TO).pack())
     assert (marker.header, marker.ns, marker.id) == (HEADER, "Plan", 0)
     assert (marker.type, marker.action) == (Marker.LINE_LIST, 0)
     assert marker.points.tolist() == [[0.001, -0.002, 0.003], [0.004, 0.005, -0.006]]
@@ -201,23 +205,23 @@ def test_lines_lead_from_entry_to_target() -> None:
 
 
 def test_a_line_without_colour_is_grey() -> None:
-    plan = trajectories((b"", b"", ENTRY_AND_TARGET, (0, 0, 0, 0), (1, 1, 1), (2, 2, 2), 0, b""))
-    assert plans.trajectories_to_lines(plan, TO).colors.tolist() == [[np.float32(value) for value in GREY]] * 2
+    plan = traj((b"", b"", ENTRY_AND_TARGET, (0, 0, 0, 0), (1, 1, 1), (2, 2, 2), 0, b""))
+    assert trajectories.trajectories_to_lines(plan, TO).colors.tolist() == [[np.float32(value) for value in GREY]] * 2
 
 
 @pytest.mark.parametrize("kind", [0, ENTRY_ONLY, TARGET_ONLY, 4])
 def test_trajectories_of_one_point_are_no_lines(kind: int) -> None:
     """With nothing left to draw, what an earlier plan drew is deleted."""
-    plan = trajectories((b"", b"", kind, (1, 1, 1, 1), (1, 1, 1), (2, 2, 2), 0, b""))
-    for content in (plan, trajectories()):
-        marker = Marker.unpack(plans.trajectories_to_lines(content, TO).pack())
+    plan = traj((b"", b"", kind, (1, 1, 1, 1), (1, 1, 1), (2, 2, 2), 0, b""))
+    for content in (plan, traj()):
+        marker = Marker.unpack(trajectories.trajectories_to_lines(content, TO).pack())
         assert (marker.action, len(marker.points), len(marker.colors)) == (2, 0, 0)
 
 
 def test_lines_that_lead_nowhere_are_left_out() -> None:
     good = (b"", b"", ENTRY_AND_TARGET, (1, 1, 1, 1), (1, 1, 1), (2, 2, 2), 0, b"")
-    plan = trajectories((*good[:4], (math.nan, 0, 0), *good[5:]), good, (*good[:5], (0, 0, math.inf), *good[6:]))
-    assert plans.trajectories_to_lines(plan, TO).points.tolist() == [[0.001] * 3, [0.002] * 3]
+    plan = traj((*good[:4], (math.nan, 0, 0), *good[5:]), good, (*good[:5], (0, 0, math.inf), *good[6:]))
+    assert trajectories.trajectories_to_lines(plan, TO).points.tolist() == [[0.001] * 3, [0.002] * 3]
 
 
 # -- which clouds are landmarks -----------------------------------------------------------------------------------
@@ -226,16 +230,16 @@ def test_lines_that_lead_nowhere_are_left_out() -> None:
 @pytest.mark.parametrize("field", ["name", "group", "owner"])
 def test_one_label_among_thousands_makes_landmarks(field: str) -> None:
     content = Points.of(np.zeros((10_000, 3)))
-    assert not plans.is_labeled(content)
+    assert not trajectories.is_labeled(content)
     content.elements[field][9_876] = b"x"
-    assert plans.is_labeled(content)
+    assert trajectories.is_labeled(content)
 
 
 def test_what_stands_behind_a_nul_is_no_label() -> None:
     content = Points.of(np.zeros((3, 3)))
     content.elements["name"] = b"\x00junk"
-    assert not plans.is_labeled(content)
+    assert not trajectories.is_labeled(content)
 
 
 def test_an_empty_list_clears_the_landmarks() -> None:
-    assert plans.is_labeled(Points.of(np.empty((0, 3))))
+    assert trajectories.is_labeled(Points.of(np.empty((0, 3))))

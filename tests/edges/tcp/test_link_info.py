@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.edges.tcp import Limits
+from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.globs import matches
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
@@ -25,24 +25,24 @@ from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
 )
 def test_limits_are_positive(name: str) -> None:
     with pytest.raises(ConfigError, match=f"limit {name}"):
-        Limits(**{name: 0})  # type: ignore[arg-type]
+        PeerLimits(**{name: 0})  # type: ignore[arg-type]
 
 
 def test_a_time_for_idleness_is_none_or_positive() -> None:
-    assert Limits().idle_s == Limits(idle_s=0).idle_s == 0
+    assert PeerLimits().idle_s == PeerLimits(idle_s=0).idle_s == 0
     with pytest.raises(ConfigError, match="limit idle_s: found -1"):
-        Limits(idle_s=-1)
+        PeerLimits(idle_s=-1)
 
 
 def test_bodies_by_type() -> None:
     with pytest.raises(ConfigError, match="limit bodies, STRING: found 0"):
-        Limits(bodies=(("STRING", 0),))
+        PeerLimits(bodies=(("STRING", 0),))
 
-    def longest(name: str, limits: Limits) -> int:
+    def longest(name: str, limits: PeerLimits) -> int:
         rows = limits.body_rows()
         return next((size for glob, size in rows if matches(glob, name)), limits.max_body)
 
-    usual, small, own = Limits(), Limits(max_body=1000), Limits(max_body=1000, bodies=(("IMAGE", 5000),))
+    usual, small, own = PeerLimits(), PeerLimits(max_body=1000), PeerLimits(max_body=1000, bodies=(("IMAGE", 5000),))
     assert longest("STRING", usual) == longest("GET_TRANS", usual) == 2 * 2**20
     assert longest("RTS_COMMAND", usual) == 16 * 2**20
     assert longest("IMAGE", usual) == longest("POLYDATA", usual) == longest("SOMETHING", usual) == DEFAULT_MAX_BODY

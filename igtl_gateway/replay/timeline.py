@@ -12,7 +12,7 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 
 
-class Pace:
+class SessionTimeline:
     """Gateway time ⇄ time that has passed, both in ns; monotone, and the same but for jumps.
 
     A jump is noticed shortly after it: messages in between are of the moment of the jump.
@@ -43,7 +43,7 @@ class Pace:
         return recorded_ns
 
 
-def steps_of(file: SessionFile) -> list[ClockStep]:
+def clock_steps_of(file: SessionFile) -> list[ClockStep]:
     """The steps of the host's clock in a recording.  Raises DamagedRecording.
 
     The notes are only looked for where the ledger does not say that there are none.
