@@ -1,7 +1,7 @@
-"""Hostile peers, one row each: what it sends, and what becomes of it.
+"""Hostile peers, one row each: what a peer sends, and the result.
 
-``test_hostile`` plays every row at a running bridge, and holds ``docs/hostile.md`` against ``page()``.
-``python -m tests.integration.hostile_cases`` writes the page anew.
+``test_hostile`` plays every row against a running bridge, and compares ``docs/hostile.md`` with ``page()``.
+``python -m tests.integration.hostile_cases`` writes the page again.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class Manner(Enum):
 
     WHOLE = "at once"
     BYTEWISE = "byte by byte"
-    LEAVES = "then it goes (FIN)"
-    RESETS = "then it resets the connection (RST)"
+    LEAVES = "then FIN"
+    RESETS = "then RST"
 
 
 @dataclass(frozen=True)
@@ -151,14 +151,14 @@ def _sizes() -> Iterable[Case]:
         yield Case(f"size-2^{power}", what, header("IMAGE", size, 0), noted=("too_large",), kept=False)
     yield Case(
         "string-of-3MiB",
-        "A text of 3 MiB: within the limit of messages, not within that of texts",
+        "A string of 3 MiB: within the general limit, above the limit of strings",
         header("STRING", 3 << 20, 0),
         noted=("too_large",),
         kept=False,
     )
     yield Case(
         "size-too-small",
-        "A size that is too small, so that the rest is taken for the next header",
+        "A size that is too small: the rest is interpreted as the next header",
         message("STRING", text(b"short"), device="size-too-small") + b"\xff" * 100,
         _FINE,
         ("too_large",),
@@ -166,7 +166,7 @@ def _sizes() -> Iterable[Case]:
     )
     yield Case(
         "garbage-between",
-        "Garbage between two messages in one segment: the first one counts, the second cannot be found",
+        "Garbage between two messages in one segment: the first one is processed, the second cannot be found",
         string("first", "garbage-between") + random.Random(5).randbytes(90) + string("second", "garbage-between"),
         _FINE,
         ("too_large",),
@@ -187,7 +187,7 @@ def _pieces() -> Iterable[Case]:
     )
     yield Case(
         "leaves",
-        "A whole message, then the end of what it sends (FIN; it may still read)",
+        "A complete message, then a half-closed connection (it can still read)",
         string("last words", "leaves"),
         _FINE,
         kept=False,
@@ -195,7 +195,7 @@ def _pieces() -> Iterable[Case]:
     )
     yield Case(
         "asks-and-leaves",
-        "A query, then the end of what it sends",
+        "A query, then a half-closed connection",
         message("GET_STATUS", b"", device="asks-and-leaves"),
         _FINE,
         kept=False,
@@ -204,7 +204,7 @@ def _pieces() -> Iterable[Case]:
     )
     yield Case(
         "leaves-in-header",
-        "Half a header, then the end",
+        "Half a header, then the end of the connection",
         string("never", "leaves-in-header")[: HEADER_SIZE // 2],
         noted=_TRUNCATED,
         kept=False,
@@ -212,7 +212,7 @@ def _pieces() -> Iterable[Case]:
     )
     yield Case(
         "leaves-in-body",
-        "A message without its last bytes, then the end",
+        "A message without its last bytes, then the end of the connection",
         string("cut off", "leaves-in-body")[:-3],
         noted=_TRUNCATED,
         kept=False,
@@ -220,7 +220,7 @@ def _pieces() -> Iterable[Case]:
     )
     yield Case(
         "resets",
-        "A whole message, then RST",
+        "A complete message, then RST",
         string("last words", "resets"),
         _FINE,
         kept=False,
@@ -228,7 +228,7 @@ def _pieces() -> Iterable[Case]:
     )
     yield Case(
         "resets-in-body",
-        "RST in mid-body of an image of 1 MiB",
+        "RST inside the body of an image of 1 MiB",
         header("IMAGE", 1 << 20, 0, device="resets-in-body") + bytes(300_000),
         noted=_TRUNCATED,
         kept=False,
@@ -248,7 +248,7 @@ def _headers() -> Iterable[Case]:
     full = raw(b"ABCDEFGHIJKL", b"names-without-a-NUL.", b"xyz")
     yield Case(
         "names-without-a-NUL.",
-        "Type and device name of full length, without a NUL; a type that nobody knows is published as it is",
+        "Type and device name of full length, without a NUL; an unknown type is published unchanged",
         full,
         _FINE,
         ("no_conversion",),
@@ -263,7 +263,7 @@ def _headers() -> Iterable[Case]:
     )
     yield Case(
         "device-not-utf-8",
-        "A device name that is not UTF-8: its bytes are recorded, readers see U+FFFD",
+        "A device name that is not UTF-8: its bytes are recorded, readers get U+FFFD",
         raw(b"STRING", b"\xff\xfe\xc3\x28bad", text(b"x")),
         _FINE,
         stream="STRING/\ufffd\ufffd\ufffd(bad",
@@ -278,7 +278,7 @@ def _headers() -> Iterable[Case]:
     )
     yield Case(
         "terminal",
-        "Control characters in a device name: escaped wherever they are told",
+        "Control characters in a device name: escaped in all output",
         raw(b"STRING", b"\x1b[2J\n\r\x07evil", text(b"x")),
         _FINE,
         stream="STRING/\x1b[2J\n\r\x07evil",
@@ -303,12 +303,12 @@ def _texts() -> Iterable[Case]:
     for encoding, name in ((3, "US-ASCII"), (4, "Latin-1"), (106, "UTF-8"), (1015, "UTF-16"), (65535, "none known")):
         device = f"string-{encoding}"
         data = message("STRING", text(b"\xff\xfe\x80\xc3(", encoding), device=device)
-        what = f"A text that is not of its encoding {encoding} ({name}): what cannot be read is U+FFFD"
+        what = f"A string that is invalid in its encoding {encoding} ({name}): invalid bytes become U+FFFD"
         yield Case(device, what, data, _FINE)
     data = message("STRING", struct.pack(">HH", 3, 70_000 & 0xFFFF) + b"x" * 70_000, device="string-70000")
-    yield Case("string-70000", "A text of 70,000 bytes, whose length has 16 bits", data, _REFUSED, _MALFORMED)
+    yield Case("string-70000", "A string of 70,000 bytes, whose length field has 16 bits", data, _REFUSED, _MALFORMED)
     data = message("STRING", struct.pack(">HH", 3, 70) + b"x" * 7, device="string-short")
-    yield Case("string-short", "A text of 7 bytes that says 70", data, _REFUSED, _MALFORMED)
+    yield Case("string-short", "A string of 7 bytes with the length 70", data, _REFUSED, _MALFORMED)
     pairs = [(b"\xff\xfe", b"\x80\x81"), (b"", b""), (b"frame_id", b"\xff")]
     data = message("STRING", metadata(pairs, text(b"x")), device="metadata-not-utf-8", version=2)
     yield Case("metadata-not-utf-8", "Metadata that is not UTF-8, keys and values", data, _FINE)
@@ -318,7 +318,7 @@ def _texts() -> Iterable[Case]:
     data = message("STRING", extended(text(b"x"), {"k": "v" * (1 << 20)}), device="metadata-of-1MiB", version=2)
     yield Case("metadata-of-1MiB", "Metadata above 1 MiB", data, _REFUSED, _MALFORMED)
     data = message("STRING", metadata([(b"", b"")] * 8191, text(b"x")), device="metadata-8191", version=2)
-    yield Case("metadata-8191", "8,191 pairs of metadata, all empty", data, _FINE)
+    yield Case("metadata-8191", "8,191 items of metadata, all empty", data, _FINE)
     data = message("STRING", b"xx", device="no-extended-header", version=2)
     yield Case("no-extended-header", "Version 2 without its extended header", data, {"truncated": 1}, _TRUNCATED)
 
@@ -337,7 +337,7 @@ def _surfaces() -> Iterable[Case]:
         ),
         (
             "index-beyond",
-            "A polygon of points that are not there",
+            "A polygon of points that do not exist",
             polydata(1, (1, 16), bytes(12) + cells((0, 1, 2))),
             "malformed",
         ),
@@ -348,7 +348,7 @@ def _surfaces() -> Iterable[Case]:
     yield Case("vertices-200000", "POLYDATA: 200,000 vertex cells, a cloud", data, _FINE)
     body = polydata(3, (2, 24), _TRIANGLE + cells((0,), (0, 1, 2)))
     data = message("POLYDATA", body, device="polygon-of-1")
-    yield Case("polygon-of-1", "POLYDATA: a polygon of 1 vertex beside a triangle: left out", data, _FINE)
+    yield Case("polygon-of-1", "POLYDATA: a polygon of 1 vertex beside a triangle: omitted", data, _FINE)
     body = polydata(3, (1, 4), _TRIANGLE + cells(()))
     data = message("POLYDATA", body, device="polygon-of-0")
     yield Case("polygon-of-0", "POLYDATA: a polygon of no vertices", data, _FINE)
@@ -365,7 +365,7 @@ def _images() -> Iterable[Case]:
         ("image-header", "half its header", image((2, 2, 1))[:30], "truncated"),
         (
             "image-part",
-            "a part that lies outside",
+            "a sub-volume outside of the volume",
             image((4, 4, 1), bytes(4), offset=(3, 3, 0), part=(2, 2, 1)),
             "malformed",
         ),
@@ -375,7 +375,7 @@ def _images() -> Iterable[Case]:
     data = message("IMAGE", image((0, 0, 0)), device="image-0")
     yield Case("image-0", "IMAGE: 0 × 0 × 0", data, _FINE)
     data = message("IMAGE", image((2, 2, 1), bytes(4), scale=_NAN), device="image-nan")
-    yield Case("image-nan", "IMAGE: a matrix of NaN; its pixels are good", data, _FINE)
+    yield Case("image-nan", "IMAGE: a matrix of NaN; its pixels are valid", data, _FINE)
 
 
 def _others() -> Iterable[Case]:
@@ -392,7 +392,7 @@ def _others() -> Iterable[Case]:
     data = message("BIND", deep_bind(5_000), device="bind-in-bind")
     yield Case("bind-in-bind", "BIND: 5,000 deep", data, _REFUSED, _MALFORMED)
     data = message("MYSTERY", b"\x01\x02\x03", device="unknown-type")
-    yield Case("unknown-type", "A type that nobody knows: published as it is", data, _FINE, ("no_conversion",))
+    yield Case("unknown-type", "An unknown type: published unchanged", data, _FINE, ("no_conversion",))
     data = message("GET_STATUS", b"", device="query") * 3
     yield Case("query", "Three queries", data, {"converted": 3}, answer=("STATUS",) * 3)
 
@@ -408,67 +408,67 @@ CASES: tuple[Case, ...] = (
 )
 
 
-#: What is not one burst of bytes: title, what is sent, and what is answered, noted and counted; each has a test.
+#: Cases with their own test: test, what the peer does, and what is answered, noted and counted.
 OTHERS: tuple[tuple[str, str, str, str, str], ...] = (
     (
         "test_slow_peers_are_given_up[header]",
         "Half a header, then silence",
-        "ended after `--stall-s`",
+        "closed after `--stall-s`",
         "`stalled`",
         "`link_faults`: `stalled`",
     ),
     (
         "test_slow_peers_are_given_up[loris]",
         "A header byte by byte, never silent for `--stall-s` (slow loris)",
-        "ended a little after `--stall-s`",
+        "closed shortly after `--stall-s`",
         "`stalled` (too slow)",
         "`link_faults`: `stalled`",
     ),
     (
         "test_a_peer_that_never_reads",
         "A peer that reads nothing of 40 images of 1 MiB",
-        "what it asks for when it reads: all texts, the newest images",
+        "all strings and the newest images, when it reads again",
         "`queue_drop`",
         "`dropped` of its link",
     ),
     (
         "test_a_peer_that_asks_and_never_listens",
-        "1,000 queries for a text of 60,000 bytes from a peer that reads no answer",
-        "ended: texts are not dropped, and the queue has a bound",
+        "1,000 queries for a string of 60,000 bytes from a peer that reads no answer",
+        "closed: strings are not dropped, and the queue is bounded",
         "`queue_full`",
         "`link_faults`: `queue_full`; answers `dropped`",
     ),
     (
         "test_200_at_once",
-        "200 connections at once, 12 allowed",
-        "the others are closed at once",
+        "200 simultaneous connections, 12 allowed",
+        "the others are closed immediately",
         "`refused`, once a second",
         "`refused`: `12 clients are connected already`",
     ),
     (
         "test_tiny_messages",
-        "2,000 messages without a body in one go",
+        "2,000 messages without a body in one segment",
         "nothing",
         "`no_conversion`, once",
         "2,000 `received` and `converted`",
     ),
     (
         "test_no_body_for_every_type",
-        "A message without a body of every type there is",
+        "A message without a body, of every type",
         "queries are answered",
         "`empty` and others",
         "each under its stream",
     ),
     (
         "test_promises_reserve_nothing",
-        "8 peers that announce 250 MiB each and send 100 kB of it",
-        "memory grows with what has come",
-        "`truncated` when they go, `stalled` if they stay",
+        "8 peers that announce 250 MiB each and send 100 kB",
+        "memory grows with the received bytes",
+        "`truncated` when they disconnect, `stalled` if they stay",
         "`link_faults`: the same",
     ),
     (
         "test_a_text_of_70000_bytes_from_ros",
-        "A text of 70,000 bytes from ROS",
+        "A string of 70,000 bytes from ROS",
         "not sent",
         "`conversion`",
         "`dropped`: `conversion`",
@@ -493,7 +493,7 @@ def page() -> str:
     return "\n".join(lines) + "\n"
 
 
-#: What stands before the tables on the page.
+#: Mark before the tables of the page.
 MARK = "<!-- from tests/integration/hostile_cases.py -->\n"
 
 if __name__ == "__main__":
