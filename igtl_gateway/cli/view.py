@@ -223,7 +223,7 @@ class _Progress:
 def _print(options: argparse.Namespace, view: SessionView, told: dict[str, Any]) -> None:
     columns = width(shown.topic for shown in view.seen.shown.values())
     for shown in view.seen.shown.values():
-        note = "no picture" if shown.ros_type in view.told.without_picture else shown.what.value
+        note = "not drawn" if shown.ros_type in view.told.without_picture else shown.what.value
         print_line(f"  {cell(shown.topic, columns)} {shown.count:>8,}  {note:<10} {shown.ros_type}")
     for topic, number in told["refused"].items():
         print_line(f"? {topic}: {count_text(number, 'message')} could not be shown, the log says why")

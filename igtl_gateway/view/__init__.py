@@ -1,1 +1,1 @@
-"""The session as a picture: entries in, a rerun recording out.  The only package that imports rerun."""
+"""Views of a session in rerun: entries in, a rerun recording out.  Only this package imports rerun."""

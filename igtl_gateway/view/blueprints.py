@@ -1,11 +1,11 @@
-"""Arrangements of views for a session: which of them, where each looks at, what stands in it.
+"""Blueprints: which views a session gets, where the eye of each view is, and what it contains.
 
-A blueprint is made from ``SessionContents`` alone.  There are four: ``star`` for suture plans on a cloud,
-``ultrasound`` for pictures that have a place, ``navigation`` for volumes, surfaces and tools, ``generic`` for all else;
-they differ in what is large and what goes where, the views themselves are made by the same few functions.
+A blueprint is built from ``SessionContents`` alone.  There are four: ``star`` for suture plans on a cloud,
+``ultrasound`` for images with a pose, ``navigation`` for volumes, surfaces and tools, ``generic`` for everything else.
+They differ in the size and the position of their views.  The same functions build the views of all four.
 
-Two rules keep the views free of errors.  A 3-D view shows things of one tree of frames only, since things of
-different trees have no place to each other; a picture shows things of space only where a camera's intrinsics are known.
+Two rules keep the views free of errors.  A 3-D view shows entities of one frame tree only, because no transform
+connects different trees.  A 2-D view shows 3-D entities only where the intrinsics of its camera are known.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from igtl_gateway.view.contents import (
 from igtl_gateway.view.eye import eye_of
 
 TIME_LINE = "gateway_time"
-DARK = (18, 20, 24)  #: behind 3-D: lets dark tissue and black tools be told from nothing
+DARK = (18, 20, 24)  #: background of 3-D views: dark tissue and black tools stay visible on it
 
-#: What the subject of a 3-D view can be, the likeliest first: the eye is set to it.
+#: Kinds that can be the subject of a 3-D view, by precedence: the eye is set to the subject.
 _SUBJECTS = (
     EntityKind.CLOUD,
     EntityKind.VOLUME,
@@ -47,19 +47,19 @@ _SUBJECTS = (
     EntityKind.MARKERS,
     EntityKind.POSE,
 )
-_CELLS = 6  #: of a grid
+_CELLS = 6  #: maximum number of views in a grid
 _IN_PICTURE = (
     EntityKind.LINES,
     EntityKind.POINTS,
     EntityKind.MARKERS,
     EntityKind.POSE,
-)  #: of space, what is drawn over a camera's picture
+)  #: 3-D kinds that are projected into a camera image
 
-Part = Any  #: a view or a container of rerun, whose types are unknown to the checker; None: nothing to show
+Part = Any  #: a view or a container of rerun (mypy does not know their types); None: nothing to show
 
 
 def choose(seen: SessionContents) -> str:
-    """The name of the blueprint that fits what the session holds."""
+    """Return the name of the blueprint for the contents of the session."""
     planned = any(_of(tree, EntityKind.CLOUD) and _of(tree, EntityKind.LINES) for tree in seen.trees().values())
     if seen.reviewed or planned:
         return "star"
@@ -71,9 +71,9 @@ def choose(seen: SessionContents) -> str:
 
 
 def blueprint(name: str, seen: SessionContents) -> rrb.Blueprint:
-    """The blueprint of that name for this session.
+    """Build the blueprint with this name for this session.
 
-    Raises ConfigError if there is none of that name.
+    Raises ConfigError for an unknown name.
     """
     if name not in _BLUEPRINTS:
         raise ConfigError(f"blueprint: found {name!r}, expected {', '.join(NAMES)}")
@@ -88,7 +88,7 @@ def blueprint(name: str, seen: SessionContents) -> rrb.Blueprint:
 
 
 def _star(seen: SessionContents) -> Part:
-    """The tissue large; beside it the camera's picture and the noise; words and numbers below."""
+    """Large: the tissue.  Beside it: the camera image and the noise.  Below: text and plots."""
     words: list[Part] = [_log()]
     if seen.reviewed:
         words.insert(0, rrb.TextDocumentView(name="Stitches", origin=f"/{REVIEW_TABLE}"))
@@ -98,19 +98,19 @@ def _star(seen: SessionContents) -> Part:
 
 
 def _ultrasound(seen: SessionContents) -> Part:
-    """Picture and space side by side."""
+    """The image and the 3-D view side by side."""
     top = _row((_tabs(_pictures(seen)), 1), (_tabs(_spaces(seen)), 1))
     return _page(top, _words_and_numbers(seen))
 
 
 def _navigation(seen: SessionContents) -> Part:
-    """Space large; slices and pictures beside it."""
+    """Large: the 3-D view.  Beside it: slices and images."""
     top = _row((_tabs(_spaces(seen)), 2), (_stack([*_slices(seen), *_pictures(seen)]), 1))
     return _page(top, _words_and_numbers(seen))
 
 
 def _generic(seen: SessionContents) -> Part:
-    """A view of everything, as many as there are."""
+    """One view for each kind of content that the session has."""
     everything = _grid([*_slices(seen), *_pictures(seen), *_tables(seen)])
     return _page(_row((_tabs(_spaces(seen)), 1), (everything, 1)), _words_and_numbers(seen))
 
@@ -128,7 +128,7 @@ NAMES = tuple(_BLUEPRINTS)
 
 
 def _spaces(seen: SessionContents) -> list[Part]:
-    """A 3-D view for each tree of frames, the fullest first."""
+    """Build a 3-D view for each frame tree, in the order of ``SessionContents.trees``."""
     views: list[Part] = []
     for root, tree in seen.trees().items():
         contents = [entity for shown in tree for entity in _solids(shown)]
@@ -145,9 +145,9 @@ def _spaces(seen: SessionContents) -> list[Part]:
 
 
 def _space(seen: SessionContents, name: str, tree: list[ShownTopic], contents: list[str]) -> rrb.Spatial3DView:
-    """In the frame of its subject, which may be drawn before any transform is known."""
+    """Build a 3-D view in the frame of its subject: that frame exists before any transform is known."""
     subject = _subject(tree)
-    # What moves with a probe would stand still, and the world move about it.
+    # in the frame of a moving probe its image would not move, but everything else would
     frame = seen.root_of(subject.frame) if subject.what is EntityKind.PLANE else subject.frame
     return rrb.Spatial3DView(
         name=name,
@@ -161,7 +161,7 @@ def _space(seen: SessionContents, name: str, tree: list[ShownTopic], contents: l
 
 
 def _noise(seen: SessionContents) -> list[Part]:
-    """The cloud by its depth noise, and by its distance from the plan, with the judged stitches: of a review."""
+    """Views of a review: the cloud coloured by depth noise and by distance from the plan, with the stitches."""
     clouds = [shown for tree in seen.trees().values() for shown in tree if shown.what is EntityKind.CLOUD]
     if not seen.reviewed or not clouds:
         return []
@@ -178,7 +178,7 @@ def _noise(seen: SessionContents) -> list[Part]:
 
 
 def _pictures(seen: SessionContents) -> list[Part]:
-    """A 2-D view for each stream of pictures, with the plan and the tool on it where its camera is known."""
+    """Build a 2-D view for each image stream, with the plan and the tool if its camera is known."""
     views: list[Part] = []
     for shown in seen.of(EntityKind.IMAGE, EntityKind.PLANE, EntityKind.VIDEO):
         if shown.superseded:
@@ -192,7 +192,7 @@ def _pictures(seen: SessionContents) -> list[Part]:
             tree = seen.trees().get(root, [])
             contents += [f"+ /{camera.path}" for camera in seen.of(EntityKind.CAMERA) if camera.frame == shown.frame]
             contents += [entity for other in _of(tree, *_IN_PICTURE) for entity in _solids(other)]
-            contents += [f"- /{tool.path}/trail" for tool in _of(tree, EntityKind.POSE)]  # where it was hides what is
+            contents += [f"- /{tool.path}/trail" for tool in _of(tree, EntityKind.POSE)]  # a trail hides the image
         views.append(
             rrb.Spatial2DView(
                 name=shown.topic, origin=f"/{shown.path}", contents=contents, spatial_information=information
@@ -206,7 +206,7 @@ def _slices(seen: SessionContents) -> list[Part]:
 
 
 def _tables(seen: SessionContents) -> list[Part]:
-    """Arrays and texts."""
+    """Build the views of arrays and text."""
     views: list[Part] = [
         rrb.BarChartView(name=shown.topic, origin=f"/{shown.path}") for shown in seen.of(EntityKind.BARS)
     ]
@@ -220,7 +220,7 @@ def _log() -> rrb.TextLogView:
     return rrb.TextLogView(
         name="Log",
         origin=f"/{LOG}",
-        # a column of times is cut after the date, whatever there is of room
+        # rerun cuts a column of times after the date, even if there is room
         columns=rrb.TextLogColumns(
             timeline_columns=[rrb.encodings.TimelineColumn(TIME_LINE, visible=False)],
             text_log_columns=["loglevel", "body"],
@@ -233,10 +233,10 @@ def _words_and_numbers(seen: SessionContents) -> Part:
 
 
 def _plots(seen: SessionContents) -> Part:
-    """Sensors first, then how the gateway did."""
+    """Plots of sensors, then plots of the gateway: rates and latencies."""
     plots = [_plot(shown.topic, f"/{shown.path}") for shown in seen.of(EntityKind.PLOT)]
-    inputs = [f"+ $origin/{kind.value}/**" for kind in (Kind.ROS_IN, Kind.IGTL_IN)]  # the outputs follow them
-    rates = [_plot("Rate (Hz)", f"/{RATES}", inputs)] if seen.seconds >= 1 else []  # less has no rate
+    inputs = [f"+ $origin/{kind.value}/**" for kind in (Kind.ROS_IN, Kind.IGTL_IN)]  # outputs follow from the inputs
+    rates = [_plot("Rate (Hz)", f"/{RATES}", inputs)] if seen.seconds >= 1 else []  # a shorter session has no rate
     return _tabs([*plots, *rates, _plot("Latency (ms)", f"/{LATENCIES}"), _plot("Drops and gaps", f"/{DROPS}")])
 
 
@@ -244,7 +244,7 @@ def _plot(name: str, origin: str, contents: list[str] | str = "$origin/**") -> r
     return rrb.TimeSeriesView(name=name, origin=origin, contents=contents, plot_legend=rrb.Corner2D.LeftTop)
 
 
-# What stands in them
+# Contents of views
 
 
 def _of(tree: Iterable[ShownTopic], *kinds: EntityKind) -> list[ShownTopic]:
@@ -252,29 +252,29 @@ def _of(tree: Iterable[ShownTopic], *kinds: EntityKind) -> list[ShownTopic]:
 
 
 def _solids(shown: ShownTopic) -> list[str]:
-    """The entities of a topic that are in space: of a picture only its plane, the picture itself has none."""
+    """Return the 3-D entities of a topic: of an image only its plane, because the image itself is 2-D."""
     if shown.what in {EntityKind.PLANE, EntityKind.VOLUME}:
         return [f"+ /{shown.path}/plane/**"]
     return [f"+ /{shown.path}/**"]
 
 
 def _cameras(seen: SessionContents) -> set[str]:
-    """Frames of cameras whose intrinsics are known."""
+    """Return the frames of cameras with known intrinsics."""
     return {shown.frame for shown in seen.of(EntityKind.CAMERA)}
 
 
 def _subject(tree: list[ShownTopic]) -> ShownTopic:
-    """What a 3-D view is of."""
+    """Return the subject of a 3-D view."""
     return min(tree, key=lambda shown: (_SUBJECTS.index(shown.what) if shown.what in _SUBJECTS else 99, -shown.count))
 
 
 def _eye(seen: SessionContents, tree: list[ShownTopic], frame: str) -> rrb.EyeControls3D | None:
-    """None leaves it to the viewer."""
+    """Return the eye of a 3-D view; None leaves the choice to the viewer."""
     eye = eye_of(seen, tree, frame, camera=frame in _cameras(seen) or "optical" in frame)
     return eye and rrb.EyeControls3D(position=eye.place, look_target=eye.target, eye_up=eye.up)
 
 
-# How they stand to each other; where nothing is (None), nothing takes its place
+# Layout: containers leave out parts that are None
 
 
 def _page(top: Part, below: Part) -> Part:
@@ -282,31 +282,31 @@ def _page(top: Part, below: Part) -> Part:
 
 
 def _tabs(parts: list[Part]) -> Part:
-    """One view as it is, several as tabs of which the first is on top."""
+    """Return one view unchanged, several views as tabs with the first in front."""
     if len(parts) < 2:
         return parts[0] if parts else None
     return rrb.Tabs(*parts, active_tab=0)
 
 
 def _stack(parts: list[Part]) -> Part:
-    """Two above each other; more of them as tabs of the lower one."""
+    """Stack two views; further views become tabs of the lower one."""
     return _column((_tabs(parts[:1]), 1), (_tabs(parts[1:]), 1))
 
 
 def _grid(parts: list[Part]) -> Part:
-    """As many beside and above each other as can be looked at; more of them as tabs of the last."""
+    """Arrange up to ``_CELLS`` views in a grid; further views become tabs of the last cell."""
     shown = [*parts[: _CELLS - 1], *filter(None, [_tabs(parts[_CELLS - 1 :])])]
     return _tabs(shown) if len(shown) < 2 else rrb.Grid(*shown, grid_columns=2)
 
 
 def _row(*parts: tuple[Part, int]) -> Part:
-    """Side by side, each with its share of the width."""
+    """Arrange views side by side, each with its share of the width."""
     there, shares = _there(parts)
     return _tabs(there) if len(there) < 2 else rrb.Horizontal(*there, column_shares=shares)
 
 
 def _column(*parts: tuple[Part, int]) -> Part:
-    """One above the other, each with its share of the height."""
+    """Arrange views one above the other, each with its share of the height."""
     there, shares = _there(parts)
     return _tabs(there) if len(there) < 2 else rrb.Vertical(*there, row_shares=shares)
 

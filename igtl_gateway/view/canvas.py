@@ -1,4 +1,4 @@
-"""Where one topic draws: its entity and what lies below, in its frame, and what is known of it."""
+"""The canvas of one topic: its entity and child entities, its frame, and its facts in ``SessionContents``."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from igtl_gateway.view.pen import Pen, Pose, Xyz
 
 NS_PER_MS = 1_000_000
 
-#: A trail: how long it is, how close its points are in time, and how often it is drawn anew.
+#: A trail: its length in time, the time between its points, and the time between two drawings.
 TRAIL_NS, _STEP_NS, _DRAW_NS = 5_000 * NS_PER_MS, 20 * NS_PER_MS, 100 * NS_PER_MS
 
-#: Points that a box is made of, and from how many on outliers are left out.
+#: Number of points that are sampled for a box; from _MANY points on, outliers are left out.
 _SAMPLE, _MANY = 2000, 500
-#: Nothing that is further away, metres, decides where the eye of a view is: it is a wrong number.
+#: Coordinates beyond this distance, in metres, are invalid and do not count for the eye of a view.
 _FAR_M = 1e6
-#: Lines of the log that are said once may be so many for a topic.
+#: Maximum number of lines that a topic can log by ``once``.
 _ONCES = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How to draw.
+    """Options for drawing.
 
     Attributes:
-        colour_by: field of clouds that gives their colour; "" = their own colours, else intensity, else none.
-        axis_m: length of a tool's axes, metres.
-        trails: draw where tools have been.
-        plain: escape letters that are not in the viewer's own font: without a screen it ends at one.
+        colour_by: field that colours clouds; "" = the colours of the cloud, else its intensity, else none.
+        axis_m: length of the axes of a tool, in metres.
+        trails: draw the trails of tools.
+        plain: escape characters that the font of the viewer does not have: a headless viewer exits at one.
     """
 
     colour_by: str = ""
@@ -47,7 +47,7 @@ class Options:
 
 @dataclass(slots=True)
 class _Trail:
-    """The last places of a tool."""
+    """The latest positions of a tool."""
 
     points: deque[tuple[int, Xyz]] = field(default_factory=deque)
     drawn_ns: int = 0
@@ -55,12 +55,12 @@ class _Trail:
 
 
 class Canvas:
-    """Handed to the function that draws a message of the topic.
+    """What the function that draws a message of the topic draws on.
 
     Attributes:
-        shown: what is told of the topic; functions refine it.
-        rows: rows so far at the topic's own path: one for each message, see ``SessionView``.
-        memory: what a function keeps from message to message (a colour scale, markers that are shown).
+        shown: the facts of the topic; drawing functions refine them.
+        rows: number of rows at the path of the topic: one for each message, see ``SessionView``.
+        memory: what a drawing function keeps between messages (a colour scale, the visible markers).
     """
 
     def __init__(self, pen: Pen, seen: SessionContents, shown: ShownTopic, options: Options, number: int) -> None:
@@ -75,21 +75,21 @@ class Canvas:
         self._paths = {"": shown.path}  # child → its entity
 
     def fields(self, names: Iterable[str]) -> None:
-        """Say what a cloud could be coloured by."""
+        """Record the names of fields that can colour a cloud."""
         self._seen.fields.update(names)
 
     def frame(self, frame_id: str) -> str:
-        """The frame to draw in; the session's base frame where the message names none."""
+        """Return the frame to draw in; the base frame of the session if the message names none."""
         self.shown.frame = self.pen.letters(frame_id.lstrip("/")) or self._seen.base_frame
         return self.shown.frame
 
     def what(self, what: EntityKind) -> None:
-        """What the topic's picture is, if this is its first message."""
+        """Set the kind of the topic if this is its first message."""
         if not self.shown.count:
             self.shown.what = what
 
     def log(self, *archetypes: Any, child: str = "", frame: str = "") -> None:
-        """A row of the topic (or of ``child`` below it), in 3-D in the frame ``frame``."""
+        """Log a row of the topic, or of the entity ``child`` below it; 3-D contents are in ``frame``."""
         path = self._path(child)
         if frame:
             self.pen.stand(path, frame)
@@ -98,33 +98,33 @@ class Canvas:
         self.rows += not child
 
     def static(self, archetype: Any, child: str = "") -> None:
-        """What holds for the whole session: of an archetype that no row of the entity has."""
+        """Log static data: only for an archetype that no row of the entity has."""
         self.pen.static(self._path(child), archetype)
 
     def numbers(self, values: Sequence[float], child: str = "") -> None:
-        """A row of numbers over time."""
+        """Log a row of numbers for a plot over time."""
         self.pen.numbers(self._path(child), values)
         self.rows += not child
 
     def text(self, text: str, level: str = "INFO", colour: int | None = None) -> None:
-        """A line of the session's log."""
+        """Write a line to the log of the session."""
         self.pen.text(LOG, f"{self.shown.topic}: {text}", level, colour)
 
     def once(self, text: str, about: str = "") -> None:
-        """A line of the session's log, only the first one of all ``about`` the same thing (default: the text)."""
+        """Write a line to the log of the session, once for each ``about`` (default: the text)."""
         said = self.memory.setdefault("said", set())
         if (about or text) not in said and len(said) < _ONCES:
             said.add(about or text)
             self.text(text)
 
     def tool(self, pose: Xyz, frame: str, child: str = "", *, labelled: bool = True) -> None:
-        """Axes of a tool and its trail.
+        """Draw the axes of a tool and its trail.
 
         Args:
             pose: x, y, z in metres, quaternion x, y, z, w.
-            frame: the frame that the pose is given in.
-            child: entity below the topic, where the topic has several tools.
-            labelled: write the entity's path at the axes, as their frame has no name of its own.
+            frame: parent frame of the pose.
+            child: entity below the topic, for topics with several tools.
+            labelled: label the axes with the path of the entity, for frames without a name.
         """
         path = self._path(child)
         self.pen.stand(path, frame)
@@ -134,7 +134,7 @@ class Canvas:
             self._trail(child, frame, pose[:3])
 
     def box(self, places: npt.NDArray[Any]) -> None:
-        """Where the topic's things are: the eye of a 3-D view is set by the box around most of them."""
+        """Extend the bounding box of the topic by (n, 3) positions in metres; outliers are left out."""
         some = places[:: max(len(places) // _SAMPLE, 1)].astype(np.float64)
         some = some[(np.abs(some) < _FAR_M).all(axis=1)]
         if not len(some):
@@ -146,7 +146,7 @@ class Canvas:
         self.shown.low, self.shown.high = (a, b, c), (d, e, f)
 
     def reach(self, place: Xyz) -> None:
-        """As ``box``, for a single place: tools come by the thousand."""
+        """Extend the bounding box by one position: faster than ``box`` for streams of poses."""
         low, high = self.shown.low, self.shown.high
         x, y, z = place
         if max(abs(x), abs(y), abs(z)) >= _FAR_M:
@@ -158,9 +158,9 @@ class Canvas:
             self.shown.high = (max(high[0], x), max(high[1], y), max(high[2], z))
 
     def link(self, child: str, frame: str, pose: Xyz, *, static: bool = False) -> None:
-        """One edge of the transform tree: the frame ``child`` in the frame ``frame``.
+        """Log one edge of the transform tree: the pose of the frame ``child`` in the frame ``frame``.
 
-        A frame is told at one entity, whatever topics tell it; the topic that told it first is believed.
+        Each frame has one entity.  If several topics publish a frame, the first of them counts.
         """
         child = self.pen.letters(child.lstrip("/"))
         owner = self.pen.owners.setdefault(child, self.shown.path)
@@ -180,7 +180,7 @@ class Canvas:
             self.pen.pose(path, told)
 
     def _path(self, child: str) -> str:
-        """The entity of the topic, or of ``child`` below it."""
+        """Return the path of the topic's entity, or of the entity ``child`` below it."""
         path = self._paths.get(child)
         if path is None:
             path = self._paths[child] = self.pen.claim(f"{self.shown.path}/{child}")

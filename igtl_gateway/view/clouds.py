@@ -1,4 +1,4 @@
-"""Points: clouds in colour, points with names."""
+"""Points: coloured clouds and labelled points."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ Array = npt.NDArray[Any]
 
 _XYZ = ("x", "y", "z")
 _WORD = 4
-#: Up to here a cloud is points to be seen one by one: markers, a plan.
+#: A cloud with up to this number of points is drawn as single points: markers, a plan.
 _FEW = 200
-#: So many names can be read beside each other; those of more points are told when one is pointed at.
+#: Up to this number of labels are always visible; with more points a label appears under the pointer.
 _READABLE = 12
-#: Names of fields that colour a cloud which has no colour, in order.
+#: Fields that colour a cloud without colours, by precedence.
 _SCALARS = ("intensity", "intensities", "i", "noise", "confidence", "curvature", "scalar")
-#: Units of fields that ROS defines; of others nothing is known.
+#: Units of the fields that ROS defines; other fields have no known unit.
 _UNITS = dict.fromkeys(_XYZ, "m")
 _LEGEND = ("legend", "legend/numbers")
-#: Drawn radius of single points without a size, in metres.
+#: Radius of single points without a size, in metres.
 POINT_M = 0.0008
 
 
 def draw_cloud(message: PointCloud2, canvas: Canvas) -> None:
-    """sensor_msgs/PointCloud2: points that have a place, in the colours of ``Options.colour_by``."""
+    """sensor_msgs/PointCloud2: the points with finite coordinates, coloured by ``Options.colour_by``."""
     frame = canvas.frame(message.header.frame_id)
     fields = columns(message)
     canvas.fields(fields)
@@ -69,7 +69,7 @@ def draw_cloud(message: PointCloud2, canvas: Canvas) -> None:
 
 
 def columns(message: PointCloud2) -> dict[str, Array]:
-    """Every field of one value as an array (n,): views on the data.  Raises ConversionError."""
+    """Return each scalar field as an array (n,), a view on the data.  Raises ConversionError."""
     count = message.width * message.height
     row = message.width * message.point_step
     size = memoryview(message.data).nbytes
@@ -103,7 +103,7 @@ def draw_point(message: PointStamped, canvas: Canvas) -> None:
 
 
 def draw_point_list(message: PointList, canvas: Canvas) -> None:
-    """igtl_msgs/PointList: names as labels; a point without a colour is drawn in the topic's."""
+    """igtl_msgs/PointList: names become labels; a point without a colour has the colour of the topic."""
     frame = canvas.frame(message.header.frame_id)
     points = message.points
     places = np.array([point.position for point in points], np.float32).reshape(-1, 3)
@@ -120,7 +120,7 @@ def draw_point_list(message: PointList, canvas: Canvas) -> None:
 
 
 def point_size(places: Array) -> float:
-    """Radius in metres of single points: the usual one, less where they are close to each other."""
+    """Return the radius of single points in metres: ``POINT_M``, or less if the points are close together."""
     if not 1 < len(places) <= _FEW:
         return POINT_M
     gaps = np.linalg.norm(places[:, None].astype(np.float64) - places[None], axis=2)
@@ -130,7 +130,7 @@ def point_size(places: Array) -> float:
 
 
 def _words(fields: dict[str, Array], canvas: Canvas) -> Array | None:
-    """The colour of each point; None for clouds without any."""
+    """Return the colour of each point; None for a cloud without colours."""
     wanted = canvas.options.colour_by
     if wanted in fields and wanted not in ("rgb", "rgba"):
         return _scaled(wanted, fields[wanted], canvas)
@@ -149,7 +149,7 @@ def _words(fields: dict[str, Array], canvas: Canvas) -> Array | None:
 
 
 def _scaled(name: str, values: Array, canvas: Canvas) -> Array:
-    """Colours by a field; the scale is that of the first cloud, so that colours can be compared."""
+    """Return colours by a field; the first cloud sets the scale, so that colours are comparable."""
     scales = canvas.memory.setdefault("scales", {})
     if name not in scales and len(values):
         scales[name] = low, high = colours.span(values)
@@ -159,7 +159,7 @@ def _scaled(name: str, values: Array, canvas: Canvas) -> Array:
 
 
 def _radius(message: PointCloud2, places: Array) -> float:
-    """Half the distance between neighbours of an organised cloud, which then looks like a surface; else in pixels."""
+    """Return half the point spacing of an organised cloud, so that it looks closed; else a size in pixels."""
     if message.height > 1:
         steps = np.linalg.norm(np.diff(places.astype(np.float64), axis=0), axis=1)
         if len(steps):

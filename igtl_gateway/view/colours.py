@@ -1,4 +1,4 @@
-"""Colours: of numbers, of packed ROS words, of markers; all as rerun's 0xRRGGBBAA words."""
+"""Colours of numbers, of packed ROS words and of markers, all as 0xRRGGBBAA words for rerun."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 
-#: One colour for each device that has none of its own, in turn: distinct, and none is tissue.
+#: Colours for devices without a colour, in turn: distinct, and unlike tissue.
 SERIES = (0x4FC3F7FF, 0xFFB74DFF, 0x81C784FF, 0xE57373FF, 0xBA68C8FF, 0xFFF176FF, 0x4DD0E1FF, 0xA1887FFF)
 GREY, BONE = 0xC8C8C8FF, 0xDDD0C0FF  # points and surfaces without a colour
 INFO, WARN, ERROR = 0xB0BEC5FF, 0xFFB300FF, 0xFF5252FF
@@ -23,7 +23,7 @@ _TURBO = (
 
 
 def scale_colours(values: Array, low: float, high: float) -> Array:
-    """Numbers as colours: blue = ``low`` … red = ``high``; grey where there is no number."""
+    """Return numbers as colours: blue = ``low`` … red = ``high``; grey for NaN."""
     spread = high - low
     unit = (values.astype(np.float64) - low) / spread if spread > 0 else np.full(len(values), 0.5)
     known = np.isfinite(unit)
@@ -33,7 +33,7 @@ def scale_colours(values: Array, low: float, high: float) -> Array:
 
 
 def span(values: Array) -> tuple[float, float]:
-    """From the 1st to the 99th percentile of the finite numbers: what a colour scale is to cover."""
+    """Return the 1st and 99th percentile of the finite numbers: the range of a colour scale."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0
@@ -42,7 +42,7 @@ def span(values: Array) -> tuple[float, float]:
 
 
 def rgba(colours: Array) -> Array:
-    """(n, 3 or 4) numbers, 0 … 1 or 0 … 255 if any is above 1, as words."""
+    """Pack (n, 3 or 4) numbers as words; the range is 0 … 1, or 0 … 255 if any number is above 1."""
     values = np.nan_to_num(np.asarray(colours, np.float64))
     if values.size and values.max() <= 1.0:
         values = values * 255.0
@@ -52,26 +52,26 @@ def rgba(colours: Array) -> Array:
 
 
 def colour_words(octets: Array) -> Array:
-    """(n, 4) red, green, blue, alpha as words."""
+    """Pack (n, 4) bytes red, green, blue, alpha as words."""
     wide = octets.astype(np.uint32)
     joined: Array = wide[:, 0] << 24 | wide[:, 1] << 16 | wide[:, 2] << 8 | wide[:, 3]
     return joined
 
 
 def unpack_pcl_colours(words: Array, *, alpha: bool) -> Array:
-    """PCL's packed 0xAARRGGBB words as 0xRRGGBBAA; opaque where the words have no alpha."""
+    """Convert PCL's packed 0xAARRGGBB words to 0xRRGGBBAA; opaque if the words have no alpha."""
     turned: Array = (words << np.uint32(8)) | (words >> np.uint32(24) if alpha else np.uint32(255))
     return turned
 
 
 def marker_colour(colour: tuple[float, ...]) -> int:
-    """A marker's colour 0 … 1; grey where it is unset (all zero, or transparent)."""
+    """Convert the colour 0 … 1 of a marker; grey if it is unset (all zero, or transparent)."""
     red, green, blue, alpha = (round(min(max(part, 0.0), 1.0) * 255) for part in colour)
     return red << 24 | green << 16 | blue << 8 | alpha if alpha else GREY
 
 
 def octet_colour(rgba: tuple[int, int, int, int], unset: int) -> int:
-    """Four bytes as OpenIGTLink has them; all zero is unset, and nothing is wholly transparent."""
+    """Convert four bytes of OpenIGTLink; all zero is unset, and alpha is never 0."""
     red, green, blue, alpha = rgba
     return red << 24 | green << 16 | blue << 8 | (alpha or 255) if any(rgba) else unset
 

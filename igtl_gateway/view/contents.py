@@ -1,6 +1,6 @@
-"""What a session has to show: entity paths by kind, frames, times.  Blueprints are chosen and built from this alone.
+"""The contents of a session view: entity paths by kind, frames, times.  Blueprints are built from this alone.
 
-``SessionView`` fills it while it draws; nothing here knows rerun.
+``SessionView`` fills it while it draws.  Nothing here imports rerun.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from enum import Enum
 
 from igtl_gateway.stamp import NS_PER_S
 
-#: Entities that are there besides those of topics.
+#: Entities that belong to no topic.
 LOG, LINKS, DROPS = "session/log", "session/links", "session/drops"
 RATES, LATENCIES = "plots/rate", "plots/latency"
-#: Frames of the transform tree: ``frames/<frame id>`` each, with axes.
+#: Frames of the transform tree: one entity ``frames/<frame id>`` each, with axes.
 FRAMES = "frames"
-#: Where entities stand before their first row, see ``Pen.stand``.
+#: Frames of entities before their first row, see ``Pen.stand``.
 PLACES = "places"
 REVIEW = "review"
 REVIEW_CLOUD, REVIEW_STITCHES, REVIEW_TABLE = f"{REVIEW}/cloud", f"{REVIEW}/stitches", f"{REVIEW}/table"
@@ -24,29 +24,29 @@ REVIEW_LEGENDS = {REVIEW_CLOUD: f"{REVIEW}/legends/noise", REVIEW_DISTANCE: f"{R
 
 
 class EntityKind(Enum):
-    """What an entity is to the eye, which decides the view that it belongs in."""
+    """Kind of an entity: decides in which views it is drawn."""
 
     CLOUD = "cloud"  #: many points, 3-D
-    POINTS = "points"  #: a few points, perhaps with names, 3-D
+    POINTS = "points"  #: a few points, with or without labels, 3-D
     POSE = "pose"  #: axes of a tool; its trail is ``<path>/trail``, 3-D
     POSES = "poses"  #: several tools, ``<path>/<tool>`` each, 3-D
-    FRAMES = "frames"  #: /tf: nothing at its own path but the names; the tree is at ``frames/<frame id>``
+    FRAMES = "frames"  #: /tf: names at its own path, the tree at ``frames/<frame id>``
     LINES = "lines"  #: lines, trajectories, markers of lines: plans, 3-D
-    MARKERS = "markers"  #: markers of other forms at ``<path>/<namespace>/<id>``, 3-D
+    MARKERS = "markers"  #: other markers at ``<path>/<namespace>/<id>``, 3-D
     MESH = "mesh"  #: surface, 3-D
-    IMAGE = "image"  #: picture, 2-D
-    PLANE = "plane"  #: picture with a place: 2-D at ``<path>``, 3-D at ``<path>/plane``
+    IMAGE = "image"  #: image, 2-D
+    PLANE = "plane"  #: image with a pose: 2-D at ``<path>``, 3-D at ``<path>/plane``
     VOLUME = "volume"  #: tensor at ``<path>``, slice 2-D at ``<path>/slice``, slices 3-D at ``<path>/plane/i, j, k``
     VIDEO = "video"  #: encoded frames, 2-D
-    CAMERA = "camera"  #: intrinsics: a pinhole in its frame, whose pictures are in the frame ``<frame id>/image``
+    CAMERA = "camera"  #: intrinsics: a pinhole in its frame; its images are in the frame ``<frame id>/image``
     PLOT = "plot"  #: numbers over time
     BARS = "bars"  #: an array of numbers, bar chart
     TENSOR = "tensor"  #: an array of several dimensions
-    TEXT = "text"  #: text document at its path, and a line of ``session/log``
-    DATA = "data"  #: nothing to look at but the fields (selection panel); a line of ``session/log`` says so
+    TEXT = "text"  #: text document at its path, and a line in ``session/log``
+    DATA = "data"  #: no drawing: the fields are in the selection panel, and ``session/log`` has a line
 
 
-#: Kinds that have something in 3-D.
+#: Kinds that are drawn in 3-D.
 IN_3D = frozenset(
     (
         EntityKind.CLOUD,
@@ -60,30 +60,30 @@ IN_3D = frozenset(
         EntityKind.VOLUME,
     )
 )
-#: Kinds that have something in 2-D at their own path (VOLUME: at ``<path>/slice``).
+#: Kinds that are drawn in 2-D at their own path (VOLUME: at ``<path>/slice``).
 IN_2D = frozenset((EntityKind.IMAGE, EntityKind.PLANE, EntityKind.VIDEO))
 
 
 @dataclass(slots=True)
 class ShownTopic:
-    """One topic and its picture.
+    """One topic and how it is drawn.
 
     Attributes:
-        path: entity path, without leading slash; parts are escaped, so it stands for itself in blueprints.
+        path: entity path without a leading slash; its parts are escaped, so that blueprints can use it as it is.
         topic: ROS topic.
-        ros_type: of its messages.
-        what: kind of picture; of the first message where messages differ.
-        frame: frame id of the last message, the session's base frame where it has none.
-        count: messages so far.
-        outdone: how many of them came with a fuller message made of the same OpenIGTLink message (POLYDATA as
-            ``polydata`` outdoes its ``mesh``): the same thing twice in 3-D.
+        ros_type: ROS type of its messages.
+        what: kind; that of the first message if messages differ.
+        frame: frame id of the latest message, or the base frame of the session if it has none.
+        count: number of messages.
+        outdone: how many of them have a fuller sibling, converted from the same OpenIGTLink message (the ``polydata``
+            of a POLYDATA is fuller than its ``mesh``): both in 3-D would show the same surface twice.
         first_ns, last_ns: gateway time of the first and the last message, UTC ns.
-        width, height: of pictures in pixels; 0 for others.
-        coloured: whether a cloud has colours of its own.
-        scale: of a cloud that is coloured by numbers: of which, and from blue to red with the unit.
-        low, high: corners of the box around most of what was drawn (of a cloud without its outliers), metres in
-            ``frame``; None while there is none.  The eye of a 3-D view is set by it.
-        right, up: directions to the right and to the top of a picture with a place, in ``frame``; None for others.
+        width, height: size of images in pixels; 0 for other kinds.
+        coloured: whether a cloud has colours.
+        scale: colour scale of a cloud that is coloured by a field: field, range and unit.
+        low, high: corners of the bounding box (of a cloud without its outliers), metres in ``frame``; None at first.
+            The eye of a 3-D view depends on it.
+        right, up: directions to the right and to the top of an image with a pose, in ``frame``; None for other kinds.
     """
 
     path: str
@@ -106,28 +106,28 @@ class ShownTopic:
 
     @property
     def drawn(self) -> bool:
-        """Whether to draw it in 3-D: it has something there that no fuller message has, too."""
+        """Whether to show it in 3-D: not all of its messages have a fuller sibling."""
         return self.what in IN_3D and not self.superseded
 
     @property
     def superseded(self) -> bool:
-        """Whether every message of it came with a fuller one."""
+        """Whether every message has a fuller sibling."""
         return self.outdone >= self.count
 
 
 @dataclass(slots=True)
 class SessionContents:
-    """All of it.
+    """The contents of a session view.
 
     Attributes:
-        base_frame: the session's base frame (of its configuration): what has no frame is drawn there.
-        shown: topic → what there is of it, in the order of appearance.
-        parents: child frame → parent frame, last told.
-        places: child frame → its place in the parent frame, last told: x, y, z in metres, quaternion x, y, z, w.
+        base_frame: base frame of the session, from its configuration: messages without a frame are drawn in it.
+        shown: topic → its facts, in the order of appearance.
+        parents: child frame → latest parent frame.
+        places: child frame → its latest pose in the parent frame: x, y, z in metres, quaternion x, y, z, w.
         first_ns, last_ns: gateway time of the first and last entry, UTC ns; 0 = none.
         reviewed: whether a review of the suture plan was drawn.
-        scales: clouds of the review → what their colours mean.
-        fields: names of the fields that clouds had, to colour by.
+        scales: cloud of the review → its colour scale.
+        fields: names of fields of clouds, for ``--color-by``.
         frames: child frame → its entity, ``frames/<frame id>``.
     """
 
@@ -143,11 +143,11 @@ class SessionContents:
     frames: dict[str, str] = field(default_factory=dict)
 
     def of(self, *kinds: EntityKind) -> list[ShownTopic]:
-        """Everything of these kinds, in the order of appearance."""
+        """Return the topics of these kinds, in the order of appearance."""
         return [shown for shown in self.shown.values() if shown.what in kinds]
 
     def root_of(self, frame: str) -> str:
-        """The frame without parent above ``frame`` (itself where it has none; where frames go in a circle, any)."""
+        """Return the root frame above ``frame``: itself if it has no parent, any frame of a cycle."""
         passed = {frame}
         while (parent := self.parents.get(frame)) is not None and parent not in passed:
             frame = parent
@@ -155,7 +155,7 @@ class SessionContents:
         return frame
 
     def way_to_root(self, frame: str) -> list[tuple[float, ...]]:
-        """The places of ``frame`` in its parent, of that in its own, and so on up to the root."""
+        """Return the poses of ``frame`` in its parent, of the parent in its parent, and so on to the root."""
         steps, passed = [], {frame}
         while frame in self.places and (parent := self.parents.get(frame)) is not None:
             steps.append(self.places[frame])
@@ -166,10 +166,9 @@ class SessionContents:
         return steps
 
     def trees(self) -> dict[str, list[ShownTopic]]:
-        """Root frame → what is drawn in 3-D below it, the fullest first.
+        """Return root frame → topics that are drawn in 3-D below it, the tree with the largest weight first.
 
-        What lies in different trees has no place to each other: one 3-D view each, else the viewer reports
-        missing transforms.
+        Each tree has a 3-D view of its own: no transform connects two trees, and the viewer would report that.
         """
         trees: dict[str, list[ShownTopic]] = {}
         for shown in self.shown.values():
@@ -179,20 +178,20 @@ class SessionContents:
 
     @property
     def root(self) -> str:
-        """Root of the fullest tree: the target frame of the main 3-D view."""
+        """Root of the first of ``trees``: the target frame of the main 3-D view."""
         return next(iter(self.trees()), self.root_of(self.base_frame))
 
     def frames_of(self, root: str) -> list[str]:
-        """Entity paths of the frames below a root, for their axes."""
+        """Return the entity paths of the frames below a root, for their axes."""
         return [path for child, path in self.frames.items() if self.root_of(child) == root]
 
     @property
     def seconds(self) -> float:
-        """From the first entry to the last."""
+        """Seconds from the first entry to the last."""
         return (self.last_ns - self.first_ns) / NS_PER_S
 
 
-#: How much a picture counts where trees compete for the main view.
+#: Weights of kinds: the tree with the largest sum gets the main view.
 _WEIGHTS = {
     EntityKind.CLOUD: 5,
     EntityKind.VOLUME: 5,
@@ -203,15 +202,15 @@ _WEIGHTS = {
     EntityKind.POSES: 2,
 }
 
-#: What stands for itself in one part of an entity path; the rest becomes ``_``, so that no tool needs escapes.
+#: Characters that stay in a part of an entity path; all others become ``_``, so that nothing needs escapes.
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-.")
 
 
 def escape_path_part(name: str) -> str:
-    """A name as one part of an entity path."""
+    """Return a name as one part of an entity path."""
     return "".join(sign if sign in _PLAIN else "_" for sign in name) or "unnamed"
 
 
 def path_of(topic: str) -> str:
-    """Entity path of a topic or stream: ``/star/cloud`` → ``star/cloud``."""
+    """Return the entity path of a topic or stream: ``/star/cloud`` → ``star/cloud``."""
     return "/".join(escape_path_part(part) for part in topic.split("/") if part) or "unnamed"

@@ -1,6 +1,6 @@
-"""Where the eye of a 3-D view is put: such that what the view shows fills it, from the side that people look from.
+"""The eye of a 3-D view: its position is chosen so that the contents fill the view, from a usual direction.
 
-Everything is told by the boxes of ``SessionContents`` and by the last places of their frames.  Lengths are metres.
+The inputs are the bounding boxes in ``SessionContents`` and the latest poses of their frames.  Lengths are in metres.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ _BODIES = {EntityKind.CLOUD, EntityKind.MESH, EntityKind.VOLUME}
 _HALF_HEIGHT, _HALF_WIDTH = (
     math.radians(25),
     math.radians(30),
-)  #: half of what a 3-D view of rerun takes in, a narrow one
-_ROOM, _MORE_ROOM = 0.88, 1.2  #: boxes are seldom filled to their corners, but the way of a tool ends in them
-_SPOT_M, _FROM_SPOT_M = 0.01, 0.1  #: what is smaller, as a single tool, is looked at from there
-#: From what is seen to the eye: in a camera's frame (REP 103: x right, y down, z forward), and in others (z up).
+)  #: half of the opening angle of a narrow 3-D view of rerun
+_ROOM, _MORE_ROOM = 0.88, 1.2  #: boxes are seldom filled to their corners, but trails end in them
+_SPOT_M, _FROM_SPOT_M = 0.01, 0.1  #: smaller contents, such as a single tool, and the distance of the eye from them
+#: Direction from the subject to the eye: in a camera frame (REP 103: x right, y down, z forward); in others (z up).
 _FROM_CAMERA, _FROM_ABOVE = (0.2, 0.5, -0.85), (0.55, -0.65, 0.52)
-_BESIDE, _ABOVE, _BEFORE = 0.7, 0.35, 0.6  #: the same for pictures with a place
+_BESIDE, _ABOVE, _BEFORE = 0.7, 0.35, 0.6  #: the same for images with a pose
 
 
 @dataclass(frozen=True, slots=True)
 class Eye:
-    """Where the eye is, what it looks at, and the direction that is up there; metres in the frame of the view."""
+    """Position of the eye, the point that it looks at, and the up direction; metres in the frame of the view."""
 
     place: Xyz
     target: Xyz
@@ -37,20 +37,20 @@ class Eye:
 
 
 def eye_of(seen: SessionContents, tree: list[ShownTopic], frame: str, *, camera: bool) -> Eye | None:
-    """The eye for a view of ``tree`` in ``frame``; None where nothing has a box.
+    """Return the eye for a view of ``tree`` in ``frame``; None if nothing has a box.
 
     Args:
         seen: the session.
-        tree: what the view shows.
+        tree: the contents of the view.
         frame: target frame of the view.
-        camera: whether that is a camera's: seen from beside the camera.  Where there is a picture with a place, it is
-            seen from before it, its top up; else from the front right above.
+        camera: whether ``frame`` is a camera frame: then the eye is beside the camera.  If there is an image with a
+            pose, the eye is in front of it with its top up; else at the front right, above.
     """
     corners = _corners(seen, tree, frame)
     if not corners:
         return None
     way, up = _look(seen, tree, frame, camera)
-    axes = (_unit(_cross(up, way)), _unit(_cross(way, _cross(up, way))), way)  # to the right, above, towards the eye
+    axes = (_unit(_cross(up, way)), _unit(_cross(way, _cross(up, way))), way)  # right, up, towards the eye
     places = [[_dot(corner, axis) for axis in axes] for corner in corners]
     middle = [(min(along) + max(along)) / 2 for along in zip(*places, strict=True)]
     room = _ROOM if any(shown.what in _BODIES or shown.what is EntityKind.LINES for shown in tree) else _MORE_ROOM
@@ -66,7 +66,7 @@ def eye_of(seen: SessionContents, tree: list[ShownTopic], frame: str, *, camera:
 
 
 def _look(seen: SessionContents, tree: list[ShownTopic], frame: str, camera: bool) -> tuple[Xyz, Xyz]:
-    """From what is seen to the eye, and what is up there; of length 1."""
+    """Return the direction from the subject to the eye and the up direction, unit vectors."""
     if camera:
         return _unit(_FROM_CAMERA), (0.0, -1.0, 0.0)
     for shown in tree:
@@ -78,7 +78,7 @@ def _look(seen: SessionContents, tree: list[ShownTopic], frame: str, camera: boo
 
 
 def _corners(seen: SessionContents, tree: list[ShownTopic], frame: str) -> list[Xyz]:
-    """Of all boxes, in that frame; where there is a body, tools and robots that come to it are not counted."""
+    """Return the corners of all boxes in ``frame``; if there is a body, tools and robots do not count."""
     boxed = [shown for shown in tree if shown.low is not None and shown.high is not None]
     bodies = {shown.frame for shown in boxed if shown.what in _BODIES}
     if bodies and not any(shown.what is EntityKind.PLANE for shown in boxed):
@@ -91,7 +91,7 @@ def _corners(seen: SessionContents, tree: list[ShownTopic], frame: str) -> list[
 
 
 def _moved(seen: SessionContents, source: str, target: str, point: Sequence[float], *, turn_only: bool = False) -> Xyz:
-    """A point (or a direction) of one frame in another one of the same tree, by the last places of both."""
+    """Transform a point (or a direction) between two frames of one tree, by the latest poses."""
     x, y, z = point
     for place in seen.way_to_root(source):
         x, y, z = _turned((x, y, z), place[3:])

@@ -1,4 +1,4 @@
-"""Legends inside a 3-D view: the colours of a scale with its numbers and unit, and the sides of a patient."""
+"""Legends in a 3-D view: colour scales with numbers and units, and the sides of the patient."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Array = npt.NDArray[Any]
 
 _STEPS = 32
 _TICKS = 3
-_GAP, _THICK = 0.13, 0.012  #: of the box's diagonal: from box to bar, and half the bar's thickness
+_GAP, _THICK = 0.13, 0.012  #: fractions of the box diagonal: gap between box and bar, half the bar thickness
 _LETTER = 0xFFFFFFFF
 _DOT_M = 0.0005
-#: Positive and negative side of each axis of the patient's frame: right, anterior, superior.
+#: Letters of the positive and negative side of each axis: right, anterior, superior.
 _SIDES = ("RL", "AP", "SI")
 
 
@@ -28,11 +28,11 @@ def scale_text(name: str, low: float, high: float, unit: str) -> str:
 
 
 def scale_bar(name: str, low: float, high: float, unit: str, box: tuple[Xyz, Xyz]) -> tuple[rr.LineStrips3D, ...]:
-    """The colours from ``low`` to ``high`` as a bar along x, beside the corners ``box`` of what is coloured.
+    """Return a bar along x with the colours from ``low`` to ``high``, beside the coloured ``box``.
 
-    It is at the largest y and the smallest z: for a camera's optical frame below, and before it.
+    The bar is at the largest y and the smallest z: in an optical camera frame that is below and in front.
 
-    Returns the bar and its labels, for two entities: labels of a bar are in its middle.
+    Returns the bar and its labels for two entities, because rerun puts labels into the middle of a bar.
     """
     near, far = np.asarray(box[0], np.float64), np.asarray(box[1], np.float64)
     size = float(np.linalg.norm(far - near)) or 0.01
@@ -60,13 +60,13 @@ def scale_bar(name: str, low: float, high: float, unit: str, box: tuple[Xyz, Xyz
 
 
 def side(direction: Array) -> str:
-    """The side of the patient that a direction (right, anterior, superior) runs to: R, L, A, P, S or I."""
+    """Return the side of the patient that a direction (right, anterior, superior) points to: R, L, A, P, S or I."""
     axis = int(np.argmax(np.abs(direction)))
     return _SIDES[axis][0 if direction[axis] > 0 else 1]
 
 
 def picture_sides(width: int, height: int, right: Array, down: Array) -> rr.Points2D:
-    """Letters at the middle of the four sides of a picture whose axes run in these directions of the patient."""
+    """Return letters at the four sides of an image whose axes have these directions in the patient frame."""
     margin = 0.03 * min(width, height)
     places = (
         ((width - margin, height / 2), side(right)),
@@ -84,11 +84,11 @@ def picture_sides(width: int, height: int, right: Array, down: Array) -> rr.Poin
 
 
 def box_sides(corners: Array, directions: Array) -> rr.Points3D:
-    """Letters at the middle of the six faces of a volume.
+    """Return letters at the centres of the six faces of a volume.
 
     Args:
         corners: (8, 3) corners, metres.
-        directions: (3, 3), a row each for the direction of i, j, k.
+        directions: (3, 3), one row for the direction of each of i, j, k.
     """
     middle = corners.mean(axis=0)
     places, letters = [], []

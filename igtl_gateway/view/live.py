@@ -1,7 +1,7 @@
-"""A live view: a sink of the hub's entries that never makes the hub wait.
+"""A live view: a sink for the entries of the hub that never blocks the hub.
 
-The sink puts entries into a bounded queue; a thread of its own draws them and sends what it has several times a
-second.  What the queue cannot hold is dropped, counted, and told in the picture's own log as a gap.
+The sink puts entries into a bounded queue.  A separate thread draws them and sends the result several times a
+second.  Entries that do not fit into the queue are dropped, counted, and shown as a gap in the log of the view.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ _LAST_S = 5.0
 
 
 class LiveView:
-    """Call it with every entry; ``close`` it at the end.
+    """A sink: call it with every entry, and ``close`` it at the end.
 
     Args:
-        recording: the stream to draw into; its sink is the caller's.
-        base_frame: of the session.
-        options: how to draw.
-        through: a gateway that says what OpenIGTLink messages become, where the session's own does not (a relay's).
-        name: of the blueprint; "" = chosen by what is there, anew as more appears.
-        max_entries, max_bytes: bounds of the queue.
+        recording: the stream to draw into; the caller sets its sink.
+        base_frame: base frame of the session.
+        options: options for drawing.
+        through: a gateway that converts OpenIGTLink messages, for sessions of a relay, which converts none.
+        name: name of the blueprint; "" = chosen by the contents, again when new topics appear.
+        max_entries, max_bytes: limits of the queue.
 
     Attributes:
-        dropped: entries that were not drawn.
-        failure: why nothing is drawn any more; "" while all is well.
+        dropped: number of entries that were not drawn.
+        failure: why drawing has stopped; "" while it works.
     """
 
     def __init__(
@@ -62,15 +62,15 @@ class LiveView:
         self._max_entries, self._max_bytes = max_entries, max_bytes
         self._queue: deque[Entry] = deque()
         self._bytes = 0
-        self._shedding = False  # the queue was full: nothing is taken until it is empty, so that a flood is one gap
-        self._arranged = 0  # topics when the blueprint was sent last
+        self._shedding = False  # after a full queue nothing is taken until it is empty, so that a flood is one gap
+        self._arranged = 0  # number of topics when the blueprint was last sent
         self._wake = threading.Condition()
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="igtl-view", daemon=True)
         self._thread.start()
 
     def __call__(self, entry: Entry) -> None:
-        """Take an entry, or drop it; returns at once."""
+        """Queue an entry, or drop it; never blocks."""
         with self._wake:
             full = len(self._queue) >= self._max_entries or self._bytes + entry.size > self._max_bytes
             self._shedding = self._shedding or full
@@ -81,7 +81,7 @@ class LiveView:
             self._bytes += entry.size
 
     def close(self) -> None:
-        """Draw what waits, and end."""
+        """Draw the queued entries, then stop."""
         with self._wake:
             self._stopping = True
             self._wake.notify()
@@ -101,8 +101,8 @@ class LiveView:
                 if stopping:
                     self._view.finish()
                     self._arrange()
-                    self._recording.flush(timeout_sec=_LAST_S)  # a viewer that was closed takes nothing any more
-            except Exception as error:  # a defect of ours must not cost the bridge more than its picture
+                    self._recording.flush(timeout_sec=_LAST_S)  # a closed viewer accepts no data
+            except Exception as error:  # an internal error must stop the view only, not the bridge
                 with self._wake:
                     self.failure = f"{type(error).__name__}: {error}"
                     self.dropped += len(self._queue)
@@ -112,7 +112,7 @@ class LiveView:
                 return
 
     def _draw(self) -> None:
-        """Everything that waits; what was dropped shows as a gap in the numbers of the entries."""
+        """Draw all queued entries; dropped entries show as a gap in the entry numbers."""
         for _ in range(self._max_entries):
             with self._wake:
                 if not self._queue:
@@ -128,7 +128,7 @@ class LiveView:
         self._view.flush()
 
     def _arrange(self) -> None:
-        """Send the blueprint again if there is more to see than before."""
+        """Send the blueprint again if there are new topics."""
         seen = self._view.seen
         if len(seen.shown) > self._arranged:
             self._arranged = len(seen.shown)
@@ -136,9 +136,9 @@ class LiveView:
 
 
 class LiveWindow:
-    """A viewer's window on a running session: a sink that opens it and ends with it.
+    """A window of the viewer for a running session: a sink that opens the window and closes it at the end.
 
-    Raises ViewerError where there is no screen or no viewer.
+    Raises ViewerError if there is no screen or no viewer.
     """
 
     def __init__(self, config: Config) -> None:
@@ -152,18 +152,18 @@ class LiveWindow:
         self._view = LiveView(self._recording, config.base_frame, through=through)
 
     def __call__(self, entry: Entry) -> None:
-        """Take an entry; does nothing once the user has closed the window."""
+        """Draw an entry; does nothing after the user has closed the window."""
         if not self._viewer.ended:
             self._view(entry)
 
     def close(self) -> str:
-        """End the drawing and close the window.  What went wrong, "" if nothing."""
-        closed = self._viewer.ended  # by the user: nothing is wrong, and nobody reads what is sent
+        """Stop drawing and close the window; return what failed, "" for nothing."""
+        closed = self._viewer.ended  # by the user: not a failure, and nothing reads the stream
         self._view.close()
         if not closed:
-            self._recording.disconnect()  # before the viewer goes, or rerun complains of it
+            self._recording.disconnect()  # before the viewer exits, or rerun logs an error
         told = [self._view.failure] if self._view.failure and not closed else []
         if self._view.dropped:
-            told.append(f"{self._view.dropped:,} entries were too many to be drawn")
+            told.append(f"{self._view.dropped:,} entries were dropped: the viewer was too slow")
         self._viewer.close()
         return "; ".join(told)

@@ -1,4 +1,4 @@
-"""Numbers: plots over time, bars, tensors."""
+"""Numbers: plots over time, bar charts, tensors."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from igtl_gateway.view.contents import EntityKind
 from igtl_gateway.view.other_msgs import Float64, WrenchStamped
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS
 
-#: So many numbers are curves; more of them are bars.
+#: Up to this many numbers are curves; more numbers are a bar chart.
 _CURVES = 16
 _WRENCH = (*(f"force {axis} (N)" for axis in "xyz"), *(f"torque {axis} (Nm)" for axis in "xyz"))
-#: Units of joints that turn, and of those that slide: which one is which the message does not say.
+#: Units of revolute and of prismatic joints: the message does not state the kind of a joint.
 _JOINTS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "Nm or N"}
 
 
 def draw_joints(message: JointState, canvas: Canvas) -> None:
-    """sensor_msgs/JointState: positions at the topic's path, velocities and efforts below it."""
+    """sensor_msgs/JointState: positions at the path of the topic, velocities and efforts below it."""
     for (what, unit), values in zip(_JOINTS.items(), (message.position, message.velocity, message.effort), strict=True):
         names = [f"{name} ({unit})" for name in message.name]
         _curves(canvas, values.tolist(), names, "" if what == "position" else what)
@@ -56,14 +56,16 @@ def draw_multi_array(message: MultiArray, canvas: Canvas) -> None:
 
 
 def draw_array(message: NdArray, canvas: Canvas) -> None:
-    """igtl_msgs/NdArray; of complex numbers the magnitude."""
+    """igtl_msgs/NdArray; complex numbers are drawn by their magnitude."""
     code = NDARRAY_SCALARS.get(message.scalar_type)
     if code is None:
-        raise ConversionError(f"{message.TYPE}: found scalar type {message.scalar_type}, which has no picture")
+        raise ConversionError(
+            f"{message.TYPE}: found scalar type {message.scalar_type}, expected one that can be drawn"
+        )
     dtype = np.dtype(("<" if not message.is_bigendian else ">") + code[1:])
     values = np.frombuffer(message.data, dtype)
     if dtype.kind == "c":
-        canvas.once("complex numbers are shown by their magnitude")
+        canvas.once("complex numbers are drawn by their magnitude")
         values = np.abs(values)
     _array(values, message.size.tolist(), canvas)
 
@@ -83,7 +85,7 @@ def _array(values: npt.NDArray[Any], sizes: Sequence[int], canvas: Canvas) -> No
 
 
 def _curves(canvas: Canvas, values: Sequence[float], names: Sequence[str] = (), child: str = "") -> None:
-    """A curve for each value; messages of other lengths than the first have curves of their own, ``<length>``."""
+    """Draw a curve for each value; a message whose length differs from the first gets separate curves, ``<length>``."""
     if not values:
         return
     if canvas.memory.setdefault(f"curves {child}", len(values)) != len(values):

@@ -1,4 +1,4 @@
-"""Messages that the gateway does not convert, but that have a picture: read only, and only what is drawn."""
+"""Messages that the gateway does not convert but the viewer draws: only the drawn fields are read."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class WrenchStamped(Struct):
 
 @dataclass(frozen=True, slots=True)
 class Log(Struct):
-    """rcl_interfaces/msg/Log, what nodes say on /rosout; where in their source is left unread."""
+    """rcl_interfaces/msg/Log, the log messages of nodes on /rosout; file, function and line are not read."""
 
     TYPE: ClassVar[str] = "rcl_interfaces/msg/Log"
     FIELDS: ClassVar[tuple[CdrType, ...]] = (TIME, UINT8, STRING, STRING)
@@ -71,7 +71,7 @@ class Log(Struct):
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo(Struct):
-    """sensor_msgs/msg/CameraInfo; binning and region of interest are left unread."""
+    """sensor_msgs/msg/CameraInfo; binning and region of interest are not read."""
 
     TYPE: ClassVar[str] = "sensor_msgs/msg/CameraInfo"
     FIELDS: ClassVar[tuple[CdrType, ...]] = (
@@ -99,13 +99,13 @@ class MarkerArray:
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        """From CDR bytes.  Raises ConversionError."""
+        """Unpack CDR bytes.  Raises ConversionError."""
         read = CdrReader(cdr, cls.TYPE)
         return cls(tuple(_marker(read) for _ in range(read.count())))
 
 
 def _marker(read: CdrReader) -> Marker:
-    """The next of several markers; as ``Marker.unpack``, but to the very end of it."""
+    """Read the next marker of several: as ``Marker.unpack``, but including the fields that are not drawn."""
     header, ns = Header.read(read), read.string()
     marker_id, kind, action = read.unpack("iii", 4)
     pose, color = read.unpack("10d", 8), read.unpack("4f", 4)

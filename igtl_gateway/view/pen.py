@@ -1,7 +1,7 @@
-"""Where pictures are drawn: a rerun recording stream, the time lines, and columns for what comes by the thousand.
+"""The pen: writes to a rerun recording stream, with time lines, and with columns for frequent rows.
 
-A call of ``rerun.log`` costs some 100 µs, nothing for a cloud but a lot for a pose: poses and numbers are gathered and
-sent as columns, a hundred times cheaper.
+A call of ``rerun.log`` costs about 100 µs: little for a cloud, too much for a pose.  Poses and numbers are collected
+and sent as columns, which costs a hundredth.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from igtl_gateway.session.entry import Entry
 from igtl_gateway.view.colours import INFO
 from igtl_gateway.view.contents import PLACES
 
-#: The time lines: gateway time, the sender's own stamp (where it set one), and the entry number.
+#: The time lines: gateway time, the source stamp (if the sender set one), and the entry number.
 GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"
 
-#: The last time of a time line, UTC nanoseconds: 2116.
+#: The largest time on a time line, UTC nanoseconds: in the year 2116.
 LAST_NS = 1 << 62
 
 MAX_ENTITIES = 20_000
 
-#: Rows of one entity that are gathered before they are sent.
+#: Number of rows of one entity that are collected before they are sent.
 _ROWS = 2048
 
 Xyz = Sequence[float]
@@ -35,14 +35,14 @@ Xyz = Sequence[float]
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where a frame is.
+    """The pose of a frame.
 
     Attributes:
-        parent: the frame that it is given in.
-        child: the frame itself, which labels the axes; "" = the entity's own, without a label.
-        xyz: metres.
+        parent: the parent frame.
+        child: the frame, which labels the axes; "" = the implicit frame of the entity, without a label.
+        xyz: position in metres.
         quaternion: x, y, z, w.
-        axis_m: length of the axes, metres.
+        axis_m: length of the axes in metres.
     """
 
     parent: str
@@ -52,22 +52,22 @@ class Pose:
     axis_m: float
 
 
-#: All but the Latin, Greek and Cyrillic letters and the signs of the one font that rerun's viewer brings.
+#: Characters that the built-in font of the rerun viewer does not have: all but Latin, Greek, Cyrillic and some signs.
 _STRANGE = re.compile(r"[^\n\t\x20-\u024f\u0370-\u052f\u2010-\u2026\u20ac\u2190-\u2193\u2212\u2260\u2264\u2265]")
 
-#: How Python holds a byte that is no UTF-8.
+#: Surrogates: how Python represents bytes that are not UTF-8.
 _NO_TEXT = re.compile("[\ud800-\udfff]")
 
 
 @dataclass(slots=True)
 class _Column:
-    """Rows of one entity that wait: entry number, gateway time, sender's time (0 = none), values."""
+    """Collected rows of one entity: entry number, gateway time, source stamp (0 = unset), values."""
 
     rows: list[tuple[int, int, int, Any]] = field(default_factory=list)
 
 
 class Pen:
-    """Draws into one recording; every row carries the times of the entry that was last given to ``at``."""
+    """Draws into one recording; each row has the times of the entry that was last passed to ``at``."""
 
     def __init__(self, recording: rr.RecordingStream, *, plain: bool = False) -> None:
         self.recording = recording
@@ -75,21 +75,21 @@ class Pen:
         recording.set_log_time_enabled(False)
         recording.set_log_tick_enabled(False)
         self.number = self.stamp_ns = self.source_ns = 0
-        self.owners: dict[str, str] = {}  # frame → topic that tells where it is
-        self.cameras: set[str] = set()  # frames that have a pinhole
+        self.owners: dict[str, str] = {}  # frame → topic that publishes its pose
+        self.cameras: set[str] = set()  # frames with a pinhole
         self._told: tuple[int, int, int] | None = None
         self._waiting: dict[tuple[str, str], _Column] = {}
         self._paths: set[str] = set()
         self._placed: set[str] = set()
 
     def claim(self, path: str) -> str:
-        """``path`` for an entity, or where another one has it already ``<path>_2`` and so on.
+        """Return ``path`` for a new entity, or ``<path>_2`` and so on if it is taken.
 
-        Raises ConversionError where there are too many entities for a viewer: whoever invents names must not cost
-        more memory than that.
+        Raises ConversionError above the maximum number of entities: a sender that invents names must not exhaust
+        the memory of the viewer.
         """
         if len(self._paths) >= MAX_ENTITIES:
-            raise ConversionError(f"found more than {MAX_ENTITIES:,} things to draw, expected fewer names")
+            raise ConversionError(f"found more than {MAX_ENTITIES:,} entities, expected fewer names")
         free, number = path, 2
         while free in self._paths:
             free, number = f"{path}_{number}", number + 1
@@ -97,68 +97,68 @@ class Pen:
         return free
 
     def stand(self, path: str, frame: str) -> None:
-        """Say at the first call that the entity is in ``frame`` until its first row says so.
+        """On the first call, log statically that the entity is in ``frame``; its rows replace that later.
 
-        A view reports an error for entities that nothing connects with its own frame, even where they have nothing to
-        draw yet.  What is static hides all rows of the same component, so it must not be at the entity: another one
-        says where the entity's implicit frame is (``Transform3D.child_frame``: "you may first mention a child frame on
-        one entity statically and later on another one temporally").
+        A view reports an error for an entity that no transform connects with the frame of the view, even before its
+        first row.  Static data hides all rows of the same component, so it must not be at the entity itself: another
+        entity places its implicit frame (rerun allows that a child frame is first mentioned statically at one entity
+        and later temporally at another: ``Transform3D.child_frame``).
         """
         if path not in self._placed:
             self._placed.add(path)
             self.static(f"{PLACES}/{path}", rr.Transform3D(parent_frame=frame, child_frame=f"tf#/{path}"))
 
     def begin(self, path: str, pose: Pose) -> None:
-        """Say at the first call that a frame is at its first pose before that, too: what is drawn in it needs one."""
+        """On the first call, log the first pose of a frame for all earlier times, too: its contents need one."""
         place = f"{PLACES}/{path}/frame"
         if place not in self._placed:
             self._placed.add(place)
             self.static(place, _transform(pose))
 
     def at(self, entry: Entry) -> None:
-        """What is drawn from now on belongs to this entry; a time of it that is ``timeless`` is not told."""
+        """Set the times of the following rows from this entry; a ``timeless`` stamp is left out."""
         self.number = entry.seq
         self.stamp_ns = 0 if timeless(entry.stamp_ns) else entry.stamp_ns
         self.source_ns = 0 if timeless(entry.source_ns) else entry.source_ns
 
     def log(self, path: str, *archetypes: rr.AsComponents) -> None:
-        """One row at once; all components of it on the same row."""
+        """Send one row immediately, with all its components."""
         self._set_time()
         self.recording.log(path, *archetypes)
 
     def static(self, path: str, *archetypes: rr.AsComponents) -> None:
-        """What holds at all times."""
+        """Send static data."""
         self.recording.log(path, *archetypes, static=True)
 
     def pose(self, path: str, pose: Pose) -> None:
-        """A row of axes."""
+        """Add a row with axes."""
         self._wait((path, "named pose" if pose.child else "pose"), pose)
 
     def static_pose(self, path: str, pose: Pose) -> None:
-        """Axes at all times."""
+        """Send static axes."""
         axes = rr.TransformAxes3D(pose.axis_m, show_frame=True)
         self.static(path, rr.CoordinateFrame(pose.child), axes, _transform(pose))
 
     def numbers(self, path: str, values: Sequence[float]) -> None:
-        """One value each of several series, NaN where one has none."""
+        """Add one value to each of several series, NaN for none."""
         self._wait((path, f"numbers {len(values)}"), values)
 
     def text(self, path: str, text: str, level: str, colour: int | None = None) -> None:
-        """A line of a log."""
-        # a line without a colour would be shown in that of the line before
+        """Write a line to a log."""
+        # rerun gives a line without a colour that of the previous line
         self.log(path, rr.TextLog(self.letters(text), level=level, color=INFO if colour is None else colour))
 
     def letters(self, text: str) -> str:
-        """A text as it is, or, of a ``plain`` pen, with escapes for letters that not every viewer can draw."""
+        """Return the text; a ``plain`` pen escapes the characters that a headless viewer cannot draw."""
         text = valid(text)
         return _STRANGE.sub(lambda found: found[0].encode("unicode_escape").decode(), text) if self._plain else text
 
     def fields(self, path: str, **values: Any) -> None:
-        """A row without picture: fields for the selection panel."""
+        """Add a row with fields for the selection panel, without a drawing."""
         self.log(path, rr.AnyValues(**values))
 
     def flush(self) -> None:
-        """Send what was gathered."""
+        """Send the collected rows."""
         for key, column in self._waiting.items():
             if column.rows:
                 self._send(key, column)
@@ -190,7 +190,7 @@ class Pen:
         for row in column.rows:
             groups.setdefault((row[1] > 0, row[2] > 0), []).append(row)
         column.rows.clear()
-        for rows in groups.values():  # all rows of a chunk have the same time lines
+        for rows in groups.values():  # all rows of a chunk must have the same time lines
             self.recording.send_columns(path, _times(rows), make([row[3] for row in rows]))
 
 
@@ -205,12 +205,12 @@ def _transform(pose: Pose) -> rr.Transform3D:
 
 
 def valid(text: str) -> str:
-    """A text without bytes that are no UTF-8: one of them would cost rerun the whole column that it stands in."""
+    """Replace bytes that are not UTF-8: rerun would reject the whole column."""
     return text if text.isascii() else _NO_TEXT.sub("\ufffd", text)
 
 
 def timeless(time_ns: int) -> bool:
-    """Whether a stamp in UTC nanoseconds is unset, or of a year that no time line shows (before 1970, after 2116)."""
+    """Return whether a UTC stamp in nanoseconds is unset or outside the time lines (1970 to 2116)."""
     return not 0 < time_ns <= LAST_NS
 
 

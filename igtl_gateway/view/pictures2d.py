@@ -1,4 +1,4 @@
-"""Images and video: every encoding of ROS upright and in its colours."""
+"""Images and video: every encoding of ROS, upright and in the right colours."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _WORDS = re.compile("[a-z0-9]+")
 _ALIASES = {"avc": "h264", "hevc": "h265", "vp90": "vp9", "av10": "av1"}
 _COLOUR_PLANES = (3, 4)
 _MAP_UINT16, _MAP_RGB = 5, 19
-_STRIP = 32  #: height of a colour table's picture
+_STRIP = 32  #: height of the image of a colour table, in pixels
 
 
 def draw_image(message: Image, canvas: Canvas) -> None:
@@ -61,7 +61,7 @@ def draw_image(message: Image, canvas: Canvas) -> None:
 
 
 def image_archetype(message: Image, canvas: Canvas) -> rr.Image:
-    """The archetype of an image.  Raises ConversionError for encodings that nobody knows."""
+    """Return the archetype of an image.  Raises ConversionError for an unknown encoding."""
     encoding, width, height = message.encoding.lower(), message.width, message.height
     if encoding in _PIXEL_FORMATS:
         pixel_format, octets = _PIXEL_FORMATS[encoding]
@@ -82,21 +82,21 @@ def image_archetype(message: Image, canvas: Canvas) -> rr.Image:
         channels = int(opencv[2] or 1)
         pixels = _rows(message, _DTYPES[opencv[1]], channels)
         if channels in _COLOUR_PLANES:
-            # OpenCV's names do not say the order; the gateway's own are RGB, as OpenIGTLink's
+            # OpenCV's names do not state the order; the gateway uses RGB for them, as OpenIGTLink does
             return image_of_pixels(_eight_bits(pixels), _MODELS[channels])
         if channels > 1:
-            canvas.once(f"{message.encoding} is shown by its first component")
+            canvas.once(f"{message.encoding} is drawn by its first component")
         return grey(pixels[..., 0])
-    raise ConversionError(f"{message.TYPE}: found encoding {message.encoding!r}, which has no picture")
+    raise ConversionError(f"{message.TYPE}: found encoding {message.encoding!r}, expected one that can be drawn")
 
 
 def grey(pixels: Array) -> rr.Image:
-    """One component; the viewer finds the range of what has more than 8 bits."""
+    """Draw one component; the viewer chooses the range of pixels with more than 8 bits."""
     return image_of_pixels(windowed(pixels) if pixels.dtype.kind == "i" else pixels, rr.ColorModel.L)
 
 
 def image_of_pixels(pixels: Array, model: rr.ColorModel) -> rr.Image:
-    """(height, width) or (height, width, channels) pixels; rerun's own guess of the shape fails for single rows."""
+    """(height, width) or (height, width, channels) pixels; rerun guesses the wrong shape for single rows."""
     height, width = pixels.shape[:2]
     return rr.Image(
         bytes=np.ascontiguousarray(pixels).tobytes(),
@@ -108,7 +108,7 @@ def image_of_pixels(pixels: Array, model: rr.ColorModel) -> rr.Image:
 
 
 def windowed(pixels: Array) -> Array:
-    """Numbers as 8 bits, from the 1st to the 99th percentile: what radiologists call a window."""
+    """Scale numbers to 8 bits, from the 1st to the 99th percentile (a radiological window)."""
     low, high = span(pixels.reshape(-1)[:: max(pixels.size // 100_000, 1)])
     spread = high - low or 1.0
     scaled = np.clip((pixels.astype(np.float32) - np.float32(low)) * np.float32(255.0 / spread), 0, 255)
@@ -117,7 +117,7 @@ def windowed(pixels: Array) -> Array:
 
 
 def demosaiced(mosaic: Array, pattern: str) -> Array:
-    """A Bayer mosaic as 8-bit RGB: each cell of 2 × 2 pixels gets the colours of its own."""
+    """Convert a Bayer mosaic to 8-bit RGB: all pixels of a 2 × 2 cell get the colours of the cell."""
     if mosaic.dtype != np.uint8:
         mosaic = (mosaic >> 8).astype(np.uint8)
     height, width = mosaic.shape[0] & ~1, mosaic.shape[1] & ~1
@@ -147,7 +147,7 @@ def draw_compressed_video(message: CompressedVideo, canvas: Canvas) -> None:
 
 
 def draw_video_frame(message: VideoFrame, canvas: Canvas) -> None:
-    """igtl_msgs/VideoFrame; raw pictures (I420) are drawn as images."""
+    """igtl_msgs/VideoFrame; raw frames (I420) are drawn as images."""
     canvas.frame(message.header.frame_id)
     width, height, _ = message.size
     if message.codec == "I420":
@@ -163,14 +163,16 @@ def draw_video_frame(message: VideoFrame, canvas: Canvas) -> None:
 
 
 def draw_camera(message: CameraInfo, canvas: Canvas) -> None:
-    """sensor_msgs/CameraInfo: a pinhole in its frame; later pictures of this frame are drawn in it."""
+    """sensor_msgs/CameraInfo: a pinhole in its frame; later images with this frame are drawn in it."""
     frame = canvas.frame(message.header.frame_id)
     canvas.shown.width, canvas.shown.height = message.width, message.height
     matrix = np.array(message.k).reshape(3, 3)
     if not matrix[0, 0] > 0 or not matrix[1, 1] > 0 or not message.width or not message.height:
-        raise ConversionError(f"{message.TYPE}: found focal lengths {message.k[0]:g}, {message.k[4]:g}, expected some")
+        raise ConversionError(
+            f"{message.TYPE}: found focal lengths {message.k[0]:g} and {message.k[4]:g}, expected others"
+        )
     if canvas.pen.owners.setdefault(f"{frame}/image", canvas.shown.path) != canvas.shown.path:
-        canvas.once(f"frame {frame} has a camera already")
+        canvas.once(f"frame {frame} already has a camera")
         return
     pinhole = rr.Pinhole(
         image_from_camera=matrix,
@@ -182,12 +184,12 @@ def draw_camera(message: CameraInfo, canvas: Canvas) -> None:
     )
     if frame not in canvas.pen.cameras:
         canvas.pen.cameras.add(frame)
-        canvas.pen.static(f"{PLACES}/{canvas.shown.path}", pinhole)  # a view that has no camera yet reports an error
+        canvas.pen.static(f"{PLACES}/{canvas.shown.path}", pinhole)  # a view without a camera reports an error
     canvas.log(pinhole)
 
 
 def draw_color_table(message: ColorTable, canvas: Canvas) -> None:
-    """igtl_msgs/ColorTable: the colours from index 0 at the left."""
+    """igtl_msgs/ColorTable: the colours, with index 0 at the left."""
     if message.map_type == _MAP_RGB:
         row = np.frombuffer(message.table, np.uint8)
         row = row[: row.size // 3 * 3].reshape(1, -1, 3)
@@ -205,19 +207,19 @@ def _draw_video(canvas: Canvas, words: list[str], data: Buffer) -> None:
     named = [_ALIASES.get(word, word) for word in words]
     name = next((word for word in named if word in _CODECS), None)
     if name is None:
-        raise ConversionError(f"{canvas.shown.ros_type}: found format {' '.join(words)!r}, which has no picture")
+        raise ConversionError(f"{canvas.shown.ros_type}: found format {' '.join(words)!r}, expected one to draw")
     if size := frame_size(name, data):
         canvas.shown.width, canvas.shown.height = size
     key = is_key_frame(name, data)
     if key:
         canvas.memory["started"] = name
     if canvas.memory.get("started") != name:
-        raise ConversionError("a frame before the first key frame cannot be shown")
+        raise ConversionError("found a frame before the first key frame, expected a key frame")
     canvas.log(rr.VideoStream(_CODECS[name], sample=bytes(data), is_keyframe=key))
 
 
 def _rows(message: Image, kind: str, channels: int) -> Array:
-    """(height, width, channels) in native byte order, without what stands between the rows."""
+    """Return pixels (height, width, channels) in native byte order, without row padding."""
     dtype = np.dtype((">" if message.is_bigendian else "<") + kind)
     height, width = message.height, message.width
     row = width * channels * dtype.itemsize
@@ -234,7 +236,7 @@ def _rows(message: Image, kind: str, channels: int) -> Array:
 
 
 def _eight_bits(pixels: Array) -> Array:
-    """Colours as 8 bits: 16 bits lose the lower ones, fractions are 0 … 1, signed numbers are windowed."""
+    """Convert colours to 8 bits: the upper 8 of 16 bits; floats from 0 … 1; signed numbers by their window."""
     kind = pixels.dtype
     if kind == np.uint8:
         return np.ascontiguousarray(pixels)

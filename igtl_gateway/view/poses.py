@@ -1,4 +1,4 @@
-"""Tools and frames: axes with their trail, and the transform tree."""
+"""Tools and frames: axes with trails, and the transform tree."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.contents import escape_path_part
 
-_HUGE = 1e18  #: its square is a float32, too
+_HUGE = 1e18  #: its square fits into float32
 
 
 def draw_transform(message: TransformStamped, canvas: Canvas) -> None:
-    """geometry_msgs/TransformStamped: a tool at the topic's path, and its frame in the tree."""
+    """geometry_msgs/TransformStamped: a tool at the path of the topic, and its frame in the tree."""
     frame = canvas.frame(message.header.frame_id)
     _tool((*message.translation, *message.rotation), frame, canvas, "", message.child_frame_id)
 
@@ -32,14 +32,14 @@ def draw_poses(message: PoseArray, canvas: Canvas) -> None:
 
 
 def draw_tracking(message: TrackingData, canvas: Canvas) -> None:
-    """igtl_msgs/TrackingData: every tool by its name."""
+    """igtl_msgs/TrackingData: each tool under its name."""
     frame = canvas.frame(message.header.frame_id)
     for tool in message.tools:
         _tool(tool.pose, frame, canvas, escape_path_part(tool.name))
 
 
 def draw_tf(message: TFMessage, canvas: Canvas) -> None:
-    """tf2_msgs/TFMessage: edges of the tree."""
+    """tf2_msgs/TFMessage: edges of the transform tree."""
     for each in message.transforms:
         frame = canvas.frame(each.header.frame_id)
         if _is_pose(each.pose):
@@ -48,7 +48,7 @@ def draw_tf(message: TFMessage, canvas: Canvas) -> None:
 
 def _tool(pose: Sequence[float], frame: str, canvas: Canvas, child: str = "", child_frame: str = "") -> None:
     if not _is_pose(pose):
-        canvas.once(f"{child or 'the tool'} has no place: found {tuple(pose)}, expected a pose", f"place {child}")
+        canvas.once(f"{child or 'tool'}: found {tuple(pose)}, expected a pose", f"place {child}")
         return
     canvas.tool(pose, frame, child, labelled=not child_frame)
     canvas.reach(pose[:3])
@@ -57,5 +57,5 @@ def _tool(pose: Sequence[float], frame: str, canvas: Canvas, child: str = "", ch
 
 
 def _is_pose(pose: Sequence[float]) -> bool:
-    """Whether the numbers are finite, in float32 too, and the quaternion turns."""
+    """Return whether the numbers are finite in float32 and the quaternion is not zero."""
     return all(abs(part) < _HUGE for part in pose) and any(pose[3:])

@@ -1,4 +1,4 @@
-"""The review of a suture plan as pictures: the cloud by its depth noise, the stitches by their level, a table."""
+"""Views of a suture plan's review: the cloud by depth noise, the stitches by level, a table."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from igtl_gateway.view.legend import scale_bar
 from igtl_gateway.view.pen import Pen
 
 _COLOURS = {Level.OK: 0x66BB6AFF, Level.LOOK: 0xFFB300FF, Level.WRONG: 0xFF1744FF}
-#: Of the same, lighter: letters that can be read on a cloud.
+#: Lighter colours of the levels, for labels that are readable on a cloud.
 _LETTERS = {Level.LOOK: 0xFFECB3FF, Level.WRONG: 0xFFCDD2FF}
 _MARKS = {Level.OK: "ok", Level.LOOK: "look", Level.WRONG: "**wrong**"}
 _NAMES = f"{REVIEW_STITCHES}/names"
 _LINE_M = 0.0005
-#: Noise of the colour scale's red end, as multiple of the limit from which a place is to be looked at.
+#: Red end of the noise scale, as a multiple of the limit for the level LOOK.
 _RED = 2.0
-#: Distance from the plan of that scale's red end, in mm: some bites.
+#: Red end of the distance scale, in mm: a few bite lengths.
 _FAR_MM = 20.0
 
 
 def draw_review(review: Review, pen: Pen) -> dict[str, str]:
-    """Static cloud; stitches and table at the time of each version of the plan.  Clouds → what their colours mean."""
+    """Draw the clouds once, and stitches and table for each version of the plan; return cloud → colour scale."""
     cloud = review.cloud
     red_mm = review.thresholds.noise_mm * _RED
     points = rr.Points3D(
@@ -54,7 +54,7 @@ def draw_review(review: Review, pen: Pen) -> dict[str, str]:
 
 
 def _draw_legends(frame: str, review: Review, scales: dict[str, tuple[str, float, float, str]], pen: Pen) -> None:
-    """A bar of each scale, below what the stitches lie in: that is what their view shows."""
+    """Draw a bar for each scale below the box of the stitches, where their view looks."""
     stitches = [end.position for stitch in review.last.stitches for end in (stitch.entry, stitch.exit)]
     if not stitches:
         return
@@ -65,7 +65,7 @@ def _draw_legends(frame: str, review: Review, scales: dict[str, tuple[str, float
 
 
 def _by_distance(positions: npt.NDArray[np.float32], plan: PlanReview) -> rr.Points3D:
-    """The cloud by its distance from the nearest stitch."""
+    """Colour the cloud by its distance from the nearest stitch."""
     nearest = np.full(len(positions), np.inf)
     for stitch in plan.stitches:
         begin, end = np.array(stitch.entry.position), np.array(stitch.exit.position)
@@ -84,12 +84,12 @@ def _stitches(plan: PlanReview) -> rr.LineStrips3D:
         colors=np.array([_COLOURS[stitch.level] for stitch in plan.stitches], np.uint32),
         radii=[_LINE_M],
         labels=[_label(stitch) for stitch in plan.stitches],
-        show_labels=False,  # of all they would hide each other: when pointed at
+        show_labels=False,  # labels of all points would overlap: show one under the pointer
     )
 
 
 def _names(plan: PlanReview) -> rr.Points3D:
-    """Labels of what is not good, at the end of it that is further off."""
+    """Label the stitches that are not good, at the end that is further off the tissue."""
     named = [stitch for stitch in plan.stitches if stitch.level is not Level.OK]
     ends = [max((each.entry, each.exit), key=lambda end: abs(end.distance_mm or 0.0)) for each in named]
     return rr.Points3D(
@@ -102,7 +102,7 @@ def _names(plan: PlanReview) -> rr.Points3D:
 
 
 def _label(stitch: StitchReview) -> str:
-    """The number, and of what is not good how far it is off the tissue."""
+    """Return the number of a stitch and, if it is not good, its distance from the tissue."""
     if stitch.level is Level.OK:
         return stitch.label
     distances = [end.distance_mm for end in (stitch.entry, stitch.exit) if end.distance_mm is not None]
@@ -111,7 +111,7 @@ def _label(stitch: StitchReview) -> str:
 
 
 def _table(review: Review, plan: PlanReview, number: int, red_mm: float) -> str:
-    """The stitches for a surgeon, the worst first; why one is not good stands above the table, where lines wrap."""
+    """Return a table of the stitches, the worst first; reasons are above the table, where lines wrap."""
     lines = [
         f"**Plan {number} of {len(review.plans)}**, {plan.topic}: {len(plan.wrong)} of {len(plan.stitches)} stitches "
         "are wrong.",

@@ -1,8 +1,8 @@
-"""A session as a rerun recording: entries in, pictures out; what is there is told by ``SessionContents``.
+"""The view of a session: entries in, rows of a rerun recording out; ``SessionContents`` has the contents.
 
-Every message of ROS is one row at the entity of its topic, drawn by its row of ``table``; what an OpenIGTLink peer
-said is drawn as the ROS messages that it became.  Nothing is kept but the last seconds of trails and what waits in
-columns, so that the size of a session costs no memory.
+Each ROS message is one row at the entity of its topic, drawn by its row of ``table``.  An OpenIGTLink message is drawn
+as the ROS messages that it was converted to.  Only trails of a few seconds and collected columns are kept in memory,
+whatever the size of the session.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ _RESERVED = frozenset((LOG.partition("/")[0], RATES.partition("/")[0], FRAMES, P
 _COLOURS = {Level.INFO: INFO, Level.WARN: WARN, Level.ERROR: ERROR}
 _DROP_WORDS = ("drop", "lost", "full", "missed", "left_out")
 
-#: A gap of a stream, as ``info`` has it: a pause of more than so many mean intervals, and of more than a second.
+#: A gap in a stream, as in ``info``: a pause of more than this many mean intervals and of more than a second.
 _GAP_FACTOR, _RHYTHM = 10, 20
 _NS_PER_MS = 1e6
-#: Streams that get plots of rate and latency; a peer that invents names must not cost memory.
+#: Maximum number of streams with plots of rate and latency, in case a peer invents names.
 _MAX_PLOTS = 300
 
 
@@ -60,7 +60,7 @@ class _DrawnTopic:
 
 @dataclass(slots=True)
 class _StreamRate:
-    """When a stream spoke; times in UTC ns of the gateway."""
+    """Times of the messages of a stream, UTC ns of the gateway."""
 
     path: str
     first_ns: int = 0
@@ -71,7 +71,7 @@ class _StreamRate:
 
 @dataclass(slots=True)
 class _Sibling:
-    """A message made of the input that is being told."""
+    """A message that was converted from the current input."""
 
     base: str
     fullness: int
@@ -81,13 +81,13 @@ class _Sibling:
 
 @dataclass(slots=True)
 class DrawnCounts:
-    """What was drawn, in numbers.
+    """Counts of what was drawn.
 
     Attributes:
-        messages: drawn messages, by topic.
-        without_picture: messages that have none, by ROS type.
-        refused: messages that could not be drawn, by topic.
-        timeless: entries that are missing on a time line, by the time line: their stamp is none (0, beyond 2116).
+        messages: number of drawn messages by topic.
+        without_picture: number of messages without a drawing by ROS type.
+        refused: number of messages that could not be drawn by topic.
+        timeless: number of entries that are missing on a time line, by time line: their stamp is 0 or beyond 2116.
     """
 
     messages: Counter[str] = field(default_factory=Counter)
@@ -100,9 +100,9 @@ class SessionView:
     """Draws a session into a recording stream, entry by entry.
 
     Args:
-        recording: where to draw; its sink is the caller's.
-        base_frame: frame of all that names none.
-        options: how to draw.
+        recording: the stream to draw into; the caller sets its sink.
+        base_frame: frame of messages that name none.
+        options: options for drawing.
     """
 
     def __init__(self, recording: rr.RecordingStream, base_frame: str = "igtl", options: Options | None = None) -> None:
@@ -119,7 +119,7 @@ class SessionView:
 
     @ieee_754
     def take(self, entry: Entry) -> None:
-        """Draw one entry; they come in the order of the session."""
+        """Draw one entry; the caller passes entries in the order of the session."""
         self._pen.at(entry)
         if self._pen.stamp_ns:
             self.seen.first_ns = self.seen.first_ns or entry.stamp_ns
@@ -140,16 +140,16 @@ class SessionView:
 
     @ieee_754
     def flush(self) -> None:
-        """Send what waits in columns: a live view does it several times a second."""
+        """Send the collected rows; a live view calls this several times a second."""
         self._pen.flush()
 
     @ieee_754
     def finish(self) -> None:
-        """Send what waits in columns.  The last second that was begun has no rate: it would look like a fall."""
+        """Send the collected rows.  The last, incomplete second gets no rate: it would look like a drop."""
         self._pen.flush()
 
     def end(self, why: str) -> None:
-        """Say that the session ends here because the rest of it cannot be read."""
+        """Log that the session ends here because the rest of it cannot be read."""
         self._pen.text(LOG, f"the session ends here: {why}", "ERROR", ERROR)
 
     def review(self, review: Review) -> None:
@@ -162,7 +162,7 @@ class SessionView:
     def _message(self, entry: Entry) -> None:
         try:
             topic = self._topics.get((entry.channel, entry.type)) or self._add_topic(entry)
-        except ConversionError:  # one of too many topics
+        except ConversionError:  # too many topics
             self.told.refused[entry.channel] += 1
             return
         canvas, picture = topic.canvas, topic.picture
@@ -177,8 +177,8 @@ class SessionView:
             except (ConversionError, ValueError) as error:
                 self.told.refused[entry.channel] += 1
                 summary["error"] = self._pen.letters(str(error))
-                self._pen.text(LOG, f"{entry.channel}: cannot be shown: {error}", "WARN", WARN)
-        if canvas.rows == rows:  # nothing at the topic's own path: a row that counts
+                self._pen.text(LOG, f"{entry.channel}: cannot be drawn: {error}", "WARN", WARN)
+        if canvas.rows == rows:  # nothing at the path of the topic: add a row, so that rows and messages agree
             self._pen.fields(shown.path, **summary)
             canvas.rows += 1
         shown.first_ns = shown.first_ns or self._pen.stamp_ns
@@ -189,7 +189,7 @@ class SessionView:
             self._compare(_Sibling(entry.channel.rpartition("/")[0], picture.fullness, shown))
 
     def _add_topic(self, entry: Entry) -> _DrawnTopic:
-        """The first message of a topic."""
+        """Set up a topic at its first message."""
         picture = PICTURES.get(entry.type)
         path = path_of(entry.channel)
         if path.partition("/")[0] in _RESERVED:
@@ -205,12 +205,12 @@ class SessionView:
         self.seen.shown[f"{entry.channel} ({entry.type})" if known else entry.channel] = shown
         canvas = Canvas(self._pen, self.seen, shown, self._options, len(self._topics))
         if picture is None:
-            self._pen.text(LOG, f"no picture: {entry.channel} ({entry.type})", "WARN", WARN)
+            self._pen.text(LOG, f"not drawn: {entry.channel} ({entry.type})", "WARN", WARN)
         topic = self._topics[(entry.channel, entry.type)] = _DrawnTopic(canvas, picture)
         return topic
 
     def _compare(self, new: _Sibling) -> None:
-        """Of messages made of one OpenIGTLink message all but the fullest are outdone."""
+        """Of the messages converted from one OpenIGTLink message, only the fullest is shown in 3-D."""
         for other in self._siblings:
             if other.base == new.base and other.fullness != new.fullness:
                 less = other if other.fullness < new.fullness else new
@@ -221,7 +221,7 @@ class SessionView:
     # Facts
 
     def _timeless(self, entry: Entry) -> None:
-        """Count stamps that no time line takes, and say so at the first."""
+        """Count stamps outside the time lines, and log the first of them."""
         for line, time_ns, unset in ((GATEWAY_TIME, entry.stamp_ns, False), (SENDER_TIME, entry.source_ns, True)):
             if timeless(time_ns) and (time_ns or not unset):
                 if not self.told.timeless[line]:
@@ -275,9 +275,9 @@ class SessionView:
         rhythm.this_second += 1
 
     def _rates(self, second: int) -> None:
-        """Messages of the second that is over, at its end, and zeros where a longer pause begins and ends.
+        """Log the number of messages of the past second at its end, and zeros at both ends of a longer pause.
 
-        Seconds are counted from the first message, so that the first is a whole one.
+        Seconds start at the first message, so that the first second is complete.
         """
         now = (self._pen.number, self._pen.stamp_ns, self._pen.source_ns)
         pause = [self._second + 1, second - 1] if second - self._second > 1 else []

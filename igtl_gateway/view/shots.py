@@ -1,9 +1,9 @@
-"""Pictures of a recording without a screen: rerun's own viewer draws them in memory, by software where need be.
+"""Screenshots of a recording without a screen: rerun's viewer renders in memory, in software if necessary.
 
-The viewer's binary is started and steered over its local connection.  It dies with us: it is stopped at the end of
-the ``with`` block, and by the kernel should we be killed.  What it draws arrives in steps (chunks are loaded when
-they come into sight), so a picture counts only when two in a row are equal.  What the views of a blueprint complain
-of comes with each picture, for people to read and for tests to assert on.
+The viewer runs as a child process and is controlled over its local connection.  It never outlives this process: the
+``with`` block stops it at its end, and the kernel stops it if this process is killed.  The viewer draws in steps, as
+chunks are loaded, so a screenshot is valid only when two in a row are equal.  Each screenshot has the errors and
+warnings of the views, for people to read and for tests to assert on.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ from igtl_gateway.extras import missing
 
 TIME_LINE = "gateway_time"
 SIZE = (1600, 1000)
-START_S = 60.0  #: a slow machine reads a large recording
+START_S = 60.0  #: a slow machine needs long to read a large recording
 STEP_S = 0.1
-STEPS = 600  #: of ``STEP_S``: how long a recording may take to load
-HELLOS = 100  #: questions until the viewer answers the first
-GRACE_S = 1.0  #: a viewer that fell silent may be about to end
-TRIES = 20  #: pictures until two in a row are equal
+STEPS = 600  #: steps of ``STEP_S``: timeout for loading a recording
+HELLOS = 100  #: requests until the viewer must have answered the first
+GRACE_S = 1.0  #: a viewer that does not answer may be about to exit
+TRIES = 20  #: screenshots until two in a row are equal
 
-#: What the viewer says when there is nothing to draw with: no Vulkan driver, or one that cannot.
+#: What the viewer logs without a usable Vulkan driver.
 _NO_DRIVER = re.compile(r"No graphics adapter|Failed to get render context|Failed to create render context")
-#: A viewer without a screen has one font, and ends at a letter that is not in it (egui_kittest's policy).
+#: A headless viewer has one font and exits at a character that is not in it (policy of egui_kittest).
 _NO_LETTER = re.compile(r"No glyph for (\S+ \(U\+[0-9A-F]+\))")
 _LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
-_SAID = 20_000  #: characters of the viewer's last words that are kept
+_SAID = 20_000  #: number of characters of the viewer's last log lines that are kept
 
-#: Everything but the views and the time is taken away from a picture.
+#: A screenshot shows the views and the time, no other panels.
 _PANELS = {"top_panel": "Hidden", "blueprint_panel": "Hidden", "selection_panel": "Hidden"}
 
 
 @dataclass(frozen=True, slots=True)
 class ViewerComplaint:
-    """What a view said against what it was to draw.
+    """An error or a warning that a view reports.
 
     Attributes:
-        view: its title.
+        view: title of the view.
         severity: ``"warning"`` or ``"error"``.
-        text: what is wrong.
+        text: the message of the viewer.
     """
 
     view: str
@@ -63,12 +63,12 @@ class ViewerComplaint:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A picture of the viewer's window.
+    """A screenshot of the viewer's window.
 
     Attributes:
-        time_ns: gateway time that it shows, UTC nanoseconds.
-        png: the picture.
-        complaints: of all views, in their order; empty is good.
+        time_ns: gateway time of the screenshot, UTC nanoseconds.
+        png: the image, encoded as PNG.
+        complaints: errors and warnings of all views, in the order of the views.
     """
 
     time_ns: int
@@ -77,7 +77,7 @@ class Shot:
 
 
 def take_shots(recording: Path, times_ns: Sequence[int | None], size: tuple[int, int] = SIZE) -> list[Shot]:
-    """A picture at each of those gateway times (UTC nanoseconds; None: the end of the recording).
+    """Take a screenshot at each gateway time (UTC nanoseconds; None: the end of the recording).
 
     Raises ViewerError as ``HeadlessViewer`` does.
     """
@@ -86,20 +86,20 @@ def take_shots(recording: Path, times_ns: Sequence[int | None], size: tuple[int,
 
 
 class HeadlessViewer:
-    """A viewer without a window that has a recording open.
+    """A headless viewer with an open recording.
 
     Attributes:
-        first_ns: the recording's first gateway time, UTC nanoseconds.
-        last_ns: its last.
-        pid: the viewer's process.
+        first_ns: first gateway time of the recording, UTC nanoseconds.
+        last_ns: last gateway time of the recording, UTC nanoseconds.
+        pid: process id of the viewer.
 
-    Raises ViewerError where rerun or a graphics driver is missing, where the viewer does not come up in time or dies,
-    and where the recording has no gateway time.
+    Raises ViewerError if rerun or a graphics driver is missing, if the viewer does not start in time or exits, and if
+    the recording has no gateway time.
     """
 
     def __init__(self, recording: Path, size: tuple[int, int] = SIZE) -> None:
         if not recording.is_file():
-            raise ViewerError(f"{recording}: no such file; expected a recording of rerun (.rrd)")
+            raise ViewerError(f"{recording}: no such file, expected a rerun recording (.rrd)")
         self._process = _start(recording, size)
         self.pid = self._process.pid
         self._words = _Words(self._process)
@@ -118,16 +118,16 @@ class HeadlessViewer:
         self.close()
 
     def close(self) -> None:
-        """End the viewer; waits until it has gone.  A second call does nothing."""
+        """Stop the viewer and wait until it has exited.  A second call does nothing."""
         end_viewer(self._process)
         self._words.join()
 
     def at(self, part: float) -> int:
-        """The gateway time at that part of the recording, 0 … 1."""
+        """Return the gateway time at a fraction 0 … 1 of the recording."""
         return self.first_ns + round((self.last_ns - self.first_ns) * part)
 
     def shot(self, time_ns: int) -> Shot:
-        """What the window shows at that gateway time."""
+        """Take a screenshot at a gateway time."""
         self._ask("set_time", TIME_LINE, timestamp=_datetime64(time_ns), play_state="paused")
         png = b""
         for _ in range(TRIES):
@@ -144,20 +144,20 @@ class HeadlessViewer:
 
     def _connect(self) -> Any:
         if not self._words.ready.wait(START_S):
-            raise ViewerError(f"the viewer was not ready within {START_S:g} s; its last words: {self._words.last()}")
+            raise ViewerError(f"the viewer was not ready in {START_S:g} s; its last log lines: {self._words.last()}")
         if self._words.port is None:
             raise self._death()
         from rerun.experimental import ViewerClient
 
         for _ in range(HELLOS):
-            # It says that it listens a moment too early, and answers only when it draws.
+            # the viewer reports that it listens slightly too early, and answers only when it draws
             with suppress(RuntimeError, OSError):
                 client = ViewerClient.connect(f"rerun+http://127.0.0.1:{self._words.port}/proxy")
                 client.get_state()
                 return client
             if self._words.ended.wait(STEP_S):
                 raise self._death()
-        raise ViewerError(f"the viewer did not answer; its last words: {self._words.last()}")
+        raise ViewerError(f"the viewer did not answer; its last log lines: {self._words.last()}")
 
     def _load(self, recording: Path) -> tuple[int, int]:
         step = Event()
@@ -171,10 +171,10 @@ class HeadlessViewer:
                 found = ", ".join(line.name for line in lines)
                 raise ViewerError(f"{recording}: found the time lines {found}, expected one named {TIME_LINE}")
             step.wait(STEP_S)
-        raise ViewerError(f"{recording}: found nothing to show after {STEPS * STEP_S:g} s, expected a recording")
+        raise ViewerError(f"{recording}: found no data after {STEPS * STEP_S:g} s, expected a recording")
 
     def _bare(self) -> None:
-        """Take the panels away; the blueprint stays as it is otherwise."""
+        """Hide the panels; the rest of the blueprint stays."""
         blueprint = self._ask("get_blueprint")
         panels = {f"/{panel}": {"PanelBlueprint": {"state": state}} for panel, state in _PANELS.items()}
         self._ask("set_blueprint", blueprint.blueprint | panels, store_id=blueprint.store_id)
@@ -190,22 +190,22 @@ class HeadlessViewer:
     def _death(self) -> ViewerError:
         if _NO_DRIVER.search(self._words.text):
             return ViewerError(
-                "found no Vulkan driver that the viewer can draw with; expected that of a graphics card, or one by "
-                "software: sudo apt-get install -y --no-install-recommends mesa-vulkan-drivers"
+                "found no usable Vulkan driver, expected that of a graphics card, or a software driver: "
+                "sudo apt-get install -y --no-install-recommends mesa-vulkan-drivers"
             )
         if letter := _NO_LETTER.search(self._words.text):
             return ViewerError(
-                f"found the letter {letter[1]} in a text, which a viewer without a screen has no font for "
-                "and ends at; a viewer with a window draws a box"
+                f"found the character {letter[1]} in the session: a headless viewer has no font for it and exits; "
+                "a viewer with a window draws a box"
             )
-        return ViewerError(f"the viewer ended by itself; its last words: {self._words.last()}")
+        return ViewerError(f"the viewer exited unexpectedly; its last log lines: {self._words.last()}")
 
 
 class _Words:
-    """Reads what the viewer says, so that it never waits for a reader, and keeps what matters of it."""
+    """Reads the log of the viewer, so that the viewer never blocks on a full pipe, and keeps the last lines."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
-        self.ready = Event()  #: it listens, or it has ended
+        self.ready = Event()  #: the viewer listens, or has exited
         self.ended = Event()
         self.port: int | None = None
         self.text = ""
@@ -233,9 +233,9 @@ class _Words:
 
 
 def viewer_binary() -> Path:
-    """The viewer's own binary: the ``rerun`` on the path is a wrapper in Python that leaves it behind when it ends.
+    """Return the binary of the viewer: ``rerun`` on the path is a Python wrapper that leaves it running at its exit.
 
-    Raises ViewerError where it is not installed.
+    Raises ViewerError if it is not installed.
     """
     spec = find_spec("rerun_cli")
     if spec is not None and spec.origin is not None:
@@ -248,14 +248,14 @@ def viewer_binary() -> Path:
 def _start(recording: Path, size: tuple[int, int]) -> subprocess.Popen[str]:
     width, height = size
     arguments = [str(recording), "--headless", "--bind", "127.0.0.1", "--port", "auto"]
-    # What it says at other levels it also writes over the picture; where it listens we must hear.
+    # messages of other levels also appear in the screenshot; the port is needed
     return start_viewer([*arguments, "--window-size", f"{width}x{height}"], "error,re_grpc_server=info")
 
 
 def start_viewer(arguments: Sequence[str], log: str) -> subprocess.Popen[str]:
-    """The viewer as a process that ends with this one; ``log`` says what it tells on stderr, as RUST_LOG."""
+    """Start the viewer as a process that ends with this one; ``log`` is the value of RUST_LOG."""
     command = [str(viewer_binary()), *arguments]
-    if guard := shutil.which("setpriv"):  # the kernel ends the viewer should this process be killed
+    if guard := shutil.which("setpriv"):  # the kernel stops the viewer if this process is killed
         command = [guard, "--pdeathsig", "TERM", "--", *command]
     return subprocess.Popen(
         command,
@@ -265,12 +265,12 @@ def start_viewer(arguments: Sequence[str], log: str) -> subprocess.Popen[str]:
         text=True,
         errors="replace",
         env={**os.environ, "RERUN_ANALYTICS": "0", "NO_COLOR": "1", "RUST_LOG": log},
-        start_new_session=True,  # Ctrl-C at the terminal is for us; we end the viewer
+        start_new_session=True,  # Ctrl-C at the terminal reaches this process only, which stops the viewer
     )
 
 
 def end_viewer(process: subprocess.Popen[str]) -> None:
-    """End a viewer, and wait until it has gone."""
+    """Stop a viewer, and wait until it has exited."""
     process.terminate()
     try:
         process.wait(5)

@@ -1,4 +1,4 @@
-"""Recording streams: into a file, or to a viewer that runs."""
+"""Recording streams: into a file, or to a running viewer."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from igtl_gateway.view.blueprints import blueprint, choose
 from igtl_gateway.view.contents import SessionContents
 
 APPLICATION = "igtl-gateway"
-_LITTLE = 1 << 20  #: bytes: a disk with less is full, as rerun writes more than this at once
+_LITTLE = 1 << 20  #: bytes: with less free space a disk counts as full, because rerun writes larger blocks
 
 
 def to_file(out: Path, identity: str) -> rr.RecordingStream:
-    """A stream into a file; equal sessions of equal ``identity`` give equal recordings.
+    """Open a stream into a file; equal sessions with the same ``identity`` give equal recordings.
 
-    Raises OSError where the file cannot be written.
+    Raises OSError if the file cannot be written.
     """
-    out.open("wb").close()  # rerun's own error does not say why
+    out.open("wb").close()  # rerun's error does not give the cause
     recording = rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
     recording.save(out)
     return recording
 
 
 def to_viewer(url: str) -> rr.RecordingStream:
-    """A stream to a viewer.  Raises ViewerError where there is none."""
+    """Open a stream to a viewer.  Raises ViewerError if there is none."""
     recording = rr.RecordingStream(APPLICATION)
     try:
         recording.connect_grpc(url)
@@ -37,16 +37,16 @@ def to_viewer(url: str) -> rr.RecordingStream:
 
 
 def arrange(recording: rr.RecordingStream, name: str, seen: SessionContents) -> str:
-    """Send the blueprint of that name, or ("") the one that fits; its name.  Raises ConfigError."""
+    """Send the blueprint ``name``, or with "" the one for the contents; return its name.  Raises ConfigError."""
     name = name or choose(seen)
     recording.send_blueprint(blueprint(name, seen))
     return name
 
 
 def close(recording: rr.RecordingStream, out: Path | None = None) -> None:
-    """Send what is left, and end the stream (into the file ``out``).
+    """Send the rest and close the stream (into the file ``out``).
 
-    Raises OSError where the file did not take everything: rerun writes it in a thread of its own that ends silently.
+    Raises OSError if the file is incomplete: rerun writes it in a thread that ends silently on an error.
     """
     try:
         recording.flush()

@@ -25,7 +25,7 @@ from igtl_gateway.view.other_msgs import MarkerArray, Path
 
 Array = npt.NDArray[Any]
 
-#: Half the width of lines that have none, metres.
+#: Half the width of lines without a width, in metres.
 LINE_M = 0.0004
 _SAME = LengthUnits("m", "m")
 _POINT_RGBA, _POINT_SCALAR = 4, 0
@@ -43,14 +43,14 @@ _WHAT = {
 
 
 def draw_mesh(message: Mesh, canvas: Canvas) -> None:
-    """shape_msgs/Mesh; it has no frame of its own."""
+    """shape_msgs/Mesh, which has no frame id."""
     frame = canvas.frame("")
     canvas.box(message.vertices)
     canvas.log(shaded_mesh(message.vertices, message.triangles, colours.BONE), frame=frame)
 
 
 def shaded_mesh(vertices: Array, triangles: Array, colour: int, vertex_colours: Array | None = None) -> rr.Mesh3D:
-    """A surface with light and shade.  Raises ConversionError where a triangle has a vertex that is not there."""
+    """Build a shaded surface.  Raises ConversionError if a triangle has a vertex that does not exist."""
     positions = np.asarray(vertices, np.float32)
     indices = np.asarray(triangles, np.uint32)
     if indices.size and int(indices.max()) >= len(positions):
@@ -65,13 +65,13 @@ def shaded_mesh(vertices: Array, triangles: Array, colour: int, vertex_colours: 
 
 
 def normals(positions: Array, triangles: Array) -> Array:
-    """Unit normals of the vertices: the mean of their triangles, by area."""
+    """Return unit normals of the vertices: the area-weighted mean of their triangles."""
     corners = positions[triangles].astype(np.float64)
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = triangles.reshape(-1)
     weights = np.repeat(across, 3, axis=0)
     sums = [np.bincount(flat, weights[:, axis], len(positions)) for axis in range(3)]
-    total = np.stack(sums, axis=1).astype(np.float64)  # of nothing at all numpy makes whole numbers
+    total = np.stack(sums, axis=1).astype(np.float64)  # numpy returns integers for empty input
     length = np.linalg.norm(total, axis=1, keepdims=True)
     unit = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
     finite: Array = np.nan_to_num(unit).astype(np.float32)
@@ -79,7 +79,7 @@ def normals(positions: Array, triangles: Array) -> Array:
 
 
 def draw_polydata(message: PolyData, canvas: Canvas) -> None:
-    """igtl_msgs/PolyData: faces, lines below ``lines``, and points where there is nothing else."""
+    """igtl_msgs/PolyData: faces, lines below ``lines``, and points if there are neither."""
     frame = canvas.frame(message.header.frame_id)
     content = polydata_to_igtl(message, ToIgtlContext(_SAME)).content
     to = ToRosContext("", 0, frame, "", _SAME)
@@ -104,7 +104,7 @@ def draw_polydata(message: PolyData, canvas: Canvas) -> None:
 
 
 def _attribute_colours(message: PolyData) -> Array | None:
-    """The colour of each point: of an attribute that is one, else of the first number."""
+    """Return the colour of each point: from a colour attribute, else from the first scalar attribute."""
     count = len(message.points)
     for attribute in message.attributes:
         if attribute.type == _POINT_RGBA and attribute.components in _COLOUR_COMPONENTS:
@@ -118,7 +118,7 @@ def _attribute_colours(message: PolyData) -> Array | None:
 
 
 def draw_trajectories(message: TrajectoryList, canvas: Canvas) -> None:
-    """igtl_msgs/TrajectoryList: a line from each entry to its target, with its name."""
+    """igtl_msgs/TrajectoryList: a line from each entry point to its target, with its name."""
     frame = canvas.frame(message.header.frame_id)
     listed = message.trajectories
     strips = np.array([(each.entry, each.target) for each in listed], np.float32).reshape(-1, 2, 3)
@@ -141,7 +141,7 @@ def draw_path(message: Path, canvas: Canvas) -> None:
 
 
 def draw_marker(message: Marker, canvas: Canvas) -> None:
-    """visualization_msgs/Marker: the topic's first one at the topic's own path, others below it."""
+    """visualization_msgs/Marker: the first marker of the topic at its path, others below it."""
     canvas.what(_WHAT.get(message.type, EntityKind.MARKERS))
     key = (message.ns, message.id)
     first = canvas.memory.setdefault("first", key)
@@ -163,11 +163,11 @@ def _draw(marker: Marker, canvas: Canvas, child: str) -> None:
     elif make := _SHAPES.get(marker.type):
         canvas.log(make(marker, canvas), child=child, frame=frame)
     else:
-        canvas.once(f"markers of type {marker.type} have no picture")
+        canvas.once(f"markers of type {marker.type} are not drawn")
 
 
 def posed(points: Array, marker: Marker) -> Array:
-    """(n, 3) points of a marker in its frame."""
+    """Return the (n, 3) points of a marker in its frame, in metres."""
     moved: Array = _rotated(points, marker) + np.array(marker.position)
     return moved
 
@@ -186,7 +186,7 @@ def _unit(quaternion: Sequence[float]) -> tuple[float, float, float, float]:
 
 
 def _colours(marker: Marker, step: int = 1) -> Any:
-    """One colour, or one for each element of ``step`` points."""
+    """Return one colour, or one for each element of ``step`` points."""
     if len(marker.colors) == len(marker.points) and len(marker.points):
         return colours.rgba(marker.colors[::step])
     return [colours.marker_colour(marker.color)]

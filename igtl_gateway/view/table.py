@@ -1,7 +1,7 @@
-"""The table of pictures: what each ROS type looks like.
+"""The table of drawings: how each ROS type is drawn.
 
-A row is all there is to a picture.  A type without a row is said once in the session's log, and its messages are rows
-without picture.
+A new drawing needs one row here.  A type without a row is logged once in the log of the session, and its messages are
+rows without a drawing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from igtl_gateway.view.contents import EntityKind
 
 
 class Readable(Protocol):
-    """What a message class of a row offers."""
+    """What a row needs of its message class."""
 
     TYPE: str
 
@@ -32,9 +32,9 @@ class Picture:
 
     Attributes:
         message: class of the message.
-        what: kind of picture; some functions refine it by the first message.
+        what: kind; some functions refine it by the first message.
         draw: draws a message.
-        fullness: of several messages made of one OpenIGTLink message the one with the highest is drawn.
+        fullness: of the messages converted from one OpenIGTLink message, 3-D views show the one with the highest.
     """
 
     message: Any
@@ -87,5 +87,5 @@ _ROWS = (
     Picture(igtl_msgs.RawMessage, EntityKind.TEXT, words.draw_raw),
 )
 
-#: ROS type → its picture.
+#: ROS type → its row.
 PICTURES: dict[str, Picture] = {row.message.TYPE: row for row in _ROWS}

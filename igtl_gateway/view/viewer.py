@@ -1,4 +1,4 @@
-"""The viewer as a process of its own: a window, or a page for a browser; on loopback, and gone when we are."""
+"""The viewer as a child process: a window, or a page for a browser; on loopback only, stopped with this process."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _HOSTS = re.compile(r"Hosting a web-viewer at http://127\.0\.0\.1:(\d+)")
 _LOG = "error,re_grpc_server=info,re_sdk::web_viewer=info"
 _START_S = 30.0
 _WORDS = 4000
-_LIVE_MEMORY = "25%"  # of the machine: of a long session the window forgets the oldest
+_LIVE_MEMORY = "25%"  # of the machine: in a long session the window drops the oldest data
 
 
 class Viewer:
     """A running viewer; a context manager.
 
     Attributes:
-        url: where a recording stream can connect (and, of the page, where a browser can).
+        url: address for recording streams (for a page, the address for a browser).
     """
 
     def __init__(self, arguments: Sequence[str], expected: Sequence[re.Pattern[str]]) -> None:
@@ -42,11 +42,11 @@ class Viewer:
         self._reader.start()
         if not self._ready.wait(_START_S) or not all(self._found):
             self.close()
-            raise ViewerError(f"the viewer did not start: {self._last_words()}")
+            raise ViewerError(f"the viewer did not start; its last log lines: {self._last_words()}")
 
     @classmethod
     def window(cls, recording: Path | None = None) -> Self:
-        """A window, with a recording or waiting for a stream.  Raises ViewerError, also where there is no screen."""
+        """Open a window, with a recording or for a stream.  Raises ViewerError, also without a screen."""
         check_screen(os.environ)
         what = [str(recording)] if recording else ["--expect-data-soon", "--memory-limit", _LIVE_MEMORY]
         viewer = cls([*what, "--bind", HOST, "--port", "auto", "--hide-welcome-screen"], [_LISTENS])
@@ -55,7 +55,7 @@ class Viewer:
 
     @classmethod
     def page(cls, recording: Path, port: int = 0) -> Self:
-        """A page at ``port`` (0: a free one), for browsers on this machine.  Raises ViewerError."""
+        """Serve a page at ``port`` (0: any free port) for browsers on this machine.  Raises ViewerError."""
         arguments = [str(recording), "--serve-web", "--bind", HOST, "--port", "auto", "--web-viewer-port", str(port)]
         viewer = cls(arguments, [_LISTENS, _HOSTS])
         stream = quote(f"rerun+http://{HOST}:{viewer._found[0]}/proxy", safe="")
@@ -70,11 +70,11 @@ class Viewer:
 
     @property
     def ended(self) -> bool:
-        """Whether it has gone; costs nothing to ask."""
+        """Whether the viewer has exited; cheap to read."""
         return self._ended.is_set()
 
     def close(self) -> None:
-        """End it; may be called twice."""
+        """Stop the viewer; a second call does nothing."""
         end_viewer(self._process)
         self._reader.join()
 
@@ -93,13 +93,13 @@ class Viewer:
 
     def _last_words(self) -> str:
         lines = [line.strip() for line in self._text.splitlines() if line.strip()]
-        return " | ".join(lines[-3:]) or "it said nothing"
+        return " | ".join(lines[-3:]) or "none"
 
 
 def check_screen(environment: Mapping[str, str]) -> None:
-    """Raises ViewerError where a window could not be shown."""
+    """Raise ViewerError if no window can be shown."""
     if sys.platform == "linux" and not any(environment.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         raise ViewerError(
-            "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set), expected one for the viewer's window: "
-            "without a screen there are `igtl-gateway view` --save, --web and --screenshot"
+            "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set), expected a screen for the window; "
+            "without a screen use `igtl-gateway view` with --save, --web or --screenshot"
         )

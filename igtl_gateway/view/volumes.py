@@ -1,4 +1,4 @@
-"""Pictures with a place in the patient: planes, and volumes by three slices through their middle."""
+"""Images with a pose in the patient frame: planes, and volumes as three slices through their centre."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from igtl_gateway.wire.image import SCALARS
 Array = npt.NDArray[Any]
 
 _COLOUR = (3, 4)
-_MAX_STRETCH = 16  #: pixels more oblong than this are shown as they are
-_AIR = 12  #: up to this brightness of 255 a volume is empty
-_TILES = 64  #: a slice of a volume is drawn in so many pieces each way, those that are empty are left out
+_MAX_STRETCH = 16  #: pixels with a larger aspect ratio are not stretched
+_AIR = 12  #: pixels up to this brightness of 255 count as air
+_TILES = 64  #: a slice is drawn in this number of tiles each way; empty tiles are left out
 _QUAD = np.array([(0, 1, 2), (0, 2, 3)], np.uint32)
 _CORNERS = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-#: Axis of the volume → the other two, in the order across, down.
+#: Axis of the volume → the other two axes, in the order across, down.
 _ACROSS = {0: [1, 2], 1: [0, 2], 2: [0, 1]}
 _NAMES = "ijk"
 
 
 def draw_volume(message: Volume, canvas: Canvas) -> None:
-    """igtl_msgs/Volume: a slice as picture and plane, a volume as tensor, picture and three planes."""
+    """igtl_msgs/Volume: a slice as image and plane, a volume as tensor, image and three planes."""
     frame = canvas.frame(message.header.frame_id)
     voxels = array_of(message)
     corners = _corner(message, np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * message.size)
@@ -61,7 +61,7 @@ def draw_volume(message: Volume, canvas: Canvas) -> None:
 
 
 def array_of(message: Volume) -> Array:
-    """(slices, rows, columns, components), native byte order.  Raises ConversionError."""
+    """Return voxels (slices, rows, columns, components) in native byte order.  Raises ConversionError."""
     code = SCALARS.get(message.scalar_type)
     width, height, depth = message.size
     if code is None:
@@ -70,7 +70,7 @@ def array_of(message: Volume) -> Array:
     count = width * height * depth * message.components
     if not count or memoryview(message.data).nbytes < count * dtype.itemsize:
         found = memoryview(message.data).nbytes
-        raise ConversionError(f"{message.TYPE}: found {found} bytes, expected {count * dtype.itemsize} and some")
+        raise ConversionError(f"{message.TYPE}: found {found} bytes, expected {count * dtype.itemsize}, more than 0")
     flat = np.frombuffer(message.data, dtype, count).astype(dtype.newbyteorder("="), copy=False)
     return flat.reshape(depth, height, width, message.components)
 
@@ -87,7 +87,7 @@ def _picture(pixels: Array) -> rr.Image:
 
 
 def eight_bits(pixels: Array, window: tuple[float, float] | None) -> Array:
-    """(rows, columns, 3) 8-bit colours of pixels of one, three or four components."""
+    """Return 8-bit colours (rows, columns, 3) of pixels with one, three or four components."""
     if pixels.dtype == np.uint8 and window is None:
         scaled = pixels
     else:
@@ -101,7 +101,7 @@ def eight_bits(pixels: Array, window: tuple[float, float] | None) -> Array:
 
 
 def square(pixels: Array, across_m: float, down_m: float) -> Array:
-    """Pixels of another width than height repeated until they are square: no more than to the larger of the two."""
+    """Repeat pixels that are not square until they are, along the longer side only."""
     if across_m > 0 and down_m > 0 and max(across_m, down_m) < _MAX_STRETCH * min(across_m, down_m):
         step = min(across_m, down_m)
         rows, columns = (
@@ -117,8 +117,8 @@ def _sample(pixels: Array) -> Array:
 
 
 def _corner(message: Volume, indices: Array) -> Array:
-    """Places of voxel corners (not centres): index 0 is half a voxel before the first centre."""
-    direction = np.array(message.direction).reshape(3, 3)  # a row is the direction of i, j, k
+    """Return positions of voxel corners (not centres): index 0 is half a voxel before the first centre."""
+    direction = np.array(message.direction).reshape(3, 3)  # rows: directions of i, j, k
     steps = direction * np.array(message.spacing)[:, None]
     places: Array = np.array(message.origin) + (np.asarray(indices, np.float64) - 0.5) @ steps
     return places
@@ -127,12 +127,12 @@ def _corner(message: Volume, indices: Array) -> Array:
 def _plane(
     message: Volume, voxels: Array, axis: int, index: int, window: tuple[float, float] | None, *, air: bool = False
 ) -> rr.Mesh3D:
-    """The slice ``index`` across ``axis`` (0 i, 1 j, 2 k) where it lies, as a textured surface.
+    """Return the slice ``index`` across ``axis`` (0 i, 1 j, 2 k) at its pose, as a textured surface.
 
     Args:
-        air: leave out what is black, so that slices do not hide each other.
+        air: leave out air, so that slices do not hide each other.
     """
-    pixels = np.take(voxels, index, axis=2 - axis)  # rows are the slower of the other axes
+    pixels = np.take(voxels, index, axis=2 - axis)  # rows: the slower of the other two axes
     if voxels.dtype == np.uint8 and voxels.shape[3] not in _COLOUR:
         window = None
     texture = eight_bits(pixels, window)
@@ -151,9 +151,9 @@ def _plane(
 
 
 def _tiles(seen: Array) -> Array:
-    """(n, 4, 2) corners, column and row, of those tiles of a picture that have something to see.
+    """Return the corners (n, 4, 2), column and row, of the tiles of an image that are not empty.
 
-    The viewer draws no transparent textures, so what is empty is left out of the surface.
+    The viewer does not draw transparent textures, so empty tiles are left out of the surface.
     """
     rows, columns = (
         np.unique(np.linspace(0, length, min(length, _TILES) + 1).astype(np.int64)) for length in seen.shape
@@ -167,9 +167,10 @@ def _tiles(seen: Array) -> Array:
 
 
 def _turn(message: Volume, axis: int) -> int:
-    """−1 where an axis of the slice is to be turned for the usual view: patient's left at the right, head or nose up.
+    """Return −1 for an axis of the slice that must be flipped for the radiological view, else 1.
 
-    The header's frame is right, anterior, superior: pictures run to the left, to the back, downwards.
+    That view has the left of the patient at the right, and the head or the nose up.  The frame of the header is right,
+    anterior, superior, so columns run to the left, rows to the back or downwards.
     """
     direction = np.array(message.direction).reshape(3, 3)[axis]
     return -1 if direction[int(np.argmax(np.abs(direction)))] > 0 else 1

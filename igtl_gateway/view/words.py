@@ -1,4 +1,4 @@
-"""Texts, status, commands, lists: words for people, a line of the session's log each."""
+"""Text, status, commands, lists: each message is a line in the log of the session."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _LEVELS = (("INFO", None), ("WARN", WARN), ("ERROR", ERROR), ("WARN", WARN))
 _MAX_LINE = 300
 _ROS_WARN, _ROS_ERROR = 30, 40
 _QUERIES = {1: "GET", 2: "START", 3: "STOP", 4: "REPLY"}
-_REPLIES = {1: "success", 2: "failed", 3: "no reply in time", 4: "nobody there"}
+_REPLIES = {1: "success", 2: "failed", 3: "no reply in time", 4: "no peer"}
 
 
 def draw_string(message: String, canvas: Canvas) -> None:
-    """std_msgs/String: as it is."""
+    """std_msgs/String: the text unchanged."""
     _say(canvas, message.data)
 
 
@@ -82,7 +82,7 @@ def draw_bind(message: igtl_msgs.Bind, canvas: Canvas) -> None:
 
 
 def draw_images(message: igtl_msgs.ImageMetaList, canvas: Canvas) -> None:
-    """igtl_msgs/ImageMetaList: names and sizes, no patient."""
+    """igtl_msgs/ImageMetaList: names and sizes, without patient data."""
     _list(canvas, "images", [f"{each.name} ({each.device_name}) {_size(each.size)}" for each in message.images])
 
 
@@ -97,7 +97,7 @@ def draw_videos(message: igtl_msgs.VideoMetaList, canvas: Canvas) -> None:
 
 
 def draw_raw(message: igtl_msgs.RawMessage, canvas: Canvas) -> None:
-    """igtl_msgs/RawMessage: bytes of a type that nobody converts."""
+    """igtl_msgs/RawMessage: bytes of a type without a conversion."""
     _say(canvas, f"{message.type} {message.device_name}: {memoryview(message.data).nbytes} bytes")
 
 

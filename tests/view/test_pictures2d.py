@@ -119,7 +119,7 @@ def test_pictures_in_luma_and_chroma(encoding: str, draw: Draw) -> None:
 def test_of_two_channels_the_first_is_shown_and_said(draw: Draw) -> None:
     drawn = draw(image("8UC2", np.stack([GREY, GREY[::-1]], axis=-1).astype(np.uint8)))
     np.testing.assert_array_equal(seen_as(drawn), GREY)
-    assert any("8UC2 is shown by its first component" in line for line in drawn.log())
+    assert any("8UC2 is drawn by its first component" in line for line in drawn.log())
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What a session's picture tells besides the messages: times, gaps, drops, links, rates, what has no picture."""
+"""The view of a session besides its messages: times, gaps, drops, links, rates, types that are not drawn."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_rows_carry_gateway_time_entry_number_and_the_senders_time_where_set(dra
 def test_a_type_without_picture_is_said_once_and_counts(draw: Draw) -> None:
     drawn = draw(Odd(), Odd(), Odd())
     assert len(drawn.rows("topic")) == 3
-    assert [line for line in drawn.log() if "no picture" in line] == ["no picture: /topic (odd_msgs/msg/Odd)"]
+    assert [line for line in drawn.log() if "not drawn" in line] == ["not drawn: /topic (odd_msgs/msg/Odd)"]
     assert drawn.view.told.without_picture == {"odd_msgs/msg/Odd": 3}
 
 
@@ -66,7 +66,7 @@ def test_a_message_that_cannot_be_read_costs_itself(draw: Draw) -> None:
     drawn = draw(entries=[text(1, START_NS), broken, text(3, START_NS + 3 * STEP_NS)])
     assert len(drawn.rows("text")) == 3
     assert drawn.view.told.refused == {"/text": 1}
-    assert sum("/text: cannot be shown" in line for line in drawn.log()) == 1
+    assert sum("/text: cannot be drawn" in line for line in drawn.log()) == 1
 
 
 #: Numbers that sizes, counts and places lie with.

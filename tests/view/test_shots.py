@@ -87,7 +87,7 @@ def test_without_a_driver_the_error_says_what_to_install(recording: Path, monkey
     monkeypatch.setenv("VK_DRIVER_FILES", "/nowhere.json")
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nowhere.json")
     monkeypatch.setenv("WGPU_BACKEND", "vulkan")
-    with pytest.raises(ViewerError, match=r"no Vulkan driver.*apt-get install .*mesa-vulkan-drivers"):
+    with pytest.raises(ViewerError, match=r"no usable Vulkan driver.*apt-get install .*mesa-vulkan-drivers"):
         take_shots(recording, [None], SIZE)
 
 

@@ -143,7 +143,7 @@ def test_an_arrow_points_along_its_pose(draw: Draw) -> None:
 def test_a_form_without_picture_is_said_and_counts(draw: Draw) -> None:
     drawn = draw(marker(10), marker(10))
     assert drawn.count("topic") == 2
-    assert sum("markers of type 10 have no picture" in line for line in drawn.log()) == 1
+    assert sum("markers of type 10 are not drawn" in line for line in drawn.log()) == 1
 
 
 def test_markers_are_told_apart_and_deleted(draw: Draw) -> None:

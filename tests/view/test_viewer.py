@@ -53,7 +53,7 @@ def test_the_page_is_served_on_loopback_until_closed(tmp_path: Path) -> None:
 
 
 def test_a_viewer_that_does_not_start_says_why(tmp_path: Path) -> None:
-    with pytest.raises(ViewerError, match=r"did not start: .*--no-such-option"):
+    with pytest.raises(ViewerError, match=r"did not start; .*--no-such-option"):
         Viewer(["--no-such-option"], [viewer._LISTENS])
 
 
