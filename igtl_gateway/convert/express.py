@@ -205,5 +205,5 @@ if not TYPE_CHECKING:
         from igtl_gateway.convert._express import bulk_to_igtl, bulk_to_ros, pose_to_igtl, pose_to_ros  # noqa: F401
 
         COMPILED = True
-    except ImportError:
+    except ImportError:  # pragma: no cover - installed without the C part
         pass

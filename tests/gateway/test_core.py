@@ -9,16 +9,17 @@ import pytest
 
 from igtl_gateway.buffers import join
 from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
-from igtl_gateway.convert import rosmsg, trajectories
+from igtl_gateway.convert import rosmsg, surfaces, trajectories
 from igtl_gateway.convert.igtl_msgs import RawMessage, VideoFrame, Volume
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway import LISTENED
 from igtl_gateway.gateway.fastpath import FastPath
 from igtl_gateway.gateway.metadata import FULL_NAME
+from igtl_gateway.gateway.to_ros.convert import RAW_QOS
 from igtl_gateway.gateway.to_ros.route import Router
 from igtl_gateway.qos import Qos
-from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Item, Message, Raw, decode, encode
@@ -532,3 +533,69 @@ def test_a_defect_of_the_fast_path_is_counted_once(monkeypatch: pytest.MonkeyPat
     assert script.igtl(TRANSFORM) == ["note internal_error"]
     row = script.gateway.ledger.to_dict()["igtl_in"]["TRANSFORM/ProbeToTracker"]
     assert (row["received"], row["converted"], row["dropped"]) == (2, 1, {"internal_error": 1})
+
+
+# -- questions of the edges -----------------------------------------------------------------------------------------
+
+
+def test_the_qos_to_subscribe_with() -> None:
+    rows = (ToIgtlRow(topic="/fixed/*", qos=Qos(depth=3)), ToIgtlRow(topic="/igtl/out/**"))
+    gateway = Script(Config(to_igtl=rows)).gateway
+    assert gateway.subscription("/igtl/out/raw", RawMessage.TYPE) == RAW_QOS
+    assert gateway.subscription("/fixed/raw", RawMessage.TYPE) == Qos(depth=3)
+    assert gateway.subscription("/fixed/tool", TOOL.TYPE) == Qos(depth=3)
+    assert gateway.subscription("/igtl/out/tool", TOOL.TYPE) is not None
+    assert gateway.subscription("/igtl/out/tool", "lab_msgs/msg/Unknown") is None
+    assert gateway.subscription("/elsewhere", RawMessage.TYPE) is None
+
+
+def test_a_topic_that_no_row_converts() -> None:
+    gateway = Script().gateway
+    assert gateway.lacks_conversion("/igtl/out/tool", "lab_msgs/msg/Unknown")
+    assert not gateway.lacks_conversion("/igtl/out/tool", TOOL.TYPE)
+    assert not gateway.lacks_conversion("/igtl/out/raw", RawMessage.TYPE)
+    assert not gateway.lacks_conversion("/elsewhere", "lab_msgs/msg/Unknown")
+
+
+def test_the_qos_of_a_topic_is_known_when_its_stream_opens() -> None:
+    script = Script()
+    topic = "/igtl/in/ProbeToTracker/transform"
+    assert script.gateway.qos(topic) is None
+    script.igtl(TRANSFORM)
+    assert script.gateway.qos(topic) is not None
+
+
+@pytest.mark.parametrize(
+    ("igtl_type", "kept"),
+    [("STRING", True), ("RTS_COMMAND", True), ("GET_IMAGE", True), ("STT_TDATA", True), ("TRANSFORM", False)],
+)
+def test_what_a_full_send_queue_must_not_drop(igtl_type: str, kept: bool) -> None:
+    script = Script()
+    assert script.gateway.keep(Entry(1, T0_NS, Kind.IGTL_OUT, f"{igtl_type}/A", igtl_type, (b"",))) is kept
+
+
+def test_an_edge_note_is_counted_for_its_edge() -> None:
+    script = Script()
+    note = Note(Level.WARN, "queue_full", "", "10.0.0.1:5")
+    assert script.feed(Kind.EDGE_NOTE, (note.pack(),)) == []
+    assert script.gateway.ledger.to_dict()["edges"] == {"10.0.0.1:5": {"queue_full": 1}}
+
+
+def test_a_latched_message_that_cannot_be_built_is_reported_to_its_first_subscriber(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    script = Script()
+    script.gateway.has_subscriber = lambda _topic, _type: False
+    assert script.gateway.has_subscriber is not None
+    monkeypatch.setattr(surfaces, "MAX_PIECES", 1)
+    triangles = PolyData(np.eye(3), polygons=Cells.of([[0, 1, 2], [2, 1, 0]]))
+    assert script.igtl(Message("POLYDATA", "Plan", triangles, ns_to_ticks(T0_NS))) == []
+    listened = Note(Level.INFO, LISTENED, "", "/igtl/in/Plan/mesh")
+    assert script.feed(Kind.EDGE_NOTE, (listened.pack(),)) == ["note conversion"]
+    assert script.feed(Kind.EDGE_NOTE, (listened.pack(),)) == []
+
+
+def test_outputs_of_a_recording_cause_nothing() -> None:
+    script = Script()
+    for kind in (Kind.IGTL_OUT, Kind.ROS_OUT, Kind.NOTE):
+        assert script.gateway.handle(Entry(1, T0_NS, kind, "", "", (b"",))) == []

@@ -12,6 +12,7 @@ from igtl_gateway.convert.igtl_msgs import CommandReply
 from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.gateway import denials
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.replay.verify import verify
 from igtl_gateway.session.note import Note
@@ -166,3 +167,31 @@ def test_a_relay_denies_from_the_client_or_to_it() -> None:
     blind = bytearray(join(encode(Message("BIND", "B", Raw(b"\xff\xff")))))
     (told,) = relay.igtl(bytes(blind), 1)
     assert "cannot be looked into" in Note.unpack(told.data()).text
+
+
+def test_a_relay_denies_a_bind_for_its_child() -> None:
+    relay = Relay(Config(relay=True, deny_in=("COMMAND",)))
+    relay.pair(1, 2)
+    (note,) = relay.igtl(join(encode(bind(("STRING", String.of("hello")), ("COMMAND", Command.of(1, "Go", ""))))), 1)
+    assert "BIND with COMMAND inside is denied" in Note.unpack(note.data()).text
+    assert [entry.links for entry in relay.igtl(join(encode(bind(("STRING", String.of("hello"))))), 1)] == [(2,)]
+
+
+def test_a_child_that_cannot_be_decoded_contains_nothing_that_is_denied() -> None:
+    inner = Message("BIND", "Both", Bind((BindChild("BIND", "inner", b"\xff\xff"),)))
+    assert Denials(["COMMAND"]).message(inner) == ""
+    assert Denials(["BIND"]).message(inner) == "BIND"
+    assert Denials([]).message(inner) == ""
+
+
+def test_names_that_a_peer_invents_do_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(denials, "_MAX_KNOWN", 2)
+    some = Denials(["X*"])
+    assert [some.type(name) for name in ("X1", "A", "X2", "B", "X2", "B")] == [True, False, True, False, True, False]
+    assert len(some._known) == 2
+
+
+def test_a_denied_message_of_an_unknown_link_is_dropped_with_a_note() -> None:
+    script = Script(Config(deny_in=("TRANSFORM",)))
+    assert script.igtl(Message("TRANSFORM", "Tool", POSE), link=9) == ["note denied"]
+    assert script.gateway.ledger.to_dict()["igtl_in"]["TRANSFORM/Tool"]["dropped"] == {"denied": 1}

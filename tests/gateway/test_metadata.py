@@ -8,8 +8,9 @@ import pytest
 from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.convert.igtl_msgs import Metadata, MetadataItem, Sensor
 from igtl_gateway.convert.rosmsg import Header, String, TransformStamped
-from igtl_gateway.gateway.metadata import FRAME_ID, FULL_NAME, STAMP, restore_metadata
+from igtl_gateway.gateway.metadata import FRAME_ID, FULL_NAME, STAMP, compose_metadata, restore_metadata
 from igtl_gateway.wire import Item, Message
+from igtl_gateway.wire.message import UTF_8
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.text import String as IgtlString
 from tests.script import T0_NS, Script
@@ -83,3 +84,14 @@ def test_too_much_metadata_costs_the_message(size: int) -> None:
     script.igtl(HELLO)
     lines = script.ros("/text", String("x"))
     assert lines == (["igtl STRING/text v2 to 1"] if size < 65_536 else ["note conversion"])
+
+
+def test_a_value_that_its_encoding_cannot_hold_is_sent_as_utf_8() -> None:
+    latin_1 = 4
+    made = compose_metadata(
+        "A", "A", 0, "", "", [MetadataItem("a", latin_1, "für"), MetadataItem("b", latin_1, "日本")]
+    )
+    assert [(item.key, item.value, item.encoding) for item in made] == [
+        ("a", "für".encode("latin-1"), latin_1),
+        ("b", "日本".encode(), UTF_8),
+    ]

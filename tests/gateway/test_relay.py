@@ -262,3 +262,14 @@ def test_faults_are_for_relays() -> None:
         Config(faults="loss=1%")
     with pytest.raises(ConfigError, match=r"gateway\.faults: loss: found '1'"):
         Config(relay=True, faults="loss=1")
+
+
+def test_of_the_rest_of_a_link_what_follows_a_disconnect_is_dropped() -> None:
+    relay = FaultyRelay("delay=50ms,disconnect=50%", seed=4)
+    for _ in range(8):
+        relay.igtl(HELLO, 1)
+    outs = relay.down(1)
+    sent = sum(entry.kind is Kind.IGTL_OUT for entry in outs)
+    assert 0 < sent < 8 and codes(outs) == [FAULT, CUT]
+    assert relay.fates() == {"received": 8, "relayed": sent, "dropped": {CUT: 8 - sent}}
+    assert relay.verified()

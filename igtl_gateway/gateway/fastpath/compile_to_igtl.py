@@ -14,7 +14,6 @@ from igtl_gateway.convert import clouds, express, images, poses, rosmsg, texts
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, MATRIX, PICTURE, POINTS, QUATERNION, TEXT, Fill
 from igtl_gateway.convert.rosmsg import PointCloud2, String, TransformStamped
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.output import Output
@@ -125,10 +124,7 @@ def _difference(one: bytes, other: bytes) -> int:
 
 def _cloud_places(cdr: Buffer) -> tuple[int, ...] | None:
     """What ``bulk_to_igtl`` is to know of a cloud; None where it has more than x, y and z, or those in another form."""
-    try:
-        cloud = PointCloud2.unpack(cdr)
-    except ConversionError:
-        return None
+    cloud = PointCloud2.unpack(cdr)
     fields = {field.name: field for field in cloud.fields}
     plain = all(field.datatype == _FLOAT32 and field.count in (0, 1) for field in cloud.fields)
     if cloud.is_bigendian or not plain or len(cloud.fields) != len(_XYZ) or fields.keys() != set(_XYZ):

@@ -6,7 +6,7 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.convert.raw import message_of
-from igtl_gateway.errors import ConversionError, WireError
+from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.guard import STALE, Guard, check_stamp
 from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
@@ -63,10 +63,7 @@ class RawMessages:
         return Outcome([sent, *found], CONVERTED)
 
     def _is_denied(self, igtl_type: str, data: Buffer) -> bool:
-        """Whether a whole message may not go out; a BIND that cannot be decoded may not."""
+        """Whether a valid message may not go out, or a BIND because of a child."""
         if igtl_type != "BIND":
             return self._denied.type(igtl_type)
-        try:
-            return bool(self._denied.message(decode(data, check_crc=False)))
-        except WireError:
-            return True
+        return bool(self._denied.message(decode(data, check_crc=False)))

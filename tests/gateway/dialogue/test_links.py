@@ -6,9 +6,12 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.config import Config
+from igtl_gateway.config import Config, ToIgtlRow
 from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.igtl_msgs import Command
 from igtl_gateway.gateway import LINK_DOWN
+from igtl_gateway.gateway.peers import Peers
+from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import Message
@@ -73,3 +76,24 @@ def test_only_the_peers_that_are_due_are_pinged() -> None:
     script.now_ns += 200_000_000
     script.igtl(Message("GET_STATUS", "", Status(1)), link=2)  # answered, so that 2 is not silent
     assert script.tick(0.06) == ["igtl GET_STATUS/ v2 to 1"]
+
+
+def test_a_late_joiner_is_not_sent_an_old_command() -> None:
+    """A command is for the peers of its time, even where its topic is latched."""
+    latched = Qos(depth=1, latched=True)
+    script = Script(Config(to_igtl=(ToIgtlRow(topic="/command", type="COMMAND", qos=latched), ToIgtlRow())))
+    script.up(1)
+    order = Command(rosmsg.Header(), "Robot", 0, "Start", 3, "<Command/>")
+    assert script.ros("/command", order) == ["igtl COMMAND/Robot v1 to 1"]
+    assert script.up(2) == []
+
+
+def test_a_defect_while_a_link_opens_is_no_lost_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("oops")
+
+    monkeypatch.setattr(Peers, "up", broken)
+    assert script.up(1) == ["note internal_error"]
+    assert "received" not in str(script.gateway.ledger.to_dict())
