@@ -120,7 +120,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     # Libraries
     "av": ("edges.video",),
     "fastcrc": ("wire", "sessionfile"),
-    "lz4": ("sessionfile.stream", "sessionfile.unpack", "untrusted.unpack"),
+    "lz4": ("sessionfile.compression", "untrusted.unpack"),
     "pyigtl": ("lab.bench.pyigtl_side",),  # somebody else's peer
     "mcap": ("exchange", "sessionfile"),
     "nibabel": ("exchange.nifti",),
@@ -145,7 +145,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
     "rosbags": ("exchange", "replay", "sessionfile.schemas", "untrusted"),
     "ruamel": ("untrusted.yaml_text",),  # brought by rosbags, as zstandard is by mcap
-    "zstandard": ("exchange.rosbag2", "sessionfile.stream", "sessionfile.unpack", "untrusted.unpack"),
+    "zstandard": ("sessionfile.compression", "untrusted.unpack"),
 }
 
 #: What the levels up to the gateway may not use, on top: the environment, other threads, other processes.

@@ -11,10 +11,11 @@ from igtl_gateway import __version__
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
 from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
-from igtl_gateway.record.parts import SIDE_FILE, RecordingPart, write_side_file
 from igtl_gateway.sessionfile.copying import CopyWriter
-from igtl_gateway.sessionfile.salvage import Loss, Salvage, SalvageReport
-from igtl_gateway.sessionfile.writer import os_error_text
+from igtl_gateway.sessionfile.new_file import os_error_text
+from igtl_gateway.sessionfile.salvage import Salvage
+from igtl_gateway.sessionfile.salvage_report import Loss, SalvageReport
+from igtl_gateway.sessionfile.side_file import SIDE_FILE, RecordingPart, write_side_file
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.files import is_same
 
@@ -114,9 +115,8 @@ def _recover(
             ledger = file.ledger or {}
             if "recovered" in ledger:
                 facts["earlier"] = ledger["recovered"]
-            written = writer.close({**ledger, "recovered": facts})
-        told = {"file": str(source), "output": str(output), "output_bytes": written, **facts}
-        part = RecordingPart(output, writer.start_ns, writer.end_ns, writer.messages, tuple(writer.topics()), written)
+            part = writer.close({**ledger, "recovered": facts})
+        told = {"file": str(source), "output": str(output), "output_bytes": part.size, **facts}
         return told, file.report, part
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import heapq
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -24,11 +24,7 @@ _MESSAGE, _BAG, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 5, 6, 7
 _MAX_HEADER = 1 << 16
 
 _U32, _U64, _TIME, _PAIR = struct.Struct("<I"), struct.Struct("<Q"), struct.Struct("<II"), struct.Struct("<II")
-_UNPACK: dict[bytes, Callable[[bytes, int, str], bytes]] = {
-    b"none": lambda data, _size, _place: data,
-    b"bz2": unpack.bz2,
-    b"lz4": unpack.lz4,
-}
+_PACKINGS: dict[bytes, unpack.Packing] = {b"none": "", b"bz2": "bz2", b"lz4": "lz4"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,10 +160,10 @@ class BagFile:
         head = self._header(_CHUNK)
         place = f"{self._path}: chunk {index + 1} of {len(self.chunks)} at byte {chunk.at}"
         how, size = head.get(b"compression", b""), self._u32(head, b"size")
-        if how not in _UNPACK:
+        if how not in _PACKINGS:
             raise UnsupportedRecording(f"{place}: found the compression {how[:20]!r}, expected none, bz2 or lz4")
         packed = self._read(self._length("a chunk"), "a chunk")
-        data = _UNPACK[how](packed, size, place)
+        data = unpack.unpack_within_limits(_PACKINGS[how], packed, size, place) if _PACKINGS[how] else packed
         return sorted(self._messages(data, index << 32, place)), len(data)
 
     def _messages(self, data: bytes, order: int, place: str) -> Iterator[BagMessage]:

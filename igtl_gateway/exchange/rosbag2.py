@@ -27,11 +27,11 @@ from igtl_gateway.exchange.source import ImportedItem, ImportedStream, NonRosSou
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.chunks import message_rows
 from igtl_gateway.sessionfile.index import read_index, recover_hint
+from igtl_gateway.sessionfile.order import message_rows
 from igtl_gateway.sessionfile.records import Malformed
 from igtl_gateway.untrusted import files, limits
-from igtl_gateway.untrusted.unpack import zstd_file, zstd_of_any_size
+from igtl_gateway.untrusted.unpack import unpack_zstd_file, unpack_zstd_of_any_size
 
 #: Times in ns that a session can hold; the rest is damage, or units of something else.
 _MAX_NS = 1 << 62
@@ -90,7 +90,7 @@ class Rosbag2(NonRosSource):
         allowed = min(max(bounds.free, bounds.ratio * size), shutil.disk_usage(self._unpacked.name).free // 2)
         try:
             with files.open_file(path) as packed, plain.open("wb") as out:
-                zstd_file(packed, out, size, allowed, str(path))
+                unpack_zstd_file(packed, out, size, allowed, str(path))
         except OSError as error:
             raise DamagedRecording(f"{path}: cannot be unpacked: {error.strerror or error}") from None
         return plain
@@ -131,7 +131,7 @@ class Rosbag2(NonRosSource):
                 continue
             if self._metadata.by_message:
                 place = f"{self._path}: {key[0]} at {time_ns} ns"
-                payload = zstd_of_any_size(data, place)
+                payload = unpack_zstd_of_any_size(data, place)
                 packed, unpacked = packed + len(data), unpacked + len(payload)
                 limits.check_limit(
                     "ratio", unpacked, f"{place}: all messages so far", bounds.free + bounds.ratio * packed

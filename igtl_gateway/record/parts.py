@@ -1,17 +1,13 @@
-"""A split recording: a folder of session files, each readable alone, with the side file that ``ros2 bag`` needs.
+"""Splitting a recording: a folder of session files, each readable alone.
 
-``name.mcap`` becomes ``name/name_0.mcap``, ``name/name_1.mcap`` …  A part ends only before an input, so outputs lie in
-the part of their cause.  ``metadata.yaml`` names the parts that are complete; after a crash the last one is missing
-there, and everything else opens as it is.
+A part ends only before an input, so outputs lie in the part of their cause.  After a crash the side file lacks the last
+part, and everything else opens as it is.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
-import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,25 +15,20 @@ from igtl_gateway.errors import RecordingError
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.writer import SessionWriter, TopicCount, cannot_begin
+from igtl_gateway.sessionfile.new_file import cannot_begin
+from igtl_gateway.sessionfile.side_file import (
+    SIDE_FILE,
+    RecordingPart,
+    files_of,
+    part_path,
+    parts_folder,
+    write_side_file,
+)
+from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import NS_PER_S
-
-SIDE_FILE = "metadata.yaml"
 
 #: (path, further session facts, prologue) → the writer of a part.
 Open = Callable[[Path, dict[str, str], Sequence[Entry]], SessionWriter]
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingPart:
-    """A complete part: first and last stamp in UTC ns (0: no entries), entries, and bytes of the file."""
-
-    path: Path
-    start_ns: int
-    end_ns: int
-    entries: int
-    topics: tuple[TopicCount, ...]
-    size: int
 
 
 class PartsWriter:
@@ -47,7 +38,7 @@ class PartsWriter:
         path: ``name.mcap``, which names the folder.
         open_part: makes the writer of a part.
         prologue: has to be fresh.
-        max_bytes, max_s: a part ends when it has this size, or lasted so long; 0: never.
+        max_bytes, max_s: a part ends when it has this size or duration; 0: never.
         overwrite: replace an existing split recording.
         counters: of the recorder so far, for the ledger of a part that is not the last.
 
@@ -122,8 +113,7 @@ class PartsWriter:
         facts = {layout.PART_KEY: str(number)}
         if self._parts:
             facts[layout.PREVIOUS_KEY] = self._parts[-1].path.name
-        path = self.path / f"{self.path.name}_{number}.mcap"
-        return self._open_part(path, facts, self._prologue.entries())
+        return self._open_part(part_path(self.path, number), facts, self._prologue.entries())
 
     def _end(self, ledger: dict[str, Any]) -> None:
         part = self._part
@@ -140,77 +130,14 @@ class PartsWriter:
             raise RecordingError(f"recording to {self.path} failed: {error.strerror or error}") from error
 
 
-def parts_folder(path: Path) -> Path:
-    """The folder of the parts of ``name.mcap``."""
-    return path.with_suffix("") if path.suffix == ".mcap" else path
-
-
-def write_side_file(folder: Path, parts: Sequence[RecordingPart]) -> None:
-    """Write ``metadata.yaml``, so that at any moment there is the old one or the new one.  Raises OSError."""
-    _replace(folder / SIDE_FILE, _side_file(parts))
-
-
-def _side_file(parts: Sequence[RecordingPart]) -> str:
-    """``metadata.yaml`` as rosbag2 (Jazzy, version 9) writes it."""
-    full = [part for part in parts if part.entries]
-    start_ns = min((part.start_ns for part in full), default=0)
-    end_ns = max((part.end_ns for part in full), default=0)
-    lines = [
-        "rosbag2_bagfile_information:",
-        "  version: 9",
-        "  storage_identifier: mcap",
-        *_span("  ", start_ns, end_ns - start_ns, sum(part.entries for part in parts)),
-        "  topics_with_message_count:" + ("" if full else " []"),
-    ]
-    for topic in _merged(parts):
-        profiles = [f"          {line}" for line in topic.qos.splitlines()]
-        lines += [
-            "    - topic_metadata:",
-            f"        name: {json.dumps(topic.topic)}",
-            f"        type: {json.dumps(topic.type)}",
-            f"        serialization_format: {layout.MESSAGE_ENCODING}",
-            "        offered_qos_profiles:" + ("" if profiles else " []"),
-            *profiles,
-            f"        type_description_hash: {json.dumps(topic.type_hash)}",
-            f"      message_count: {topic.count}",
-        ]
-    none = "" if parts else " []"
-    lines += ['  compression_format: ""', '  compression_mode: ""', f"  relative_file_paths:{none}"]
-    lines += [f"    - {json.dumps(part.path.name)}" for part in parts]
-    lines.append(f"  files:{none}")
-    for part in parts:
-        lines.append(f"    - path: {json.dumps(part.path.name)}")
-        lines += _span("      ", part.start_ns, part.end_ns - part.start_ns, part.entries)
-    return "\n".join([*lines, "  custom_data: ~", "  ros_distro: jazzy", ""])
-
-
-def _span(indent: str, start_ns: int, duration_ns: int, messages: int) -> list[str]:
-    return [
-        f"{indent}starting_time:",
-        f"{indent}  nanoseconds_since_epoch: {start_ns}",
-        f"{indent}duration:",
-        f"{indent}  nanoseconds: {duration_ns}",
-        f"{indent}message_count: {messages}",
-    ]
-
-
-def _merged(parts: Sequence[RecordingPart]) -> list[TopicCount]:
-    topics: dict[tuple[str, str], TopicCount] = {}
-    for topic in (topic for part in parts for topic in part.topics):
-        before = topics.get((topic.topic, topic.type))
-        topics[topic.topic, topic.type] = replace(topic, count=topic.count + (before.count if before else 0))
-    return list(topics.values())
-
-
 def _make_folder(folder: Path, overwrite: bool) -> None:
-    """The folder, without what an earlier recording left there.  Raises RecordingError with what is in the way."""
+    """Make the folder, without the files of an earlier recording.  Raises RecordingError with the obstacle."""
     try:
         folder.mkdir()
     except FileExistsError:
         if not folder.is_dir():
             raise RecordingError(f"cannot record to {folder}: it is not a folder") from None
-        ours = [folder / SIDE_FILE, *folder.glob(f"{folder.name}_*.mcap")]
-        ours = [path for path in ours if path.exists()]
+        ours = files_of(folder)
         if not ours:
             return
         if not overwrite:
@@ -221,15 +148,3 @@ def _make_folder(folder: Path, overwrite: bool) -> None:
             path.unlink()
     except (OSError, ValueError) as error:
         raise cannot_begin(folder, error) from None
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file so that at any moment there is the old one or the new one."""
-    new = path.with_name(f".{path.name}")
-    try:
-        new.write_text(text, "utf-8")
-        os.replace(new, path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            new.unlink()
-        raise

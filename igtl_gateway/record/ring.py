@@ -14,7 +14,8 @@ from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.layout import LayoutError
-from igtl_gateway.sessionfile.writer import SessionWriter, create_file
+from igtl_gateway.sessionfile.new_file import create_file
+from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import NS_PER_S
 
 #: (path, further session facts, prologue) → the writer of a snapshot.

@@ -1,6 +1,31 @@
-"""The session file, an MCAP file: its layout, written, read, searched and salvaged.
+"""The session file: an MCAP file and its layout; written, read, searched and salvaged.  Only this folder knows both.
 
-Files that somebody else may have written are read within the limits: records, index, chunks, messages in order.  The
-``mcap`` library writes our files; it is not asked to read foreign ones, because it allocates what a file claims.  The
-specification is https://mcap.dev/spec; a record may have more bytes at its end than its fields need.
+The way through the folder, from bytes to sessions:
+
+===================  ==================================================================================================
+``records``          MCAP's records as bytes: opcodes, layouts, checksum, parsing and packing
+``compression``      chunks in lz4 and zstd, both directions
+``contents``         what is in a file and where: chunks, channels, counts
+``chunks``           one chunk: read, unpacked, taken apart into messages
+``scan``, ``index``  the contents of a file: from its summary, or by one pass over its data
+``order``            the messages of a file in order of time
+``layout``           topics, types, keys and metadata of a session; ``docs/session-log.md`` is the specification
+``messages``         an entry as a CDR message, and back
+``channels``         what the record of a channel states of its entries
+``schemas``          definitions of ROS message types for the file
+``facts``            checks of session metadata and ledger
+``stream``           MCAP being written; ``new_file`` creates the file
+``writer``           entries → file; ``side_file``: the folder of a split recording
+``reader``           file → entries
+``lookup``           starting in the middle of a file
+``damaged``          the records of a damaged file; ``salvage`` and ``salvage_report``: their messages, and the losses
+``copying``          messages of one file into another as they are
+``migrations``       files of older versions
+===================  ==================================================================================================
+
+Programs use ``reader.SessionFile``, ``writer.SessionWriter``, ``salvage.Salvage`` and ``copying.CopyWriter``.
+
+Files from elsewhere are untrusted input, so everything is read within the limits of ``untrusted.limits``.  The ``mcap``
+library packs small records; it does not read files, because it allocates what a file claims.  The specification of MCAP
+is https://mcap.dev/spec.
 """

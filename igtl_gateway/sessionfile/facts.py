@@ -1,7 +1,7 @@
-"""What a recording says of itself, checked: its session metadata and its ledger, as ``docs/session-log.md`` has them.
+"""Checks of session metadata and ledger, as ``docs/session-log.md`` has them.
 
-Readers check here once; whoever prints or counts may rely on the types.  Fields that are not in the tables are kept as
-they are.
+Readers check here once; code that prints or counts may rely on the types.  Fields that are not in the tables are kept
+unchecked.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from igtl_gateway.untrusted.shape import (
 from igtl_gateway.untrusted.text import parse_json
 
 _COUNTS = map_of(number)
-#: Of a stream: what became of its messages.
+#: Of a stream: fates of its messages.
 _FATES = fields({"dropped": _COUNTS}, other=number)
 
 _LEDGER = fields(
@@ -63,13 +63,13 @@ _LEDGER = fields(
 
 
 def _seconds(value: Any, place: str) -> None:
-    """A decimal number as text."""
+    """A decimal number as a string."""
     if not (isinstance(value, str) and len(value) <= 30 and value.isascii() and value.replace(".", "", 1).isdigit()):
         raise wrong(place, value, "a number of seconds")
 
 
 def _json(shape: Shape) -> Shape:
-    """JSON of a shape, as text."""
+    """JSON of a shape, as a string."""
 
     def check(value: Any, place: str) -> None:
         shape(parse_json(value, place), place)
@@ -77,7 +77,7 @@ def _json(shape: Shape) -> Shape:
     return check
 
 
-#: Items of the session metadata; the configuration is checked by whoever runs with it.
+#: Items of the session metadata; the configuration is checked where it is used.
 _SESSION: Mapping[str, Shape] = {
     layout.PART_KEY: digits,
     layout.SNAPSHOT_KEY: _seconds,
@@ -94,7 +94,7 @@ _SLICE = ("slice_start_ns", "slice_end_ns")
 
 
 def check_session(items: Mapping[str, str], place: str) -> None:
-    """Raise DamagedRecording (or LimitExceeded) with the item that is not what it should be."""
+    """Raise DamagedRecording (or LimitExceeded) with the item that has not the expected shape."""
     for key, shape in _SESSION.items():
         if key in items:
             shape(items[key], f"{place}: session: {key}")
@@ -104,7 +104,7 @@ def check_session(items: Mapping[str, str], place: str) -> None:
 
 
 def ledger(written: str, place: str) -> dict[str, Any]:
-    """The ledger in its JSON.  Raises DamagedRecording, or LimitExceeded."""
+    """The ledger of its JSON.  Raises DamagedRecording, or LimitExceeded."""
     found = parse_json(written, f"{place}: ledger")
     _LEDGER(found, "ledger" if not place else f"{place}: ledger")
     return dict(found)

@@ -1,14 +1,14 @@
-"""Beginning in the middle of a file: what its latched state follows from is looked up, not read up to.
+"""Starting in the middle of a file: the entries that the latched state follows from are located, not read up to.
 
-The index of a chunk tells channel, time and place of each message in it, and the channel tells what kind of entry it
-is.  So the last message of each latched channel before a moment is found, and its group (the input that caused it, and
-what that caused before), without unpacking a chunk; then the few chunks that hold one of them are unpacked, and no
-others.  Chunks without a latched channel, by the summary, are passed over altogether.
+The index of a chunk has channel, time and place of each message in it, and the channel the kind of its entries.
+So the last message of each latched channel before a moment is found, with its group (the input that caused it, and the
+earlier outputs of that input), without unpacking a chunk.  Then the few chunks that hold one of them are unpacked.
+Chunks without a latched channel, by the summary, are skipped together with their index.
 
-The index of a chunk has no checksum.  But it holds the order of the messages twice, by time and by place, with its
-ends in the summary, which has one; and what is taken from a chunk has to be of the channel and the time that the index
-told.  So a damaged index either is found out or makes no difference.  Whatever is not as expected (an index that is
-damaged or absent, chunks that overlap in time) gives no answer: then the file has to be read from its beginning.
+The index of a chunk has no checksum.  But it holds the order of the messages twice, by time and by place, with its ends
+in the summary, which has one; and a message that is taken from a chunk must have the channel and the time of the index.
+So a damaged index either is detected or makes no difference.  Where anything is not as expected (an index that is
+damaged or absent, chunks that overlap in time) there is no result: then the file must be read from its beginning.
 """
 
 from __future__ import annotations
@@ -22,16 +22,15 @@ from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
-from mcap.records import Message
 
 from igtl_gateway.errors import LimitExceeded
 from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.index import ChunkEntry, Index, check_work, packed_chunk, work_of
-from igtl_gateway.sessionfile.records import HEAD, MESSAGE, MESSAGE_HEAD, MESSAGE_INDEX, Malformed
+from igtl_gateway.sessionfile.chunks import Row, packed_chunk
+from igtl_gateway.sessionfile.contents import ChunkEntry, Index, check_work, work_of
+from igtl_gateway.sessionfile.records import HEAD, MESSAGE, MESSAGE_HEAD, MESSAGE_INDEX, MESSAGE_INDEX_HEAD, Malformed
 from igtl_gateway.untrusted import limits
 
-_INDEX_HEAD = struct.Struct("<HI")  # channel, bytes of the pairs
-#: Looking up more than that is more work than reading the file.
+#: Looking up more messages than this is more work than reading the file.
 _MAX_PLACES = 1_000_000
 _MESSAGES = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT})
 
@@ -41,11 +40,11 @@ Numbers = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class LatchedStateRule:
-    """What the latched state follows from; outputs that such an input causes belong to it, too.
+    """Which entries the latched state follows from; the outputs of such an input belong to it, too.
 
     Attributes:
-        is_state: whether the entries of a stream (kind, channel, type) say a state.
-        by_content: whether a message of the channel need not replace the one before it.
+        is_state: whether the entries of a stream (kind, channel, type) are a state.
+        by_content: whether a message of the channel might not replace the one before it.
     """
 
     is_state: Callable[[Kind, str, str], bool]
@@ -54,15 +53,15 @@ class LatchedStateRule:
 
 @dataclass(frozen=True, slots=True)
 class LookupResult:
-    """What was looked up.
+    """The messages that were looked up.
 
     Attributes:
-        messages: in order; each with the number of messages (of streams that are known) before it.
-        rest_ns: time of the first message that comes after those that were looked through; None if there is none.
-        count: messages (of streams that are known) before that; only where they were to be counted.
+        rows: messages in order; each with the number of messages (of streams that are read) before it.
+        rest_ns: time of the first message in the chunks that were not searched; None if there is none.
+        count: messages (of streams that are read) before that; only where they were to be counted.
     """
 
-    messages: list[tuple[Message, int]]
+    rows: list[tuple[Row, int]]
     rest_ns: int | None
     count: int
 
@@ -79,7 +78,7 @@ class _MessagePlace:
 
 
 class _Unfit(Exception):
-    """The index is not what can be worked with."""
+    """The index is not usable."""
 
 
 def look_up(
@@ -91,12 +90,12 @@ def look_up(
     *,
     counted: bool,
 ) -> LookupResult | None:
-    """What has to be read before ``start_ns`` (UTC); None where the index does not tell.
+    """The messages before ``start_ns`` (UTC) that have to be read; None where the index is not usable.
 
     Args:
-        file: its index.
+        file: the index of the file.
         streams: kind, channel and type of the entries of each MCAP channel that is read.
-        counted: the numbers of the messages are wanted.
+        counted: the messages before are to be counted.
     """
     try:
         chunks = file.chunks
@@ -111,16 +110,16 @@ def look_up(
                 search.chunk(at, *_index(stream, index))
             else:
                 search.skip()
-        messages, size, most = [], 0, limits.current_limits().unpacked(file.size)
-        for message, number in _messages(stream, before, sorted(search.places())):
-            messages.append((message, number))
-            size += len(message.data)
+        rows, size, most = [], 0, limits.current_limits().unpacked(file.size)
+        for row, number in _messages(stream, before, sorted(search.places())):
+            rows.append((row, number))
+            size += len(row[6])
             if size > most:
                 raise _Unfit
-    except (_Unfit, Malformed, LimitExceeded, struct.error, ValueError, LookupError):  # whatever is not as expected
+    except (_Unfit, Malformed, LimitExceeded, struct.error, ValueError, LookupError):  # anything unexpected
         return None
     rest_ns = chunks[len(before)].start_ns if len(before) < len(chunks) else None
-    return LookupResult(messages, rest_ns, search.count)
+    return LookupResult(rows, rest_ns, search.count)
 
 
 def _concerned(search: _Search, chunks: list[ChunkEntry]) -> set[int]:
@@ -141,7 +140,7 @@ def _concerned(search: _Search, chunks: list[ChunkEntry]) -> set[int]:
 
 
 class _Search:
-    """Goes through the chunks in order and remembers what is the last of its channel."""
+    """Visits the chunks in order and remembers the last message of each latched channel."""
 
     def __init__(self, streams: Mapping[int, tuple[Kind, str, str]], rule: LatchedStateRule) -> None:
         self.count = self._looked_at = 0
@@ -167,11 +166,11 @@ class _Search:
         return bool(self._state[self._channels(index)].any())
 
     def skip(self) -> None:
-        """A chunk that does not concern us, nor do outputs in the next one that its inputs cause."""
+        """Skip a chunk of no concern; nor are outputs in the next one that its inputs cause."""
         self._group, self._cause_is_state = [], False
 
     def places(self) -> set[_MessagePlace]:
-        """All that has to be read."""
+        """All messages that have to be read."""
         return {*self._kept, *self._group, *(place for group in self._last.values() for place in group)}
 
     def chunk(self, number: int, channels: Numbers, times: Numbers, offsets: Numbers) -> None:
@@ -182,14 +181,14 @@ class _Search:
         is_input = self._inputs[channels]
         causes = np.maximum.accumulate(np.where(is_input, np.arange(count), -1))
         state = self._state[channels]
-        # behind a beginning without an input the cause is not in this file: whoever has it has to judge
+        # outputs before the first input have their cause in another file: the caller has to judge
         begun: Flags = np.asarray(causes >= 0)
         orphan: Flags = ~begun if self._cause_is_state is None else np.zeros(count, np.bool_)
         caused = np.where(begun, state[causes], bool(self._cause_is_state))
         wanted = np.flatnonzero((state | caused | orphan) & self._messages[channels])
 
         def group(at: int) -> list[_MessagePlace]:
-            """The message and what of its group is before it."""
+            """The message and the part of its group before it."""
             here = range(max(int(causes[at]), 0), at + 1)
             self._looked_at += len(here)
             if self._looked_at > _MAX_PLACES:
@@ -232,11 +231,11 @@ def _index(stream: IO[bytes], index: ChunkEntry) -> tuple[Numbers, Numbers, Numb
     places = {}
     while at < len(data):
         opcode, _ = HEAD.unpack_from(data, at)
-        channel, size = _INDEX_HEAD.unpack_from(data, at + HEAD.size)
+        channel, size = MESSAGE_INDEX_HEAD.unpack_from(data, at + HEAD.size)
         if opcode != MESSAGE_INDEX or channel in places:
             raise _Unfit
         places[channel] = start + at
-        at += HEAD.size + _INDEX_HEAD.size
+        at += HEAD.size + MESSAGE_INDEX_HEAD.size
         pairs = np.frombuffer(data, "<u8", size // 8, at).reshape(-1, 2)
         parts.append((np.full(len(pairs), channel, np.int64), pairs[:, 0], pairs[:, 1]))
         at += size
@@ -253,9 +252,7 @@ def _index(stream: IO[bytes], index: ChunkEntry) -> tuple[Numbers, Numbers, Numb
     return channels, times, offsets
 
 
-def _messages(
-    stream: IO[bytes], chunks: list[ChunkEntry], places: list[_MessagePlace]
-) -> Iterator[tuple[Message, int]]:
+def _messages(stream: IO[bytes], chunks: list[ChunkEntry], places: list[_MessagePlace]) -> Iterator[tuple[Row, int]]:
     """The messages at these places; one chunk is held at a time."""
     for number, inside in groupby(places, key=lambda place: place.chunk):
         data = packed_chunk(stream, chunks[number], "").unpack()
@@ -266,4 +263,4 @@ def _messages(
             if (opcode, channel, log_time) != (MESSAGE, place.channel, place.time_ns) or end > len(data):
                 raise _Unfit
             payload = data[at + MESSAGE_HEAD.size : end]
-            yield Message(channel, log_time, payload, publish_time, sequence), place.before
+            yield (channel, sequence, log_time, publish_time, 0, len(payload), payload), place.before

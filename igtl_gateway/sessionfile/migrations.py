@@ -1,7 +1,7 @@
 """Old recordings: one step for each version of ``docs/session-log.md`` that is no longer the current one.
 
-A reader gives entries and session metadata as the current version has them.  What an older version had otherwise,
-its step puts right; steps are applied one after the other, so that each knows two versions only.  To change the
+A reader returns entries and session metadata in the form of the current version.  The step of an older version
+converts them to the next one; steps are applied one after the other, so each knows two versions only.  To change the
 format: raise ``layout.FORMAT_VERSION``, add the step from the version before, keep a file of that version as a test
 (``tests/sessionfile/old``) and add a line to the table of versions in the document.
 """
@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from igtl_gateway.errors import UnsupportedRecording
 from igtl_gateway.session.entry import Entry
-from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile import facts, layout
+from igtl_gateway.untrusted.shape import digits
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +35,34 @@ class Step:
 STEPS: Mapping[int, Step] = {}
 
 
+def read_session(path: Path, items: dict[str, str] | None) -> tuple[int, dict[str, str]]:
+    """Format version and session metadata of a file; the metadata as the current version has them.
+
+    Args:
+        items: the recorded metadata; None: the file has none.
+
+    Raises UnsupportedRecording for a version that is newer than this program or has no step, DamagedRecording.
+    """
+    if items is None:
+        return layout.FORMAT_VERSION, {}
+    text = items.get(layout.FORMAT_VERSION_KEY, "")
+    digits(text, f"{path}: format version")
+    if int(text) > layout.FORMAT_VERSION:
+        raise UnsupportedRecording(
+            f"{path}: found format version {text}, expected at most {layout.FORMAT_VERSION}; "
+            "read it with a newer igtl-gateway"
+        )
+    facts.check_session(items, str(path))
+    try:
+        return int(text), session(int(text), items)
+    except UnsupportedRecording as error:
+        raise UnsupportedRecording(f"{path}: {error}") from None
+
+
 def session(
     version: int, given: dict[str, str], *, to: int = layout.FORMAT_VERSION, steps: Mapping[int, Step] = STEPS
 ) -> dict[str, str]:
-    """Session metadata of a file of ``version``, as version ``to`` has it.  Raises UnsupportedRecording."""
+    """Session metadata of a file of ``version``, as version ``to`` has them.  Raises UnsupportedRecording."""
     for step in _path(version, to, steps):
         given = step.session(given)
     return given
@@ -45,7 +71,7 @@ def session(
 def entries(
     version: int, given: Iterator[Entry], *, to: int = layout.FORMAT_VERSION, steps: Mapping[int, Step] = STEPS
 ) -> Iterator[Entry]:
-    """Entries of a file of ``version``, as version ``to`` has them.  Raises UnsupportedRecording, at once."""
+    """Entries of a file of ``version``, as version ``to`` has them.  Raises UnsupportedRecording, immediately."""
     for step in _path(version, to, steps):
         given = step.entries(given)
     return given

@@ -1,81 +1,50 @@
-"""A session file being read: MCAP in, entries out, as ``docs/session-log.md`` says.
+"""Reading a session file: MCAP in, entries out, as ``docs/session-log.md`` specifies.
 
-A file is either read right or refused: checksums are verified of the index, of our metadata and of every chunk,
-and whatever the library below raises on damaged bytes leaves here as DamagedRecording.  MCAP files without our
-metadata ("foreign", such as rosbag2 recordings) are read as what ROS nodes said.
+A file is either read correctly or refused: the checksums of the index, of our metadata and of every chunk are verified;
+damage raises DamagedRecording.  MCAP files without our metadata ("foreign", such as rosbag2 recordings) are read as
+messages from ROS.
 
-Memory is bounded: a few chunks at a time, as long as chunks do not overlap in time, which ours never do.
+Memory is bounded: a few chunks at a time, as long as chunks do not overlap in time; those of our writer never do.
 """
 
 from __future__ import annotations
 
-import re
-import zlib
 from collections.abc import Callable, Collection, Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-from mcap.records import Channel, Schema
+from mcap.records import Channel
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
-from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import facts, layout, migrations, records
-from igtl_gateway.sessionfile.chunks import Row, message_rows
-from igtl_gateway.sessionfile.index import ChunkEntry, Index, RecordPlace, read_index, recover_hint
+from igtl_gateway.sessionfile.channels import (
+    SEQUENCES,
+    ChannelSummary,
+    Decode,
+    SkippedChannel,
+    decoder,
+    is_marked,
+    kind_of,
+    next_seq,
+)
+from igtl_gateway.sessionfile.chunks import Row
+from igtl_gateway.sessionfile.contents import ChunkEntry
+from igtl_gateway.sessionfile.index import read_index, read_record, recover_hint
 from igtl_gateway.sessionfile.layout import LayoutError
 from igtl_gateway.sessionfile.lookup import LatchedStateRule, look_up
-from igtl_gateway.sessionfile.records import HEAD, Malformed
+from igtl_gateway.sessionfile.order import message_rows
+from igtl_gateway.sessionfile.records import Malformed
 from igtl_gateway.untrusted import files, limits
-from igtl_gateway.untrusted.shape import digits
-
-SEQUENCES = 1 << 32  # MCAP's sequence has 32 bits, entry numbers have no bound
-#: A message is large that has at least this part of its chunk: it is not copied.
-_LARGE_PART = 4
-_ROS_TYPE = re.compile(r"\w+/msg/\w+", re.ASCII)
-
-Decode = Callable[[Row, int], Entry]
 
 _ALL_KINDS = frozenset(Kind)
 #: What stands for inputs that are not wanted.
 _UNWANTED = {kind: Entry(0, 0, kind) for kind in Kind if kind.is_input}
-
 _UNREAD = _UNWANTED[Kind.EDGE_NOTE]
-
-
-@dataclass(frozen=True, slots=True)
-class ChannelSummary:
-    """A channel of the file.
-
-    Attributes:
-        topic: its topic in the file.
-        type: ROS message type in the file; ours for OpenIGTLink and notes.
-        kind: kind of its entries.
-        stream: the channel of its entries: the topic of ROS messages, ``TYPE/device name`` of OpenIGTLink; ``""``
-            where streams share the channel, and for notes.
-        count: messages.
-        qos: as recorded; None where the file does not say.
-    """
-
-    topic: str
-    type: str
-    kind: Kind
-    stream: str
-    count: int
-    qos: Qos | None
-
-
-@dataclass(frozen=True, slots=True)
-class SkippedChannel:
-    """A channel that is not read, and why."""
-
-    topic: str
-    type: str
-    count: int
-    why: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,14 +63,14 @@ class SessionFile:
 
     Attributes:
         path: the file.
-        session: what the recording says of itself; empty for foreign files.
+        session: the session metadata; empty for foreign files.
         format_version: version of ``docs/session-log.md`` that it follows.
-        ledger: what became of every message; None where the recording has none.
-        foreign: not a recording of ours: every message is a ROS_IN entry, numbered as read.
+        ledger: the fate of every message; None where the recording has none.
+        foreign: not a recording of the gateway: every message is a ROS_IN entry, numbered as read.
         channels: what is in it.
         skipped: what is in it but is not read.
         definitions: ROS type → definition with all that it needs, where the file has one.
-        entry_count: entries that :meth:`entries` gives.
+        entry_count: entries that :meth:`entries` returns.
         start_ns, end_ns: UTC nanoseconds of the first and the last one; 0 in an empty file.
         parts: the files of a split recording, in order; empty for a file.
     """
@@ -112,30 +81,19 @@ class SessionFile:
         self.path = path
         self._stream = stream
         self._index = index = read_index(path, stream)
-        session = self._metadata(index, layout.SESSION_METADATA)
-        ledger = self._metadata(index, layout.LEDGER_METADATA)
-        self.format_version = format_version(path, session)
-        facts.check_session(session or {}, str(path))
-        try:
-            self.session = migrations.session(self.format_version, session or {})
-        except UnsupportedRecording as error:
-            raise UnsupportedRecording(f"{path}: {error}") from None
+        session = self._metadata(layout.SESSION_METADATA)
+        ledger = self._metadata(layout.LEDGER_METADATA)
+        self.format_version, self.session = migrations.read_session(path, session)
         self.ledger = None if ledger is None else facts.ledger(ledger.get(layout.LEDGER_KEY, ""), str(path))
-        marked = any(layout.KIND_KEY in channel.metadata for channel in index.channels.values())
-        self.foreign = session is None and not marked
+        self.foreign = session is None and not any(map(is_marked, index.channels.values()))
         self._decoders: dict[int, Decode] = {}
         self._streams: dict[int, tuple[Kind, str, str]] = {}  # kind, channel and type of a channel's entries
         self._known = frozenset(index.channels)
-        told: list[ChannelSummary | SkippedChannel] = []
-        for channel in index.channels.values():
-            schema = index.schemas.get(channel.schema_id) if channel.schema_id else None
-            if channel.schema_id and schema is None:
-                raise self._damaged(f"channel {channel.topic}", f"found schema {channel.schema_id}, which is not there")
-            told.append(self._open_channel(channel, schema, index.counts.get(channel.id, 0)))
         if unknown := index.counts.keys() - self._known:
             raise self._damaged("index", f"found messages of channel {min(unknown)}, of which there is no record")
-        self.channels = tuple(channel for channel in told if isinstance(channel, ChannelSummary))
-        self.skipped = tuple(channel for channel in told if isinstance(channel, SkippedChannel))
+        found = [self._open_channel(channel) for channel in index.channels.values()]
+        self.channels = tuple(channel for channel in found if isinstance(channel, ChannelSummary))
+        self.skipped = tuple(channel for channel in found if isinstance(channel, SkippedChannel))
         self.definitions = {
             schema.name: schema.data.decode("utf-8", "replace")
             for schema in index.schemas.values()
@@ -146,9 +104,7 @@ class SessionFile:
 
     @classmethod
     def open(cls, path: Path | str) -> SessionFile:
-        """Open a file, or the folder of a split recording, and read what it says of itself.
-
-        The entries are read by :meth:`entries`.
+        """Open a file, or the folder of a split recording, and read all but its entries.
 
         Raises UnsupportedRecording (no such file, not MCAP, of a newer version …) or DamagedRecording.
         """
@@ -177,12 +133,12 @@ class SessionFile:
     def entries(self) -> Iterator[Entry]:
         """All entries in their order.  Payloads are one buffer each, views of OpenIGTLink messages.
 
-        Raises DamagedRecording where the file turns out to be damaged; what came before is right.
+        Raises DamagedRecording where the file turns out to be damaged; the entries before that are right.
         """
         return migrations.entries(self.format_version, self._entries())
 
     def entries_of(self, kinds: Collection[Kind]) -> Iterator[Entry]:
-        """The entries of these kinds; what other inputs there are is told by entries without number and content.
+        """The entries of these kinds; entries without number and content stand for the other inputs.
 
         Other outputs may be there or not.  Chunks that hold none of the kinds are not unpacked.  Raises as `entries`.
         """
@@ -195,35 +151,16 @@ class SessionFile:
     def entries_from(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
         """The entries from ``start_ns`` (UTC) on, before them at least those that the latched state there follows from.
 
-        Looked up by the index where there is one that tells; else all entries.  Raises DamagedRecording where what is
-        read turns out to be damaged.
+        The index locates them if it is usable; if not, this returns all entries.  Raises DamagedRecording where the
+        read part of the file turns out to be damaged.
         """
-        found = None
-        # of streams that share a channel only the messages themselves tell which is which
-        told = all(
-            channel.stream or channel.kind not in layout.WIRE_TOPICS for channel in self.channels if channel.count
-        )
-        if told and self.format_version == layout.FORMAT_VERSION:
-            found = look_up(self._stream, self._index, start_ns, self._streams, rule, counted=self.foreign)
-        state: list[Entry] = []
-        try:
-            for message, before in found.messages if found else ():
-                seq = before + 1 if self.foreign else _next(state[-1].seq if state else 0, message.sequence)
-                row = (message.channel_id, message.sequence, message.log_time, message.publish_time, 0)
-                entry = self._decoders[message.channel_id]((*row, len(message.data), message.data), seq)
-                if entry.channel and self._streams[message.channel_id] != (entry.kind, entry.channel, entry.type):
-                    found = None
-                    break
-                state.append(entry)
-        except LayoutError:
-            found = None
-        if found is None:
+        state, rest_ns, seq = self._looked_up(start_ns, rule)
+        if seq is None:
             yield from self.entries()
             return
         yield from state
-        if found.rest_ns is not None:
-            seq = found.count if self.foreign else state[-1].seq if state else 0
-            yield from self._numbered(self._rows(found.rest_ns), seq)
+        if rest_ns is not None:
+            yield from self._numbered(self._rows(rest_ns), seq)
 
     def prologue(self) -> list[Entry]:
         """Inputs before the first entry, which the gateway's state follows from; for files that begin midway.
@@ -233,13 +170,9 @@ class SessionFile:
         place = next((each for each in self._index.attachments if each.name == layout.PROLOGUE_ATTACHMENT), None)
         if place is None:
             return []
-        content = self._record(records.ATTACHMENT, place, "prologue")
-        try:
-            attachment, covered = records.parse_attachment(content)
-            if zlib.crc32(content[:covered]) != int.from_bytes(content[covered : covered + 4], "little"):
-                raise Malformed("its checksum is wrong")
-        except Malformed as error:
-            raise self._damaged("prologue", error) from None
+        with self._damage_in("prologue"):
+            content = read_record(self._stream, self._index, records.ATTACHMENT, place, f"{self.path}: prologue")
+            attachment = records.parse_attachment(content)
         entries, size = [], 0
         most = limits.current_limits().unpacked(len(attachment.data))
         for entry in SessionFile(self.path, BytesIO(attachment.data)).entries():
@@ -249,6 +182,52 @@ class SessionFile:
             limits.check_limit("ratio", size, f"{self.path}: prologue", most)
         return entries
 
+    # -- opening ----------------------------------------------------------------------------------------------
+
+    def _damaged(self, what: str, why: object) -> DamagedRecording:
+        return DamagedRecording(f"{self.path}: {what}: {why}{recover_hint(self.path)}")
+
+    @contextmanager
+    def _damage_in(self, what: str) -> Iterator[None]:
+        """Around code that parses a part of the file: its errors become DamagedRecording."""
+        try:
+            yield
+        except (Malformed, LayoutError) as error:
+            raise self._damaged(what, error) from None
+        except OSError as error:
+            raise DamagedRecording(f"{self.path}: cannot be read: {error.strerror}") from None
+
+    def _metadata(self, name: str) -> dict[str, str] | None:
+        """Items of the first metadata record of that name, checked; None if there is none."""
+        # by the index, which is under a checksum: a damaged name must not make the record disappear
+        place = next((each for each in self._index.metadata if each.name == name), None)
+        if place is None:
+            return None
+        what = f"metadata {name}"
+        limits.check_limit("free", 8 * place.length, f"{self.path}: {what}")
+        with self._damage_in(what):
+            content = read_record(self._stream, self._index, records.METADATA, place, f"{self.path}: {what}")
+            record = records.parse_metadata(content)
+            if record.name != name:
+                raise Malformed(f"found the name {record.name!r}")
+            return layout.unseal(record.metadata)
+
+    def _open_channel(self, channel: Channel) -> ChannelSummary | SkippedChannel:
+        """Decide how a channel is read, or why it is not."""
+        schema = self._index.schemas.get(channel.schema_id) if channel.schema_id else None
+        if channel.schema_id and schema is None:
+            raise self._damaged(f"channel {channel.topic}", f"found schema {channel.schema_id}, which is not there")
+        count = self._index.counts.get(channel.id, 0)
+        kind, why = kind_of(channel, schema, self.foreign)
+        if kind is None or schema is None:
+            return SkippedChannel(channel.topic, schema.name if schema else "", count, why)
+        found = ChannelSummary.of(channel, schema, kind, count)
+        self._decoders[channel.id] = decoder(kind, channel.topic, schema.name)
+        self._streams[channel.id] = kind, found.stream, found.entry_type
+        return found
+
+    # -- reading ----------------------------------------------------------------------------------------------
+
     def _entries(self) -> Iterator[Entry]:
         count = yield from self._numbered(self._rows(), 0)
         self._check_count(count, self.entry_count)
@@ -256,6 +235,32 @@ class SessionFile:
     def _check_count(self, found: int, expected: int) -> None:
         if found != expected:
             raise DamagedRecording(f"{self.path}: found {found} entries, expected {expected}{recover_hint(self.path)}")
+
+    def _looked_up(self, start_ns: int, rule: LatchedStateRule) -> tuple[list[Entry], int | None, int | None]:
+        """What :meth:`entries_from` needs: the entries of the state; the time from which on the rest has to be read
+        (None: there is no rest); the entry number before that (None: the index is not usable)."""
+        unusable: tuple[list[Entry], None, None] = [], None, None
+        # streams that share a channel are distinguished by the messages only
+        shared = any(
+            channel.count and not channel.stream and channel.kind in layout.WIRE_TOPICS for channel in self.channels
+        )
+        if shared or self.format_version != layout.FORMAT_VERSION:
+            return unusable
+        found = look_up(self._stream, self._index, start_ns, self._streams, rule, counted=self.foreign)
+        if found is None:
+            return unusable
+        state: list[Entry] = []
+        seq = 0
+        for row, before in found.rows:
+            seq = before + 1 if self.foreign else next_seq(seq, row[1])
+            try:
+                entry = self._decoders[row[0]](row, seq)
+            except LayoutError:
+                return unusable
+            if entry.channel and self._streams[row[0]] != (entry.kind, entry.channel, entry.type):
+                return unusable
+            state.append(entry)
+        return state, found.rest_ns, found.count if self.foreign else seq
 
     def _numbered(
         self, rows: Iterator[list[Row] | None], seq: int, kinds: Collection[Kind] = _ALL_KINDS
@@ -284,8 +289,8 @@ class SessionFile:
                     continue
                 number = seq + 1
                 if sequence != number and not foreign:
-                    number = seq + (sequence - seq) % SEQUENCES
-                    # what comes before the first one may have been left out
+                    number = next_seq(seq, sequence)
+                    # entries before the first one may have been left out
                     if number == seq or (number - seq >= SEQUENCES // 2 and not first):
                         raise DamagedRecording(
                             f"{self.path}: found entry number {sequence}, expected one above {seq % SEQUENCES}"
@@ -308,7 +313,7 @@ class SessionFile:
     def _rows(self, from_ns: int = 0, kinds: Collection[Kind] = _ALL_KINDS) -> Iterator[list[Row] | None]:
         """All messages (from a moment on) in order, in lists.
 
-        A chunk that holds nothing of these kinds is passed over: None if there are inputs in it, else nothing.
+        A chunk that holds nothing of these kinds is not read: it gives None if there are inputs in it, else nothing.
         """
         wanted = {number for number, (kind, _, _) in self._streams.items() if kind in kinds}
         inputs = {number for number, (kind, _, _) in self._streams.items() if kind.is_input}
@@ -317,7 +322,7 @@ class SessionFile:
             # without an index of its messages, a chunk may hold any
             return not chunk.places or not wanted.isdisjoint(chunk.channels)
 
-        try:
+        with self._damage_in("entries"):
             for chunk, rows in message_rows(self._stream, self._index, str(self.path), from_ns, is_wanted):
                 if rows is not None:
                     unknown = {row[0] for row in rows} - self._known
@@ -326,59 +331,6 @@ class SessionFile:
                     yield rows
                 elif chunk and not inputs.isdisjoint(chunk.channels):
                     yield None
-        except Malformed as error:
-            raise self._damaged("entries", error) from None
-        except OSError as error:
-            raise DamagedRecording(f"{self.path}: cannot be read: {error.strerror}") from None
-
-    # -- opening ----------------------------------------------------------------------------------------------
-
-    def _damaged(self, what: str, why: object) -> DamagedRecording:
-        return DamagedRecording(f"{self.path}: {what}: {why}{recover_hint(self.path)}")
-
-    def _record(self, opcode: int, place: RecordPlace, what: str) -> bytes:
-        """The content of a record that the index names.  Raises DamagedRecording, LimitExceeded."""
-        if place.at + place.length > self._index.size or place.length < HEAD.size:
-            raise self._damaged(what, f"found {place.length} bytes at {place.at}, which the file does not have")
-        limits.check_limit("memory", place.length, f"{self.path}: {what}")
-        try:
-            self._stream.seek(place.at)
-            data = self._stream.read(place.length)
-        except OSError as error:
-            raise DamagedRecording(f"{self.path}: cannot be read: {error.strerror}") from None
-        if HEAD.unpack_from(data) != (opcode, place.length - HEAD.size):
-            raise self._damaged(what, f"found {data[: HEAD.size].hex(' ')} at {place.at}, expected the record")
-        return data[HEAD.size :]
-
-    def _metadata(self, index: Index, name: str) -> dict[str, str] | None:
-        """Items of the first metadata record of that name, checked; None if there is none."""
-        # by the index, which is under a checksum: a damaged name must not make the record disappear
-        place = next((each for each in index.metadata if each.name == name), None)
-        if place is None:
-            return None
-        what = f"metadata {name}"
-        limits.check_limit("free", 8 * place.length, f"{self.path}: {what}")
-        try:
-            record = records.parse_metadata(self._record(records.METADATA, place, what))
-            if record.name != name:
-                raise Malformed(f"found the name {record.name!r}")
-            return layout.unseal(record.metadata)
-        except (Malformed, LayoutError) as error:
-            raise self._damaged(what, error) from None
-
-    def _open_channel(self, channel: Channel, schema: Schema | None, count: int) -> ChannelSummary | SkippedChannel:
-        """Settle how a channel is read, or why it is not."""
-        ros_type = schema.name if schema else ""
-        kind, why = kind_of(channel, schema, self.foreign)
-        if kind is None:
-            return SkippedChannel(channel.topic, ros_type, count, why)
-        self._decoders[channel.id] = decoder(kind, channel.topic, ros_type)
-        stream = channel.metadata.get(layout.STREAM_KEY, "")
-        stream = channel.topic if kind in layout.ROS_KINDS else layout.unescape(stream)
-        entry_type = ros_type if kind in layout.ROS_KINDS else stream.partition("/")[0]
-        self._streams[channel.id] = kind, stream, entry_type
-        qos = layout.parse_qos_yaml(channel.metadata.get(layout.QOS_KEY, ""))
-        return ChannelSummary(channel.topic, ros_type, kind, stream, count, qos)
 
 
 class SessionParts(SessionFile):
@@ -426,7 +378,7 @@ class SessionParts(SessionFile):
         self.channels, self.skipped = tuple(channels.values()), tuple(skipped)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Nothing to close: a part is open only while it is read."""
 
     def entries(self) -> Iterator[Entry]:
         """All entries of all parts; as SessionFile.entries."""
@@ -454,76 +406,5 @@ class SessionParts(SessionFile):
                     yield entry
 
     def prologue(self) -> list[Entry]:
-        """Nothing: it begins at the beginning."""
+        """Nothing: a split recording begins with the session."""
         return []
-
-
-def _next(seq: int, sequence: int) -> int:
-    """The entry number behind ``seq`` that MCAP's ``sequence`` is short for; ``seq`` itself if it repeats."""
-    return seq + (sequence - seq) % SEQUENCES
-
-
-_KINDS = {kind.value: kind for kind in Kind}
-
-
-def format_version(path: Path, session: dict[str, str] | None) -> int:
-    """The version that a file has by its session metadata; raises if that is none, or newer than this reader."""
-    if session is None:
-        return layout.FORMAT_VERSION
-    text = session.get(layout.FORMAT_VERSION_KEY, "")
-    digits(text, f"{path}: format version")
-    if int(text) > layout.FORMAT_VERSION:
-        raise UnsupportedRecording(
-            f"{path}: found format version {text}, expected at most {layout.FORMAT_VERSION}; "
-            "read it with a newer igtl-gateway"
-        )
-    return int(text)
-
-
-def kind_of(channel: Channel, schema: Schema | None, foreign: bool) -> tuple[Kind | None, str]:
-    """Kind of a channel's entries; or None and why it cannot be read."""
-    if channel.message_encoding != layout.MESSAGE_ENCODING:
-        return None, f"found encoding {channel.message_encoding!r}, expected {layout.MESSAGE_ENCODING!r}"
-    if schema is None or not _ROS_TYPE.fullmatch(schema.name):
-        return None, f"found type {schema.name if schema else ''!r}, expected package/msg/Name"
-    if b"\n---" in schema.data:
-        return None, "a service, not a topic"
-    if foreign:
-        return Kind.ROS_IN, ""
-    name = channel.metadata.get(layout.KIND_KEY, "")
-    if name not in _KINDS:
-        return None, f"found kind {name!r}: not written by the gateway"
-    kind = _KINDS[name]
-    expected = layout.type_of(kind)
-    if expected and schema.name != expected:
-        return None, f"found type {schema.name!r}, expected {expected!r}"
-    return kind, ""
-
-
-def decoder(kind: Kind, topic: str, ros_type: str) -> Decode:
-    """What makes entries of a channel's messages and their entry numbers; it raises LayoutError."""
-    if kind in layout.WIRE_TOPICS:
-        return _raw_decoder()
-    if kind in layout.NOTE_KINDS:
-        return lambda row, seq: layout.unpack_note(row[6][row[4] : row[5]], seq, row[2])
-
-    def ros(row: Row, seq: int) -> Entry:
-        _, _, log_ns, publish_ns, start, end, data = row
-        # MCAP says publish_time = log_time for "not set"
-        source_ns = publish_ns if publish_ns != log_ns else 0
-        return Entry(seq, log_ns, kind, topic, ros_type, (data[start:end],), (), source_ns)
-
-    return ros
-
-
-def _raw_decoder() -> Decode:
-    """What makes entries of OpenIGTLink messages."""
-    unpack = layout.RawUnpacker()
-
-    def raw(row: Row, seq: int) -> Entry:
-        _, _, log_ns, publish_ns, start, end, data = row
-        # a small part of a chunk must not keep all of it
-        large = (end - start) * _LARGE_PART >= len(data)
-        return unpack(memoryview(data) if large else data, seq, log_ns, publish_ns, start, end)
-
-    return raw

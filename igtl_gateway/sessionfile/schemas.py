@@ -1,8 +1,8 @@
 """Definitions of ROS message types for the file: ``ros2msg`` text and type hash.
 
-Looked for in this order: the types of the recording itself, the types of ROS 2 Jazzy that rosbags knows by heart (no
-installation needed), the ``.msg`` files of the installation, which are in ``share/PACKAGE/msg/`` under each folder of
-``AMENT_PREFIX_PATH`` and under ``sys.prefix`` (where the ROS wheels put them), and those that we bring
+Searched in this order: the types of the recording itself; the types of ROS 2 Jazzy that rosbags contains (no
+installation needed); the ``.msg`` files of the installation, which are in ``share/PACKAGE/msg/`` under each folder of
+``AMENT_PREFIX_PATH`` and under ``sys.prefix`` (where the ROS wheels put them); the files of this package
 (``ros_interfaces``).
 """
 
@@ -29,7 +29,7 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """What a file says of a message type.
+    """The definition of a message type in a file.
 
     Attributes:
         text: the definition with all it depends on, as in ``ros2msg`` schemas.
@@ -41,10 +41,10 @@ class Definition:
 
 
 class RosTypes:
-    """Finds definitions; keeps what it has found.
+    """Finds definitions, and keeps them.
 
     Args:
-        shares: folders to look for ``PACKAGE/msg/NAME.msg`` in; default: those of the installation, then ours.
+        shares: folders with ``PACKAGE/msg/NAME.msg``; default: those of the installation, then our own.
     """
 
     def __init__(self, shares: Sequence[Path] | None = None) -> None:
@@ -54,7 +54,7 @@ class RosTypes:
             self._types |= definitions.parse_definition(text, name)
 
     def find(self, ros_type: str) -> Definition | None:
-        """The definition of ``package/msg/Name``; None where it, or a type that it needs, is not to be found."""
+        """The definition of ``package/msg/Name``; None where it, or a type that it needs, is not found."""
         try:
             if not self._load(ros_type):
                 return None
@@ -62,11 +62,11 @@ class RosTypes:
                 definitions.definition_text(self._types, ros_type), definitions.type_hash(self._types, ros_type)
             )
         except (TypesysError, RecordingError, UnicodeDecodeError, KeyError):
-            # a file that is unreadable, or in a dialect that rosbags does not read
+            # a file that is unreadable, or in a dialect that rosbags does not know
             return None
 
     def _load(self, ros_type: str) -> bool:
-        """Find the type and all that it needs."""
+        """Find the type and all types that it needs."""
         found: dict[str, Any] = {}
         wanted = [ros_type]
         while wanted:

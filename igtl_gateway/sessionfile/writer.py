@@ -1,63 +1,46 @@
-"""The session file being written: entries in, MCAP out, as ``docs/session-log.md`` says.
+"""Writing a session file: entries in, MCAP out, as ``docs/session-log.md`` specifies.
 
-Synchronous and single-threaded; the recorder runs it in its own thread, tools use it as it is.  It adds no
-times or chance of its own: the same entries give the same records, and the same file by the same compressor.
+Synchronous and single-threaded; the recorder runs it in its own process, tools use it directly.  It adds no times and
+nothing random: equal entries give equal records, and equal files with the same compressor.
 
-What a whole file depends on is there twice: the session's metadata, and schemas and channels, which are in the first
-chunk that needs them and, on top, between the chunks.  So no one damaged place costs more than itself.
+What a whole file depends on is there twice: the session metadata; and schemas and channels, which are in the first
+chunk that needs them and also between the chunks.  So a single damaged place costs only the chunk that it is in.
 """
 
 from __future__ import annotations
 
 import errno
-import fcntl
-import json
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from io import BufferedWriter, BytesIO
 from pathlib import Path
 from typing import Any, Literal
 
-from mcap.writer import CompressionType
-
 from igtl_gateway import __version__
-from igtl_gateway.errors import DiskRefused, RecordingError
+from igtl_gateway.errors import RecordingError
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile import layout, stream
+from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.compression import Compression
 from igtl_gateway.sessionfile.layout import LayoutError
+from igtl_gateway.sessionfile.messages import RawPacker, device_name, pack_message
+from igtl_gateway.sessionfile.new_file import cannot_begin, create_file, os_error_text, sync_folder
 from igtl_gateway.sessionfile.schemas import Definition, RosTypes
+from igtl_gateway.sessionfile.side_file import TopicCount, topic_counts
 from igtl_gateway.sessionfile.stream import CHUNK_BYTES, McapStream
-from igtl_gateway.untrusted.files import obstacle
 
-Compression = stream.Compression
-#: When what is written is on the disk itself, so that a power loss does not cost it.
+#: When written data are forced to the disk, so that a power failure does not lose them.
 Fsync = Literal["never", "flush", "close"]
 QosOf = Callable[[str, str], Qos | None]
 DefinitionOf = Callable[[str], tuple[str, str] | None]
 
-COMPRESSIONS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
 #: Channels of ROS topics.  MCAP has 65,535 channels, and the other kinds need some.
 _MAX_ROS_CHANNELS = 60_000
-#: Streams and links that are known at a time: more than a session has, unless a peer invents names.
+#: Bound of the known streams and links: more than a session has, unless a peer invents names.
 _MAX_KNOWN = 10_000
 _U64 = 1 << 64
-_DATASYNC = getattr(os, "fdatasync", os.fsync)  # not every system has the first
-#: What the system says of a path that nobody can have meant; all else is the disk's.
-_SLIPS = frozenset({errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL})
-
-
-@dataclass(frozen=True, slots=True)
-class TopicCount:
-    """What a file holds of a topic: as the side file of a split recording tells it."""
-
-    topic: str
-    type: str
-    qos: str
-    type_hash: str
-    count: int
+_DATASYNC = getattr(os, "fdatasync", os.fsync)  # not every system has fdatasync
 
 
 class SessionWriter:
@@ -65,19 +48,19 @@ class SessionWriter:
 
     Args:
         path: the file to create.
-        session: what the recording says of itself (configuration, versions, host …).
+        session: the session metadata (configuration, versions, host …).
         qos_of: QoS of a ROS topic (name, type), None where it is not known.
-        definition_of: ``ros2msg`` text and hash (or ``""``) of a ROS type that goes before what is known otherwise.
+        definition_of: ``ros2msg`` text and hash (or ``""``) of a ROS type; it has precedence over other sources.
         compression: of the chunks.
         chunk_bytes: size at which a chunk is closed.
-        fsync: when what is written is on the disk itself.
+        fsync: when written data are forced to the disk.
         overwrite: replace an existing file instead of refusing it.
-        prologue: inputs before the first entry, which the gateway's state came from.
-        types: definitions of ROS types; whoever writes several files shares one.
+        prologue: inputs before the first entry that the gateway's state follows from.
+        types: definitions of ROS types; a caller that writes several files shares one.
         memory: write into this instead of a file.
 
-    Raises RecordingError when the file cannot be created, DiskRefused where that is the disk's doing.  From the
-    constructor on it can be read by scanning, and after :meth:`close` by its index.
+    Raises RecordingError when the file cannot be created, DiskRefused where the disk is the reason.  From the
+    constructor on the file can be read by scanning, and after :meth:`close` by its index.
     """
 
     def __init__(
@@ -100,18 +83,16 @@ class SessionWriter:
         self.entries = 0
         #: Stamps of the first and the last one, 0 before there is one.
         self.start_ns = self.end_ns = 0
-        #: ROS types of which no definition was found: their messages are kept, but other tools cannot decode them.
+        #: ROS types without a definition: their messages are recorded, but other tools cannot decode them.
         self.undefined: list[str] = []
         self._qos_of = qos_of
         self._definition_of = definition_of
         self._types = types or RosTypes()
         self._topics = layout.WireTopics()
         self._channels: dict[tuple[Kind, str, str], int] = {}  # by kind, channel and type of the entries
-        # the same, and what packs the entry, by its links, too
-        self._known: dict[tuple[Kind, str, str, tuple[int, ...]], tuple[int, layout.RawPacker | None]] = {}
+        # channel and packer by kind, channel, type and links of the entries
+        self._known: dict[tuple[Kind, str, str, tuple[int, ...]], tuple[int, RawPacker | None]] = {}
         self._schemas: dict[str, int] = {}
-        self._facts: list[tuple[str, str, dict[str, str]]] = []  # topic, type and metadata of channel 1, 2 …
-        self._counts: list[int] = []
         self._closed = False
         self._failure = ""
         self._fsync = fsync
@@ -121,7 +102,7 @@ class SessionWriter:
         try:
             self._start(session, before)
             if fsync != "never":
-                _sync_folder(path.parent)
+                sync_folder(path.parent)
         except OSError as error:
             self._abandon()
             path.unlink(missing_ok=True)
@@ -130,8 +111,8 @@ class SessionWriter:
     def _start(self, session: dict[str, str], prologue: bytes) -> None:
         facts = {**session, layout.FORMAT_VERSION_KEY: str(layout.FORMAT_VERSION)}
         self._mcap.start(layout.MCAP_PROFILE, f"igtl-gateway {__version__}")
-        self._mcap.add_metadata(layout.SESSION_METADATA, layout.seal(facts))
-        self._mcap.add_metadata(layout.SESSION_COPY_METADATA, layout.seal(facts))
+        for name in layout.SESSION_RECORDS:
+            self._mcap.add_metadata(name, layout.seal(facts))
         configuration = facts.get(layout.CONFIGURATION_KEY, "{}").encode()
         self._mcap.add_attachment(layout.CONFIGURATION_ATTACHMENT, "application/json", configuration)
         if prologue:
@@ -139,7 +120,7 @@ class SessionWriter:
         self._mcap.flush()
 
     def write(self, entry: Entry) -> None:
-        """Add an entry; it is on its way to the disk after the next :meth:`flush`.
+        """Add an entry; the next :meth:`flush` hands it to the operating system.
 
         Raises LayoutError for an entry that the format cannot hold (the file is not touched), RecordingError when
         the disk refuses (then nothing more can be written).
@@ -150,12 +131,12 @@ class SessionWriter:
             raise LayoutError(f"entry of {entry.channel or entry.kind.value}: found {found}, expected unsigned 64 bits")
         kind = entry.kind
         known = self._known.get((kind, entry.channel, entry.type, entry.links))
-        packer = known[1] if known else layout.RawPacker(entry) if kind in layout.WIRE_TOPICS else None
+        packer = known[1] if known else RawPacker(entry) if kind in layout.WIRE_TOPICS else None
         head, data = b"", _data(entry)
         if packer:
             head = packer.head(entry, data)
-        elif not known or kind in layout.NOTE_KINDS:  # of the others known, the payload is the message
-            data = layout.pack_message(entry)
+        elif not known or kind in layout.NOTE_KINDS:  # of the other known streams, the payload is the message
+            data = pack_message(entry)
         channel = known[0] if known else self._learn_channel(entry, packer)
         if self._failure or self._closed:
             self._check_open()
@@ -163,15 +144,14 @@ class SessionWriter:
             self._mcap.add_message(channel, stamp_ns, head, data, source_ns or stamp_ns, seq & 0xFFFFFFFF)
         except OSError as error:
             raise self._failed(error) from error
-        self._counts[channel - 1] += 1
         self.start_ns = self.start_ns or stamp_ns
         self.end_ns = stamp_ns
         self.entries += 1
 
     def flush(self) -> None:
-        """Hand what was written to the operating system: a kill −9 does not lose it.  Raises RecordingError.
+        """Hand all entries to the operating system: SIGKILL does not lose them.  Raises RecordingError.
 
-        That the file was removed under us is noticed here: nothing else would ever tell.
+        A file that was removed meanwhile is detected here: no other call fails for that.
         """
         with self._disk_errors():
             self._mcap.flush()
@@ -189,10 +169,9 @@ class SessionWriter:
         self._closed = True
         if self._failure:
             return
-        facts = {layout.LEDGER_KEY: json.dumps(ledger, sort_keys=True)}
         with self._disk_errors():
             self._mcap.flush()
-            self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal(facts))
+            self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal_ledger(ledger))
             self._mcap.finish()
             self._file.flush()
             self._check_file("flush", "close")
@@ -201,22 +180,15 @@ class SessionWriter:
 
     @property
     def files(self) -> list[Path]:
-        """All that was written."""
+        """The files that were written."""
         return [self.path]
 
     def topics(self) -> list[TopicCount]:
-        """What is in it, by topic and type; the kinds of entries of one topic together."""
-        counts: dict[tuple[str, str], TopicCount] = {}
-        for (topic, ros_type, facts), number in zip(self._facts, self._counts, strict=True):
-            before = counts.get((topic, ros_type))
-            total = number + (before.count if before else 0)
-            counts[topic, ros_type] = TopicCount(
-                topic, ros_type, facts[layout.QOS_KEY], facts.get(layout.TYPE_HASH_KEY, ""), total
-            )
-        return list(counts.values())
+        """Messages of a closed file by topic and type; the kinds of entries of one topic together."""
+        return topic_counts(self._mcap)
 
-    def _learn_channel(self, entry: Entry, packer: layout.RawPacker | None) -> int:
-        """The channel of an entry unlike those before it, which is kept for those like it."""
+    def _learn_channel(self, entry: Entry, packer: RawPacker | None) -> int:
+        """The channel of an entry of a new kind, stream, type or links; it is kept for the next such entries."""
         channel = self._channels.get((entry.kind, entry.channel, entry.type)) or self._open_channel(entry)
         if len(self._known) >= _MAX_KNOWN:
             self._known.clear()
@@ -234,10 +206,10 @@ class SessionWriter:
         elif entry.kind in layout.NOTE_KINDS:
             channel = self._register(layout.NOTES_TOPIC, layout.NOTE_TYPE, entry.kind, {})
         else:
-            topic = self._topics.topic(entry.kind, entry.type, layout.device_name(entry))
+            topic = self._topics.topic(entry.kind, entry.type, device_name(entry))
             facts = {layout.STREAM_KEY: layout.escape(entry.channel)}
             if topic in layout.SHARED_TOPICS:
-                # not kept under the stream's own name: there may be any number of them
+                # not kept under the name of the stream: there may be any number of them
                 stream, facts = (entry.kind, topic, ""), {}
                 if stream in self._channels:
                     return self._channels[stream]
@@ -247,25 +219,22 @@ class SessionWriter:
 
     def _register(self, topic: str, ros_type: str, kind: Kind, facts: dict[str, str]) -> int:
         metadata = {layout.QOS_KEY: layout.qos_yaml(Qos()), layout.KIND_KEY: kind.value, **facts}
-        told = self._definition_of(ros_type)
-        definition = Definition(*told) if told else self._types.find(ros_type)
+        given = self._definition_of(ros_type)
+        definition = Definition(*given) if given else self._types.find(ros_type)
         if definition and definition.type_hash:
             metadata[layout.TYPE_HASH_KEY] = definition.type_hash
         if not definition and ros_type not in self._schemas:
             self.undefined.append(ros_type)
         with self._disk_errors():
             if ros_type not in self._schemas:
-                # without a definition the encoding has to be empty, too, as in what rosbag2 writes
+                # without a definition the encoding must be empty, too, as in files of rosbag2
                 encoding = layout.SCHEMA_ENCODING if definition else ""
                 text = definition.text.encode() if definition else b""
                 self._schemas[ros_type] = self._mcap.register_schema(ros_type, encoding, text)
-            channel = self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, self._schemas[ros_type], metadata)
-        self._facts.append((topic, ros_type, metadata))
-        self._counts.append(0)
-        return channel
+            return self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, self._schemas[ros_type], metadata)
 
     def _check_file(self, *moments: Fsync) -> None:
-        """See to it that what was written is where it belongs.  Raises OSError if the file is no longer there."""
+        """Force the data to the disk where that is due.  Raises OSError if the file is no longer at its path."""
         if not isinstance(self._file, BufferedWriter):
             return
         if self._fsync in moments:
@@ -280,7 +249,7 @@ class SessionWriter:
 
     @contextmanager
     def _disk_errors(self) -> Iterator[None]:
-        """Around all that may touch the disk: its refusal ends the recording, with one clear line."""
+        """Around code that may write: an error of the disk ends the recording, with one line."""
         self._check_open()
         try:
             yield
@@ -292,7 +261,7 @@ class SessionWriter:
             raise RecordingError(self._failure or f"recording to {self.path}: already closed")
 
     def _failed(self, error: OSError) -> RecordingError:
-        """After an error nobody knows what is in the file and in the library's buffers, so no more is written."""
+        """After an error the contents of file and buffers are unknown, so nothing more is written."""
         self._failure = f"recording to {self.path} failed: {os_error_text(error)}"
         self._abandon()
         return RecordingError(self._failure)
@@ -304,7 +273,7 @@ class SessionWriter:
 
 
 def _data(entry: Entry) -> bytes | memoryview:
-    """The payload in one piece; what is one is not copied, be it lent."""
+    """The payload in one piece; one that is in one piece already is not copied."""
     payload = entry.payload
     if len(payload) == 1:
         part = payload[0]
@@ -316,7 +285,7 @@ def _data(entry: Entry) -> bytes | memoryview:
 
 
 def _packed(entries: Iterable[Entry], types: RosTypes) -> bytes:
-    """Entries as the bytes of an MCAP file of the same layout; none: nothing."""
+    """Entries as the bytes of an MCAP file of the same layout; no bytes without entries."""
     entries = list(entries)
     if not entries:
         return b""
@@ -326,51 +295,3 @@ def _packed(entries: Iterable[Entry], types: RosTypes) -> bytes:
         writer.write(entry)
     writer.close({})
     return stream.getvalue()
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the file's name survive a power loss, too."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def create_file(path: Path, overwrite: bool) -> BufferedWriter:
-    """The open file.  Raises RecordingError with what is in the way."""
-    if there := obstacle(path):
-        raise RecordingError(f"cannot record to {path}: {there}")
-    try:
-        file = open(path, "wb" if overwrite else "xb", opener=_open_untouched)
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.close()
-            raise RecordingError(f"cannot record to {path}: another process is recording to it") from None
-        except OSError:
-            pass  # a file system that cannot say whether somebody else does
-        file.truncate()
-        return file
-    except FileExistsError:
-        raise RecordingError(
-            f"cannot record to {path}: the file exists already, and is not replaced without --overwrite"
-        ) from None
-    except (OSError, ValueError) as error:
-        raise cannot_begin(path, error) from error
-
-
-def cannot_begin(path: Path, error: OSError | ValueError) -> RecordingError:
-    """The error for a recording that cannot begin there."""
-    kind = DiskRefused if isinstance(error, OSError) and error.errno not in _SLIPS else RecordingError
-    return kind(f"cannot record to {path}: {obstacle(path, error)}")
-
-
-def _open_untouched(path: str, flags: int) -> int:
-    """Open a file that may be another one's recording: it is emptied when that is known."""
-    return os.open(path, flags & ~os.O_TRUNC, 0o666)
-
-
-def os_error_text(error: Exception) -> str:
-    """What the system says of a refused file."""
-    return (error.strerror if isinstance(error, OSError) else None) or str(error)

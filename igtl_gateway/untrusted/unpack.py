@@ -1,4 +1,4 @@
-"""Unpacking that cannot fill the memory: what comes out is bounded before it is made, whatever a header promises.
+"""Unpacking that cannot fill the memory: the size of the result is bounded before it is allocated.
 
 A piece may unpack to what :mod:`igtl_gateway.untrusted.limits` allows for its packed size.  Where a format also
 stores the unpacked size, that size is the bound, and any other size of the result is an error.
@@ -6,50 +6,67 @@ stores the unpacked size, that size is the bound, and any other size of the resu
 
 from __future__ import annotations
 
-import bz2 as _bz2
-from collections.abc import Callable
-from typing import BinaryIO
+import bz2
+from io import BytesIO
+from typing import BinaryIO, Literal
 
+import lz4.frame  # type: ignore[import-untyped]
 import zstandard
-from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.untrusted import limits
 
+#: How a piece is packed; ``""``: not at all.
+Packing = Literal["bz2", "lz4", "zstd", ""]
+
 _COPY_BYTES = 1 << 20
 
 
-def bz2(data: bytes, size: int, place: str) -> bytes:
-    """``data`` of bzip2, ``size`` bytes unpacked.  Raises DamagedRecording, LimitExceeded."""
-    return _whole(data, size, place, lambda: _bz2.BZ2Decompressor().decompress(data, size + 1))
+class PackedDataError(ValueError):
+    """Packed data that are damaged, or that do not have the size that they should have."""
 
 
-def lz4(data: bytes, size: int, place: str) -> bytes:
-    """``data`` of an lz4 frame, ``size`` bytes unpacked.  Raises DamagedRecording, LimitExceeded."""
-    return _whole(data, size, place, lambda: LZ4FrameDecompressor().decompress(data, max_length=size + 1))
+def unpack(packing: Packing, packed: bytes, size: int) -> bytes:
+    """Unpack exactly ``size`` bytes.  It allocates no more than that, and asks for no limits: any thread may call it.
 
-
-def zstd(data: bytes, size: int, place: str) -> bytes:
-    """``data`` of a zstd frame, ``size`` bytes unpacked.  Raises DamagedRecording, LimitExceeded."""
-    return _whole(data, size, place, lambda: _zstd(data, size + 1))
-
-
-def zstd_of_any_size(data: bytes, place: str) -> bytes:
-    """A zstd frame where no other place tells its size.  Raises DamagedRecording, LimitExceeded."""
+    Raises PackedDataError.
+    """
     try:
-        told = int(zstandard.frame_content_size(data))
-        if told >= 0:
-            return zstd(data, told, place)
-        allowed = limits.current_limits().unpacked(len(data))
-        found = _zstd(data, allowed + 1)
-    except zstandard.ZstdError as error:
-        raise DamagedRecording(f"{place}: found no zstd data: {error}") from None
-    limits.check_unpacked(len(data), len(found), place)
+        declared = declared_size(packing, packed)
+        found = b"" if declared > size else _at_most(packing, packed, size + 1, is_declared=0 < declared == size)
+    except (OSError, ValueError, EOFError, RuntimeError, MemoryError, zstandard.ZstdError) as error:
+        raise PackedDataError(f"found {packing} data that cannot be unpacked: {error}") from None
+    if declared > size or len(found) > size:
+        raise PackedDataError(f"found more than {size} unpacked bytes, expected {size}")
+    if len(found) < size:
+        raise PackedDataError(f"found {len(found)} unpacked bytes, expected {size}")
     return found
 
 
-def zstd_file(packed: BinaryIO, out: BinaryIO, size: int, allowed: int, place: str) -> None:
-    """Unpack a file of ``size`` bytes into ``out``, at most ``allowed`` ones.
+def unpack_within_limits(packing: Packing, packed: bytes, size: int, place: str) -> bytes:
+    """As :func:`unpack`, if the limits allow the size.  Raises DamagedRecording, LimitExceeded."""
+    limits.check_unpacked(len(packed), size, place)
+    try:
+        return unpack(packing, packed, size)
+    except PackedDataError as error:
+        raise DamagedRecording(f"{place}: {error}") from None
+
+
+def unpack_zstd_of_any_size(packed: bytes, place: str) -> bytes:
+    """Unpack a zstd frame whose size is stored nowhere else.  Raises DamagedRecording, LimitExceeded."""
+    try:
+        declared = int(zstandard.frame_content_size(packed))
+        if declared >= 0:
+            return unpack_within_limits("zstd", packed, declared, place)
+        found = _at_most("zstd", packed, limits.current_limits().unpacked(len(packed)) + 1, is_declared=False)
+    except zstandard.ZstdError as error:
+        raise DamagedRecording(f"{place}: found no zstd data: {error}") from None
+    limits.check_unpacked(len(packed), len(found), place)
+    return found
+
+
+def unpack_zstd_file(packed: BinaryIO, out: BinaryIO, size: int, allowed: int, place: str) -> None:
+    """Unpack a file of ``size`` bytes into ``out``, at most ``allowed`` bytes.
 
     Raises DamagedRecording, LimitExceeded; OSError of ``out``.
     """
@@ -64,18 +81,33 @@ def zstd_file(packed: BinaryIO, out: BinaryIO, size: int, allowed: int, place: s
         raise DamagedRecording(f"{place}: cannot be unpacked: {error}") from None
 
 
-def _zstd(data: bytes, most: int) -> bytes:
-    """At most so many bytes.  Raises ZstdError."""
-    return bytes(zstandard.ZstdDecompressor().stream_reader(data).read(most))
+def declared_size(packing: Packing, packed: bytes) -> int:
+    """The unpacked size that packed data declare; 0 where they do not.  Raises what the libraries raise."""
+    match packing:
+        case "lz4":
+            return int(lz4.frame.get_frame_info(packed)["content_size"])
+        case "zstd":
+            size = zstandard.get_frame_parameters(packed).content_size
+            return 0 if size == zstandard.CONTENTSIZE_UNKNOWN else size
+        case "":
+            return len(packed)
+        case _:
+            return 0
 
 
-def _whole(data: bytes, size: int, place: str, unpack: Callable[[], bytes]) -> bytes:
-    limits.check_unpacked(len(data), size, place)
-    try:
-        found = unpack()
-    except (OSError, ValueError, EOFError, RuntimeError, zstandard.ZstdError) as error:  # what the libraries raise
-        raise DamagedRecording(f"{place}: cannot be unpacked: {error}") from None
-    if len(found) != size:
-        more = "more than " if len(found) > size else ""
-        raise DamagedRecording(f"{place}: found {more}{min(len(found), size)} unpacked bytes, expected {size}")
-    return found
+def _at_most(packing: Packing, packed: bytes, size: int, *, is_declared: bool) -> bytes:
+    """At most ``size`` bytes; in one step where the data declare their size, which is then within the bound."""
+    match packing:
+        case "bz2":
+            return bz2.BZ2Decompressor().decompress(packed, size)
+        case "lz4" if is_declared:
+            return bytes(lz4.frame.decompress(packed))
+        case "lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size))
+        case "zstd" if is_declared:
+            return zstandard.ZstdDecompressor().decompress(packed)
+        case "zstd":  # several frames, or one that does not declare its size
+            with zstandard.ZstdDecompressor().stream_reader(BytesIO(packed), read_across_frames=True) as reader:
+                return reader.read(size)
+        case _:
+            return packed

@@ -33,9 +33,10 @@ from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile import layout, writer
+from igtl_gateway.sessionfile import layout, messages, writer
+from igtl_gateway.sessionfile.compression import Compression
 from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import Compression, SessionWriter
+from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.record import samples
 
 DEADLINE_S = 30.0
@@ -404,7 +405,7 @@ def scanned(path: Path) -> Iterator[Entry]:
                     kinds[record.id] = record.metadata[layout.KIND_KEY]
                 elif isinstance(record, Message):
                     assert kinds[record.channel_id] == Kind.IGTL_IN.value
-                    yield layout.unpack_raw(record.data, record.sequence, record.log_time, record.publish_time)
+                    yield messages.unpack_raw(record.data, record.sequence, record.log_time, record.publish_time)
         except (McapError, ValueError, RuntimeError):
             return
 

@@ -9,8 +9,9 @@ import pytest
 
 from igtl_gateway.session.content import ContentDigest
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile.compression import COMPRESSIONS
 from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import COMPRESSIONS, SessionWriter
+from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.record import samples
 
 ENTRIES = [samples.ros(1), samples.igtl(2), samples.ros(3)]

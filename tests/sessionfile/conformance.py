@@ -2,7 +2,7 @@
 
 The names, the cases and the order of records are facts of the published set (github.com/foxglove/mcap,
 ``tests/conformance``, commit 95d067356); none of its code or files is here.  ``conformance.sha256`` has the SHA-256 of
-each published file, which a test holds against what is built.
+each published file; a test compares it with the built one.
 
 Features, as they are in the names: ``ax`` attachment index, ``ch`` chunk, ``chx`` chunk index, ``mdx`` metadata index,
 ``mx`` message index, ``pad`` three more bytes at the end of records than their fields need, ``rch`` and ``rsh``

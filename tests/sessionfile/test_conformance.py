@@ -18,7 +18,7 @@ from tests.files import write_anew
 from tests.sessionfile import conformance
 
 FILES = list(conformance.files())
-#: In the gate every verb sees one of so many files; all of them with CONFORMANCE=all.
+#: In the gate every verb reads one of this number of files; all of them with CONFORMANCE=all.
 EACH = 1 if os.environ.get("CONFORMANCE") == "all" else 13
 
 

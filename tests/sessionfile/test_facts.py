@@ -1,4 +1,4 @@
-"""What a recording says of itself: the right shapes pass, any other is told with its field and its value."""
+"""Session metadata and ledger: the right shapes pass, an error for any other names its field and value."""
 
 from __future__ import annotations
 

@@ -294,7 +294,7 @@ def test_each_publisher_of_static_transforms_counts(tmp_path: Path) -> None:
 
 
 def test_an_output_in_another_chunk_than_its_cause(tmp_path: Path) -> None:
-    """The plan is sent anew because of a pose, first in one version, then in another: the first counts."""
+    """The plan is sent again because of a pose, first in one version, then in another: the first counts."""
     entries = long_session(60)
     at = next(i for i, entry in enumerate(entries) if entry.seq == 30)
     entries[at + 1] = state(31, Kind.IGTL_OUT, "POLYDATA/Plan", "POLYDATA")

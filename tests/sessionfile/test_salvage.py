@@ -16,10 +16,12 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from igtl_gateway.errors import UnsupportedRecording
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile import layout, salvage
+from igtl_gateway.sessionfile import layout, salvage_report
+from igtl_gateway.sessionfile.compression import Compression
 from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.salvage import Salvage, SalvageReport
-from igtl_gateway.sessionfile.writer import Compression, SessionWriter
+from igtl_gateway.sessionfile.salvage import Salvage
+from igtl_gateway.sessionfile.salvage_report import SalvageReport
+from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.files import write_anew
 from tests.record import samples
 
@@ -128,10 +130,10 @@ def check_cuts(path: Path, sound: Sound, step: int) -> None:
         assert found.entries == sound.entries[:whole], size
         assert not found.report.indexed
         whats = {loss.what for loss in found.report.lost}
-        assert found.report.whole or whats & {salvage.CUT_OFF, salvage.LEDGER}
+        assert found.report.whole or whats & {salvage_report.CUT_OFF, salvage_report.LEDGER}
         if whole < len(sound.entries):
             assert not found.report.whole
-            (loss,) = (loss for loss in found.report.lost if loss.what == salvage.CUT_OFF)
+            (loss,) = (loss for loss in found.report.lost if loss.what == salvage_report.CUT_OFF)
             assert loss.at + loss.size == size
             assert loss.start_ns == found.report.end_ns
 
@@ -161,7 +163,7 @@ def check_flips(path: Path, sound: Sound, step: int) -> None:
         cost += missing
         if missing:
             assert found.report.missing == missing
-            (loss,) = (loss for loss in found.report.lost if loss.what in (salvage.CHUNK, salvage.BYTES))
+            (loss,) = (loss for loss in found.report.lost if loss.what in (salvage_report.CHUNK, salvage_report.BYTES))
             gone = [entry.stamp_ns for entry in sound.entries if entry.seq not in numbers]
             assert loss.at <= at < loss.at + loss.size
             assert loss.start_ns <= gone[0] and gone[-1] <= loss.end_ns
@@ -215,7 +217,7 @@ def test_a_lost_chunk_loses_no_channel(tmp_path: Path, sound: Sound) -> None:
     data[start + 60 : end] = bytes(end - start - 60)
     found = read(tmp_path / "a", bytes(data))
     assert found.entries == sound.entries[count:]
-    assert [loss.what for loss in found.report.lost] == [salvage.CHUNK, salvage.CUT_OFF]
+    assert [loss.what for loss in found.report.lost] == [salvage_report.CHUNK, salvage_report.CUT_OFF]
     assert found.report.missing_numbers == count
     lost = found.report.lost[0]
     assert (lost.start_ns, lost.end_ns) == (sound.entries[0].stamp_ns, sound.entries[count - 1].stamp_ns)
@@ -227,12 +229,16 @@ def test_channels_of_a_lost_chunk_come_from_the_index_where_they_are_nowhere_els
     data[at] ^= 1
     found = read(tmp_path / "a", bytes(data))
     assert 0 < len(found.entries) < 20
-    assert [loss.what for loss in found.report.lost] == [salvage.CHUNK]
-    # and without the index nobody knows any more what the rest is
+    assert [loss.what for loss in found.report.lost] == [salvage_report.CHUNK]
+    # and without the index the rest has no description
     blind = read(tmp_path / "a", bytes(data[: data.rindex(b"hello 19") + 7]))
     assert blind.entries == []
     (chunk, channel, cut) = blind.report.lost
-    assert (chunk.what, channel.what, cut.what) == (salvage.CHUNK, salvage.CHANNEL, salvage.CUT_OFF)
+    assert (chunk.what, channel.what, cut.what) == (
+        salvage_report.CHUNK,
+        salvage_report.CHANNEL,
+        salvage_report.CUT_OFF,
+    )
     assert "messages of a channel" in channel.text
 
 
@@ -269,11 +275,13 @@ def test_entries_whose_numbers_do_not_increase_are_told(tmp_path: Path) -> None:
     session = {layout.SESSION_METADATA: layout.seal({layout.FORMAT_VERSION_KEY: "1"})}
     found = read(tmp_path / "a", _bag(numbers=[1, 2, 2, 5, 4, 6], metadata=session))
     assert [entry.seq for entry in found.entries] == [1, 2, 5, 6]
-    assert [loss.what for loss in found.report.lost if loss.what != salvage.LEDGER] == [salvage.NUMBER] * 2
+    assert [loss.what for loss in found.report.lost if loss.what != salvage_report.LEDGER] == [
+        salvage_report.NUMBER
+    ] * 2
 
 
 def test_losses_are_bounded(tmp_path: Path, sound: Sound, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(salvage, "MAX_LOSSES", 2)
+    monkeypatch.setattr(salvage_report, "MAX_LOSSES", 2)
     data = bytearray(sound.data)
     for _, end, _ in sound.chunks:
         data[end - 3] ^= 1
@@ -337,9 +345,9 @@ def test_messages_outside_of_chunks_are_found_again_behind_a_damaged_length(tmp_
     assert struct.unpack_from("<Q", data, at) == (22 + 8 + 8,)
     data[at + 5] ^= 1
     found = read(tmp_path / "a", bytes(data))
-    # nothing but its neighbour tells whether a message's own length is right
+    # only the next record shows whether a message's own length is right
     assert [entry.stamp_ns for entry in found.entries] == [*range(1, 7), *range(9, 21)]
-    assert {loss.what for loss in found.report.lost} == {salvage.BYTES}
+    assert {loss.what for loss in found.report.lost} == {salvage_report.BYTES}
     assert found.report.missing == 2
 
 

@@ -10,7 +10,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 
-from igtl_gateway.sessionfile.stream import Compression, McapStream
+from igtl_gateway.sessionfile.compression import Compression
+from igtl_gateway.sessionfile.stream import McapStream
 
 CHUNK_BYTES = 4096
 LARGE = 1024

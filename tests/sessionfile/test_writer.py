@@ -16,7 +16,8 @@ from rosbags.highlevel import AnyReader
 
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile import layout, writer
+from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.compression import COMPRESSIONS
 from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.record import samples
 
@@ -24,7 +25,7 @@ BIN = Path(sys.executable).parent
 DEADLINE_S = 120
 
 
-@pytest.fixture(scope="module", params=sorted(writer.COMPRESSIONS))
+@pytest.fixture(scope="module", params=sorted(COMPRESSIONS))
 def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session with every kind of entry, in each compression."""
     path = tmp_path_factory.mktemp("conformance") / "session.mcap"
@@ -110,7 +111,7 @@ def test_rerun_opens_it(recording: Path, tmp_path: Path) -> None:
         [BIN / "rerun", "rrd", "print", out],
         capture_output=True, text=True, check=True, timeout=DEADLINE_S, env={**os.environ, "RERUN_ANALYTICS": "0"},
     ).stdout  # fmt: skip
-    # rows per topic: the importer has decoded every message of ours and of ROS
+    # rows per topic: the importer has decoded every message, our own and those of ROS
     rows: dict[str, int] = {}
     for number, topic in re.findall(r"with (\d+) rows.*? - (/\S+) - data columns: \[(?:igtl_msgs|TextDocument)", told):
         rows[topic] = rows.get(topic, 0) + int(number)

@@ -15,61 +15,62 @@ from igtl_gateway.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.untrusted import limits, unpack
 
 MIB = 1 << 20
-PACKINGS: list[tuple[Callable[[bytes, int, str], bytes], Callable[[bytes], bytes]]] = [
-    (unpack.bz2, bz2.compress),
-    (unpack.lz4, lz4.frame.compress),
-    (unpack.zstd, zstandard.ZstdCompressor().compress),
-    (unpack.zstd, zstandard.ZstdCompressor(write_content_size=False).compress),
+PACKINGS: list[tuple[unpack.Packing, Callable[[bytes], bytes]]] = [
+    ("bz2", bz2.compress),
+    ("lz4", lz4.frame.compress),
+    ("zstd", zstandard.ZstdCompressor().compress),
+    ("zstd", zstandard.ZstdCompressor(write_content_size=False).compress),
 ]
+unpacked = unpack.unpack_within_limits
 SMALL = limits.FileLimits(free=MIB, ratio=10)
 
 
-@pytest.mark.parametrize(("unpacked", "packed"), PACKINGS)
-def test_whole_pieces_come_out(unpacked: Callable[..., bytes], packed: Callable[[bytes], bytes]) -> None:
+@pytest.mark.parametrize(("packing", "packed"), PACKINGS)
+def test_whole_pieces_come_out(packing: unpack.Packing, packed: Callable[[bytes], bytes]) -> None:
     for data in (b"", b"x", bytes(range(256)) * 1000):
-        assert unpacked(packed(data), len(data), "a chunk") == data
+        assert unpacked(packing, packed(data), len(data), "a chunk") == data
 
 
-@pytest.mark.parametrize(("unpacked", "packed"), PACKINGS)
-def test_a_size_that_is_too_large_or_a_lie(unpacked: Callable[..., bytes], packed: Callable[[bytes], bytes]) -> None:
+@pytest.mark.parametrize(("packing", "packed"), PACKINGS)
+def test_a_size_that_is_too_large_or_a_lie(packing: unpack.Packing, packed: Callable[[bytes], bytes]) -> None:
     bomb = packed(bytes(32 * MIB))
     with limits.limits_in_force(SMALL):
         with pytest.raises(LimitExceeded, match=r"a chunk: found 33554432, expected at most .* \(--limit ratio=10\)"):
-            unpacked(bomb, 32 * MIB, "a chunk")
+            unpacked(packing, bomb, 32 * MIB, "a chunk")
         tracemalloc.start()
         with pytest.raises(DamagedRecording, match="a chunk: found more than 100 unpacked bytes, expected 100"):
-            unpacked(bomb, 100, "a chunk")
+            unpacked(packing, bomb, 100, "a chunk")
         assert tracemalloc.get_traced_memory()[1] < 8 * MIB
         tracemalloc.stop()
     with pytest.raises(DamagedRecording, match="found 5 unpacked bytes, expected 9"):
-        unpacked(packed(b"12345"), 9, "a chunk")
+        unpacked(packing, packed(b"12345"), 9, "a chunk")
 
 
-@pytest.mark.parametrize("unpacked", [unpack.bz2, unpack.lz4, unpack.zstd])
+@pytest.mark.parametrize("packing", ["bz2", "lz4", "zstd"])
 @pytest.mark.parametrize("data", [b"", b"\0" * 40, b"BZh91AY&SY" + b"\xff" * 30, b"\x28\xb5\x2f\xfd\xff\xff\xff"])
-def test_what_is_not_packed_is_refused(unpacked: Callable[..., bytes], data: bytes) -> None:
+def test_what_is_not_packed_is_refused(packing: unpack.Packing, data: bytes) -> None:
     with pytest.raises(DamagedRecording, match="a chunk"):
-        unpacked(data, 10, "a chunk")
+        unpacked(packing, data, 10, "a chunk")
 
 
 def test_zstd_of_unknown_size() -> None:
     bomb = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(32 * MIB))
     with limits.limits_in_force(SMALL), pytest.raises(LimitExceeded, match="a message"):
-        unpack.zstd_of_any_size(bomb, "a message")
-    assert unpack.zstd_of_any_size(bomb, "a message") == bytes(32 * MIB)
+        unpack.unpack_zstd_of_any_size(bomb, "a message")
+    assert unpack.unpack_zstd_of_any_size(bomb, "a message") == bytes(32 * MIB)
     with pytest.raises(DamagedRecording, match="a message: found no zstd data"):
-        unpack.zstd_of_any_size(b"\0" * 40, "a message")
+        unpack.unpack_zstd_of_any_size(b"\0" * 40, "a message")
 
 
 def test_files_of_zstd() -> None:
     data = bytes(range(256)) * 8192
     packed = zstandard.ZstdCompressor().compress(data)
     out = io.BytesIO()
-    unpack.zstd_file(io.BytesIO(packed * 2), out, len(packed), 2 * len(data), "bag.db3.zstd")
+    unpack.unpack_zstd_file(io.BytesIO(packed * 2), out, len(packed), 2 * len(data), "bag.db3.zstd")
     assert out.getvalue() == data * 2
     out = io.BytesIO()
     with pytest.raises(LimitExceeded, match=r"bag\.db3\.zstd: \d+ packed bytes: found \d+, expected at most 1048576"):
-        unpack.zstd_file(io.BytesIO(packed), out, len(packed), MIB, "bag.db3.zstd")
+        unpack.unpack_zstd_file(io.BytesIO(packed), out, len(packed), MIB, "bag.db3.zstd")
     assert len(out.getvalue()) <= MIB
     with pytest.raises(DamagedRecording, match=r"bag\.db3\.zstd"):
-        unpack.zstd_file(io.BytesIO(b"\0" * 100), io.BytesIO(), 100, MIB, "bag.db3.zstd")
+        unpack.unpack_zstd_file(io.BytesIO(b"\0" * 100), io.BytesIO(), 100, MIB, "bag.db3.zstd")

@@ -12,9 +12,9 @@ import pytest
 from mcap.reader import make_reader
 
 from igtl_gateway.errors import LimitExceeded
-from igtl_gateway.sessionfile import chunks
-from igtl_gateway.sessionfile.chunks import message_rows
+from igtl_gateway.sessionfile import chunks, order
 from igtl_gateway.sessionfile.index import read_index
+from igtl_gateway.sessionfile.order import message_rows
 from igtl_gateway.sessionfile.records import Malformed
 from igtl_gateway.untrusted import limits
 from tests.sessionfile.test_index import DEFINITIONS, bag, messages
@@ -37,7 +37,8 @@ def by_library(data: bytes, from_ns: int = 0) -> list[tuple[int, int]]:
 @pytest.mark.parametrize("small", [0, 8 << 20])
 @pytest.mark.parametrize("seed", range(8))
 def test_the_order_is_that_of_the_library(monkeypatch: pytest.MonkeyPatch, small: int, seed: int) -> None:
-    monkeypatch.setattr(chunks, "_SMALL", small)
+    for module in (chunks, order):
+        monkeypatch.setattr(module, "SMALL_BYTES", small)
     chance = random.Random(seed)
     parts = []
     for _ in range(6):
@@ -82,11 +83,12 @@ def test_chunks_that_only_claim_to_overlap_are_not_held_together() -> None:
 @pytest.mark.parametrize("small", [0, 8 << 20])
 @pytest.mark.parametrize("tail", [b"\5", b"\5" + bytes(8), build.record(build.MESSAGE, b"", 30), b"\x80" + b"\xff" * 8])
 def test_records_that_do_not_fit_their_chunk(monkeypatch: pytest.MonkeyPatch, small: int, tail: bytes) -> None:
-    monkeypatch.setattr(chunks, "_SMALL", small)
+    for module in (chunks, order):
+        monkeypatch.setattr(module, "SMALL_BYTES", small)
     chunk = Chunk((*DEFINITIONS, *messages(1)))
     plain = chunk.plain() + tail
     data = bag(replace(chunk, packed=plain, size=len(plain), crc=0)).finish()
-    with pytest.raises(Malformed, match="no whole record"):
+    with pytest.raises(Malformed, match="expected a whole record"):
         times(data)
 
 

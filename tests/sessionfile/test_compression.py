@@ -10,8 +10,8 @@ import lz4.frame  # type: ignore[import-untyped]
 import pytest
 import zstandard
 
+from igtl_gateway.sessionfile.compression import COMPRESSIONS, NAMES, Compression, compress, declared_size, decompress
 from igtl_gateway.sessionfile.records import Malformed
-from igtl_gateway.sessionfile.unpack import declared_size, unpacked
 
 DATA = b"a chunk of records" * 100
 
@@ -28,7 +28,7 @@ PACKED: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
 @pytest.mark.parametrize("name", PACKED)
 def test_what_was_packed_comes_back(name: str) -> None:
     compression, pack = PACKED[name]
-    assert unpacked(compression, pack(DATA), len(DATA), zlib.crc32(DATA)) == DATA
+    assert decompress(compression, pack(DATA), len(DATA), zlib.crc32(DATA)) == DATA
 
 
 @pytest.mark.parametrize("name", PACKED)
@@ -36,24 +36,24 @@ def test_what_was_packed_comes_back(name: str) -> None:
 def test_a_size_that_lies_is_found_out(name: str, size: int) -> None:
     compression, pack = PACKED[name]
     with pytest.raises(Malformed, match=f"expected {size}"):
-        unpacked(compression, pack(DATA), size, 0)
+        decompress(compression, pack(DATA), size, 0)
 
 
 def test_a_wrong_checksum_is_named() -> None:
     with pytest.raises(Malformed, match=r"found checksum [0-9a-f]{8}, expected 00000001"):
-        unpacked("", DATA, len(DATA), 1)
+        decompress("", DATA, len(DATA), 1)
 
 
 @pytest.mark.parametrize("compression", ["lz4", "zstd"])
 @pytest.mark.parametrize("packed", [b"", b"x" * 40, bytes(40)])
 def test_what_was_not_packed_is_refused(compression: str, packed: bytes) -> None:
     with pytest.raises(Malformed, match="cannot be unpacked"):
-        unpacked(compression, packed, 100, 0)
+        decompress(compression, packed, 100, 0)
 
 
 def test_a_compression_that_nobody_knows_is_named() -> None:
     with pytest.raises(Malformed, match="found compression 'bz2'"):
-        unpacked("bz2", b"", 0, 0)
+        decompress("bz2", b"", 0, 0)
 
 
 @pytest.mark.parametrize("name", PACKED)
@@ -62,10 +62,16 @@ def test_a_bomb_costs_what_it_says(name: str) -> None:
     bomb = pack(bytes(100_000_000))
     tracemalloc.start()
     with pytest.raises(Malformed):
-        unpacked(compression, bomb, 1000, 0)
+        decompress(compression, bomb, 1000, 0)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 1_000_000
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_parts_are_packed_as_one(compression: Compression) -> None:
+    packed = b"".join(compress(compression, (DATA, memoryview(DATA)), 2 * len(DATA)))
+    assert decompress(NAMES[compression], packed, 2 * len(DATA), zlib.crc32(DATA * 2)) == DATA * 2
 
 
 def test_the_size_in_the_frame() -> None:
