@@ -148,7 +148,7 @@ def test_whoever_asks_slowly_is_cut_off_and_the_next_is_answered() -> None:
 
 
 def test_other_hosts_need_an_allowance_and_a_taken_port_is_named() -> None:
-    with pytest.raises(ConfigError, match="open to other hosts, but nobody is allowed"):
+    with pytest.raises(ConfigError, match="open to other hosts, but none may connect"):
         MetricsServer("0.0.0.0", 0, Nothing())
     with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(Unavailable, match="in use by another program"):
         MetricsServer("127.0.0.1", taken.getsockname()[1], Nothing())

@@ -74,7 +74,7 @@ REFUSED = [
 #: What no retry will mend: 2.
 USAGE = [
     Case("bridge --listen 127.0.0.1:99999", 2, "found '127.0.0.1:99999', expected HOST:PORT"),
-    Case("bridge --listen 0.0.0.0:0 --no-ros", 2, "nobody is allowed to connect"),
+    Case("bridge --listen 0.0.0.0:0 --no-ros", 2, "none may connect"),
     Case("bridge --listen no.such.host.invalid:0 --no-ros", 2, "expected an address of this machine"),
     Case("bridge --listen 203.0.113.77:0 --allow any --no-ros", 2, "expected an address of this machine"),
     Case("bridge --config {folder}/none.toml", 2, "cannot be read"),

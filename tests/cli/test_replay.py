@@ -192,7 +192,7 @@ def test_a_server_with_tls() -> None:
 @pytest.mark.parametrize(
     ("arguments", "wrong"),
     [
-        (("--to", "igtl", "--listen", "0.0.0.0:0"), "nobody is allowed to connect"),
+        (("--to", "igtl", "--listen", "0.0.0.0:0"), "none may connect"),
         (("--to", "igtl", "--listen", "tls://127.0.0.1:0"), "expected --tls-cert FILE"),
         (("--to", "ros", "--tls-ca", "ca.pem"), "found no address with TLS"),
     ],

@@ -15,7 +15,6 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert.bitstream import is_key_frame
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.rosmsg import Header, Image
-from igtl_gateway.edges import video as module
 from igtl_gateway.edges.video import (
     CODECS,
     MAX_FRAMES,
@@ -25,6 +24,8 @@ from igtl_gateway.edges.video import (
     VideoEncoder,
     VideoOptions,
 )
+from igtl_gateway.edges.video import decoder as decoder_module
+from igtl_gateway.edges.video.options import ENCODERS
 from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.session.note import Note
 
@@ -433,7 +434,7 @@ def test_bound_of_frames(got: Collector, decoder: VideoDecoder) -> None:
 
 def test_bound_of_bytes(got: Collector, decoder: VideoDecoder, monkeypatch: pytest.MonkeyPatch) -> None:
     """One frame alone always fits."""
-    monkeypatch.setattr(module, "MAX_FRAME_BYTES", 1)
+    monkeypatch.setattr(decoder_module, "MAX_FRAME_BYTES", 1)
     frames = numbered(got, "h264", 3)
     got.hold()
     decoder.submit("Camera", frames[0].pack())
@@ -546,6 +547,6 @@ def test_without_pyav(monkeypatch: pytest.MonkeyPatch, got: Collector) -> None:
 
 
 def test_a_pyav_without_the_codec(monkeypatch: pytest.MonkeyPatch, got: Collector) -> None:
-    monkeypatch.setitem(module._ENCODERS, "h264", ("libnothing", {}))
+    monkeypatch.setitem(ENCODERS, "h264", ("libnothing", {}))
     with pytest.raises(Unavailable, match=r"video codec h264: .*libnothing"):
         encoder_of(got)

@@ -8,8 +8,8 @@ process, one Full HD RGB image took 59 ms with the defaults, 27 ms with the shar
 * glibc's allocator keeps big blocks instead of giving them back to the kernel after every message: the
   page faults of fresh blocks were half of the cost.
 
-And the shared memory of ROS processes that were killed is freed first.  No other program does that, and each segment of
-ours takes 134 MiB from the machine and from the next process.
+And the shared memory of ROS processes that were killed is freed first.  No other program does that, and each of our
+segments takes 134 MiB from the machine and from the next process.
 
 This module does not import rclpy: it runs before the import, and also where rclpy is not installed.
 """
@@ -116,9 +116,9 @@ def _set_profile(profile: Path) -> str:
 
 def _why_keep_profile(environ: Mapping[str, str], cwd: Path, shared_memory: Path) -> str:
     """Return why the profile must not be changed; ``""`` if it may be."""
-    # FASTDDS_BUILTIN_TRANSPORTS is a choice of transports too, which a profile of ours would override
+    # FASTDDS_BUILTIN_TRANSPORTS is a choice of transports too, which our profile would override
     for name in (*PROFILE_VARIABLES, "FASTDDS_BUILTIN_TRANSPORTS"):
-        # a child inherits ours from a program of this package
+        # a child inherits our profile from a program of this package
         if environ.get(name, "") not in ("", str(PROFILE), str(LOCK_STEP_PROFILE)):
             return f"kept the user's ({name}={environ[name]})"
     for name in _PROFILES_IN_CWD:

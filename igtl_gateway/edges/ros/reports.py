@@ -9,6 +9,7 @@ from typing import Any
 
 from igtl_gateway.edges.ros.middleware import UnknownTypeError, first_line
 from igtl_gateway.edges.ros.streams import HOLD_BYTES, HOLD_MESSAGES, TopicCounts
+from igtl_gateway.once import Once
 from igtl_gateway.session.note import Level, Note
 
 OnNote = Callable[[Note], None]
@@ -21,7 +22,7 @@ class Reports:
         self._on_note = on_note
         self._lock = threading.Lock()
         self._counts: dict[str, TopicCounts] = {}
-        self._noted: set[tuple[str, str]] = set()
+        self._note_once = Once()
         self._refusals: dict[tuple[str, str, str], str] = {}  # action, topic, type → cause
 
     def counters(self) -> dict[str, dict[str, int]]:
@@ -40,11 +41,8 @@ class Reports:
 
     def note_once(self, level: Level, code: str, text: str, topic: str = "") -> None:
         """Note a fact, unless there was one of this code for the topic."""
-        with self._lock:
-            if (code, topic) in self._noted:
-                return
-            self._noted.add((code, topic))
-        self.note(level, code, text, topic)
+        if self._note_once.first(code, topic):
+            self.note(level, code, text, topic)
 
     def refuse(self, action: str, topic: str, type_name: str, error: Exception) -> None:
         """Note once that an action (publish, subscribe, serve) is impossible, and keep the cause."""

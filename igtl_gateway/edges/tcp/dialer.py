@@ -1,4 +1,4 @@
-"""The client's part: one server that is tried until it is there, and again whenever it goes."""
+"""Connecting to a server: tried until the server is there, and again whenever the connection ends."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from igtl_gateway.edges.tcp.loop import WRITE, Loop
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.sockets import address_text, resolve
 from igtl_gateway.edges.tcp.tls import Handshake, TlsSocket
+from igtl_gateway.once import Once
 from igtl_gateway.session.note import Level, Note
 
 _CONNECT_TIMEOUT_S = 5.0  # the kernel's own would be two minutes
 _RETRY_FIRST_S = 0.1  # as fast as 3D Slicer retries: a server that restarts is back at once
 _RETRY_LAST_S = 5.0  # the longest that a user waits after switching the server on
-_LIVED_S = 1.0  # a link that lasted this long, or brought a byte, was a real one: retry fast again
+_LIVED_S = 1.0  # after a link that lasted this long, or on which a byte was received, the first retry is fast again
 
 
 class Dialer:
-    """Connects, and hands the connection to ``up`` (socket, address, itself); of the I/O thread alone.
+    """Connects, and passes the connection to ``up`` (socket, address, itself); of the I/O thread alone.
 
-    ``link`` is the connection that lives, if any; the edge sets it.  With ``gave_up`` there is one attempt only,
-    and this is told (itself, the cause) where it comes to nothing.  ``secure`` puts TLS on the connection.
+    ``link`` is the connection that is up, if any; the registry sets it.  With ``gave_up`` there is one attempt only,
+    and this is called (with itself and the cause) if the attempt fails.  ``secure`` puts TLS on the connection.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class Dialer:
         self._secure = secure
         self._handshake: Handshake | None = None
         self._delay_s = _RETRY_FIRST_S
-        self._causes: set[str] = set()  # noted already in this outage
+        self._note_once = Once()  # causes noted in this outage
         self._addresses: list[tuple[int, Any]] = []  # family and address, still to be tried in this attempt
         self._sock: socket.socket | None = None
 
@@ -68,7 +69,7 @@ class Dialer:
             self._resolved(addresses, "")
 
     def hang_up(self) -> None:
-        """Give up the connection that is being made, if any."""
+        """End the attempt that is under way, if any."""
         if self._sock:
             self._loop.unwatch(self._sock)
             self._sock.close()
@@ -78,15 +79,15 @@ class Dialer:
             self._handshake = None
 
     def redial(self) -> None:
-        """Its link has gone."""
+        """The link is down: try again."""
         link, self.link = self.link, None
         if link and link.liveness.was_established(_LIVED_S):
             self._delay_s = _RETRY_FIRST_S
-            self._causes.clear()
+            self._note_once.forget()
         self._retry()
 
     def failed(self, exc: Exception) -> None:
-        """An unexpected error of ours: noted, and this attempt given up."""
+        """An unexpected error of our own code: it is noted, and ends this attempt."""
         self._reporter.note_error(exc)
         self.hang_up()
         if self._gave_up:
@@ -129,7 +130,7 @@ class Dialer:
 
     def _connected(self, sock: socket.socket, address: Any) -> None:
         code = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-        # A free port of the ephemeral range can be connected to itself; nobody is there.
+        # A free port of the ephemeral range can be connected to itself; there is no server.
         if not code and sock.getsockname()[:2] == address[:2]:
             code = errno.ECONNREFUSED
         if code:
@@ -163,9 +164,8 @@ class Dialer:
         if self._gave_up:
             self._gave_up(self, cause)
             return
-        if cause not in self._causes:
-            self._causes.add(cause)
-            text = f"cannot connect to {self.target}: {cause}; trying on"
+        if self._note_once.first(cause):
+            text = f"cannot connect to {self.target}: {cause}; still trying"
             data = {"peer": self.target, "reason": cause}
             self._reporter.note(0, Note(Level.WARN, "connect_failed", text, data=data))
         self._retry()

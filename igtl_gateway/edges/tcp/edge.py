@@ -144,11 +144,11 @@ class TcpEdge:
                 self._registry.ignore((stream,))
 
     def send_all(
-        self, links: Sequence[int], messages: Sequence[tuple[Sequence[Buffer], str]], hurry: Callable[[], bool]
+        self, links: Sequence[int], messages: Sequence[tuple[Sequence[Buffer], str]], is_urgent: Callable[[], bool]
     ) -> None:
         """`send` several messages, each with its stream, none to be dropped: small ones go in one system call.
 
-        Where ``send`` waits for room in the queue, this waits for room in the kernel, until ``hurry`` returns True;
+        Where ``send`` waits for room in the queue, this waits for room in the kernel, until ``is_urgent`` returns True;
         messages that then find no room in the queue either are not taken.
         """
         run: list[bytes] = []
@@ -158,11 +158,11 @@ class TcpEdge:
                 run.append(join(buffers))
                 streams.append(stream)
             else:
-                self._send_batch(links, b"".join(run), list(accumulate(map(len, run))), streams, hurry)
+                self._send_batch(links, b"".join(run), list(accumulate(map(len, run))), streams, is_urgent)
                 run, streams = [], []
                 data = memoryview(buffers[0]).cast("B") if len(buffers) == 1 else join(buffers)
-                self._send_batch(links, data, [len(data)], [stream], hurry)
-        self._send_batch(links, b"".join(run), list(accumulate(map(len, run))), streams, hurry)
+                self._send_batch(links, data, [len(data)], [stream], is_urgent)
+        self._send_batch(links, b"".join(run), list(accumulate(map(len, run))), streams, is_urgent)
 
     def _send_batch(
         self,
@@ -170,14 +170,14 @@ class TcpEdge:
         data: Part,
         ends: Sequence[int],
         streams: Sequence[str],
-        hurry: Callable[[], bool],
+        is_urgent: Callable[[], bool],
     ) -> None:
         if not ends:
             return
         waits = self._blocking and not self._loop.in_loop_thread()
         for number in links:
             link = self._links.get(number)
-            taken = link.sender.send_batch(data, ends, streams, waits, hurry) if link else 0
+            taken = link.sender.send_batch(data, ends, streams, waits, is_urgent) if link else 0
             if taken < len(streams):
                 self._registry.ignore(streams[taken:])
 

@@ -1,4 +1,4 @@
-"""What the edge is told about peers, and what it tells: limits, links, counts."""
+"""Limits for peers, facts about links, and their counts."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ Role = Literal["server", "client"]
 
 _MIB = 2**20
 
-#: Longest bodies of the types that are never as long as ``max_body``, in bytes: whoever announces more has lost its
-#: place in the stream, or means no good.  A type (a glob of types) that is not here may be as long as ``max_body``.
+#: Maximum body sizes of the types that never reach ``max_body``, in bytes: a peer that announces more has lost its
+#: place in the stream, or attacks.  A type (a glob of types) that is not here may be as long as ``max_body``.
 MAX_BODIES: tuple[tuple[str, int], ...] = (
     # Of fixed size, or with length fields of 16 bits: below 65.6 kB, and at most 1 MiB of metadata accepted beside it
     *((name, 2 * _MIB) for name in ("TRANSFORM", "POSITION", "QTRANS", "STATUS", "STRING", "SENSOR", "CAPABIL*")),
     *((f"{prefix}_*", 2 * _MIB) for prefix in ("GET", "STT", "STP")),
     *((name, 2 * _MIB) for name in ("COLORT*", "CLIENTINFO")),
-    # Lists: 123,000 points of 136 bytes, 239,000 tools of 70; long texts and scripts in commands
+    # Lists: 123,000 points of 136 bytes, 239,000 tools of 70; long strings, and scripts in commands
     *((name, 16 * _MIB) for name in ("POINT", "TRAJ", "TDATA", "QTDATA", "IMGMETA", "LBMETA", "VIDEOMETA")),
     *((name, 16 * _MIB) for name in ("COMMAND", "RTS_*")),
     # One picture, encoded or not: 8K in YUV 4:2:0 is 50 MB
@@ -30,26 +30,26 @@ MAX_BODIES: tuple[tuple[str, int], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class PeerLimits:
-    """What a peer can cost.  Raises ConfigError for a limit that is not positive.
+    """What a peer may cost.  Raises ConfigError for a limit that is not positive.
 
     Attributes:
-        max_clients: links at once that peers opened, and as many more in the TLS handshake; the paper's setups have a
+        max_clients: links that peers opened, and the same number in the TLS handshake; the paper's setups have a
             handful, 32 shows a runaway.
-        queue_bytes: what waits for one link; ten images in full HD, a second or two at a frame rate.
-        queue_messages: the same in messages; four seconds of transforms at 1 kHz.
-        stall_s: longest silence inside a message; TCP itself recovers from a lost packet well within it.
-        min_rate: least speed of a message, in bytes per second: one of which n bytes have come must not be older than
-            ``stall_s + n / min_rate``.  So a header is whole within ``stall_s``, and a volume of 250 MiB may take hours
-            as long as it moves.  The default is one ISDN channel, slower than any line that images are sent over.  What
-            is still queued when a link ends has to move as fast.
-        idle_s: longest time in which nothing is received and nothing sent; 0: as long as it likes.  A viewer that
-            waits for a scan to begin is silent for minutes, so that no time would be right for everybody.
-        handshake_s: longest time that TLS may take to begin; a handshake is two round trips.
-        max_body: longest body of a message received, in bytes; see ``DEFAULT_MAX_BODY``.
-        bodies: longest bodies of single types (globs), the first that matches; what is not here is as in
+        queue_bytes: size of the send queue of one link; ten images in full HD, a second or two at a frame rate.
+        queue_messages: messages in that queue; four seconds of transforms at 1 kHz.
+        stall_s: longest pause inside a message; TCP itself recovers from a lost packet well within it.
+        min_rate: lowest transfer rate of a message, in bytes per second: if n bytes have arrived, it must not be older
+            than ``stall_s + n / min_rate``.  So a header is complete within ``stall_s``, and a volume of 250 MiB
+            may take hours as long as it moves.  The default is one ISDN channel, slower than any line that images are
+            sent over.  The rate also holds for the messages that are still queued when a link ends.
+        idle_s: longest time without traffic in either direction; 0: no limit, because a viewer that waits for a scan
+            to begin is silent for minutes.
+        handshake_s: longest TLS handshake, which is two round trips.
+        max_body: maximum body size of a received message, in bytes; see ``DEFAULT_MAX_BODY``.
+        bodies: maximum body sizes of single types (globs), the first that matches; other types have those of
             ``MAX_BODIES``, or ``max_body``.
-        messages_per_s: messages that are taken from one link in a second; one that sends more is read more slowly,
-            and TCP makes it wait.  Far above what a session has, and below what would take the time of the others.
+        messages_per_s: messages per second of one link; a peer that sends more is read more slowly, and TCP makes it
+            wait.  Far above what a session has, and below what would delay the other links.
     """
 
     max_clients: int = 32
@@ -74,7 +74,7 @@ class PeerLimits:
                 raise ConfigError(f"limit bodies, {glob}: found {size}, expected more than 0")
 
     def body_rows(self) -> tuple[tuple[str, int], ...]:
-        """Types and their longest bodies, for the framer."""
+        """Types and their maximum body sizes, for the framer."""
         return self.bodies + tuple((glob, min(size, self.max_body)) for glob, size in MAX_BODIES)
 
 
@@ -90,11 +90,11 @@ class LinkInfo:
 
 @dataclass(frozen=True, slots=True)
 class LinkCounters:
-    """What went over one link so far.
+    """The traffic of one link so far.
 
-    ``sent`` means handed to the kernel.  ``dropped`` counts per stream the messages that were taken and could not
-    be sent: pushed out of the full queue, or left in it when the link closed.  ``ignored`` counts per stream the
-    messages that were not taken: for links that were gone already, or that this very message made close.
+    ``sent`` means handed to the kernel.  ``dropped`` counts per stream the messages that were accepted and not
+    sent: pushed out of the full queue, or left in it when the link closed.  ``ignored`` counts per stream the messages
+    that were not accepted: for links that had closed already, or that this message made close.
     """
 
     sent_messages: int = 0
@@ -107,7 +107,7 @@ class LinkCounters:
     ignored: dict[str, int] = field(default_factory=dict)
 
     def __add__(self, other: LinkCounters) -> LinkCounters:
-        """Both together, stream by stream."""
+        """The sum of both, stream by stream."""
         return LinkCounters(
             self.sent_messages + other.sent_messages,
             self.sent_bytes + other.sent_bytes,

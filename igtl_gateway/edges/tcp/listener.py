@@ -1,4 +1,4 @@
-"""The server's part: one address where peers connect."""
+"""Accepting peers at one address."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from igtl_gateway.session.note import Level, Note
 
 
 class Listener:
-    """Accepts peers and hands them to ``up`` (socket, address); of the I/O thread alone.
+    """Accepts peers and passes them to ``up`` (socket, address); of the I/O thread alone.
 
-    ``crowded`` says why no further peer may come, or ``""``.
+    ``crowded`` returns why no further peer may connect, or ``""``.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Listener:
         self._sock.close()
 
     def failed(self, exc: Exception) -> None:
-        """An unexpected error of ours: noted, and tried again in a second."""
+        """An unexpected error of our own code: it is noted, and the listener pauses for a second."""
         self._reporter.note_error(exc)
         self._pause()
 

@@ -1,7 +1,7 @@
-"""The I/O thread: waits for sockets, for what other threads ask of it, and for the time, and does what is due.
+"""The I/O thread: waits for sockets, for requests of other threads, and for timers, and runs their actions.
 
-Whatever it does is an action with a rescue beside it.  An action that raises ends itself only: the exception goes
-to its rescue, or, where there is none, to ``on_error``, and the turn goes on.
+Each action has a rescue beside it.  An action that raises ends only itself: the exception goes to its rescue, or,
+where there is none, to ``on_error``, and the loop goes on.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _log = logging.getLogger(__name__)
 READ = selectors.EVENT_READ
 WRITE = selectors.EVENT_WRITE
 
-_CALM_S = 0.1  # pause after a turn that failed as a whole: the next may fail as quickly
+_PAUSE_S = 0.1  # after a turn that failed as a whole: the next might fail as quickly
 
 
 class Watchable(Protocol):
-    """A socket, or what stands for one."""
+    """A socket, or an object with its descriptor."""
 
     def fileno(self) -> int: ...
 
@@ -40,8 +40,8 @@ Rescue = Callable[[Exception], None]
 class Loop:
     """One selector and the thread that runs ``body``, which is to call ``run_once`` again and again.
 
-    ``stopping`` is set by the owner when the end has begun; everybody may look.  ``looked_ns`` is when the sockets were
-    last looked at: what was there before is read before any action or timer of that turn, however long that takes.
+    ``stopping`` is set by the owner when the end has begun; any thread may read it.  ``looked_ns`` is the time of the
+    last select: bytes that had arrived by then are read before any action or timer of that turn, however long it takes.
     """
 
     def __init__(self, clock: Clock, body: Action, on_error: Rescue) -> None:
@@ -50,7 +50,7 @@ class Loop:
         self._clock = clock
         self._on_error = on_error
         self._thread = threading.Thread(target=body, name="igtl-tcp", daemon=True)
-        self._calm = threading.Event()  # never set
+        self._never = threading.Event()
         self._selector = selectors.DefaultSelector()
         self._wake_in, self._wake_out = socket.socketpair()
         self._wake_in.setblocking(False)
@@ -81,7 +81,7 @@ class Loop:
         return self._clock.monotonic_ns()
 
     def call_soon(self, action: Action, rescue: Rescue | None = None) -> None:
-        """Let the I/O thread do this soon."""
+        """Have the I/O thread run this action soon."""
         self._todo.append((action, rescue or self._on_error))
         if not self.in_loop_thread():
             self.wake()
@@ -93,13 +93,13 @@ class Loop:
     # ── for the I/O thread ────────────────────────────────────────────────────────────────────────────────────
 
     def call_later(self, delay_s: float, action: Action, rescue: Rescue | None = None) -> None:
-        """Do this in ``delay_s`` seconds."""
+        """Run this action in ``delay_s`` seconds."""
         self._serial += 1
         due_ns = self.now() + round(delay_s * NS_PER_S)
         heapq.heappush(self._timers, (due_ns, self._serial, action, rescue or self._on_error))
 
     def watch(self, sock: Watchable, events: int, action: Callable[[int], None], rescue: Rescue | None = None) -> None:
-        """From now on call the action when the socket is ready for one of these events, with those it is ready for."""
+        """Call the action, with the ready events, whenever the socket is ready for one of these events."""
         data = (action, rescue or self._on_error)
         try:
             self._selector.modify(sock, events, data)
@@ -107,20 +107,20 @@ class Loop:
             self._selector.register(sock, events, data)
 
     def unwatch(self, sock: Watchable) -> None:
-        """Forget the socket; always before it is closed."""
+        """Watch the socket no longer; always before it is closed."""
         with suppress(KeyError):
             self._selector.unregister(sock)
 
     def run_once(self, deadline_ns: int | None) -> None:
-        """Wait for something to do, not beyond the deadline, and do it."""
+        """Wait for actions, not beyond the deadline, and run them."""
         try:
             self._run_once(deadline_ns)
         except Exception as exc:
             self._handle_error(self._on_error, exc)
-            self._calm.wait(_CALM_S)
+            self._never.wait(_PAUSE_S)
 
     def run(self, action: Action, rescue: Rescue | None = None) -> None:
-        """Do this now."""
+        """Run this action now."""
         try:
             action()
         except Exception as exc:
@@ -159,7 +159,7 @@ class Loop:
     def _handle_error(self, rescue: Rescue, exc: Exception) -> None:
         try:
             rescue(exc)
-        except Exception:  # the last resort: there is nobody left to tell
+        except Exception:  # the last resort: there is no other handler
             _log.exception("after %r, its rescue raised", exc)
 
     def _drain_wakeups(self, mask: int) -> None:

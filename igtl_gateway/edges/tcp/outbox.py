@@ -1,4 +1,4 @@
-"""What waits to be sent to one peer, and what is dropped when that becomes too much."""
+"""The send queue of one peer, and its rule for what to drop when it is full."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Part = bytes | memoryview
 
 
 class QueuedMessage:
-    """One message on its way out: the buffers still to be sent."""
+    """One message in the queue: the buffers still to be sent."""
 
     __slots__ = ("keep", "left", "parts", "stream")
 
@@ -35,15 +35,15 @@ class QueuedMessage:
 
 
 class Outbox:
-    """Messages waiting for one link, in order, within bounds.  Not locked: the link's lock guards it.
+    """Messages waiting for one link, in order, within bounds.  Not locked: the sender's lock guards it.
 
-    A message that has begun to be sent is always finished; it stands apart and the bounds are for those behind
-    it.  One message of any size may wait there.  When there is no room for a new message:
+    A message that has begun to be sent is always completed; the bounds are for the messages behind it, among which one
+    message of any size may wait.  When there is no room for a new message:
 
     1. the oldest waiting message of the same stream with ``keep=False`` is dropped: the newer one replaces it;
-    2. else the oldest with ``keep=False`` of the stream that holds most of what has run out (bytes or messages);
-    3. where dropping all of them would not do, nothing is dropped for it: the new message itself is, or, if it
-       has ``keep=True`` as well, it is refused, and the link must be closed.
+    2. else the oldest with ``keep=False`` of the stream that holds the most of what is exhausted (bytes or messages);
+    3. if dropping all of them would not suffice, only the new message is dropped, or, if it has ``keep=True`` as well,
+       it is refused, and the link must be closed.
     """
 
     def __init__(self, limits: PeerLimits) -> None:
@@ -106,7 +106,7 @@ class Outbox:
         self._begun = message
 
     def count_sent(self, size: int, messages: int = 1) -> None:
-        """A whole message of ``size`` bytes, or several of so many together, went past the empty box."""
+        """A message of ``size`` bytes, or several of that total size, were sent without being queued."""
         self.sent_messages += messages
         self.sent_bytes += size
 

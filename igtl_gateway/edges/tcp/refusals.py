@@ -1,4 +1,4 @@
-"""Peers that are not let in: closed, counted by reason, and told of."""
+"""Connections that are refused: closed, counted by reason, and noted."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class _Closable(Protocol):
 
 
 class Refusals:
-    """The book of an edge; ``counts`` by reason may be read by any thread, the rest is of the I/O thread alone.
+    """The refused connections of an edge; ``counts`` is for any thread, the rest is of the I/O thread alone.
 
-    Reasons come from a small fixed set; what differs from peer to peer is the ``detail`` beside them.
+    Reasons come from a small fixed set; ``detail`` has what differs from peer to peer.
     """
 
     def __init__(self, reporter: Reporter) -> None:
@@ -25,7 +25,7 @@ class Refusals:
         self._reporter = reporter
 
     def refuse(self, sock: _Closable, peer: str, reason: str, detail: str = "") -> None:
-        """Close the connection of a peer, and say why: now, and while it repeats once a second with the count."""
+        """Close the connection of a peer, and note why: now, and while it repeats once a second with the count."""
         self.counts[reason] += 1
         with suppress(OSError):
             sock.close()

@@ -170,5 +170,5 @@ class LinkRegistry:
             self._loop.run(dialer.redial, dialer.failed)
         self._context.reporter.call("on_link", self._on_link, link.number, False, note)
         if link.partner:
-            self._loop.run(partial(link.partner.finish, "the other side has gone"), link.partner.failed)
+            self._loop.run(partial(link.partner.finish, "the other side disconnected"), link.partner.failed)
         self.notify()

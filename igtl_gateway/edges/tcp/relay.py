@@ -1,4 +1,4 @@
-"""The relay's part: each client of a listener gets a connection of its own to one server."""
+"""Relaying: each client of a listener gets a connection of its own to one server."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _UpPair = Callable[[socket.socket | TlsSocket, str, socket.socket | TlsSocket, s
 
 
 class RelayConnector:
-    """Takes clients, connects to the server for each, and hands both sockets to ``up``; of the I/O thread alone.
+    """Accepts clients, connects to the server for each, and passes both sockets to ``up``; of the I/O thread alone.
 
-    A client whose server is not there yet waits unread, so that nothing of it is lost; one whose server cannot be
-    reached is closed, which is what it would have seen of the server itself.
+    A client is not read until its server is connected, so that nothing is lost; if the server cannot be reached, the
+    client is closed, as the server itself would refuse it.
     """
 
     def __init__(
@@ -45,13 +45,13 @@ class RelayConnector:
         return len(self._waiting)
 
     def take(self, client: socket.socket | TlsSocket, peer: str) -> None:
-        """A client has come."""
+        """Connect to the server for a new client."""
         dialer = Dialer(self._host, self._port, self._made, self._loop, self._reporter, self._gave_up, self._secure)
         self._waiting[dialer] = (client, peer)
         self._loop.run(dialer.dial, dialer.failed)
 
     def close(self) -> None:
-        """Give up all connections that are being made."""
+        """End all attempts that are under way."""
         for dialer in list(self._waiting):
             dialer.hang_up()
             self._gave_up(dialer, "stopped")
@@ -62,7 +62,7 @@ class RelayConnector:
 
     def _gave_up(self, dialer: Dialer, cause: str) -> None:
         client, peer = self._waiting.pop(dialer, (None, ""))
-        if not client:  # both were there, and what failed came behind
+        if not client:  # both were connected, and a later step failed
             return
         client.close()
 

@@ -1,4 +1,4 @@
-"""How the I/O thread tells: callbacks that may raise, notes, facts that repeat quickly, errors of its own."""
+"""How the I/O thread reports: callbacks that may raise, notes, facts that repeat quickly, errors of our own code."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Reporter:
         """Note a fact about the link of that number (0 if none)."""
         try:
             self._on_note(number, note)
-        except Exception:  # the last resort: there is nobody left to tell
+        except Exception:  # the last resort: there is no other callback
             _log.exception("on_note raised at: %s", note.text)
 
     def note_rate_limited(self, fact: str, make: Callable[[int], Note]) -> None:

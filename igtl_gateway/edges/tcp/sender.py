@@ -78,7 +78,7 @@ class Sender:
                 _await_room(descriptor)
 
     def send_batch(
-        self, data: Part, ends: Sequence[int], streams: Sequence[str], waits: bool, hurry: Callable[[], bool]
+        self, data: Part, ends: Sequence[int], streams: Sequence[str], waits: bool, is_urgent: Callable[[], bool]
     ) -> int:
         """Send or queue messages that follow each other in one buffer, none to be dropped.
 
@@ -87,7 +87,7 @@ class Sender:
             ends: the end of each message in ``data``.
             streams: the stream of each message.
             waits: until the kernel has taken them, except perhaps the end of the last one.
-            hurry: whether to stop waiting: then as many messages are queued as there is room for.
+            is_urgent: returns whether to stop waiting: then as many messages are queued as there is room for.
 
         Returns:
             The number of messages that the link took.
@@ -115,15 +115,15 @@ class Sender:
                         at, taken = ends[whole - 1], whole
                     if sent > at:
                         queue(sent - at)
-                hurries = waits and hurry()
+                urgent = waits and is_urgent()
                 while (
-                    (hurries or not waits)
+                    (urgent or not waits)
                     and taken < len(ends)
                     and (not waits or box.has_room(ends[taken] - at))
                     and queue(0)
                 ):
                     pass
-                if self.is_muted or taken == len(ends) or self._loop.stopping or hurries:
+                if self.is_muted or taken == len(ends) or self._loop.stopping or urgent:
                     return taken
                 descriptor = self._sock.fileno()
             _await_room(descriptor)

@@ -1,4 +1,4 @@
-"""Addresses and sockets: who may connect, what a host's name means, how a socket is set up."""
+"""Addresses and sockets: the allow-list, resolving a host, and the options of a socket."""
 
 from __future__ import annotations
 
@@ -15,33 +15,34 @@ from igtl_gateway.errors import ConfigError, Unavailable
 PORT_MAX = 65535
 
 _BACKLOG = 256  # connections that may wait while one callback runs; beyond that they come a second later
-_KEEPALIVE = (  # a peer that lost power is found after 10 + 3 x 5 s; silent ones that live are kept
+_KEEPALIVE = (  # a peer that lost power is found after 10 + 3 x 5 s; silent ones that answer are kept
     (socket.SOL_SOCKET, "SO_KEEPALIVE", 1),
     (socket.IPPROTO_TCP, "TCP_KEEPIDLE", 10),
     (socket.IPPROTO_TCP, "TCP_KEEPINTVL", 5),
     (socket.IPPROTO_TCP, "TCP_KEEPCNT", 3),
 )
 
-#: The same of one that is being sent something: then there is no keepalive, and TCP tries on for a quarter of an hour.
+#: The same time for a peer that is being sent something: there is no keepalive then, and TCP would retry for a quarter
+#: of an hour.
 UNANSWERED_S = 25.0
-#: Of Linux's ``struct tcp_info``: probes that were not answered, segments that were not, and for how long (ms).
+#: Of Linux's ``struct tcp_info``: unanswered probes, unanswered segments, and for how long (ms).
 _TCP_INFO = struct.Struct("=3xB4x16xI28xI")
-#: A probe asks a peer that does not read whether it lives.  One may be lost, and the next is on its way.
+#: A probe checks a peer that does not read.  One might be lost, and the next might be on its way.
 _PROBES = 3
 _SIOCOUTQ = 0x5411
 
 
 class Descriptor(Protocol):
-    """A socket, as far as this looks into it."""
+    """What is needed of a socket here."""
 
     def fileno(self) -> int: ...
     def getsockopt(self, level: int, option: int, size: int, /) -> bytes: ...
 
 
 class AllowList:
-    """Who may connect beside this host: networks (CIDR), or ``"any"``.  Raises ConfigError for a network that is none.
+    """Who may connect beside this host: networks (CIDR), or ``"any"``.  Raises ConfigError for an invalid network.
 
-    ``opens`` says whether it lets anybody in at all.
+    ``opens``: whether any other host may connect.
     """
 
     def __init__(self, allow: Sequence[str]) -> None:
@@ -55,7 +56,7 @@ class AllowList:
 
 
 def tune_socket(sock: socket.socket) -> None:
-    """As the connections of the edge are: non-blocking, sent without delay, found out when the peer is gone."""
+    """Set up a connected socket: non-blocking, without delay, with keepalive."""
     sock.setblocking(False)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     for level, option, value in _KEEPALIVE:
@@ -64,23 +65,23 @@ def tune_socket(sock: socket.socket) -> None:
 
 
 def unanswered_s(sock: Descriptor) -> float:
-    """How long the other side has not confirmed what it was sent; 0.0 where it has, or the system does not say.
+    """Return for how long the peer has confirmed nothing of what it was sent; 0.0 if it has, or if that is unknown.
 
-    Not meant is a peer that does not read: its system answers, and says that there is no room.  TCP_USER_TIMEOUT would
+    A peer that does not read is different: its system answers that there is no room.  TCP_USER_TIMEOUT would
     end its connection as well, and a viewer that is busy for a minute would be lost.
     """
     if sys.platform != "linux":
         return 0.0
     try:
-        told = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
-        probes, segments, silent_ms = _TCP_INFO.unpack(told)
-    except (OSError, struct.error):  # what passes for Linux may not know it, or not as much of it
+        info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO.size)
+        probes, segments, silent_ms = _TCP_INFO.unpack(info)
+    except (OSError, struct.error):  # a system that imitates Linux might not support all of it
         return 0.0
     return silent_ms / 1000 if segments or probes >= _PROBES else 0.0
 
 
 def unconfirmed_bytes(sock: Descriptor) -> int:
-    """Of what the system was given to send, how much the other side has not confirmed; 0 where it does not say."""
+    """Return the number of sent bytes that the peer has not confirmed; 0 if that is unknown."""
     if sys.platform != "linux":
         return 0
     import fcntl
@@ -92,25 +93,25 @@ def unconfirmed_bytes(sock: Descriptor) -> int:
 
 
 def address_text(address: Any) -> str:
-    """``host:port`` of a socket address, ``[host]:port`` for IPv6."""
+    """Return ``host:port`` of a socket address, ``[host]:port`` for IPv6."""
     host, port = address[:2]
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def resolve(host: str, port: int, *, numeric: bool) -> list[tuple[int, Any]]:
-    """Family and address of a host, IPv4 first: that is where the peers listen.  Raises OSError."""
+    """Return families and addresses of a host, IPv4 first: that is where the peers listen.  Raises OSError."""
     flags = socket.AI_NUMERICHOST if numeric else 0
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=flags)
-    except ValueError as exc:  # no name at all: an empty label, a zero byte
-        raise OSError(errno.EINVAL, f"{host!r} is no name of a host ({exc})") from None
+    except ValueError as exc:  # an invalid name: an empty label, a zero byte
+        raise OSError(errno.EINVAL, f"{host!r} is not a valid host name ({exc})") from None
     return sorted(((family, address) for family, _, _, _, address in found), key=lambda one: one[0] != socket.AF_INET)
 
 
 def listening_socket(host: str, port: int, allow: AllowList) -> socket.socket:
-    """A listening socket; see ``TcpEdge.listen``.
+    """Return a listening socket; see ``TcpEdge.listen``.
 
-    Raises ConfigError for what cannot be listened to, Unavailable where the system refuses it now.
+    Raises ConfigError for an invalid address, Unavailable if the system refuses it now.
     """
     place = f"listen {address_text((host, port))}"
     if not 0 <= port <= PORT_MAX:
@@ -121,8 +122,8 @@ def listening_socket(host: str, port: int, allow: AllowList) -> socket.socket:
         raise ConfigError(f"{place}: found host {host!r} ({exc}), expected an address of this machine") from None
     if not (allow.opens or _ip(address[0]).is_loopback):
         raise ConfigError(
-            f"{place}: open to other hosts, but nobody is allowed to connect; "
-            'allow networks such as 192.168.1.0/24, or "any" for everybody'
+            f"{place}: open to other hosts, but none may connect; "
+            'allow networks such as 192.168.1.0/24, or "any" for all'
         )
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
@@ -151,7 +152,7 @@ def _network(text: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network:
     try:
         network = ipaddress.ip_network(text)
         mapped = getattr(network.network_address, "ipv4_mapped", None)
-        # peers are looked at without the IPv6 form of an IPv4 address, see _ip
+        # peers are checked without the IPv6 form of an IPv4 address, see _ip
         return ipaddress.ip_network((mapped, network.prefixlen - 96)) if mapped else network
     except ValueError as exc:
         raise ConfigError(

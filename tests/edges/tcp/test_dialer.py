@@ -101,7 +101,7 @@ def test_a_name_that_cannot_be_one(world: World) -> None:
     edge.connect("a..b", 18944)
     edge.start()
     (note,) = seen.wait("connect_failed")
-    assert "'a..b' is no name of a host" in note.data["reason"]
+    assert "'a..b' is not a valid host name" in note.data["reason"]
 
 
 def test_an_error_of_our_own_is_noted_and_the_next_attempt_made(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -61,7 +61,7 @@ def test_the_end_of_one_side_is_the_end_of_the_other_and_of_no_other_pair(world:
     downs = {number: note.data["reason"] for what, number, note in seen.events if what == "down"}
     seen.wait("down", 4)
     assert downs[1] == "closed by the peer"
-    assert downs[2] == "the other side has gone"
+    assert downs[2] == "the other side disconnected"
 
 
 def test_a_client_is_closed_where_no_server_is_and_served_when_it_is_there(world: World) -> None:
