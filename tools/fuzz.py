@@ -30,7 +30,7 @@ from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.header import BODY_SIZE_AT, HEADER_SIZE, TYPE, TYPE_AT, TYPE_SIZE, crc64
-from igtl_gateway.wire.registry import BODIES
+from igtl_gateway.wire.registry import BODIES, read_child
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -158,7 +158,7 @@ def _judge_encoding(data: bytes, message: Message) -> None:
 def _judge_children(content: Body) -> None:
     for child in content.children if isinstance(content, Bind) else ():
         try:
-            body = child.body()
+            body = read_child(child)
         except WireError:
             continue
         if join(body.pack()) != bytes(child.content):

@@ -26,6 +26,7 @@ from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, ch
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.untrusted.decoding import MessageDecoder
 from igtl_gateway.wire import decode
+from igtl_gateway.wire.registry import describe_content
 
 #: Files that are open at once; a session has some dozens of streams.
 _MAX_FILES = 500
@@ -156,7 +157,7 @@ class _RowReader:
         if entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT):
             if entry.type in _NO_TABLES:
                 raise TooLong("pixels, points or cells are no table: see the other formats")
-            fields = of_description(decode(entry.data()).content.describe())
+            fields = of_description(describe_content(decode(entry.data()).content))
         elif not self._definitions.get(entry.type):
             raise TooLong("the session has no definition of its type")
         else:

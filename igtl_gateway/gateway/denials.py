@@ -16,7 +16,7 @@ from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.query import split_query
-from igtl_gateway.wire.registry import ALIASES
+from igtl_gateway.wire.registry import ALIASES, read_child
 
 #: Names whose answer is remembered; a peer that invents names must not fill the memory.
 _MAX_KNOWN = 1_024
@@ -62,7 +62,7 @@ class Denials:
         if name != "BIND":
             return ""
         try:
-            return self.content(name, child.body())
+            return self.content(name, read_child(child))
         except WireError:  # nobody can read it
             return ""
 

@@ -12,8 +12,8 @@ from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.values import value
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.fields import visible
-from igtl_gateway.wire.message import US_ASCII, UTF_8, sorted_items
-from igtl_gateway.wire.text import CODECS
+from igtl_gateway.wire.message import sorted_items
+from igtl_gateway.wire.text import CODECS, US_ASCII, UTF_8
 
 #: Device name that was too long for its 20 bytes.
 FULL_NAME = "DeviceName"

@@ -30,6 +30,7 @@ from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway.wire.registry import describe_content
 from igtl_gateway.wire.transform import Position, Transform
 
 if TYPE_CHECKING:
@@ -264,7 +265,7 @@ class LeafDecoder:
         yield "crc_ok", right
 
     def _content(self, content: Any) -> Iterator[_Leaf]:
-        told = content.describe()
+        told = describe_content(content)
         match content:
             case Transform(wire_matrix):
                 told["matrix"] = _of_matrix(wire_matrix, self._igtl_mm)

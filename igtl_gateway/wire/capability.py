@@ -8,9 +8,8 @@ from typing import Any, ClassVar, Self
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
+from igtl_gateway.wire.header import TYPE_SIZE
 from igtl_gateway.wire.layout import Field, Layout
-
-_WIDTH = 12
 
 #: Far more than there are types; a list of the largest body would take gigabytes as text.
 MAX_TYPES = 65_535
@@ -27,22 +26,22 @@ class Capability:
     """
 
     PROTOCOL: ClassVar[str] = "1"
-    LAYOUT: ClassVar[Layout] = (Field("type", "char", _WIDTH, "type name", per="type"),)
+    LAYOUT: ClassVar[Layout] = (Field("type", "char", TYPE_SIZE, "type name", per="type"),)
     MAY_BE_EMPTY: ClassVar[bool] = True
     types: tuple[str, ...]
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        count, rest = divmod(content.nbytes, _WIDTH)
+        count, rest = divmod(content.nbytes, TYPE_SIZE)
         if rest:
-            raise MalformedBody("CAPABILITY content", f"{content.nbytes} bytes", f"a multiple of {_WIDTH}")
+            raise MalformedBody("CAPABILITY content", f"{content.nbytes} bytes", f"a multiple of {TYPE_SIZE}")
         _check(count)
         data = bytes(content)
-        return cls(tuple(decode_text(data[at : at + _WIDTH]) for at in range(0, len(data), _WIDTH)))
+        return cls(tuple(decode_text(data[at : at + TYPE_SIZE]) for at in range(0, len(data), TYPE_SIZE)))
 
     def pack(self) -> list[Buffer]:
         _check(len(self.types))
-        data = b"".join(encode_text(name, _WIDTH, "CAPABILITY type name") for name in self.types)
+        data = b"".join(encode_text(name, TYPE_SIZE, "CAPABILITY type name") for name in self.types)
         return [data] if data else []
 
     def describe(self) -> dict[str, Any]:

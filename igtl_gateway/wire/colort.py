@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.body import shown_values
-from igtl_gateway.wire.layout import Field, Layout
+from igtl_gateway.wire.layout import Field, Layout, compile_struct
 
 #: Type of the index → entries of the table.
 ENTRIES = {3: 256, 5: 65_536}
@@ -19,8 +20,6 @@ ENTRIES = {3: 256, 5: 65_536}
 #: Type of an entry → numpy type and values of each: u8, u16 (big-endian), RGB.
 MAP_U8, MAP_U16, MAP_RGB = 3, 5, 19
 MAPS = {MAP_U8: ("u1", 1), MAP_U16: (">u2", 1), MAP_RGB: ("u1", 3)}
-
-_HEAD_SIZE = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,15 +34,18 @@ class ColorTable:
 
     PROTOCOL: ClassVar[str] = "2"
     LAYOUT: ClassVar[Layout] = (Field("index_type", "u8"), Field("map_type", "u8"), Field("table", "bytes", "the rest"))
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
+
     index_type: int
     map_type: int
     table: Buffer
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        if content.nbytes < _HEAD_SIZE:
-            raise TruncatedMessage("COLORT content", f"{content.nbytes} bytes", f"at least {_HEAD_SIZE} bytes")
-        table = cls(content[0], content[1], content[_HEAD_SIZE:])
+        if content.nbytes < cls._HEAD.size:
+            raise TruncatedMessage("COLORT content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+        index_type, map_type = cls._HEAD.unpack_from(content)
+        table = cls(index_type, map_type, content[cls._HEAD.size :])
         table.check()
         return table
 
@@ -63,7 +65,7 @@ class ColorTable:
 
     def pack(self) -> list[Buffer]:
         self.check()
-        return [bytes((self.index_type, self.map_type)), self.table]
+        return [self._HEAD.pack(self.index_type, self.map_type), self.table]
 
     @property
     def array(self) -> npt.NDArray[Any]:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
-from igtl_gateway.wire.layout import Field, Layout
-from igtl_gateway.wire.text import mib_of, text_of
+from igtl_gateway.wire.layout import Field, Layout, compile_struct
+from igtl_gateway.wire.text import US_ASCII, mib_of, text_of
 
 #: The document calls the width of the name IGT_COMMAND_SIZE and gives no number; the library's code does.
 NAME_WIDTH = 128
-
-_HEAD = struct.Struct(f">I{NAME_WIDTH}sHI")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,25 +39,27 @@ class Command:
         Field("length", "u32", 1, "bytes of the text"),
         Field("data", "char", "length"),
     )
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
+
     command_id: int
     name: str
     data: bytes
-    encoding: int = 3
+    encoding: int = US_ASCII
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        if content.nbytes < _HEAD.size:
-            raise TruncatedMessage("COMMAND content", f"{content.nbytes} bytes", f"at least {_HEAD.size} bytes")
-        command_id, name, encoding, size = _HEAD.unpack_from(content)
-        follow = content.nbytes - _HEAD.size
+        if content.nbytes < cls._HEAD.size:
+            raise TruncatedMessage("COMMAND content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+        command_id, name, encoding, size = cls._HEAD.unpack_from(content)
+        follow = content.nbytes - cls._HEAD.size
         if size != follow:
             error = TruncatedMessage if size > follow else MalformedBody
             raise error("COMMAND content, offset 134, length", size, f"{follow}, the bytes that follow")
-        return cls(command_id, decode_text(name), bytes(content[_HEAD.size :]), encoding)
+        return cls(command_id, decode_text(name), bytes(content[cls._HEAD.size :]), encoding)
 
     def pack(self) -> list[Buffer]:
         name = encode_text(self.name, NAME_WIDTH, "COMMAND name")
-        return [_HEAD.pack(self.command_id, name, self.encoding, len(self.data)) + self.data]
+        return [self._HEAD.pack(self.command_id, name, self.encoding, len(self.data)) + self.data]
 
     @classmethod
     def of(cls, command_id: int, name: str, text: str) -> Self:

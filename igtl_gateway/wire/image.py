@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -13,14 +14,8 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.body import shown_crc, shown_values
-from igtl_gateway.wire.layout import Field, Layout
+from igtl_gateway.wire.layout import Field, Layout, compile_struct
 from igtl_gateway.wire.transform import pack_floats, unpack_floats
-
-_HEAD = struct.Struct(">HBBBB3H")
-_MATRIX = struct.Struct(">12f")
-_SUB = struct.Struct(">3H3H")
-#: Bytes before the pixels.
-HEAD_SIZE = _HEAD.size + _MATRIX.size + _SUB.size
 
 #: Scalar type of the wire → numpy type without byte order.
 SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8"}
@@ -66,6 +61,10 @@ class Image:
         Field("subvol_size", "u16", 3),
         Field("pixels", "bytes", "the rest"),
     )
+    # the matrix apart from the integers before and behind it: see ``unpack_floats``
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT[:6])
+    _MATRIX: ClassVar[Struct] = compile_struct(LAYOUT[6:7])
+    _SUB: ClassVar[Struct] = compile_struct(LAYOUT[7:])
     IDENTITY: ClassVar[tuple[float, ...]] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
     dimensions: Triple
@@ -88,9 +87,9 @@ class Image:
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes < HEAD_SIZE:
             raise TruncatedMessage("IMAGE content", f"{content.nbytes} bytes", f"at least {HEAD_SIZE} bytes")
-        version, components, scalar, endian, coordinate, *dims = _HEAD.unpack_from(content)
-        matrix = unpack_floats(_MATRIX, content, _HEAD.size)
-        sub = _SUB.unpack_from(content, _HEAD.size + _MATRIX.size)
+        version, components, scalar, endian, coordinate, *dims = cls._HEAD.unpack_from(content)
+        matrix = unpack_floats(cls._MATRIX, content, cls._HEAD.size)
+        sub = cls._SUB.unpack_from(content, cls._HEAD.size + cls._MATRIX.size)
         image = cls(
             (dims[0], dims[1], dims[2]),
             scalar,
@@ -143,7 +142,7 @@ class Image:
     def pack(self) -> list[Buffer]:
         self.check()
         try:
-            head = _HEAD.pack(
+            head = self._HEAD.pack(
                 self.image_version,
                 self.num_components,
                 self.scalar_type,
@@ -151,10 +150,10 @@ class Image:
                 self.coordinate,
                 *self.dimensions,
             )
-            sub = _SUB.pack(*self.subvol_offset, *self.sub_size)
+            sub = self._SUB.pack(*self.subvol_offset, *self.sub_size)
         except struct.error as error:
             raise MalformedBody("IMAGE", f"size {self.dimensions}", f"0 … 65535 each ({error})") from None
-        return [head + pack_floats(_MATRIX, self.wire_matrix, "IMAGE matrix") + sub, self.pixels]
+        return [head + pack_floats(self._MATRIX, self.wire_matrix, "IMAGE matrix") + sub, self.pixels]
 
     @property
     def array(self) -> npt.NDArray[Any]:
@@ -178,3 +177,7 @@ class Image:
             "data": shown_values(self.array.reshape(-1)),
             "data_crc64": shown_crc(self.pixels),
         }
+
+
+#: Bytes before the pixels.
+HEAD_SIZE = compile_struct(Image.LAYOUT).size

@@ -24,11 +24,8 @@ from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_SIZE, HEADER_VERSIONS, Header, crc64
 from igtl_gateway.wire.layout import Field, compile_struct, offset_of
 from igtl_gateway.wire.layout import Layout as Rows
-from igtl_gateway.wire.registry import read_content
-
-#: IANA MIBenum of text encodings.
-US_ASCII = 3
-UTF_8 = 106
+from igtl_gateway.wire.registry import describe_content, read_content
+from igtl_gateway.wire.text import US_ASCII, mib_of
 
 #: The reference library's reader holds metadata sizes in 16 bits and refuses more.
 MAX_METADATA_SENT = 65_535
@@ -58,7 +55,7 @@ class Item:
     @classmethod
     def of(cls, key: str, text: str) -> Item:
         """A pair with a text value, marked UTF-8 only where it has to be."""
-        return cls(key, text.encode("utf-8", "surrogateescape"), US_ASCII if text.isascii() else UTF_8)
+        return cls(key, text.encode("utf-8", "surrogateescape"), mib_of(text))
 
 
 def sorted_items(items: Iterable[Item]) -> tuple[Item, ...]:
@@ -344,7 +341,7 @@ def describe(data: Buffer) -> dict[str, Any]:
             shown["metadata"] = [
                 {"key": visible(item.key), "encoding": item.encoding, "value": item.text} for item in message.metadata
             ]
-        shown["content"] = message.content.describe()
+        shown["content"] = describe_content(message.content)
     except (MalformedBody, TruncatedMessage) as error:
         errors.append(error)
     if errors:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -13,9 +14,7 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import ConversionError, MalformedBody, TruncatedMessage
 from igtl_gateway.wire.body import shown_values
-from igtl_gateway.wire.layout import Field, Layout
-
-_HEAD = struct.Struct(">BB")
+from igtl_gateway.wire.layout import Field, Layout, compile_struct
 
 #: Scalar type of the wire → numpy type, big-endian as the data always are; 13 is complex, two float64.
 NDARRAY_SCALARS = {
@@ -41,20 +40,22 @@ class NdArray:
         Field("size", "u16", "dimensions"),
         Field("data", "bytes", "the rest"),
     )
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
+
     scalar_type: int
     size: tuple[int, ...]
     data: Buffer
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        if content.nbytes < _HEAD.size:
-            raise TruncatedMessage("NDARRAY content", f"{content.nbytes} bytes", f"at least {_HEAD.size} bytes")
-        scalar_type, dimensions = _HEAD.unpack_from(content)
-        data_at = _HEAD.size + 2 * dimensions
+        if content.nbytes < cls._HEAD.size:
+            raise TruncatedMessage("NDARRAY content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+        scalar_type, dimensions = cls._HEAD.unpack_from(content)
+        data_at = cls._HEAD.size + 2 * dimensions
         if content.nbytes < data_at:
-            found = f"{content.nbytes - _HEAD.size} bytes"
+            found = f"{content.nbytes - cls._HEAD.size} bytes"
             raise TruncatedMessage("NDARRAY content, offset 2", found, f"{dimensions} sizes of 2 bytes")
-        size = struct.unpack_from(f">{dimensions}H", content, _HEAD.size)
+        size = struct.unpack_from(f">{dimensions}H", content, cls._HEAD.size)
         array = cls(scalar_type, size, content[data_at:])
         array.check()
         return array
@@ -77,7 +78,7 @@ class NdArray:
             sizes = struct.pack(f">{len(self.size)}H", *self.size)
         except struct.error as error:
             raise MalformedBody("NDARRAY", f"size {self.size}", f"0 … 65535 each ({error})") from None
-        return [_HEAD.pack(self.scalar_type, len(self.size)) + sizes, self.data]
+        return [self._HEAD.pack(self.scalar_type, len(self.size)) + sizes, self.data]
 
     @property
     def flat(self) -> npt.NDArray[Any]:

@@ -16,6 +16,7 @@ from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from struct import Struct
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -24,10 +25,7 @@ import numpy.typing as npt
 from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.fields import decode_text, visible
-from igtl_gateway.wire.layout import Field, Layout
-
-_HEAD = struct.Struct(">10I")
-_ATTRIBUTE = struct.Struct(">BBI")
+from igtl_gateway.wire.layout import Field, Layout, compile_struct
 
 U4 = np.dtype(">u4")
 F4 = np.dtype(">f4")
@@ -248,6 +246,8 @@ class PolyData:
         Field("name_padding", "u8", "0 or 1"),
         Field("data", "f32", "components · tuples", "tuple after tuple", per="attribute"),
     )
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
+    _ATTRIBUTE: ClassVar[Struct] = compile_struct(LAYOUT, "attribute")
 
     points: npt.NDArray[Any]
     vertices: Cells = NO_CELLS
@@ -271,7 +271,7 @@ class PolyData:
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
         take = _ContentReader(content)
-        num_points, *sizes, num_attributes = _HEAD.unpack(take("head", _HEAD.size))
+        num_points, *sizes, num_attributes = cls._HEAD.unpack(take("head", cls._HEAD.size))
         points = np.frombuffer(take("points", 12 * num_points), F4).reshape(num_points, 3)
         vertices, lines, polygons, strips = (
             Cells.unpack(f"POLYDATA {name}", count, take(name, size), num_points)
@@ -279,7 +279,7 @@ class PolyData:
         )
         if num_attributes > MAX_ATTRIBUTES:
             raise MalformedBody("POLYDATA head, offset 36", f"{num_attributes} attributes", f"at most {MAX_ATTRIBUTES}")
-        heads = take("attribute heads", _ATTRIBUTE.size * num_attributes)
+        heads = take("attribute heads", cls._ATTRIBUTE.size * num_attributes)
         names_size = 0
         names = []
         for index in range(num_attributes):
@@ -287,7 +287,7 @@ class PolyData:
             names_size += len(names[-1]) + 1
         padding = take("padding of the attribute names", 1)[0] if names_size % 2 else 0
         attributes = []
-        for index, (kind, components, tuples) in enumerate(_ATTRIBUTE.iter_unpack(heads)):
+        for index, (kind, components, tuples) in enumerate(cls._ATTRIBUTE.iter_unpack(heads)):
             if tuples and not components:
                 raise MalformedBody(f"POLYDATA attribute {index}", f"{tuples} tuples of no components", "1 or more")
             data = take(f"data of attribute {index}", 4 * components * tuples)
@@ -299,7 +299,7 @@ class PolyData:
         head = [len(self.points)]
         for cells in self.cells:
             head += (cells.count, U4.itemsize * len(cells.data))
-        parts: list[Buffer] = [_HEAD.pack(*head, len(self.attributes))]
+        parts: list[Buffer] = [self._HEAD.pack(*head, len(self.attributes))]
         parts += (_raw(array) for array in (self.points, *(cells.data for cells in self.cells)) if array.size)
         if self.attributes:
             heads, names = b"", b""
@@ -310,7 +310,7 @@ class PolyData:
                 if not 0 <= attribute.components <= MAX_COMPONENTS:
                     found = f"{attribute.components} components"
                     raise MalformedBody(f"POLYDATA attribute {attribute.name!r}", found, f"at most {MAX_COMPONENTS}")
-                heads += _ATTRIBUTE.pack(attribute.type, attribute.components, attribute.tuples)
+                heads += self._ATTRIBUTE.pack(attribute.type, attribute.components, attribute.tuples)
                 names += name + b"\x00"
             parts.append(heads + names + struct.pack("B", self.name_padding)[: len(names) % 2])
             parts += (_raw(attribute.data) for attribute in self.attributes if attribute.data.size)

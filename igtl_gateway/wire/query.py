@@ -6,24 +6,20 @@ the library do so: GET_TRANS (GET_TRANSFOR in part of the document), GET_CAPABIL
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from struct import Struct
 from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.errors import MalformedBody
-from igtl_gateway.wire.bind import need, pack_names, read_count, read_names
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
-from igtl_gateway.wire.layout import Field, Layout
+from igtl_gateway.wire.header import TYPE_SIZE
+from igtl_gateway.wire.layout import Field, Layout, compile_struct
+from igtl_gateway.wire.name_table import COUNT, need, pack_names, read_count, read_names
 
 _COORDINATE_WIDTH = 32
-_TRACKING = struct.Struct(f">i{_COORDINATE_WIDTH}s")
-_VIDEO = struct.Struct(">4sI")
-_NANOSECONDS = struct.Struct(">Q")
-_COUNT = struct.Struct(">H")
-_TYPE = struct.Struct(">12s")
 
 
 def _lengths(place: str, content: memoryview, *lengths: int) -> None:
@@ -73,6 +69,7 @@ class StartTracking:
 
     MAY_BE_EMPTY: ClassVar[bool] = True
     LAYOUT: ClassVar[Layout] = (Field("resolution", "i32"), Field("coordinate_name", "char", _COORDINATE_WIDTH))
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
 
     resolution: int = 0
     coordinate_name: str = ""
@@ -80,17 +77,17 @@ class StartTracking:
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        _lengths("STT_TDATA", content, 0, _TRACKING.size)
+        _lengths("STT_TDATA", content, 0, cls._HEAD.size)
         if not content.nbytes:
             return cls(has_body=False)
-        resolution, name = _TRACKING.unpack(content)
+        resolution, name = cls._HEAD.unpack(content)
         return cls(resolution, decode_text(name))
 
     def pack(self) -> list[Buffer]:
         if not self.has_body:
             return []
         name = encode_text(self.coordinate_name, _COORDINATE_WIDTH, "STT_TDATA coordinate system")
-        return [_TRACKING.pack(self.resolution, name)]
+        return [self._HEAD.pack(self.resolution, name)]
 
     def describe(self) -> dict[str, Any]:
         return {"resolution": self.resolution, "coordinate_name": visible(self.coordinate_name)}
@@ -109,6 +106,7 @@ class StartVideo:
     """
 
     LAYOUT: ClassVar[Layout] = (Field("codec", "char", 4), Field("resolution", "u32"))
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
 
     codec: str
     resolution: int = 0
@@ -116,12 +114,12 @@ class StartVideo:
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        _lengths("STT_VIDEO", content, _VIDEO.size, _VIDEO.size + 1)
-        codec, resolution = _VIDEO.unpack_from(content)
-        return cls(decode_text(codec), resolution, bytes(content[_VIDEO.size :]))
+        _lengths("STT_VIDEO", content, cls._HEAD.size, cls._HEAD.size + 1)
+        codec, resolution = cls._HEAD.unpack_from(content)
+        return cls(decode_text(codec), resolution, bytes(content[cls._HEAD.size :]))
 
     def pack(self) -> list[Buffer]:
-        return [_VIDEO.pack(encode_text(self.codec, 4, "STT_VIDEO codec"), self.resolution) + self.trailing]
+        return [self._HEAD.pack(encode_text(self.codec, 4, "STT_VIDEO codec"), self.resolution) + self.trailing]
 
     def describe(self) -> dict[str, Any]:
         return {"codec": visible(self.codec), "resolution": self.resolution}
@@ -137,16 +135,17 @@ class StartPolyData:
 
     MAY_BE_EMPTY: ClassVar[bool] = True
     LAYOUT: ClassVar[Layout] = (Field("resolution_ns", "u64", 1, "minimum interval between two messages, nanoseconds"),)
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
 
     resolution_ns: int | None = None
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        _lengths("STT_POLYDATA", content, 0, _NANOSECONDS.size)
-        return cls(_NANOSECONDS.unpack(content)[0] if content.nbytes else None)
+        _lengths("STT_POLYDATA", content, 0, cls._HEAD.size)
+        return cls(cls._HEAD.unpack(content)[0] if content.nbytes else None)
 
     def pack(self) -> list[Buffer]:
-        return [] if self.resolution_ns is None else [_NANOSECONDS.pack(self.resolution_ns)]
+        return [] if self.resolution_ns is None else [self._HEAD.pack(self.resolution_ns)]
 
     def describe(self) -> dict[str, Any]:
         return {"resolution_ns": self.resolution_ns}
@@ -165,17 +164,18 @@ class QueryReply:
 
     MAY_BE_EMPTY: ClassVar[bool] = True
     LAYOUT: ClassVar[Layout] = (Field("status", "u8"),)
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
 
     status: int = 0
     has_body: bool = True
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        _lengths("RTS_", content, 0, 1)
+        _lengths("RTS_", content, 0, cls._HEAD.size)
         return cls(content[0]) if content.nbytes else cls(has_body=False)
 
     def pack(self) -> list[Buffer]:
-        return [struct.pack("B", self.status)] if self.has_body else []
+        return [self._HEAD.pack(self.status)] if self.has_body else []
 
     def describe(self) -> dict[str, Any]:
         return {"status": self.status}
@@ -190,10 +190,11 @@ _UNINITIALISED = 4
 
 _CHILDREN = (
     Field("count", "u16", 1, "number of requested contents"),
-    Field("type", "char", 12, "type name", per="content"),
+    Field("type", "char", TYPE_SIZE, "type name", per="content"),
     Field("names_size", "u16", 1, "bytes of the table of names"),
     Field("names", "char", "names_size", "device names, as in BIND"),
 )
+_TYPE = compile_struct(_CHILDREN, "content")
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,6 +246,7 @@ class StartBind:
 
     MAY_BE_EMPTY: ClassVar[bool] = True
     LAYOUT: ClassVar[Layout] = (Field("resolution_ns", "u64"), *_CHILDREN)
+    _INTERVAL: ClassVar[Struct] = compile_struct(LAYOUT[:1])
 
     resolution_ns: int = 0
     children: tuple[Wanted, ...] = ()
@@ -254,15 +256,15 @@ class StartBind:
     def unpack(cls, content: memoryview) -> Self:
         resolution_ns = 0
         if content.nbytes:
-            need(content, _NANOSECONDS.size, "STT_BIND interval")
-            (resolution_ns,) = _NANOSECONDS.unpack_from(content)
-        query = cls(resolution_ns, _read_children("STT_BIND", content, _NANOSECONDS.size))
+            need(content, cls._INTERVAL.size, "STT_BIND interval")
+            (resolution_ns,) = cls._INTERVAL.unpack_from(content)
+        query = cls(resolution_ns, _read_children("STT_BIND", content, cls._INTERVAL.size))
         return query if join(query.pack()) == content else replace(query, kept=bytes(content))
 
     def pack(self) -> list[Buffer]:
         if self.kept is not None:
             return [self.kept] if self.kept else []
-        return [_NANOSECONDS.pack(self.resolution_ns) + (_pack_children(self.children) if self.children else b"")]
+        return [self._INTERVAL.pack(self.resolution_ns) + (_pack_children(self.children) if self.children else b"")]
 
     def describe(self) -> dict[str, Any]:
         return {"resolution_ns": self.resolution_ns, **_describe_children(self.children)}
@@ -273,9 +275,9 @@ def _read_children(place: str, content: memoryview, offset: int) -> tuple[Wanted
     if content.nbytes in (offset, offset + _UNINITIALISED) or not content.nbytes:
         return ()
     count = read_count(content, offset, f"{place} content")
-    names_at = offset + _COUNT.size + _TYPE.size * count
+    names_at = offset + COUNT.size + _TYPE.size * count
     need(content, names_at, f"{place} types")
-    types = [decode_text(kind) for (kind,) in _TYPE.iter_unpack(content[offset + _COUNT.size : names_at])]
+    types = [decode_text(kind) for (kind,) in _TYPE.iter_unpack(content[offset + COUNT.size : names_at])]
     names, _, end = read_names(content, names_at, count, place)
     if not end <= content.nbytes <= end + 1:  # a pad byte may stand outside the table
         raise MalformedBody(f"{place} content", f"{content.nbytes} bytes", f"{end} bytes by its own sizes")
@@ -283,9 +285,9 @@ def _read_children(place: str, content: memoryview, offset: int) -> tuple[Wanted
 
 
 def _pack_children(children: Sequence[Wanted]) -> bytes:
-    types = b"".join(encode_text(kind, _TYPE.size, "child, type name") for kind, _ in children)
+    types = b"".join(encode_text(kind, TYPE_SIZE, "child, type name") for kind, _ in children)
     table = pack_names([name for _, name in children])
-    return _COUNT.pack(len(children)) + types + _COUNT.pack(len(table)) + table
+    return COUNT.pack(len(children)) + types + COUNT.pack(len(table)) + table
 
 
 def _describe_children(children: Sequence[Wanted]) -> dict[str, Any]:

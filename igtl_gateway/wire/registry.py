@@ -1,8 +1,11 @@
-"""Which type name has which content codec.  A type that is not here is carried as ``Raw``."""
+"""Type names and the codecs of their contents.  The content of a type that is not here is carried as ``Raw``."""
 
 from __future__ import annotations
 
-from igtl_gateway.wire.bind import Bind
+from typing import Any
+
+from igtl_gateway.errors import WireError
+from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.client_info import ClientInfo
@@ -61,8 +64,25 @@ ALIASES = {
 
 
 def read_content(type_name: str, content: memoryview) -> Body:
-    """The content of a message of that type.  Raises TruncatedMessage or MalformedBody."""
-    codec = BODIES.get(visible(type_name), Raw)  # C++ readers too stop at the first NUL
+    """Decode the content of a message of a type.  Raises TruncatedMessage or MalformedBody."""
+    codec = BODIES.get(visible(type_name), Raw)  # C++ readers stop at the first NUL, too
     if not content.nbytes and not getattr(codec, "MAY_BE_EMPTY", False):
-        codec = Raw  # an empty body is a peer's way to say "I have none" (BrainLab images, refused queries)
+        codec = Raw  # peers send an empty body where they have no data (BrainLab images, refused queries)
     return codec.unpack(content)
+
+
+def read_child(child: BindChild) -> Body:
+    """Decode the content of a child, which may be a BIND.  Raises TruncatedMessage or MalformedBody."""
+    return read_content(child.type, memoryview(child.content))
+
+
+def describe_content(content: Body) -> dict[str, Any]:
+    """Return a content as JSON values; of a BIND with the contents of its children, or their errors."""
+    shown = content.describe()
+    if isinstance(content, Bind):
+        for child, row in zip(content.children, shown["children"], strict=True):
+            try:
+                row["content"] = describe_content(read_child(child))
+            except WireError as error:
+                row["error"] = {"code": error.code, "text": str(error)}
+    return shown

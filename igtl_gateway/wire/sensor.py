@@ -14,6 +14,7 @@ import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -21,9 +22,8 @@ import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
-from igtl_gateway.wire.layout import Field, Layout
+from igtl_gateway.wire.layout import Field, Layout, compile_struct
 
-_HEAD = struct.Struct(">BBQ")
 _VALUES = np.dtype(">f8")
 MAX_VALUES = 255
 
@@ -49,23 +49,25 @@ class Sensor:
         Field("unit", "u64"),
         Field("values", "f64", "length", "in the unit"),
     )
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
+
     values: npt.NDArray[np.float64]
     unit: int = 0
     status: int = 0
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        if content.nbytes < _HEAD.size:
-            raise TruncatedMessage("SENSOR content", f"{content.nbytes} bytes", f"at least {_HEAD.size} bytes")
-        length, status, unit = _HEAD.unpack_from(content)
-        expected = _HEAD.size + length * _VALUES.itemsize
+        if content.nbytes < cls._HEAD.size:
+            raise TruncatedMessage("SENSOR content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+        length, status, unit = cls._HEAD.unpack_from(content)
+        expected = cls._HEAD.size + length * _VALUES.itemsize
         if content.nbytes != expected:
             raise MalformedBody("SENSOR content", f"{content.nbytes} bytes", f"{expected} bytes for {length} values")
-        return cls(np.frombuffer(content[_HEAD.size :], _VALUES), unit, status)
+        return cls(np.frombuffer(content[cls._HEAD.size :], _VALUES), unit, status)
 
     def pack(self) -> list[Buffer]:
         try:
-            head = _HEAD.pack(len(self.values), self.status, self.unit)
+            head = self._HEAD.pack(len(self.values), self.status, self.unit)
         except struct.error as error:
             found = f"{len(self.values)} values, status {self.status}, unit {self.unit}"
             raise MalformedBody("SENSOR", found, f"at most {MAX_VALUES} values, 8 and 64 bits ({error})") from None

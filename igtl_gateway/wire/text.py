@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
-from igtl_gateway.wire.layout import Field, Layout
+from igtl_gateway.wire.layout import Field, Layout, compile_struct
 
-_STRING = struct.Struct(">HH")
-_STATUS = struct.Struct(">Hq20s")
+_ERROR_NAME_SIZE = 20
 
 #: The length field of STRING has 16 bits.
 MAX_STRING_BYTES = 65_535
 
+#: IANA MIBenum of the encodings that the gateway sends.
+US_ASCII, UTF_8 = 3, 106
+
 #: IANA MIBenum → Python codec, for the encodings that a peer may name.
-CODECS = {3: "ascii", 4: "latin-1", 106: "utf-8", 1013: "utf-16-be", 1014: "utf-16-le", 1015: "utf-16", 17: "shift_jis",
-          18: "euc_jp", 113: "gbk", 2025: "gb2312", 2026: "big5", 2252: "cp1252"}  # fmt: skip
+CODECS = {US_ASCII: "ascii", 4: "latin-1", UTF_8: "utf-8", 1013: "utf-16-be", 1014: "utf-16-le", 1015: "utf-16",
+          17: "shift_jis", 18: "euc_jp", 113: "gbk", 2025: "gb2312", 2026: "big5", 2252: "cp1252"}  # fmt: skip
 
 
 def text_of(data: bytes, encoding: int) -> str:
@@ -33,7 +36,7 @@ def text_of(data: bytes, encoding: int) -> str:
 
 def mib_of(text: str) -> int:
     """The MIBenum to name for a text that is sent as UTF-8: US-ASCII where that is true."""
-    return 3 if text.isascii() else 106
+    return US_ASCII if text.isascii() else UTF_8
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +58,26 @@ class String:
         Field("length", "u16", 1, "bytes of the text"),
         Field("data", "char", "length"),
     )
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
+
     data: bytes
-    encoding: int = 3
+    encoding: int = US_ASCII
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        if content.nbytes < _STRING.size:
-            raise TruncatedMessage("STRING content", f"{content.nbytes} bytes", f"at least {_STRING.size} bytes")
-        encoding, size = _STRING.unpack_from(content)
-        if content.nbytes != _STRING.size + size:
-            raise MalformedBody("STRING, length", f"{size}", f"{content.nbytes - _STRING.size}, the bytes that follow")
-        return cls(bytes(content[_STRING.size :]), encoding)
+        if content.nbytes < cls._HEAD.size:
+            raise TruncatedMessage("STRING content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+        encoding, size = cls._HEAD.unpack_from(content)
+        if content.nbytes != cls._HEAD.size + size:
+            raise MalformedBody(
+                "STRING, length", f"{size}", f"{content.nbytes - cls._HEAD.size}, the bytes that follow"
+            )
+        return cls(bytes(content[cls._HEAD.size :]), encoding)
 
     def pack(self) -> list[Buffer]:
         if len(self.data) > MAX_STRING_BYTES:
             raise MalformedBody("STRING", f"{len(self.data)} bytes", f"at most {MAX_STRING_BYTES} bytes")
-        return [_STRING.pack(self.encoding, len(self.data)) + self.data]
+        return [self._HEAD.pack(self.encoding, len(self.data)) + self.data]
 
     @classmethod
     def of(cls, text: str) -> Self:
@@ -106,9 +113,11 @@ class Status:
     LAYOUT: ClassVar[Layout] = (
         Field("code", "u16", 1, "1 = OK, others below"),
         Field("subcode", "i64"),
-        Field("error_name", "char", 20),
+        Field("error_name", "char", _ERROR_NAME_SIZE),
         Field("message", "char", "the rest"),
     )
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
+
     code: int
     subcode: int = 0
     error_name: str = ""
@@ -117,10 +126,10 @@ class Status:
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        if content.nbytes < _STATUS.size:
-            raise TruncatedMessage("STATUS content", f"{content.nbytes} bytes", f"at least {_STATUS.size} bytes")
-        code, subcode, name = _STATUS.unpack_from(content)
-        text = bytes(content[_STATUS.size :])
+        if content.nbytes < cls._HEAD.size:
+            raise TruncatedMessage("STATUS content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+        code, subcode, name = cls._HEAD.unpack_from(content)
+        text = bytes(content[cls._HEAD.size :])
         ends_in_nul = text.endswith(b"\x00")
         if ends_in_nul:
             text = text[:-1]
@@ -128,7 +137,9 @@ class Status:
 
     def pack(self) -> list[Buffer]:
         try:
-            head = _STATUS.pack(self.code, self.subcode, encode_text(self.error_name, 20, "STATUS error name"))
+            head = self._HEAD.pack(
+                self.code, self.subcode, encode_text(self.error_name, _ERROR_NAME_SIZE, "STATUS error name")
+            )
         except struct.error as error:
             raise MalformedBody("STATUS", f"code {self.code}, sub-code {self.subcode}", str(error)) from None
         text = self.message.encode("utf-8", "surrogateescape")

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 import struct
+from struct import Struct
 from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody
 from igtl_gateway.values import value
-from igtl_gateway.wire.layout import Field, Layout
-
-_MATRIX = struct.Struct(">12f")
-_FORMS = {28: "all", 24: "quaternion3", 12: "position_only"}
-_POSITION = {form: struct.Struct(f">{size // 4}f") for size, form in _FORMS.items()}
+from igtl_gateway.wire.layout import Field, Layout, compile_struct
 
 
 @value(frozen=True, slots=True)
@@ -26,16 +23,18 @@ class Transform:
 
     PROTOCOL: ClassVar[str] = "1"
     LAYOUT: ClassVar[Layout] = (Field("wire_matrix", "f32", 12),)
+    _MATRIX: ClassVar[Struct] = compile_struct(LAYOUT)
+
     wire_matrix: tuple[float, ...]
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        if content.nbytes != _MATRIX.size:
-            raise MalformedBody("TRANSFORM content", f"{content.nbytes} bytes", f"{_MATRIX.size} bytes")
-        return cls(unpack_floats(_MATRIX, content))
+        if content.nbytes != cls._MATRIX.size:
+            raise MalformedBody("TRANSFORM content", f"{content.nbytes} bytes", f"{cls._MATRIX.size} bytes")
+        return cls(unpack_floats(cls._MATRIX, content))
 
     def pack(self) -> list[Buffer]:
-        return [pack_floats(_MATRIX, self.wire_matrix, "TRANSFORM matrix")]
+        return [pack_floats(self._MATRIX, self.wire_matrix, "TRANSFORM matrix")]
 
     @classmethod
     def from_rows(cls, rows: list[list[float]]) -> Self:
@@ -69,6 +68,12 @@ class Position:
 
     PROTOCOL: ClassVar[str] = "1"
     LAYOUT: ClassVar[Layout] = (Field("position", "f32", 3), Field("quaternion", "f32", 4))
+    #: ``form`` → what is on the wire.
+    _FORMS: ClassVar[dict[str, Struct]] = {
+        "all": compile_struct(LAYOUT),
+        "quaternion3": Struct(">6f"),
+        "position_only": compile_struct(LAYOUT[:1]),
+    }
     LENGTHS: ClassVar[str] = "28, 24 or 12 bytes"
     position: tuple[float, ...]
     quaternion: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
@@ -76,10 +81,10 @@ class Position:
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        form = _FORMS.get(content.nbytes)
+        form = _FORM_OF_SIZE.get(content.nbytes)
         if form is None:
             raise MalformedBody("POSITION content", f"{content.nbytes} bytes", cls.LENGTHS)
-        values = unpack_floats(_POSITION[form], content)
+        values = unpack_floats(cls._FORMS[form], content)
         position, rotation = values[:3], values[3:]
         if form == "position_only":
             rotation = (0.0, 0.0, 0.0, 1.0)
@@ -89,7 +94,7 @@ class Position:
         return cls(position, rotation, form)
 
     def pack(self) -> list[Buffer]:
-        layout = _POSITION[self.form]
+        layout = self._FORMS[self.form]
         values = (*self.position, *self.quaternion)[: layout.size // 4]
         return [pack_floats(layout, values, "POSITION")]
 
@@ -97,16 +102,19 @@ class Position:
         return {"pack": self.form, "position": list(self.position), "quaternion": list(self.quaternion)}
 
 
+_FORM_OF_SIZE = {layout.size: form for form, layout in Position._FORMS.items()}
+
+
 # -- float32 ⇄ Python's float64 ---------------------------------------------------------------------------------------
 #
 # Processors make a signalling NaN quiet when they convert it; ``struct`` lets them.  A message is written back as it
 # was read, so NaNs are converted by their bits here.  A sum is NaN where a number is: the quickest look at them all.
 
-_DOUBLE = struct.Struct(">d")
-_WORD = struct.Struct(">I")
+_DOUBLE = Struct(">d")
+_WORD = Struct(">I")
 
 
-def unpack_floats(layout: struct.Struct, content: memoryview, offset: int = 0) -> tuple[float, ...]:
+def unpack_floats(layout: Struct, content: memoryview, offset: int = 0) -> tuple[float, ...]:
     """The float32 numbers of ``layout`` at ``offset``, every bit of a NaN kept."""
     values = layout.unpack_from(content, offset)
     if math.isnan(sum(values)):
@@ -121,7 +129,7 @@ def _nan_of(word: int) -> float:
     return float(value)
 
 
-def pack_floats(layout: struct.Struct, values: tuple[float, ...], place: str) -> bytes:
+def pack_floats(layout: Struct, values: tuple[float, ...], place: str) -> bytes:
     """The mirror of ``unpack_floats``; a number too large for float32 is MalformedBody, not OverflowError."""
     try:
         data = layout.pack(*values)

@@ -1,14 +1,12 @@
 """VIDEO: one encoded frame with its place in the patient (protocol 3.1, ``Protocol/video.md``).
 
-Content: 76 bytes (u16 version, u8 endian, 4 letters of the codec, u16 frame type, u8 coordinates, 3 × u16 size,
-12 × float32 matrix as IMAGE, 3 × u16 offset and 3 × u16 size of the sub-volume), then the bit stream.  The
-document gives the coordinates three bytes and the size one number; this is what the library sends.
+The document gives the coordinates three bytes and the size one number; ``LAYOUT`` is what the library sends.
 """
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer
@@ -16,13 +14,8 @@ from igtl_gateway.errors import TruncatedMessage
 from igtl_gateway.wire.body import shown_crc
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.image import LITTLE_ENDIAN, RAS, Image, Triple
-from igtl_gateway.wire.layout import Field, Layout
+from igtl_gateway.wire.layout import Field, Layout, compile_struct
 from igtl_gateway.wire.transform import pack_floats, unpack_floats
-
-_HEAD = struct.Struct(">HB4sHB3H")
-_MATRIX = struct.Struct(">12f")
-_SUB = struct.Struct(">3H3H")
-_SIZE = _HEAD.size + _MATRIX.size + _SUB.size
 
 KEY_FRAME = 1
 
@@ -63,6 +56,9 @@ class Video:
         Field("subvol_size", "u16", 3, "its size; ``size`` for a complete image"),
         Field("data", "bytes", "the rest"),
     )
+    _HEAD: ClassVar[Struct] = compile_struct(LAYOUT[:6])
+    _MATRIX: ClassVar[Struct] = compile_struct(LAYOUT[6:7])
+    _SUB: ClassVar[Struct] = compile_struct(LAYOUT[7:])
 
     codec: str
     size: Triple
@@ -94,9 +90,9 @@ class Video:
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes < _SIZE:
             raise TruncatedMessage("VIDEO content", f"{content.nbytes} bytes", f"at least {_SIZE} bytes")
-        version, endian, codec, frame_type, coordinate, *size = _HEAD.unpack_from(content)
-        matrix = unpack_floats(_MATRIX, content, _HEAD.size)
-        sub = _SUB.unpack_from(content, _HEAD.size + _MATRIX.size)
+        version, endian, codec, frame_type, coordinate, *size = cls._HEAD.unpack_from(content)
+        matrix = unpack_floats(cls._MATRIX, content, cls._HEAD.size)
+        sub = cls._SUB.unpack_from(content, cls._HEAD.size + cls._MATRIX.size)
         return cls(
             decode_text(codec),
             (size[0], size[1], size[2]),
@@ -111,7 +107,7 @@ class Video:
         )
 
     def pack(self) -> list[Buffer]:
-        head = _HEAD.pack(
+        head = self._HEAD.pack(
             self.video_version,
             self.endian,
             encode_text(self.codec, 4, "VIDEO codec"),
@@ -119,8 +115,8 @@ class Video:
             self.coordinate,
             *self.size,
         )
-        sub = _SUB.pack(*self.subvol_offset, *self.sub_size)
-        return [head + pack_floats(_MATRIX, self.wire_matrix, "VIDEO matrix") + sub, self.data]
+        sub = self._SUB.pack(*self.subvol_offset, *self.sub_size)
+        return [head + pack_floats(self._MATRIX, self.wire_matrix, "VIDEO matrix") + sub, self.data]
 
     def describe(self) -> dict[str, Any]:
         return {
@@ -136,3 +132,6 @@ class Video:
             "data_size": memoryview(self.data).nbytes,
             "data_crc64": shown_crc(self.data),
         }
+
+
+_SIZE = compile_struct(Video.LAYOUT).size  # of all before the frame

@@ -10,8 +10,7 @@ from igtl_gateway.convert.igtl_msgs import Metadata, MetadataItem, Sensor
 from igtl_gateway.convert.rosmsg import Header, String, TransformStamped
 from igtl_gateway.gateway.metadata import FRAME_ID, FULL_NAME, STAMP, compose_metadata, restore_metadata
 from igtl_gateway.wire import Item, Message
-from igtl_gateway.wire.message import UTF_8
-from igtl_gateway.wire.text import Status
+from igtl_gateway.wire.text import UTF_8, Status
 from igtl_gateway.wire.text import String as IgtlString
 from tests.script import T0_NS, Script
 

@@ -35,7 +35,7 @@ from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.point import POINT_DTYPE, Points
 from igtl_gateway.wire.polydata import Attribute, Cells, PolyData
 from igtl_gateway.wire.query import EmptyQuery, GetBind, QueryReply, StartBind, StartTracking
-from igtl_gateway.wire.registry import BODIES
+from igtl_gateway.wire.registry import BODIES, read_child
 from igtl_gateway.wire.sensor import Sensor, parse_unit
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.tracking import (
@@ -587,7 +587,7 @@ def py() -> Iterator[tuple[Ours, PyigtlPeer]]:
 def clean(body: Body) -> Body:
     """Without what stands in reserved bytes, of which the library writes none."""
     if isinstance(body, Bind):
-        children = (replace(child, content=join(clean(child.body()).pack())) for child in body.children)
+        children = (replace(child, content=join(clean(read_child(child)).pack())) for child in body.children)
         return replace(body, children=tuple(children))
     if not isinstance(body, Elements) or "reserved" not in (body.DTYPE.names or ()):
         return body

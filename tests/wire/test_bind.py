@@ -14,6 +14,7 @@ from igtl_gateway.errors import MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.wire.bind import MAX_CHILDREN, MAX_DEPTH, Bind, BindChild
 from igtl_gateway.wire.body import Raw
 from igtl_gateway.wire.point import Points
+from igtl_gateway.wire.registry import describe_content, read_child
 from igtl_gateway.wire.text import String
 from tests import strategies
 
@@ -40,8 +41,8 @@ def test_golden_bytes() -> None:
     bind = read(GOLDEN)
     assert bind == Bind(CHILDREN)
     assert join(Bind(CHILDREN).pack()) == GOLDEN
-    assert [child.body() for child in bind.children] == [String(b"x"), Raw(b"yz")]
-    assert bind.describe()["children"][0] == {
+    assert [read_child(child) for child in bind.children] == [String(b"x"), Raw(b"yz")]
+    assert describe_content(bind)["children"][0] == {
         "type": "STRING",
         "name": "ab",
         "size": 5,
@@ -161,7 +162,7 @@ def test_nesting_ends() -> None:
         read(deeper)
     with pytest.raises(MalformedBody, match="levels"):
         Bind((BindChild("BIND", "", data),)).pack()
-    shown = read(data).describe()
+    shown = describe_content(read(data))
     for _ in range(MAX_DEPTH - 1):
         shown = shown["children"][0]["content"]
     assert shown["children"][0]["content"]["raw_hex"] == "78"
@@ -171,8 +172,8 @@ def test_a_child_that_nobody_can_read() -> None:
     """It costs its siblings nothing."""
     bind = read(join(Bind((BindChild("IMAGE", "broken", b"??"), *CHILDREN)).pack()))
     with pytest.raises(TruncatedMessage):
-        bind.children[0].body()
-    broken, whole, _ = bind.describe()["children"]
+        read_child(bind.children[0])
+    broken, whole, _ = describe_content(bind)["children"]
     assert broken["error"]["code"] == "truncated"
     assert "content" not in broken
     assert whole["content"]["string"] == "x"
@@ -180,7 +181,7 @@ def test_a_child_that_nobody_can_read() -> None:
 
 def test_empty_children_are_as_empty_messages() -> None:
     bind = read(join(Bind((BindChild("IMAGE", "none", b""), BindChild("POINT", "", b""))).pack()))
-    image, points = (child.body() for child in bind.children)
+    image, points = (read_child(child) for child in bind.children)
     assert image == Raw(b"")
     assert isinstance(points, Points)
 
@@ -201,7 +202,7 @@ CONTENTS = {kind: contents for kind, contents in strategies.bodies().items() if 
 def test_decoded_children_are_encoded_to_the_same_bytes(bind: Bind) -> None:
     for child in read(join(bind.pack())).children:
         try:
-            body = child.body()
+            body = read_child(child)
         except WireError:
             continue
         assert join(body.pack()) == child.content

@@ -1,74 +1,80 @@
-"""The layouts in words against the structs and arrays that read the bytes."""
+"""The layouts against the sizes of the protocol's documents and against the arrays of lists."""
 
 from __future__ import annotations
-
-import re
-import struct
-from itertools import takewhile
 
 import numpy as np
 import pytest
 
-from igtl_gateway.wire import bind, command, image, message, ndarray, polydata, query, sensor, text, transform, video
+from igtl_gateway.wire import (
+    bind,
+    command,
+    header,
+    image,
+    message,
+    ndarray,
+    polydata,
+    query,
+    sensor,
+    text,
+    transform,
+    video,
+)
 from igtl_gateway.wire.elements import Elements
-from igtl_gateway.wire.layout import CODES, Field, Layout, of_dtype
+from igtl_gateway.wire.layout import CODES, Field, Layout, compile_struct, of_dtype, offset_of
 from igtl_gateway.wire.registry import ALIASES, BODIES
 
 PAIR = np.dtype([("a", "S3"), ("b", ">u2", 2)])
 CLASSES = sorted(set(BODIES.values()), key=lambda one: one.__name__)
 
 
-def codes(*formats: str | struct.Struct) -> str:
-    """A format as one letter per number: ``>2H3s`` and ``>HH3s`` are HHsss."""
-    parts = [one.format if isinstance(one, struct.Struct) else one for one in formats]
-    return "".join(letter * int(times or 1) for times, letter in re.findall(r"(\d*)([A-Za-z])", "".join(parts)))
-
-
-def told(layout: Layout, per: str = "") -> str:
-    """What a layout says stands first, or of each ``per``: up to the first row whose size only other rows tell."""
-    rows = layout if not per else tuple(row for row in layout if row.per == per)
-    rows = tuple(takewhile(lambda row: row.size is not None and row.per == per, rows))
-    return codes(*(f"{row.count}{CODES[row.type]}" for row in rows))
+@pytest.mark.parametrize(
+    ("layout", "size"),
+    [
+        (transform.Transform.LAYOUT, 48),
+        (transform.Position.LAYOUT, 28),
+        (text.String.LAYOUT, 4),
+        (text.Status.LAYOUT, 30),
+        (image.Image.LAYOUT, 72),
+        (video.Video.LAYOUT, 76),
+        (polydata.PolyData.LAYOUT, 40),
+        (sensor.Sensor.LAYOUT, 10),
+        (ndarray.NdArray.LAYOUT, 2),
+        (command.Command.LAYOUT, 138),
+        (bind.Bind.LAYOUT, 2),
+        (query.StartTracking.LAYOUT, 36),
+        (query.StartVideo.LAYOUT, 8),
+        (query.StartPolyData.LAYOUT, 8),
+        (query.GetBind.LAYOUT, 2),
+        (query.StartBind.LAYOUT, 10),
+        (header.Header.LAYOUT, 58),
+        (message.ExtendedHeader.LAYOUT, 12),
+        (message.METADATA_LAYOUT, 2),
+    ],
+)
+def test_sizes_of_the_documents(layout: Layout, size: int) -> None:
+    """In front of the first field whose size other fields give."""
+    assert compile_struct(layout).size == size
 
 
 @pytest.mark.parametrize(
-    ("layout", "formats"),
+    ("layout", "per", "size"),
     [
-        (transform.Transform.LAYOUT, (transform._MATRIX,)),
-        (transform.Position.LAYOUT, (transform._POSITION["all"],)),
-        (text.String.LAYOUT, (text._STRING,)),
-        (text.Status.LAYOUT, (text._STATUS,)),
-        (image.Image.LAYOUT, (image._HEAD, image._MATRIX, image._SUB)),
-        (video.Video.LAYOUT, (video._HEAD, video._MATRIX, video._SUB)),
-        (polydata.PolyData.LAYOUT, (polydata._HEAD,)),
-        (sensor.Sensor.LAYOUT, (sensor._HEAD,)),
-        (ndarray.NdArray.LAYOUT, (ndarray._HEAD,)),
-        (command.Command.LAYOUT, (command._HEAD,)),
-        (bind.Bind.LAYOUT, (bind._COUNT,)),
-        (query.StartTracking.LAYOUT, (query._TRACKING,)),
-        (query.StartVideo.LAYOUT, (query._VIDEO,)),
-        (query.StartPolyData.LAYOUT, (query._NANOSECONDS,)),
-        (query.GetBind.LAYOUT, (query._COUNT,)),
-        (query.StartBind.LAYOUT, (query._NANOSECONDS, query._COUNT)),
-        (message.ExtendedHeader.LAYOUT, (message._EXTENDED,)),
-        (message.METADATA_LAYOUT, (message._COUNT,)),
+        (bind.Bind.LAYOUT, "child", 20),
+        (query.GetBind.LAYOUT, "content", 12),
+        (polydata.PolyData.LAYOUT, "attribute", 6),
+        (message.METADATA_LAYOUT, "item", 8),
     ],
 )
-def test_what_stands_first(layout: Layout, formats: tuple[struct.Struct, ...]) -> None:
-    assert told(layout) == codes(*formats)
+def test_sizes_of_what_is_repeated(layout: Layout, per: str, size: int) -> None:
+    assert compile_struct(layout, per).size == size
 
 
-@pytest.mark.parametrize(
-    ("layout", "per", "repeated"),
-    [
-        (bind.Bind.LAYOUT, "child", bind._CHILD),
-        (query.GetBind.LAYOUT, "content", query._TYPE),
-        (polydata.PolyData.LAYOUT, "attribute", polydata._ATTRIBUTE),
-        (message.METADATA_LAYOUT, "item", message._ITEM),
-    ],
-)
-def test_what_is_repeated(layout: Layout, per: str, repeated: struct.Struct) -> None:
-    assert told(layout, per) == codes(repeated)
+def test_offsets() -> None:
+    layout = text.Status.LAYOUT
+    assert [offset_of(layout, row.name) for row in layout] == [0, 2, 10, 30]
+    for name in ("none", "content"):  # not there; behind fields that are repeated
+        with pytest.raises(KeyError, match=name):
+            offset_of(bind.Bind.LAYOUT, name)
 
 
 @pytest.mark.parametrize("kind", [one for one in CLASSES if issubclass(one, Elements)], ids=lambda one: one.__name__)
@@ -80,7 +86,7 @@ def test_lists(kind: type[Elements]) -> None:
 def test_every_class_has_one() -> None:
     """Where it stops being constant, words say by what; only queries may be without anything."""
     without = [one.__name__ for one in CLASSES if not getattr(one, "LAYOUT", None)]
-    assert without == ["Nothing"]
+    assert without == ["EmptyQuery"]
     for kind in CLASSES:
         rows: Layout = kind.LAYOUT  # type: ignore[attr-defined]
         assert all(row.type in CODES or (row.type == "bytes" and isinstance(row.count, str)) for row in rows)

@@ -22,6 +22,7 @@ from igtl_gateway.wire import Message
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.registry import read_child
 
 
 class RosOrigin(NamedTuple):
@@ -108,7 +109,7 @@ class Router:
         alone = replace(entry, payload=())
         for child in bind.children:
             try:
-                content = child.body()
+                content = read_child(child)
             except WireError as error:
                 items.append(
                     conversion_failure(
