@@ -85,7 +85,8 @@ _SOURCE = re.compile(_TERM.pattern.replace(r"\s+", r"[\s#:\"'f]+"), re.IGNORECAS
 _INSTEAD = list(TERMS.values())
 #: What is quoted as code, or as a link's address.
 _CODE = re.compile(r"(`+)(?!`).+?(?<!`)\1(?!`)|\]\([^)\s]*\)|<!--.*?-->|https?://\S+", re.DOTALL)
-_FENCE = re.compile(r"^( *)(```|~~~).*?^\1\2 *$", re.DOTALL | re.MULTILINE)
+#: Blocks of code, fenced or indented by four spaces.
+_FENCE = re.compile(r"^( *)(```|~~~).*?^\1\2 *$|^ {4}[^\n]*$", re.DOTALL | re.MULTILINE)
 _C_PROSE = re.compile(r"/\*.*?\*/|//[^\n]*|\"(?:[^\"\\\n]|\\.)*\"", re.DOTALL)
 
 
@@ -107,7 +108,7 @@ def _blank(match: re.Match[str]) -> str:
 
 
 def _comments_only(match: re.Match[str]) -> str:
-    """A fenced block, without everything but its line ends and the comments of shell commands."""
+    """A block of code, without everything but its line ends and the comments of shell commands."""
     return "\n".join(line.partition(" # ")[2] for line in match[0].split("\n"))
 
 
