@@ -35,7 +35,8 @@ def test_python_has_prose_in_docstrings_comments_and_strings_of_several_words() 
 
 
 def test_markdown_has_prose_outside_of_code_and_addresses() -> None:
-    page = "Nobody is here.\n\n```console\n$ told --said  # heard of it\nsaid\n```\n`told` [x](told.md) so\nmany of them\n\n    said\n"
+    block = "```console\n$ told --said  # heard of it\nsaid\n```\n"
+    page = f"Nobody is here.\n\n{block}`told` [x](told.md) so\nmany of them\n\n    said\n"
     assert found("a.md", page) == [(1, "Nobody"), (4, "heard"), (7, "so many")]
 
 
