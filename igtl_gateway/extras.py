@@ -8,6 +8,7 @@ _EXTRAS = {
     "rerun": ("view", ""),
     "av": ("video", ""),
     "nibabel": ("nifti", ""),
+    "pcapng": ("pcap", ""),
     "pyigtl": ("dev", ""),
 }
 

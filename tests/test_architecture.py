@@ -125,6 +125,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "pyigtl": ("lab.bench.pyigtl_side",),  # somebody else's peer
     "mcap": ("exchange", "sessionfile"),
     "nibabel": ("exchange.nifti",),
+    "pcapng": ("exchange.pcap_file",),
     "numpy": (
         "wire",
         "convert",

@@ -1,7 +1,8 @@
 """Files for the importers, damaged where it hurts: ``cases(seed)`` gives them without end.
 
 Strategy: each builder writes one format field by field (ROS 1 bag, rosbag2 in SQLite and in MCAP with its
-``metadata.yaml``, pcap, OpenIGTLink bytes) and passes every number, text and piece of bytes through a :class:`Bend`,
+``metadata.yaml``, pcap, pcapng, OpenIGTLink bytes) and passes every number, text and piece of bytes through a
+:class:`Bend`,
 which replaces a few of them by values at the edges of what fields can hold.  So lengths, counts, offsets and types
 lie while the rest of the file stays valid.  Some files are then cut, or have bits flipped.  Definitions of messages
 and YAML have grammars of their own (:func:`definition`, :func:`metadata`).
@@ -413,11 +414,9 @@ def capture(bend: Bend) -> dict[str, bytes]:
     return {"probe.s2c.igtl": igtl_bytes(bend)}
 
 
-def pcap(bend: Bend) -> dict[str, bytes]:
-    """Captured TCP: segments that come twice, late or never, of several connections."""
+def frames(bend: Bend) -> Iterator[bytes]:
+    """Ethernet frames of several TCP connections, with repeated, late and missing segments."""
     rng = bend.rng
-    order = rng.choice("<>")
-    out = struct.pack(f"{order}IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, bend.number(65535), bend.number(1))
     packets = []
     for port in range(rng.randint(1, 4)):
         data, seq = igtl_bytes(bend), rng.choice((0, 2**32 - 40, 7))
@@ -430,7 +429,7 @@ def pcap(bend: Bend) -> dict[str, bytes]:
             if bend.hit(3):
                 packets.insert(rng.randrange(len(packets)), packets.pop())
         packets.append((port, seq + len(data), rng.choice((1, 4)), b""))
-    for index, (port, seq, flags, data) in enumerate(packets):
+    for port, seq, flags, data in packets:
         words = bend.number(5, 4)
         tcp = struct.pack(">HHIIBBHHH", 4000 + port, 18944, bend.number(seq), 0, words << 4, flags, 0, 0, 0) + data
         if rng.random() < 0.2:
@@ -444,10 +443,43 @@ def pcap(bend: Bend) -> dict[str, bytes]:
             frame = bytes(12) + b"\x08\x00" + ip + bytes(8) + tcp
         if bend.hit(0.5):
             frame = frame[:12] + b"\x81\x00" * rng.randint(1, 9) + frame[12:]
-        frame = bend.data(frame)
+        yield bend.data(frame)
+
+
+def pcap(bend: Bend) -> dict[str, bytes]:
+    """Captured TCP as tcpdump writes it."""
+    order = bend.rng.choice("<>")
+    out = struct.pack(f"{order}IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, bend.number(65535), bend.number(1))
+    for index, frame in enumerate(frames(bend)):
         head = struct.pack(f"{order}4I", bend.number(_EPOCH_S), bend.number(index), bend.number(len(frame)), len(frame))
         out += head + frame
     return {"some.pcap": out}
+
+
+def pcapng(bend: Bend) -> dict[str, bytes]:
+    """Captured TCP as Wireshark writes it: one or two interfaces, all three kinds of packets."""
+    rng = bend.rng
+    order = rng.choice("<>")
+
+    def block(kind: int, body: bytes) -> bytes:
+        body = bend.data(body + bytes(-len(body) % 4))
+        size = bend.number(12 + len(body), 32)
+        return struct.pack(f"{order}II", bend.number(kind, 32), size) + body + struct.pack(f"{order}I", size)
+
+    head = struct.pack(f"{order}IHHq", 0x1A2B3C4D, 1, 0, -1)
+    out = struct.pack(f"{order}II", 0x0A0D0D0A, 28) + head + struct.pack(f"{order}I", 28)
+    interfaces = rng.randint(1, 2)
+    for _ in range(interfaces):
+        units = struct.pack(f"{order}HHB3x", 9, 1, bend.number(rng.choice((6, 9, 0x94)), 8))
+        out += block(1, struct.pack(f"{order}HHI", 1, 0, bend.number(65535, 32)) + units)
+    for index, frame in enumerate(frames(bend)):
+        size = bend.number(len(frame), 32)
+        place = (bend.number(rng.randrange(interfaces), 16), 0, index, bend.number(index, 32), size, len(frame))
+        kind = rng.choice((2, 3, 6, 6))
+        form = {2: "2H4I", 3: "I", 6: "5I"}[kind]
+        fields = {2: place, 3: place[-1:], 6: (place[0], *place[2:])}[kind]
+        out += block(kind, struct.pack(order + form, *fields) + frame)
+    return {"some.pcapng": out}
 
 
 #: Format → what builds its files.
@@ -456,6 +488,7 @@ BUILDERS: dict[str, Callable[[Bend], dict[str, bytes]]] = {
     "rosbag2": rosbag2,
     "igtl": capture,
     "pcap": pcap,
+    "pcapng": pcapng,
 }
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from igtl_gateway.errors import UnsupportedRecording
 from igtl_gateway.exchange.capture import Capture, looks_like_igtl
 from igtl_gateway.exchange.nifti import looks_like_nifti, read_nifti
-from igtl_gateway.exchange.pcap import MAGICS, PCAPNG, Pcap
+from igtl_gateway.exchange.pcap import Pcap
+from igtl_gateway.exchange.pcap_file import is_capture
 from igtl_gateway.exchange.rosbag1 import Rosbag1
 from igtl_gateway.exchange.rosbag2 import Rosbag2
 from igtl_gateway.exchange.rosbag2_metadata import METADATA
@@ -55,12 +56,7 @@ FORMATS = (
         Sequence,
     ),
     ImportFormat("nifti", (".nii", ".nii.gz"), looks_like_nifti, lambda path, epoch: Sequence(path, epoch, read_nifti)),
-    ImportFormat(
-        "pcap",
-        (".pcap", ".cap"),
-        lambda start: start[:4] in MAGICS or start[:4] == PCAPNG,
-        lambda path, _epoch: Pcap(path),
-    ),
+    ImportFormat("pcap", (".pcap", ".cap", ".pcapng"), is_capture, lambda path, _epoch: Pcap(path)),
     ImportFormat("igtl", (".igtl",), looks_like_igtl, Capture),
 )
 

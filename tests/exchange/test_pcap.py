@@ -6,6 +6,7 @@ import random
 import struct
 import time
 import tracemalloc
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
 from ipaddress import ip_address
@@ -81,7 +82,7 @@ class Talk:
         return self
 
 
-FRAMES = {
+FRAMES: dict[int, Callable[[bytes], bytes]] = {
     0: lambda p: struct.pack("<I", 2) + p,
     1: lambda p: bytes(12) + (b"\x86\xdd" if p[0] >> 4 == 6 else b"\x08\x00") + p + bytes(6),  # padded
     101: lambda p: p,
@@ -128,6 +129,27 @@ def test_both_directions_of_a_connection(tmp_path: Path, link: int, ends: tuple[
         (len(message("c")),) * 2,
     ]
     assert all(row.good for row in source.rows)
+
+
+@pytest.mark.parametrize("tags", [b"\x81\0\0\7", b"\x88\xa8\0\1\x81\0\0\2"])
+@pytest.mark.parametrize("ends", [(CLIENT, SERVER), (CLIENT_6, SERVER_6)])
+def test_packets_with_vlan_tags(
+    tmp_path: Path, tags: bytes, ends: tuple[End, End], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = FRAMES[1]
+    monkeypatch.setitem(FRAMES, 1, lambda packet: plain(packet)[:12] + tags + plain(packet)[12:])
+    talk = Talk(*ends).open().say(message("a"), 40).close()
+    items, source = read(write(tmp_path / "some.pcap", talk.packets, link=1))
+    assert said(items) == [message("a")]
+    assert all(row.good for row in source.rows)
+
+
+def test_fragments_of_both_versions_are_counted(tmp_path: Path) -> None:
+    four = ip_packet(CLIENT, SERVER, 1, ACK, b"x")
+    six = ip_packet(CLIENT_6, SERVER_6, 1, ACK, b"x")
+    fragments = [four[:6] + b"\x20\x01" + four[8:], six[:6] + bytes([44]) + six[7:]]
+    _, source = read(write(tmp_path / "some.pcap", fragments))
+    assert source.notes == ["2 fragments of IP packets are not put together"]
 
 
 @pytest.mark.parametrize("order", "<>")
@@ -208,8 +230,8 @@ def test_other_traffic_is_left_out_and_named(tmp_path: Path) -> None:
 
 def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "some.pcap"
-    path.write_bytes(b"\x0a\x0d\x0d\x0a" + bytes(40))
-    with pytest.raises(UnsupportedRecording, match="editcap"):
+    path.write_bytes(b"\xa1\xb2\xc3\xd5" + bytes(40))
+    with pytest.raises(UnsupportedRecording, match="found a1 b2 c3 d5, expected a pcap or pcapng file"):
         Pcap(path)
     write(path, [])
     path.write_bytes(path.read_bytes()[:20] + struct.pack("<I", 147))

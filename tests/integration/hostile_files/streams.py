@@ -168,6 +168,31 @@ CAPTURES = (
                 lambda: pcapng(block(1, struct.pack("<HHI", 101, 0, 65_535)) * 300_000),
             ),
             (
+                "statistics",
+                Danger.BOMB,
+                "statistics of 300,000 interfaces",
+                lambda: pcapng(*(block(5, struct.pack("<III", number, 0, 0)) for number in range(300_000))),
+            ),
+            ("sections", Danger.BOMB, "100,000 sections", lambda: pcapng() * 100_000),
+            (
+                "many-options",
+                Danger.BOMB,
+                "a packet with 1,000,000 options",
+                lambda: pcapng(
+                    block(1, struct.pack("<HHI", 101, 0, 0)),
+                    block(6, struct.pack("<IIIII", 0, 0, 0, 0, 0) + struct.pack("<HH", 1, 0) * 1_000_000),
+                ),
+            ),
+            (
+                "offset",
+                Danger.SHAPE,
+                "an interface that adds 2^62 s",
+                lambda: pcapng(
+                    block(1, struct.pack("<HHI", 101, 0, 0) + struct.pack("<HHq", 14, 8, 1 << 62)),
+                    block(6, struct.pack("<IIIII", 0, 0, 0, 40, 40) + ip_packet(CLIENT, SERVER, 1, SYN)[:40]),
+                ),
+            ),
+            (
                 "resolution",
                 Danger.SHAPE,
                 "times in units of 2^-127 s",
