@@ -1,4 +1,4 @@
-"""docs/messages.md, docs/conversions.md and docs/doctor.md, from the tables that the program itself works with.
+"""docs/conversions.md, doctor.md, messages.md and verbs.md, from the tables that the program itself works with.
 
     .venv/bin/python tools/docs.py             write them anew
     .venv/bin/python tools/docs.py --check     are they current?
@@ -10,6 +10,7 @@ belongs into the docstring of its class, after ``Accepted:`` or ``Sent:`` where 
 
 from __future__ import annotations
 
+import argparse
 import inspect
 import re
 import sys
@@ -19,6 +20,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.cli import complete
+from igtl_gateway.cli.options import argument_name
+from igtl_gateway.cli.verbs import Verb, available
 from igtl_gateway.config import Config
 from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
@@ -812,9 +816,63 @@ def _section(section: str) -> str:
     return f"[{title or name}]({name}" + (f"#{anchor(title)})" if title else ")")
 
 
+# -- command line -----------------------------------------------------------------------------------------------------
+
+
+def verbs() -> str:
+    """docs/verbs.md."""
+    return document(
+        "# Options of all verbs",
+        GENERATED,
+        prose(
+            """`igtl-gateway VERB --help` prints the same in the terminal. [command-line.md](command-line.md) describes
+            what all verbs have in common, such as the exit codes."""
+        ),
+        "\n".join(f"* [{name}](#{name}): {verb.help}" for name, verb in available().items()),
+        *(_verb(name, verb) for name, verb in available().items()),
+    )
+
+
+def _verb(name: str, verb: Verb) -> str:
+    parser = argparse.ArgumentParser(f"igtl-gateway {name}", add_help=False)
+    complete(parser, verb)
+    parts = []
+    for group in parser._action_groups:
+        rows = [_option(action) for action in group._group_actions if action.help != argparse.SUPPRESS]
+        if rows:
+            title = "arguments" if group.title == "positional arguments" else str(group.title)
+            parts.append(table((title, "meaning", "default"), rows))
+        if group.description:
+            parts.append(fenced(group.description))
+    return document(f"## {name}", str(parser.description), *parts, fenced(str(parser.epilog))).rstrip()
+
+
+def fenced(text: str) -> str:
+    return f"```text\n{text.strip()}\n```"
+
+
+def _option(action: argparse.Action) -> tuple[str, str, str]:
+    """Name with metavar, meaning and default of an option; ``options.default`` wrote the default."""
+    metavar = argument_name(action)
+    match action.nargs:
+        case 0:
+            metavar = ""
+        case "?" if action.option_strings:
+            metavar = f"[{metavar}]"
+        case "+":
+            metavar = f"{metavar} …"
+    names = ", ".join(action.option_strings)
+    text, _, default = (action.help or "").replace("%%", "%").partition(" (default: ")
+    return f"`{f'{names} {metavar}'.strip()}`", _escape(text), _escape(default.removesuffix(")"))
+
+
+def _escape(text: str) -> str:
+    return text.replace("*", "\\*").replace("<", "\\<")
+
+
 # -- files ------------------------------------------------------------------------------------------------------------
 
-PAGES = {"conversions.md": conversions, "doctor.md": doctor, "messages.md": messages}
+PAGES = {"conversions.md": conversions, "doctor.md": doctor, "messages.md": messages, "verbs.md": verbs}
 
 
 def stale(folder: Path = DOCS) -> list[str]:

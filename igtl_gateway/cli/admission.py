@@ -1,4 +1,4 @@
-"""Options of the bridge about peers: who is let in, how TLS is spoken, what one may cost."""
+"""Options for peers: who may connect, TLS, denied messages, limits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from igtl_gateway.cli.common import address
+from igtl_gateway.cli.options import Options, add_allow, address, default
 from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import ConfigError
@@ -24,7 +24,7 @@ class PeerAddress(tuple[str, int]):
 
 
 def peer_address(text: str) -> PeerAddress:
-    """``[tls://|tcp://]HOST:PORT``, the rest as ``common.address``."""
+    """Parse ``[tls://|tcp://]HOST:PORT``; the part behind the scheme as in ``options.address``."""
     scheme, found, rest = text.partition("://")
     if found and scheme not in ("tls", "tcp"):
         raise argparse.ArgumentTypeError(f"found {text!r}, expected tls://HOST:PORT, tcp://HOST:PORT or HOST:PORT")
@@ -33,29 +33,58 @@ def peer_address(text: str) -> PeerAddress:
     return made
 
 
-def add_tls(parser: argparse.ArgumentParser) -> None:
-    """Whether TLS is spoken, and with what."""
-    parser.add_argument("--tls-cert", type=Path, metavar="PEM", help="our certificate: --listen speaks TLS then")
-    parser.add_argument("--tls-key", type=Path, metavar="PEM", help="its key (default: in the same file)")
+def add_security(group: Options) -> None:
+    """Options for the clients and servers that the bridge accepts: networks, TLS, denied messages."""
+    add_allow(group)
+    add_tls(group)
+    for way, text in (("in", "reject messages of this type from peers"), ("out", "send no messages of this type")):
+        group.add_argument(
+            f"--deny-{way}",
+            action="append",
+            default=[],
+            metavar="TYPE",
+            help=f"{text}: COMMAND, 'GET_*', '*' for all (repeatable)",
+        )
+
+
+def add_tls(parser: Options) -> None:
+    """Options for TLS and its files."""
     parser.add_argument(
-        "--tls-ca", type=Path, metavar="PEM", help="peers must have a certificate of this CA, servers too"
+        "--tls", action="store_true", help="use TLS at all addresses except those that begin with tcp://"
     )
     parser.add_argument(
-        "--tls", action="store_true", help="TLS at every address but tcp://HOST:PORT (tls://HOST:PORT: at that one)"
+        "--tls-cert", type=Path, metavar="FILE", help="own certificate (PEM); turns TLS on for --listen"
+    )
+    parser.add_argument(
+        "--tls-key",
+        type=Path,
+        metavar="FILE",
+        help="private key of the certificate (PEM) " + default("file of --tls-cert"),
+    )
+    parser.add_argument(
+        "--tls-ca", type=Path, metavar="FILE", help="require a certificate of this CA (PEM) from clients and servers"
     )
 
 
-def add_limits(parser: argparse.ArgumentParser) -> None:
-    """What a peer may cost; what is not given is None, see ``edge_file``."""
+def add_limits(parser: Options) -> None:
+    """Options for the resources that one peer may use; without a value they are None, see ``edge_file``."""
     parser.add_argument(
-        "--queue-mib", type=int, metavar="MIB", help=f"send queue of a peer ({_USUAL.queue_bytes >> 20})"
+        "--max-clients",
+        type=int,
+        metavar="N",
+        help="maximum number of connected clients " + default(_USUAL.max_clients),
     )
     parser.add_argument(
-        "--queue-messages", type=int, metavar="N", help=f"send queue of a peer ({_USUAL.queue_messages})"
+        "--queue-mib", type=int, metavar="MIB", help="size of the send queue " + default(_USUAL.queue_bytes >> 20)
     )
-    parser.add_argument("--max-clients", type=int, metavar="N", help=f"peers at once ({_USUAL.max_clients})")
     parser.add_argument(
-        "--max-body-mib", type=int, metavar="MIB", help=f"longest message accepted ({_USUAL.max_body >> 20})"
+        "--queue-messages",
+        type=int,
+        metavar="N",
+        help="number of messages in the send queue " + default(_USUAL.queue_messages),
+    )
+    parser.add_argument(
+        "--max-body-mib", type=int, metavar="MIB", help="maximum body size " + default(_USUAL.max_body >> 20)
     )
     parser.add_argument(
         "--max-body",
@@ -63,30 +92,38 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="TYPE=MIB",
-        help="the same of a type (or 'GET_*'); strings and poses may have 2, lists 16, VIDEO 64; may be repeated",
+        help="maximum body size of a message type or of 'GET_*' (repeatable) "
+        + default("2 for strings and poses, 16 for lists, 64 for VIDEO"),
     )
     parser.add_argument(
         "--max-messages",
         type=int,
-        metavar="N",
-        help=f"read from one peer in a second; one that sends more has to wait ({_USUAL.messages_per_s})",
+        metavar="HZ",
+        help="maximum rate of messages; a peer that sends faster is slowed down " + default(_USUAL.messages_per_s),
     )
     parser.add_argument(
-        "--stall-s", type=float, metavar="S", help=f"longest silence inside a message ({_USUAL.stall_s:g})"
+        "--stall-s",
+        type=float,
+        metavar="SECONDS",
+        help="longest pause inside a message " + default(f"{_USUAL.stall_s:g}"),
     )
     parser.add_argument(
         "--min-rate-kib",
         type=float,
-        metavar="KIB",
-        help=f"least speed of a message, per second ({_USUAL.min_rate / 2**10:g})",
+        metavar="KIB/S",
+        help="lowest transfer rate of a message " + default(f"{_USUAL.min_rate / 2**10:g}"),
     )
     parser.add_argument(
-        "--idle-s", type=float, metavar="S", help="close a link that is silent both ways so long (0: no)"
+        "--idle-s",
+        type=float,
+        metavar="SECONDS",
+        help="close a link after this time without traffic in either direction; 0: never "
+        + default(f"{_USUAL.idle_s:g}"),
     )
 
 
 def size_by_type(text: str) -> tuple[str, int]:
-    """``TYPE=MIB``: the type, and bytes."""
+    """Parse ``TYPE=MIB``; return type and bytes."""
     name, equals, number = text.partition("=")
     try:
         if name and equals and (mib := float(number)) > 0:
@@ -97,7 +134,7 @@ def size_by_type(text: str) -> tuple[str, int]:
 
 
 def limits(options: argparse.Namespace) -> PeerLimits:
-    """What a peer may cost.  Raises ConfigError."""
+    """Return the limits of a peer.  Raises ConfigError."""
     return PeerLimits(
         max_clients=options.max_clients,
         queue_bytes=options.queue_mib << 20,
@@ -112,17 +149,17 @@ def limits(options: argparse.Namespace) -> PeerLimits:
 
 
 def tls(options: argparse.Namespace) -> TlsFiles:
-    """The files of TLS."""
+    """Return the files of TLS."""
     return TlsFiles(options.tls_cert, options.tls_key, options.tls_ca)
 
 
 def secured(
     options: argparse.Namespace, listen: Sequence[tuple[str, int]], connect: Sequence[tuple[str, int]]
 ) -> tuple[frozenset[tuple[str, int]], frozenset[tuple[str, int]]]:
-    """The addresses where TLS is spoken: of ours, and of servers.  Raises ConfigError for files that are for none.
+    """Return the addresses with TLS: (listening, servers).  Raises ConfigError for files without such an address.
 
-    A certificate is for the addresses where we are the server, unless one says ``tcp://``: who has given one must not
-    find out later that all went in the clear.
+    A certificate turns TLS on for all listening addresses except those with ``tcp://``: a user who gives one must not
+    discover later that the traffic was not encrypted.
     """
     ours = _with_tls(listen, options.tls or bool(options.tls_cert))
     servers = _with_tls(connect, options.tls)
@@ -137,10 +174,12 @@ def _with_tls(places: Iterable[tuple[str, int]], usual: bool) -> frozenset[tuple
 
 
 def denials(config: Config) -> list[str]:
-    """What is denied, as lines; a name that stands for no known type may be a slip of the pen."""
+    """Return the denied messages as lines, with a mark at a name that matches no known type: it might be misspelt."""
     lines = []
     for globs, way in ((config.deny_in, "from"), (config.deny_out, "to")):
-        known = [glob if any(map(Denials([glob]).type, BODIES)) else f"{glob} (no type known here)" for glob in globs]
+        known = [
+            glob if any(map(Denials([glob]).type, BODIES)) else f"{glob} (matches no known type)" for glob in globs
+        ]
         if known:
             lines.append(f"denied       {way} peers: {', '.join(known)}")
     return lines

@@ -10,6 +10,7 @@ from io import BufferedReader, BufferedWriter, FileIO
 from pathlib import Path
 
 from igtl_gateway.buffers import Buffer
+from igtl_gateway.cli.options import default
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.errors import ConfigError, MessageTooLarge, RecordingError, WireError
 from igtl_gateway.untrusted.files import is_same, obstacle
@@ -18,27 +19,36 @@ from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
 from igtl_gateway.wire.header import HEADER_VERSIONS
 
 EXAMPLES = """\
-  igtl-gateway decode capture.igtl                    one JSON object per message
-  nc localhost 18944 | igtl-gateway decode -          what a server sends, live
-  igtl-gateway decode in.igtl --reencode out.igtl     decode, encode again, write
+  # one JSON object per message
+  igtl-gateway decode capture.igtl
+  # the messages of a server, live
+  nc localhost 18944 | igtl-gateway decode -
+  # decode, encode again, write
+  igtl-gateway decode in.igtl --reencode out.igtl
 
-A damaged message has an `error`, with what was found and what was expected; after a wrong CRC the content may be
-anything.  Exit code 1 if a message is damaged or the stream ends inside one; what can be read is printed."""
+The object of a damaged message has an `error` with what was found and what was
+expected.  After a wrong CRC the content is unreliable.  Exit code 1 if a
+message is damaged or the stream ends inside a message; the readable messages
+are printed."""
 
-#: So many messages in a row with an unknown header version are another protocol, or a device without end.
+#: This number of consecutive messages with an unknown header version is another protocol, or an endless device.
 _FOREIGN = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", help="file with messages one after the other; - for standard input")
+    parser.add_argument("file", metavar="FILE", help="file of consecutive messages; - for standard input")
     parser.add_argument(
         "--reencode",
         metavar="OUT",
         type=Path,
-        help="write the messages, encoded again from what was decoded (damaged ones as they were)",
+        help="decode and encode each message, and write it to OUT; damaged messages are copied",
     )
     parser.add_argument(
-        "--max-body", type=int, default=DEFAULT_MAX_BODY, metavar="BYTES", help="refuse longer bodies (%(default)s)"
+        "--max-body",
+        type=int,
+        default=DEFAULT_MAX_BODY,
+        metavar="BYTES",
+        help="maximum body size " + default(DEFAULT_MAX_BODY),
     )
 
 
@@ -50,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _source(name: str) -> BufferedReader[FileIO]:
-    """What is read: a file, a FIFO or a device just as well, as long as it gives bytes.  Raises ConfigError."""
+    """Open the input: a file, a FIFO or a device.  Raises ConfigError."""
     if name == "-" and sys.stdin is None:
         raise ConfigError("-: standard input is closed, expected a stream of messages")
     try:
@@ -60,9 +70,9 @@ def _source(name: str) -> BufferedReader[FileIO]:
 
 
 def _target(path: Path, source: BufferedReader[FileIO]) -> BufferedWriter[FileIO]:
-    """The file that is written, emptied.  Raises ConfigError where it is the source, else RecordingError."""
+    """Open the output, empty.  Raises ConfigError if it is the input, RecordingError if it cannot be written."""
     if is_same(path, Path(f"/dev/fd/{source.fileno()}")):
-        raise ConfigError(f"--reencode: found {path}, which is what is read, expected another file")
+        raise ConfigError(f"--reencode: found {path}, which is the input, expected another file")
     try:
         return BufferedWriter(FileIO(path, "w"))
     except (OSError, ValueError) as error:
@@ -75,10 +85,10 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
     offset = 0
     try:
         for index, data in enumerate(_messages(options.file, source, framer)):
-            told = {"index": index, "offset": offset, **describe(data)}
-            print_json(told)
-            damaged += "error" in told
-            foreign = foreign + 1 if told["header_version"] not in HEADER_VERSIONS else 0
+            facts = {"index": index, "offset": offset, **describe(data)}
+            print_json(facts)
+            damaged += "error" in facts
+            foreign = foreign + 1 if facts["header_version"] not in HEADER_VERSIONS else 0
             if foreign == _FOREIGN:
                 return _lost(
                     offset, f"found {foreign} messages in a row of an unknown header version, expected OpenIGTLink"
@@ -89,7 +99,7 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
     except MessageTooLarge as error:
         return _lost(offset, error)
     if framer.pending:
-        found = f"found {framer.pending} bytes of a message, expected a whole one: the stream ends inside it"
+        found = f"found {framer.pending} bytes of a message, expected a complete message: the stream ends inside it"
         return _lost(offset, found)
     if target:
         _write(options.reencode, target, [])
@@ -97,7 +107,7 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
 
 
 def _lost(offset: int, found: object) -> int:
-    """Say why it goes no further."""
+    """Print why decoding stops."""
     print_line(f"igtl-gateway decode: offset {offset}: {found}", error=True)
     return 1
 
@@ -108,7 +118,7 @@ def _messages(name: str, source: BufferedReader[FileIO], framer: Framer) -> Iter
             read = source.readinto1(framer.buffer())
         except OSError as error:
             raise ConfigError(f"{name}: {_reason(error)}") from None
-        yield from framer.received(read)  # of nothing: raises what the last bytes announced
+        yield from framer.received(read)  # at the end of the input: raises the error of the last bytes
         if not read:
             return
 
@@ -118,7 +128,7 @@ def _write(path: Path, target: BufferedWriter[FileIO], parts: Iterable[Buffer]) 
         target.writelines(parts)
         target.flush()
     except OSError as error:
-        target.raw.close()  # what is left in memory has no place either
+        target.raw.close()  # without writing the buffered bytes
         raise RecordingError(f"writing to {path} failed: {_reason(error)}") from None
 
 
@@ -127,7 +137,7 @@ def _reason(error: Exception) -> str:
 
 
 def _encoded(data: Buffer) -> list[Buffer]:
-    """The message, encoded anew; what cannot be decoded, or is not what its sender meant, stays as it was."""
+    """Return the message, decoded and encoded again; a message that cannot be decoded is returned unchanged."""
     try:
         return encode(decode(data))
     except WireError:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.cli.common import config_to_run, count_text
+from igtl_gateway.cli.options import RECORDING_OR_BAG, add_json, add_streams, default
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConfigError
@@ -18,32 +19,32 @@ from igtl_gateway.replay.diff import DiffInput, DiffReport, StreamDiff, diff
 from igtl_gateway.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
-  igtl-gateway diff monday.mcap tuesday.mcap                    exit code 0: the same messages; 1: differences
+  # exit code 0: equal messages; 1: differences
+  igtl-gateway diff monday.mcap tuesday.mcap
+  # accept small differences
   igtl-gateway diff a.mcap b.mcap --tolerance-mm 0.1 --tolerance-deg 0.05
-  igtl-gateway diff a.mcap b.mcap --streams 'TRANSFORM/*'       some streams only
-  igtl-gateway diff out.mcap bag.mcap                           against a rosbag2 MCAP file: its ROS topics
+  # select streams
+  igtl-gateway diff a.mcap b.mcap --streams 'TRANSFORM/*'
+  # compare with the ROS topics of a rosbag2 MCAP file
+  igtl-gateway diff out.mcap bag.mcap
 
-Gateway times decide nothing: their offset and its jitter are told.  Of notes code, level and stream count."""
+The times of the gateway are not compared; their offset and jitter are
+reported.  Of notes, code, level and stream are compared, not the text."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("one", metavar="A", type=Path, help="a recording, or a rosbag2 MCAP file")
-    parser.add_argument("other", metavar="B", type=Path, help="another one")
-    parser.add_argument(
-        "--streams", action="append", default=[], metavar="GLOB", help="only these: TYPE/device, device or topic"
-    )
-    for name, what in (
-        ("mm", "positions that are at most so many millimetres"),
-        ("deg", "rotations that are at most so many degrees"),
-    ):
+    parser.add_argument("one", metavar="A", type=Path, help=RECORDING_OR_BAG)
+    parser.add_argument("other", metavar="B", type=Path, help="recording to compare with A")
+    add_streams(parser)
+    for name, unit, what in (("mm", "MM", "positions"), ("deg", "DEG", "rotations")):
         parser.add_argument(
             f"--tolerance-{name}",
             type=float,
             default=0.0,
-            metavar="X",
-            help=f"{what} apart are equal (default: 0)",
+            metavar=unit,
+            help=f"treat {what} up to this distance apart as equal " + default(0),
         )
-    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.cli.common import count_text
+from igtl_gateway.cli.options import add_file, add_json, add_streams, definitions
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.exchange.account import ExportAccount, ExportedStream
@@ -15,32 +16,30 @@ from igtl_gateway.exchange.targets import TARGETS, export_to
 from igtl_gateway.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
-  igtl-gateway export out.mcap --to rosbag2 -o bag/             the ROS topics, for `ros2 bag play bag/`
-  igtl-gateway export out.mcap --to igs.mha -o freehand.igs.mha an IMAGE and its TRANSFORMs, for PLUS and 3D Slicer
+  # the ROS topics, for `ros2 bag play bag/`
+  igtl-gateway export out.mcap --to rosbag2 -o bag/
+  # an IMAGE and its TRANSFORMs, for PLUS and 3D Slicer
+  igtl-gateway export out.mcap --to igs.mha -o freehand.igs.mha
+  # tables
   igtl-gateway export out.mcap --to csv -o tables/ --streams 'TRANSFORM/*'
+  # point clouds
   igtl-gateway export out.mcap --to ply -o clouds/ --streams /star/cloud
+  # volumes
   igtl-gateway export out.mcap --to nrrd -o volumes/
 
-exit code 1 if messages of the chosen streams could not be written; the table shows why."""
+formats of --to:
+{formats}
+
+exit code 1 if messages of the selected streams cannot be written; the output
+has the reasons.""".format(formats="\n".join(definitions([(name, target.text) for name, target in TARGETS.items()])))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", type=Path, help="a recording")
-    parser.add_argument(
-        "--to",
-        choices=tuple(TARGETS),
-        required=True,
-        help="; ".join(f"{name}: {target.text}" for name, target in TARGETS.items()),
-    )
-    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="the file or folder to write")
-    parser.add_argument(
-        "--streams",
-        action="append",
-        default=[],
-        metavar="GLOB",
-        help="only these: TYPE/device, device or topic (* one level, ** any); may be repeated",
-    )
-    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+    add_file(parser)
+    parser.add_argument("--to", choices=tuple(TARGETS), required=True, help="format to write, see below")
+    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="file or directory to write")
+    add_streams(parser)
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,6 +11,7 @@ from typing import Any
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.options import add_json, add_overwrite, default
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, DamagedRecording, WireError
@@ -22,40 +23,49 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.files import is_same
 
 EXAMPLES = """\
-  igtl-gateway import session.bag -o session.mcap         ROS 1 bag; messages become those of ROS 2
-  igtl-gateway import recording/ -o session.mcap          rosbag2: sqlite3 or MCAP, split or not
-  igtl-gateway import freehand.igs.mha -o session.mcap    tracked ultrasound: IMAGE and TRANSFORM with their stamps
-  igtl-gateway import freehand.igs.nrrd -o session.mcap --epoch 2026-03-14T09:00:00Z
-  igtl-gateway import head.nrrd -o session.mcap           an image or volume (.mha .mhd .nrrd .nhdr): IMAGE at its place
-  igtl-gateway import head.nii.gz -o session.mcap         the same of NIfTI, with the extra nifti
-  igtl-gateway import probe.s2c.igtl -o session.mcap      what an OpenIGTLink server sent, byte for byte
-  igtl-gateway import traffic.pcap -o session.mcap        OpenIGTLink in captured TCP, both directions
+  # ROS 1 bag; its messages are converted to ROS 2
+  igtl-gateway import session.bag -o session.mcap
+  # rosbag2: sqlite3 or MCAP, also split
+  igtl-gateway import recording/ -o session.mcap
+  # tracked ultrasound: IMAGE and TRANSFORM messages with their stamps
+  igtl-gateway import freehand.igs.mha -o session.mcap
+  igtl-gateway import freehand.igs.nrrd -o session.mcap \\
+      --epoch 2026-03-14T09:00:00Z
+  # image or volume (.mha .mhd .nrrd .nhdr): an IMAGE with its position
+  igtl-gateway import head.nrrd -o session.mcap
+  # NIfTI, with the extra nifti
+  igtl-gateway import head.nii.gz -o session.mcap
+  # the bytes that an OpenIGTLink server sent
+  igtl-gateway import probe.s2c.igtl -o session.mcap
+  # OpenIGTLink in captured TCP, both directions
+  igtl-gateway import traffic.pcap -o session.mcap
 
-exit code 1 if what was imported is not all that the source declares; the table shows where."""
+exit code 1 if messages that the source declares are missing in the result; the
+output marks them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="SOURCE", type=Path, help="the file, or the directory of a rosbag2 recording")
-    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="the session file to write")
+    parser.add_argument("source", metavar="SOURCE", type=Path, help="file, or directory of a rosbag2 recording")
+    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="session file to write")
     parser.add_argument(
         "--epoch",
-        metavar="ISO",
+        metavar="TIME",
         type=epoch,
-        help="what sequences and unstamped messages count their time from (default 2000-01-01T00:00:00Z)",
+        help="start time of sequences and of messages without stamps, ISO 8601 " + default("2000-01-01T00:00:00Z"),
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
-    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+    add_overwrite(parser, "OUT")
+    add_json(parser)
 
 
 def epoch(text: str) -> int:
-    """UTC nanoseconds of an ISO 8601 moment; one without a zone is UTC."""
+    """Parse an ISO 8601 time; return UTC nanoseconds.  A time without a zone is UTC."""
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected such as 2026-03-14T09:00:00Z") from None
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected a time such as 2026-03-14T09:00:00Z") from None
     since = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
     if since.days < 0:
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected a moment after 1970")
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected a time after 1970-01-01")
     return (since.days * 86_400 + since.seconds) * NS_PER_S + since.microseconds * 1000
 
 

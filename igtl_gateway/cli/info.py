@@ -12,6 +12,7 @@ from typing import Any
 
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.losses import DIRECTIONS, losses
+from igtl_gateway.cli.options import add_file, add_json
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
 from igtl_gateway.errors import BeingRecorded, DamagedRecording, LimitExceeded
@@ -28,9 +29,12 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.text import parse_json
 
 EXAMPLES = """\
-  igtl-gateway info out.mcap            streams, rates, gaps, errors, losses, peers, configuration
-  igtl-gateway info out.mcap --json     the same for programs
-  igtl-gateway info out                 a split recording: its parts as one, and what each of them holds"""
+  # streams, rates, gaps, errors, losses, peers, configuration
+  igtl-gateway info out.mcap
+  # for programs
+  igtl-gateway info out.mcap --json
+  # a split recording as a whole, and its parts
+  igtl-gateway info out"""
 
 #: A gap is a pause of more than so many mean intervals (and of more than a second).
 _GAP_FACTOR = 10
@@ -46,10 +50,8 @@ _MAX_AGES = 100_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "file", metavar="FILE", type=Path, help="a recording, the folder of a split one, or a rosbag2 MCAP file"
-    )
-    parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
+    add_file(parser, "recording, directory of a split recording, or MCAP file of rosbag2")
+    add_json(parser)
 
 
 @dataclass(slots=True)

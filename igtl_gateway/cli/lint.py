@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.cli.common import config_to_run, count_text
+from igtl_gateway.cli.options import add_config, add_file, add_json
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.doctor.observer import Observer
 from igtl_gateway.doctor.report import DoctorReport
@@ -16,15 +17,18 @@ from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.salvage import Salvage
 
 EXAMPLES = """\
-  igtl-gateway lint out.mcap            findings: stamps, names, units, CRCs, header versions, losses
-  igtl-gateway lint out.mcap --json     the same for programs
-exit code: 0 no error found, 1 an error, 2 usage"""
+  # findings about stamps, names, units, CRCs, header versions, losses
+  igtl-gateway lint out.mcap
+  # for programs
+  igtl-gateway lint out.mcap --json
+
+exit code 0: no error found; 1: an error; 2: wrong usage"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or the folder of a split one")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="another configuration than the recorded one")
-    parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
+    add_file(parser, "recording, or directory of a split recording")
+    add_config(parser)
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -56,13 +60,13 @@ def _seen(file: SessionFile | Salvage, config: Path | None) -> Observer:
 
 
 def _losses(ledger: dict[str, Any]) -> Iterator[tuple[str, int]]:
-    """What the ledger says of messages that came to nothing at the edges; the messages show the rest themselves."""
+    """Yield (description, number) of messages that were lost at the edges; other losses are visible in the messages."""
     for link, fates in ledger.get("links", {}).items():
         for fate in ("dropped", "ignored"):
             if number := sum(fates.get(fate, {}).values()):
-                yield f"{fate} on the way to {'links that are gone' if link == '0' else f'link {link}'}", number
+                yield f"messages {fate}, to {'closed links' if link == '0' else f'link {link}'}", number
     for topic, counts in ledger.get("ros_topics", {}).items():
         if number := counts.get("lost", 0):
-            yield f"{topic}, before the bridge took them", number
+            yield f"messages on {topic}, lost before the bridge received them", number
     if number := ledger.get("recorder", {}).get("dropped_entries", 0):
-        yield "entries that the recorder could not keep up with", number
+        yield "entries dropped because the queue of the recorder was full", number

@@ -1,4 +1,4 @@
-"""How ``bridge`` records: its options, and how a person or a script steers a recording that is under way."""
+"""The recording of ``bridge``: its options, and the keys and signals that control it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app.recording import pause, resume, snapshot
 from igtl_gateway.cli.keys import NEXT, PAUSE, can_read_keys, keyboard
+from igtl_gateway.cli.options import STREAM, Options, add_overwrite, default
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
 
-#: Options that mean nothing without a file, with what they are without being given.
+#: Options that need a file, with their value when they are not given.
 _OF_A_RECORDING: dict[str, Any] = {
     "record_topics": [],
     "record_all": False,
@@ -30,95 +32,98 @@ _OF_A_RECORDING: dict[str, Any] = {
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """All but ``--record`` itself."""
+def add_arguments(group: Options) -> None:
+    """Options of a recording."""
     given = RecordOptions()
-    globs = parser.add_argument_group("recording").add_argument
-    globs(
+    add = group.add_argument
+    add("--record", type=Path, metavar="FILE", help="record all messages to this MCAP file")
+    add_overwrite(group, "an existing recording")
+    add(
         "--record-topics",
         action="extend",
         nargs="+",
         default=[],
         metavar="GLOB",
-        help="record these ROS topics too, besides those that are bridged (* one level, ** any)",
+        help="also record these ROS topics, in addition to the bridged ones; * matches one level, ** any number "
+        "(repeatable)",
     )
-    globs("--record-all", action="store_true", help="record all ROS topics")
-    globs(
+    add("--record-all", action="store_true", help="also record all ROS topics")
+    add(
         "--record-include",
         action="extend",
         nargs="+",
         default=[],
         metavar="GLOB",
-        help="record only what comes in on these streams (TYPE/device, device or topic) and what follows from it",
+        help=f"record only inputs of these streams and their outputs; {STREAM} (repeatable)",
     )
-    globs(
+    add(
         "--record-exclude",
         action="extend",
         nargs="+",
         default=[],
         metavar="GLOB",
-        help="do not record what comes in on these streams, nor what follows from it",
+        help="do not record inputs of these streams and their outputs (repeatable)",
     )
-    globs(
+    add(
         "--custom-data",
         action="extend",
         nargs="+",
         default=[],
         metavar="KEY=VALUE",
-        help="say this in the recording, too: operator=Kim, phantom=B",
+        help="add this key and value to the metadata of the recording, such as operator=Kim (repeatable)",
     )
-    globs("--overwrite", action="store_true", help="replace an existing recording")
-    globs(
+    add(
         "--compression",
         choices=("none", "lz4", "zstd"),
         default=given.compression,
-        help="of chunks (%(default)s, which rests where nothing gets smaller)",
+        help="compression of chunks; streams that do not shrink are stored uncompressed " + default(given.compression),
     )
-    globs(
+    add(
         "--flush-interval",
         type=float,
         default=given.flush_s,
-        metavar="S",
-        help="what a loss of power may cost (%(default)s s); a crash of the bridge alone costs nothing",
+        metavar="SECONDS",
+        help="interval between flushes: the most that a power failure loses; a crash of the bridge loses nothing "
+        + default(given.flush_s),
     )
-    globs(
+    add(
         "--fsync",
         choices=("never", "flush", "close"),
         default=given.fsync,
-        help="when the disk itself has what is written, against loss of power: with each flush, or at the end "
-        "(%(default)s)",
+        help="when to force data to the disk, against power failures: at each flush, or when the file is closed "
+        + default(given.fsync),
     )
-    globs("--split-size", type=int, default=0, metavar="MIB", help="begin a new file after so many MiB")
-    globs("--split-duration", type=float, default=0.0, metavar="S", help="begin a new file after so many seconds")
-    globs(
+    add("--split-size", type=int, default=0, metavar="MIB", help="start a new file after this size")
+    add("--split-duration", type=float, default=0.0, metavar="SECONDS", help="start a new file after this time")
+    add(
         "--snapshot",
         type=float,
         default=0.0,
-        metavar="S",
-        help="keep the last S seconds in memory only; key s, SIGUSR1 or the service ~/snapshot writes them to "
-        "FILE_<UTC time>.mcap",
+        metavar="SECONDS",
+        help="record to memory, and write the last SECONDS to FILE_<UTC time>.mcap on key s, SIGUSR1 or the ROS "
+        "service ~/snapshot",
     )
-    globs(
+    add(
         "--on-record-failure",
         choices=("continue", "stop"),
         default="continue",
-        help="what the bridge does when the recording fails, as on a full disk (%(default)s)",
+        help="what the bridge does if the recording fails, for example if the disk is full " + default("continue"),
     )
 
 
 def record_options(options: argparse.Namespace) -> RecordOptions:
-    """What the command line says.  Raises ConfigError."""
+    """Return the options of the recording.  Raises ConfigError."""
     if not options.record:
         given = [name for name, nothing in _OF_A_RECORDING.items() if getattr(options, name) != nothing]
         if given:
             names = " and ".join(f"--{name.replace('_', '-')}" for name in given)
-            raise ConfigError(f"{names}: about a recording, but --record FILE is missing")
+            raise ConfigError(f"{names}: found no --record FILE, expected it with options of a recording")
     for name in ("flush_interval", "split_size", "split_duration", "snapshot"):
         value = getattr(options, name)
         if not 0 <= value < float("inf"):
             raise ConfigError(f"--{name.replace('_', '-')}: found {value:g}, expected a number from 0 up")
     if options.snapshot and (options.split_size or options.split_duration):
-        raise ConfigError("--snapshot keeps what it has in memory: there is nothing to split")
+        raise ConfigError("--snapshot: found --split-size or --split-duration, expected neither: it records to memory")
     custom = [text.partition("=") for text in options.custom_data]
     for key, equals, _ in custom:
         if not (key and equals):
@@ -139,7 +144,7 @@ def record_options(options: argparse.Namespace) -> RecordOptions:
 
 @contextmanager
 def recording_controls(recorder: Recorder | None) -> Iterator[str]:
-    """While inside, keys and signals reach the recorder; gives a line that says which, or nothing."""
+    """Context manager: keys and signals control the recorder.  Yields a line that names them, or ""."""
     with ExitStack() as stack:
         if recorder is None:
             yield ""
@@ -150,29 +155,28 @@ def recording_controls(recorder: Recorder | None) -> Iterator[str]:
             (resume if recorder.paused else pause)(recorder)
 
         def save() -> None:
-            # what becomes of it is told by a note
-            snapshot(recorder)
+            snapshot(recorder)  # a note reports the result
 
         actions = {signal.SIGUSR1: save} if snapshots else {signal.SIGUSR2: toggle}
         stack.enter_context(_signals(actions))
         keys = can_read_keys()
         if keys:
-            # the s of a replay steps
+            # key s means "next message" in a replay
             bound = {NEXT: save} if snapshots else {PAUSE: toggle}
             stack.enter_context(keyboard(lambda command: bound.get(command, _nothing)()))
         if snapshots:
-            yield f"{'key s or ' if keys else ''}SIGUSR1 writes the last {recorder.options.snapshot_s:g} s"
+            yield f"{'key s or ' if keys else ''}SIGUSR1 saves the last {recorder.options.snapshot_s:g} s"
         else:
             yield f"{'space or ' if keys else ''}SIGUSR2 pauses and resumes" if keys else ""
 
 
 def _nothing() -> None:
-    """Another key."""
+    """Ignore another key."""
 
 
 @contextmanager
 def _signals(actions: dict[signal.Signals, Callable[[], None]]) -> Iterator[None]:
-    """Act on signals, in a thread: in the handler a lock that is taken may be our own."""
+    """Context manager that handles signals in a thread: in a handler, this thread might itself hold the lock needed."""
     reader, writer = os.pipe()
     numbers = {bytes([number]): action for number, action in actions.items()}
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
 from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
 from igtl_gateway.sessionfile.copying import CopyWriter
@@ -20,12 +21,17 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.files import is_same
 
 EXAMPLES = """\
-  igtl-gateway recover out.mcap                 after a crash: out.recovered.mcap, closed and with its index
-  igtl-gateway recover out.mcap -o whole.mcap   under another name
-  igtl-gateway recover out                      all parts of a split recording, into out.recovered
-  igtl-gateway recover out.mcap --json          what was read and lost, for programs
+  # after a crash: write out.recovered.mcap, closed and with an index
+  igtl-gateway recover out.mcap
+  # write another file
+  igtl-gateway recover out.mcap -o whole.mcap
+  # all parts of a split recording, into the directory out.recovered
+  igtl-gateway recover out
+  # what was read and what is lost, for programs
+  igtl-gateway recover out.mcap --json
 
-exit code 0: all that was recorded is in the new file; 1: something is lost, and the output says what"""
+exit code 0: the new file has all that was recorded; 1: something is lost, and
+the output lists it"""
 
 _NEVER = 1 << 64  # after every stamp
 _STEP = 64 << 20  # bytes between two words on the progress
@@ -33,14 +39,12 @@ _SHOWN = 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_file(parser, "recording, directory of a split recording, or another MCAP file")
     parser.add_argument(
-        "file", metavar="FILE", type=Path, help="a recording, the folder of a split one, or another MCAP file"
+        "-o", "--output", metavar="OUT", type=Path, help="file to write " + default("FILE with .recovered.mcap")
     )
-    parser.add_argument(
-        "-o", "--output", metavar="OUT", type=Path, help="the file to write (default: FILE with .recovered.mcap)"
-    )
-    parser.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
-    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+    add_overwrite(parser, "OUT")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from contextlib import ExitStack, suppress
-from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
@@ -14,18 +13,21 @@ from igtl_gateway.app.player_services import PlayerServices
 from igtl_gateway.app.replay_account import ReplayAccount, account_lines
 from igtl_gateway.app.replay_plan import plan_replay, planned_entries
 from igtl_gateway.cli import admission
-from igtl_gateway.cli.common import (
-    add_addresses,
-    add_faults,
-    add_send,
-    config_to_run,
-    count_text,
-    size_text,
-    stop_event,
-    with_sends,
-)
+from igtl_gateway.cli.common import config_to_run, count_text, size_text, stop_event
 from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, can_read_keys, keyboard, read_lines
+from igtl_gateway.cli.options import (
+    RECORDING_OR_BAG,
+    add_addresses,
+    add_allow,
+    add_config,
+    add_faults,
+    add_file,
+    add_json,
+    add_streams,
+    default,
+)
 from igtl_gateway.cli.replay_sides import ReplaySides, open_sides
+from igtl_gateway.cli.routes import add_send, with_sends
 from igtl_gateway.cli.terminal import cell, print_json, print_line
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
@@ -41,30 +43,51 @@ from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
-  igtl-gateway replay fixtures/star.mcap --to igtl                 serve the session to the first client
-  igtl-gateway replay out.mcap --to igtl --as-fast-as-possible     the same bytes in the same order, at once
-  igtl-gateway replay out.mcap --to igtl --connect 127.0.0.1:18944 be the client
-  igtl-gateway replay out.mcap --to igtl --connect tls://or1.clinic:18944 --tls-cert me.pem --tls-ca clinic.pem
-  igtl-gateway replay out.mcap --to ros --rate 0.5                 publish what ROS heard, at half speed
-  igtl-gateway replay out.mcap --to ros --clock --loop             again and again, for nodes with use_sim_time
-  igtl-gateway replay out.mcap --to both --start 12.5 --duration 3 a part, to both sides, in the order of the log
-  igtl-gateway replay out.mcap --to igtl --restamp now             stamps of today, for peers that refuse old ones
-  igtl-gateway replay out.mcap --to igtl --step                    one message for each press of →
-  igtl-gateway replay out.mcap --to igtl --through-gateway         recorded inputs through today's converters
-  igtl-gateway replay out.mcap --to igtl --fault loss=1%,jitter=20ms,corrupt=0.1% --seed 7   over a bad line
-  igtl-gateway replay bag.mcap --to igtl --send /camera/image=Cam  a rosbag2 MCAP file: its topics as devices
-  igtl-gateway replay out.mcap --to igtl --streams 'IMAGE/*'       some streams only
+  # serve the session to the first client
+  igtl-gateway replay fixtures/star.mcap --to igtl
+  # the same bytes in the same order, without pauses
+  igtl-gateway replay out.mcap --to igtl --as-fast-as-possible
+  # connect to a server
+  igtl-gateway replay out.mcap --to igtl --connect 127.0.0.1:18944
+  # connect to a server with TLS
+  igtl-gateway replay out.mcap --to igtl --connect tls://or1.clinic:18944 \\
+      --tls-cert me.pem --tls-ca clinic.pem
+  # publish the recorded ROS messages at half speed
+  igtl-gateway replay out.mcap --to ros --rate 0.5
+  # repeat, with /clock for nodes with use_sim_time
+  igtl-gateway replay out.mcap --to ros --clock --loop
+  # seconds 12.5 to 15.5, to peers and ROS in the recorded order
+  igtl-gateway replay out.mcap --to both --start 12.5 --duration 3
+  # set all stamps to the time of sending, for peers that reject old stamps
+  igtl-gateway replay out.mcap --to igtl --restamp now
+  # one message for each press of →
+  igtl-gateway replay out.mcap --to igtl --step
+  # recompute the outputs from the recorded inputs with this version
+  igtl-gateway replay out.mcap --to igtl --through-gateway
+  # inject faults
+  igtl-gateway replay out.mcap --to igtl \\
+      --fault loss=1%,jitter=20ms,corrupt=0.1% --seed 7
+  # send a topic of a rosbag2 MCAP file as a device
+  igtl-gateway replay bag.mcap --to igtl --send /camera/image=Cam
+  # select streams
+  igtl-gateway replay out.mcap --to igtl --streams 'IMAGE/*'
 
-T is in seconds from the beginning, in UTC seconds, or a time as 2026-11-21T08:00:00Z.  A replay that begins or jumps
-into the middle sends what was latched before (static transforms, plans, surfaces, last status) first.
+TIME is in seconds from the beginning, in UTC seconds, or a date and time such
+as 2026-11-21T08:00:00Z.  A replay that starts or jumps into the middle first
+sends the latched state before it: static transforms, plans, surfaces and the
+last status.  At every rate the same messages are sent in the same order.  A
+slow reader slows the replay down; nothing is dropped.
 
-keys, on a terminal: space pause or go on, → next message while paused, ↑ ↓ rate ±10 %, q end
-exit code 1 if it is stopped, or if ROS refuses messages (a type that is not installed): the others are sent.
+keys on a terminal:
+  space  pause or resume            ↑ ↓  change the rate by 10 %
+  →      next message while paused  q    quit
 
-services, with --to ros, as of `ros2 bag play`: ~/pause ~/resume ~/toggle_paused ~/is_paused ~/seek ~/play_next ~/burst
-~/set_rate ~/get_rate of /igtl_gateway_replay
+ROS services of /igtl_gateway_replay, with --to ros, as in `ros2 bag play`:
+  ~/pause ~/resume ~/toggle_paused ~/is_paused ~/seek ~/play_next ~/burst
+  ~/set_rate ~/get_rate
 
-At every rate the same messages go out in the same order; a slow reader slows the replay down, nothing is dropped."""
+exit code 1 if the replay is stopped, or if ROS rejects messages (for example
+of a type that is not installed); the other messages are sent."""
 
 _FASTER, _SLOWER = 1.1, 0.9
 #: A year: longer than a session, shorter than what a clock of the system cannot wait for.
@@ -72,67 +95,84 @@ _LONGEST_S = 366 * 86_400.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or a rosbag2 MCAP file")
-    parser.add_argument("--to", choices=("igtl", "ros", "both"), required=True, help="the side to drive")
-    add_addresses(parser, admission.peer_address, "[tls://]HOST:PORT")
-    admission.add_tls(parser)
-    parser.add_argument("--through-gateway", action="store_true", help="send what today's gateway makes of the inputs")
+    add_file(parser, RECORDING_OR_BAG)
     parser.add_argument(
-        "--config", type=Path, metavar="TOML", help="with --through-gateway: instead of the recorded one"
+        "--to", choices=("igtl", "ros", "both"), required=True, help="send to OpenIGTLink peers, to ROS, or to both"
     )
-    add_send(parser)
-    pace = parser.add_mutually_exclusive_group()
-    pace.add_argument("--rate", type=float, default=1.0, metavar="R", help="recorded seconds per second (%(default)s)")
-    pace.add_argument("--as-fast-as-possible", action="store_true", help="no pauses")
-    pace.add_argument(
-        "--speed-of-light",
+    add_json(parser, "print jumps, faults and the result as JSON lines")
+    parser.add_argument(
+        "--no-digest",
         action="store_true",
-        help="no pauses, in lock-step: the next message goes when the kernel has taken the last one for every peer, "
-        "and every reliable ROS reader has acknowledged it",
+        help="do not compute the SHA-256 of the sent bytes, which delays large images",
     )
-    parser.add_argument("--start", metavar="T", help="begin here (default: at the beginning)")
-    end = parser.add_mutually_exclusive_group()
-    end.add_argument("--end", metavar="T", help="end after this moment")
-    end.add_argument("--duration", type=float, metavar="S", help="end so many recorded seconds after the start")
-    parser.add_argument("--loop", action="store_true", help="begin again at the end, until stopped")
-    parser.add_argument("--start-paused", action="store_true", help="wait for the key or the service")
-    parser.add_argument(
-        "--step",
+    group = parser.add_argument_group("addresses and security")
+    add_addresses(group, admission.peer_address, "[tls://]HOST:PORT")
+    add_allow(group)
+    admission.add_tls(group)
+    _add_selection(parser.add_argument_group("selection of messages"))
+    _add_pace(parser.add_argument_group("pace"))
+    add_faults(parser)
+
+
+def _add_selection(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--start", metavar="TIME", help="start at this time " + default("the beginning"))
+    end = group.add_mutually_exclusive_group()
+    end.add_argument("--end", metavar="TIME", help="stop after this time " + default("the end"))
+    end.add_argument("--duration", type=float, metavar="SECONDS", help="stop after this much recorded time")
+    add_streams(group)
+    add_send(group)
+    group.add_argument(
+        "--through-gateway",
         action="store_true",
-        help="paused, one message for each → or Enter; without a terminal one for each line of standard input",
+        help="recompute the outputs from the recorded inputs with this version, and send them",
     )
-    parser.add_argument("--delay", type=float, default=0.0, metavar="S", help="wait before the first message")
-    parser.add_argument(
+    add_config(group, "with --through-gateway: use this configuration (TOML) instead of the recorded one")
+    group.add_argument(
         "--restamp",
         choices=MODES,
         default="keep",
-        help="all stamps in the messages, at any depth: as they are (default), the time of sending, or all moved by "
-        "one constant so that the first is now (anew after each jump)",
+        help="stamps in the messages, at any depth; now: the time of sending; shift: all moved by one offset, so that "
+        "the first is now, again after each jump " + default("keep"),
     )
-    parser.add_argument(
+
+
+def _add_pace(group: argparse._ArgumentGroup) -> None:
+    pace = group.add_mutually_exclusive_group()
+    pace.add_argument(
+        "--rate", type=float, default=1.0, metavar="FACTOR", help="recorded seconds per second " + default("1.0")
+    )
+    pace.add_argument("--as-fast-as-possible", action="store_true", help="send without pauses")
+    pace.add_argument(
+        "--speed-of-light",
+        action="store_true",
+        help="send without pauses, one message at a time: wait until the kernel has accepted the message for every "
+        "peer and every reliable ROS subscriber has acknowledged it",
+    )
+    group.add_argument("--loop", action="store_true", help="repeat until stopped")
+    group.add_argument("--start-paused", action="store_true", help="wait for the key or the ROS service to resume")
+    group.add_argument(
+        "--step",
+        action="store_true",
+        help="start paused and send one message per → or Enter; without a terminal, per line of standard input",
+    )
+    group.add_argument(
+        "--delay", type=float, default=0.0, metavar="SECONDS", help="wait before the first message " + default(0)
+    )
+    group.add_argument(
+        "--wait-peers",
+        type=int,
+        metavar="N",
+        help="wait for N connected peers, or for N ROS subscribers on each topic " + default("1 peer, 0 subscribers"),
+    )
+    group.add_argument(
         "--clock",
         type=float,
         nargs="?",
         const=DEFAULT_HZ,
         metavar="HZ",
-        help=f"publish the recording's time on /clock, so many times a recorded second (default {DEFAULT_HZ:.0f})",
+        help="publish the recorded time on /clock at this rate of recorded time "
+        + default(f"{DEFAULT_HZ:.0f} if HZ is not given"),
     )
-    parser.add_argument(
-        "--wait-peers",
-        type=int,
-        metavar="N",
-        help="begin when N peers are connected (default 1), or N ROS subscribers are there on each topic (default 0)",
-    )
-    parser.add_argument(
-        "--streams", action="append", default=[], metavar="GLOB", help="only these: TYPE/device, device or topic"
-    )
-    add_faults(parser)
-    parser.add_argument(
-        "--no-digest",
-        action="store_true",
-        help="do not compute the SHA-256 of what is sent, which large pictures have to wait for",
-    )
-    parser.add_argument("--json", action="store_true", help="print jumps and the outcome as JSON lines")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -20,7 +20,8 @@ from igtl_gateway.app.replay_plan import (
     ros_sender,
 )
 from igtl_gateway.cli import admission
-from igtl_gateway.cli.common import addresses, count_text
+from igtl_gateway.cli.common import count_text
+from igtl_gateway.cli.options import addresses
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment

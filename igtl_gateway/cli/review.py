@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.cli.common import config_to_run, count_text
+from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default
 from igtl_gateway.cli.terminal import cell, is_terminal, print_json, print_line, width
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.errors import ConfigError, GatewayError
@@ -24,30 +25,40 @@ from igtl_gateway.review.material import CLOUDS
 from igtl_gateway.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
-  igtl-gateway review out.mcap                        each stitch of the first and the last plan, with reasons
-  igtl-gateway review out.mcap --csv stitches.csv     every version, one row for each stitch
-  igtl-gateway review out.mcap --json | jq '.plans[-1].stitches[] | select(.level == "wrong")'
-  igtl-gateway review out.mcap --plan /star/plan --cloud /star/cloud --tool suture_tool
+  # each stitch of the first and the last plan, with reasons
+  igtl-gateway review out.mcap
+  # all versions of the plan, one row for each stitch
+  igtl-gateway review out.mcap --csv stitches.csv
+  # the wrong stitches, for programs
+  igtl-gateway review out.mcap --json |
+      jq '.plans[-1].stitches[] | select(.level == "wrong")'
+  # select plan, cloud and tool
+  igtl-gateway review out.mcap --plan /star/plan --cloud /star/cloud \\
+      --tool suture_tool
+  # stricter thresholds
   igtl-gateway review out.mcap --wrong-mm 0.8 --look-mm 0.4
 
-exit code 0: no stitch of the last plan is wrong; 1: some are.  Method and formulae: docs/review.md"""
+exit code 0: no stitch of the last plan is wrong; 1: some stitches are wrong.
+Method and formulae: docs/review.md"""
 
-#: Option of each threshold: what it does, and why its default.
+#: Option of each threshold: its meaning, and the reason of its default.
 _THRESHOLDS = {
-    "wrong_mm": "a point so far off the tissue is wrong; two fifths of the needle's bite of 2.5 mm",
-    "look_mm": "a point so far off is looked at; what lifting a point from one cloud may cost",
+    "wrong_mm": "a point this far from the tissue is wrong; two fifths of the needle's bite of 2.5 mm",
+    "look_mm": "a point this far from the tissue needs a look; the cost of lifting a point from one cloud",
     "sure": "standard errors that a distance must exceed to be wrong; once in 400 by chance",
-    "noise_mm": "depth noise from which a point is looked at; 2.5 of them are wrong-mm",
-    "reading_mm": "how far the camera's reading here may be off the tissue around; wet spots, glints, folds",
-    "density_mm2": "points/mm² below which a point is looked at; a hundred in the window for six unknowns",
-    "missing": "share of pixels without depth above which a point is looked at",
-    "spacing": "share of the plan's usual spacing that a stitch may differ by",
-    "bite": "share of the plan's usual bite length that a stitch may differ by",
-    "reach_mm": "the tool was meant for a point that it came so near to",
-    "window_mm": "radius of the tissue that is fitted; a quadric follows it so far",
-    "place_mm": "radius that noise, density and missing pixels are taken in",
-    "core_mm": "radius that the camera's reading is taken in",
+    "noise_mm": "depth noise above which a point needs a look; 0.4 times --wrong-mm",
+    "reading_mm": "depth difference to the tissue around it above which a point needs a look; wet spots, glints, folds",
+    "density_mm2": "points/mm² below which a point needs a look; a hundred in the window for six unknowns",
+    "missing": "share of pixels without depth above which a point needs a look",
+    "spacing": "largest deviation from the usual spacing of the plan, as a share",
+    "bite": "largest deviation from the usual bite length of the plan, as a share",
+    "reach_mm": "the tool has reached a point if it came this near",
+    "window_mm": "radius of the tissue that the quadric is fitted to",
+    "place_mm": "radius in which noise, density and missing pixels are measured",
+    "core_mm": "radius in which the depth at the point is measured",
 }
+#: Metavar by the last part of the name.
+_UNITS = {"mm": "MM", "mm2": "PER_MM2", "missing": "SHARE", "spacing": "SHARE", "bite": "SHARE"}
 _COLOURS = {Level.OK: "32", Level.LOOK: "33", Level.WRONG: "1;31"}
 _MARKS = {Level.OK: " ", Level.LOOK: "?", Level.WRONG: "!"}
 _NS_PER_S = 1e9
@@ -56,30 +67,37 @@ _STEP_SHARE = 0.5  # of the noise: smaller steps of depth are not worth a word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or a rosbag2 MCAP file")
-    parser.add_argument("--plan", default="", metavar="TOPIC", help="the plan (default: pairs of points on the tissue)")
-    parser.add_argument("--cloud", default="", metavar="TOPIC", help="the point cloud (default: the largest)")
+    add_file(parser, RECORDING_OR_BAG)
     parser.add_argument(
-        "--tool", default="", metavar="TOPIC", help="topic or frame of the tool (default: the one that comes nearest)"
+        "--plan", default="", metavar="TOPIC", help="topic of the plan " + default("pairs of points on the tissue")
+    )
+    parser.add_argument(
+        "--cloud", default="", metavar="TOPIC", help="topic of the point cloud " + default("the largest")
+    )
+    parser.add_argument(
+        "--tool",
+        default="",
+        metavar="TOPIC",
+        help="topic or frame of the tool " + default("the one that comes nearest"),
     )
     parser.add_argument(
         "--clouds",
         type=int,
         default=CLOUDS,
         metavar="N",
-        help=f"use at most so many clouds, evenly spread (default: {CLOUDS})",
+        help="maximum number of clouds, evenly spread over time " + default(CLOUDS),
     )
-    parser.add_argument("--csv", type=Path, metavar="OUT", help="write a table with a row for each stitch and version")
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
-    parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
+    parser.add_argument("--csv", type=Path, metavar="OUT", help="write a table with one row per stitch and version")
+    add_overwrite(parser, "an existing table")
+    add_json(parser)
     group = parser.add_argument_group("thresholds")
     for threshold in fields(Thresholds):
         group.add_argument(
             f"--{threshold.name.replace('_', '-')}",
             type=float,
             default=threshold.default,
-            metavar="X",
-            help=f"{_THRESHOLDS[threshold.name]} (default: {threshold.default:g})",
+            metavar=_UNITS.get(threshold.name.rpartition("_")[2], "FACTOR"),
+            help=f"{_THRESHOLDS[threshold.name]} " + default(f"{threshold.default:g}"),
         )
 
 

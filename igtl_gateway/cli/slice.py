@@ -9,6 +9,7 @@ from pathlib import Path
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import config_to_run, count_text, size_text
+from igtl_gateway.cli.options import add_config, add_file, add_json, add_overwrite, add_streams, default
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.qos import Qos
@@ -21,31 +22,27 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.files import is_same
 
 EXAMPLES = """\
-  igtl-gateway slice out.mcap part.mcap --start 12 --end 15            seconds 12 to 15
-  igtl-gateway slice out.mcap part.mcap --start 2026-11-21T08:30:00Z   from a time of day on
-  igtl-gateway slice out.mcap probe.mcap --streams 'TRANSFORM/*'       some streams, and what they caused
+  # seconds 12 to 15
+  igtl-gateway slice out.mcap part.mcap --start 12 --end 15
+  # from a time of day to the end
+  igtl-gateway slice out.mcap part.mcap --start 2026-11-21T08:30:00Z
+  # some streams and the outputs that they cause
+  igtl-gateway slice out.mcap probe.mcap --streams 'TRANSFORM/*'
 
-The part begins with the few inputs that rebuild the gateway's state at its start, and verifies as the whole does."""
+TIME is in seconds from the beginning, in UTC seconds, or a date and time such
+as 2026-11-21T08:30:00Z.  The part begins with the few inputs that restore the
+state of the gateway at its start, so that it verifies like the recording."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", type=Path, help="a recording")
-    parser.add_argument("out", metavar="OUT", type=Path, help="the file to write")
-    when = "seconds from the beginning, or a time such as 2026-11-21T08:30:00Z"
-    parser.add_argument("--start", metavar="T", help=f"{when} (default: the beginning)")
-    parser.add_argument("--end", metavar="T", help="the same; what is later is left out (default: the end)")
-    parser.add_argument(
-        "--streams",
-        action="append",
-        default=[],
-        metavar="GLOB",
-        help="only inputs of these, or that caused these: TYPE/device, device or topic; may be repeated",
-    )
-    parser.add_argument(
-        "--config", metavar="TOML", type=Path, help="use this configuration instead of the recorded one"
-    )
-    parser.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
-    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+    add_file(parser)
+    parser.add_argument("out", metavar="OUT", type=Path, help="file to write")
+    parser.add_argument("--start", metavar="TIME", help="start at this time " + default("the beginning"))
+    parser.add_argument("--end", metavar="TIME", help="skip messages from this time on " + default("the end"))
+    add_streams(parser, "select inputs of these streams, and the inputs that cause outputs in them,")
+    add_config(parser)
+    add_overwrite(parser, "OUT")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:

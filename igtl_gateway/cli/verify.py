@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import config_to_run, count_text
+from igtl_gateway.cli.options import add_config, add_file, add_json
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.config import Config
 from igtl_gateway.convert.units import LengthUnits
@@ -18,10 +18,14 @@ from igtl_gateway.replay.verify import DeclaredLosses, VerifyReport, verify
 from igtl_gateway.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
-  igtl-gateway verify out.mcap                     exit code 0: every byte follows; 1: the first difference
-  igtl-gateway verify out.mcap --config new.toml   what would change under another configuration?
-  igtl-gateway verify out.mcap --all               how many in each stream, and the first of each
-  igtl-gateway verify out.mcap --json              all that and each difference (up to 1,000), for programs"""
+  # exit code 0: all outputs are equal; 1: print the first difference
+  igtl-gateway verify out.mcap
+  # number of differences and the first one of each stream
+  igtl-gateway verify out.mcap --all
+  # what another configuration would change
+  igtl-gateway verify out.mcap --config new.toml
+  # up to 1,000 differences, for programs
+  igtl-gateway verify out.mcap --json"""
 
 #: What the session says of the release that recorded it.
 _VERSION = "igtl_gateway_version"
@@ -30,12 +34,10 @@ _IMPORTED = "imported_format"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", type=Path, help="a recording")
-    parser.add_argument(
-        "--config", metavar="TOML", type=Path, help="use this configuration instead of the recorded one"
-    )
-    parser.add_argument("--all", action="store_true", help="print the first difference of each stream, not only of all")
-    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
+    add_file(parser)
+    add_config(parser)
+    parser.add_argument("--all", action="store_true", help="print the first difference of each stream")
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:

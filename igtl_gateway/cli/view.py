@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.cli.common import config_to_run, count_text, size_text, stop_event
+from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default
 from igtl_gateway.cli.outputs import check_target, write_error, written
 from igtl_gateway.cli.terminal import cell, clear_live_line, is_terminal, live_line, print_json, print_line, width
 from igtl_gateway.clock import SystemClock
@@ -30,33 +31,46 @@ if TYPE_CHECKING:
     from igtl_gateway.view.session import SessionView
 
 EXAMPLES = """\
-  igtl-gateway view out.mcap                            in rerun's window
-  igtl-gateway view out.mcap --save out.rrd             as a recording of rerun, for later
-  igtl-gateway view out.mcap --web                      as a page for a browser on this machine
-  igtl-gateway view out.mcap --screenshot out.png --at 4.5   a picture, 4.5 s after the start; needs no screen
-  igtl-gateway view out.mcap --blueprint navigation     another arrangement: star, ultrasound, navigation, generic
-  igtl-gateway view out.mcap --colour-by intensity      clouds coloured by one of their fields
+  # in the window of rerun
+  igtl-gateway view out.mcap
+  # as a recording of rerun
+  igtl-gateway view out.mcap --save out.rrd
+  # as a web page for a browser on this machine
+  igtl-gateway view out.mcap --web
+  # as an image, 4.5 s after the start; needs no screen
+  igtl-gateway view out.mcap --screenshot out.png --at 4.5
+  # with another layout: star, ultrasound, navigation, generic
+  igtl-gateway view out.mcap --blueprint navigation
+  # with point clouds coloured by one of their fields
+  igtl-gateway view out.mcap --colour-by intensity
 
-Every message of ROS is in it, and what OpenIGTLink peers said as the ROS messages that it became.  Needs the extra
-`view`: pip install "igtl-gateway[view]" """
+Shows all ROS messages, and messages of OpenIGTLink peers as the ROS messages
+that they were converted to.  Needs the extra `view`:
+pip install "igtl-gateway[view]" """
 
 _PROGRESS_EVERY = 1000
 _WAIT_S = 0.2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", type=Path, help="a recording, or a rosbag2 MCAP file")
+    add_file(parser, RECORDING_OR_BAG)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--save", metavar="OUT.rrd", type=Path, help="write a recording of rerun")
-    where.add_argument("--web", action="store_true", help="serve a page on 127.0.0.1, until Ctrl-C")
-    where.add_argument("--screenshot", metavar="OUT.png", type=Path, help="write a picture; needs no screen")
-    parser.add_argument("--port", type=int, metavar="P", help="of the page (default: a free one)")
-    parser.add_argument("--at", type=float, metavar="T", help="seconds from the start, of the picture (default: end)")
-    parser.add_argument("--blueprint", metavar="NAME", default="", help="arrangement of the views (default: chosen)")
-    parser.add_argument("--colour-by", metavar="FIELD", default="", help="field that clouds are coloured by")
-    parser.add_argument("--no-review", action="store_true", help="do not judge the suture plan of the session")
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
-    parser.add_argument("--json", action="store_true", help="print what was drawn as one JSON object")
+    where.add_argument("--web", action="store_true", help="serve a web page on 127.0.0.1 until stopped")
+    where.add_argument("--screenshot", metavar="OUT.png", type=Path, help="write an image; needs no screen")
+    parser.add_argument(
+        "--port", type=int, metavar="PORT", help="with --web: port of the page " + default("a free one")
+    )
+    parser.add_argument(
+        "--at", type=float, metavar="SECONDS", help="with --screenshot: time from the start " + default("the end")
+    )
+    parser.add_argument(
+        "--blueprint", metavar="NAME", default="", help="layout of the views " + default("chosen by the content")
+    )
+    parser.add_argument("--colour-by", metavar="FIELD", default="", help="colour point clouds by this field")
+    parser.add_argument("--no-review", action="store_true", help="do not review the suture plan of the session")
+    add_overwrite(parser)
+    add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:

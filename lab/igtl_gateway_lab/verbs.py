@@ -9,6 +9,6 @@ def _own(name: str, text: str) -> Verb:
     return Verb(text, f"igtl_gateway_lab.cli.{name}", reads_files=False)
 
 
-SIMULATE = _own("simulate", "play a scenario, live over ROS 2 and OpenIGTLink or as a recording")
-BENCH = _own("bench", "measure latency, rate and cost, beside bare hops of the same bytes")
-DEMO = _own("demo", "the main job in a minute: bridge, record, verify, replay")
+SIMULATE = _own("simulate", "play a scenario, live over ROS 2 and OpenIGTLink or into a recording")
+BENCH = _own("bench", "measure latency, rate and cost, next to bare hops of the same bytes")
+DEMO = _own("demo", "bridge, record, verify and replay a session within one minute")

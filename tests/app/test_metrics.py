@@ -18,7 +18,7 @@ from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.app.metrics import METRICS, PREFIX, MetricsServer, prometheus
 from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.buffers import join
-from igtl_gateway.cli.bridge import _EntryWatch
+from igtl_gateway.cli.bridge_output import EntryWatch
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, Unavailable
@@ -35,7 +35,7 @@ LINE = re.compile(r'([a-z_0-9]+)(\{(?:[a-z]+="(?:[^"\\\n]|\\.)*",?)*\})? ([-+0-9
 @contextmanager
 def bridge(tmp_path: Path, refused: threading.Event) -> Iterator[tuple[Bridge, BridgeStatus]]:
     """A real one, without ROS, that records; ``refused`` is set when it has refused something."""
-    watch, clock = _EntryWatch(), SystemClock()
+    watch, clock = EntryWatch(), SystemClock()
 
     def look(entry: Entry) -> None:
         watch(entry)

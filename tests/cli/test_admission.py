@@ -9,8 +9,8 @@ import pytest
 
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.admission import peer_address
-from igtl_gateway.cli.common import add_addresses
 from igtl_gateway.cli.edge_file import completed
+from igtl_gateway.cli.options import add_addresses
 from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import ConfigError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.cli.bridge import _Event, _TextOutput
+from igtl_gateway.cli.bridge_output import Event, TextOutput
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
 
@@ -12,6 +12,6 @@ from igtl_gateway.session.note import Level, Note
 def test_a_device_name_writes_no_lines_and_no_escape_sequences(capsys: pytest.CaptureFixture[str]) -> None:
     name = "\x1b[2J\x9b31m\rTool\n= 10.0.0.9:18944 connected\x7f"
     note = Note(Level.WARN, "stale", f"{name} is too old", f"STRING/{name}")
-    _TextOutput(terminal=False).events([_Event(0, Kind.NOTE, note, (3,))])
+    TextOutput(terminal=False).events([Event(0, Kind.NOTE, note, (3,))])
     shown = r"\x1b[2J\x9b31m\x0dTool\x0a= 10.0.0.9:18944 connected\x7f"
     assert capsys.readouterr().out == f"? {shown} is too old [link 3]\n"

@@ -7,7 +7,8 @@ import signal
 
 import pytest
 
-from igtl_gateway.cli.common import address, count_text, size_text, stop_event
+from igtl_gateway.cli.common import count_text, size_text, stop_event
+from igtl_gateway.cli.options import address
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import admission, edge_file
-from igtl_gateway.cli.common import addresses
 from igtl_gateway.cli.edge_file import completed
+from igtl_gateway.cli.options import addresses
 from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import ConfigError

@@ -14,7 +14,7 @@ import pytest
 from mcap.reader import make_reader
 
 from igtl_gateway.cli import main, verbs
-from igtl_gateway.cli.bridge import _Event, _TextOutput
+from igtl_gateway.cli.bridge_output import Event, TextOutput
 from igtl_gateway.config import Config
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
@@ -170,10 +170,10 @@ def test_a_bridge_whose_recording_failed_ends_with_a_failure(tmp_path: Path) -> 
 
 
 def test_a_peer_that_invents_names_does_not_flood_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    terminal = _TextOutput(terminal=False)
+    terminal = TextOutput(terminal=False)
     for index in range(5000):
         note = Note(Level.ERROR, "bad_crc", f"message refused: {index}", f"STRING/{index}")
-        terminal.events([_Event(0, Kind.NOTE, note, (1,))])
+        terminal.events([Event(0, Kind.NOTE, note, (1,))])
     assert capsys.readouterr().out.count("\n") <= 1001
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway import __version__
+from igtl_gateway.cli.options import add_json, default
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.errors import ConfigError, Unavailable
@@ -28,15 +29,23 @@ from igtl_gateway_lab.bench.sweeps import SWEEPS, fit_lines
 from igtl_gateway_lab.bench.works import WORKS, WorkContext
 
 EXAMPLES = """\
-  igtl-gateway bench --case transform                     30 Hz, both ways, and the bare hops
+  # 30 Hz in both directions, and the bare hops
+  igtl-gateway bench --case transform
   igtl-gateway bench --case transform --rate 1000 --direction ros-to-igtl
-  igtl-gateway bench --case image-fullhd --flood --json   as fast as it goes without loss
-  igtl-gateway bench --case mixed --duration 60 --record --rounds 3   with and without recording, in turns
-  igtl-gateway bench --case transform image-vga --peers   with the C++ library and pyigtl as peers, too
-  igtl-gateway bench --case start-up replay verify        what is no passage of messages
-  igtl-gateway bench --case mixed --flame out.svg           where the gateway spends its time
-  igtl-gateway bench --sweep payload streams --plot out   what it costs as it grows, with lines and pictures
-  igtl-gateway bench --table1 --plot out                  the paper's table: 1000 messages each, 30 Hz"""
+  # at the highest rate without loss
+  igtl-gateway bench --case image-fullhd --flood --json
+  # with and without a recording, alternately
+  igtl-gateway bench --case mixed --duration 60 --record --rounds 3
+  # also with the C++ library and pyigtl as peers
+  igtl-gateway bench --case transform image-vga --peers
+  # measurements other than the transfer of messages
+  igtl-gateway bench --case start-up replay verify
+  # where the gateway spends its time
+  igtl-gateway bench --case mixed --flame out.svg
+  # growing load, with fitted lines and plots
+  igtl-gateway bench --sweep payload streams --plot out
+  # Table 1 of the ROS-IGTL-Bridge paper: 1000 messages each, 30 Hz
+  igtl-gateway bench --table1 --plot out"""
 
 _TABLE_COUNT, _TABLE_HZ = 1000, 30.0
 _MOST_S, _MOST_HZ, _MOST_COUNT, _MOST_ROUNDS = 3600.0, 100_000.0, 10_000_000, 100
@@ -66,38 +75,50 @@ _PACKAGES = ("ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "numpy", "fastcrc"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--case", nargs="+", default=[], metavar="NAME", help="what is measured; --list shows all")
-    parser.add_argument("--table1", action="store_true", help="the cases of the paper's Table 1")
-    parser.add_argument(
-        "--sweep", nargs="+", default=[], choices=tuple(SWEEPS), metavar="WHAT", help=f"growing: {', '.join(SWEEPS)}"
+    parser.add_argument("--list", action="store_true", help="list all cases and sweeps, then exit")
+    add_json(parser)
+    what = parser.add_argument_group("what to measure")
+    what.add_argument("--case", nargs="+", default=[], metavar="NAME", help="measure these cases")
+    what.add_argument("--table1", action="store_true", help="measure the cases of the paper's Table 1")
+    what.add_argument(
+        "--sweep",
+        nargs="+",
+        default=[],
+        choices=tuple(SWEEPS),
+        metavar="NAME",
+        help=f"measure with a growing load: {', '.join(SWEEPS)}",
     )
-    parser.add_argument("--list", action="store_true", help="show the cases, then end")
-    parser.add_argument(
+    what.add_argument(
         "--direction",
         choices=(*(direction.value for direction in Direction), _BOTH),
         default=_BOTH,
-        help="which way (%(default)s)",
+        help="direction of the messages " + default(_BOTH),
     )
-    speed = parser.add_mutually_exclusive_group()
-    speed.add_argument("--rate", type=float, metavar="HZ", help="messages a second (default: as the case has it)")
-    speed.add_argument("--flood", action="store_true", help="as fast as all arrives")
-    length = parser.add_mutually_exclusive_group()
-    length.add_argument("--duration", type=float, default=10.0, metavar="S", help="how long each (%(default)g s)")
-    length.add_argument("--count", type=int, metavar="N", help="messages each, instead")
-    parser.add_argument("--rounds", type=int, default=1, metavar="N", help="measure N times in turns: medians")
-    parser.add_argument("--record", action="store_true", help="again with a recording, and what that costs")
-    parser.add_argument(
+    speed = what.add_mutually_exclusive_group()
+    speed.add_argument("--rate", type=float, metavar="HZ", help="rate of the messages " + default("rate of the case"))
+    speed.add_argument("--flood", action="store_true", help="send at the highest rate without loss")
+    length = what.add_mutually_exclusive_group()
+    length.add_argument(
+        "--duration", type=float, default=10.0, metavar="SECONDS", help="duration of each measurement " + default(10)
+    )
+    length.add_argument("--count", type=int, metavar="N", help="number of messages of each measurement")
+    comparisons = parser.add_argument_group("comparisons")
+    comparisons.add_argument(
+        "--rounds", type=int, default=1, metavar="N", help="measure N times alternately and print medians " + default(1)
+    )
+    comparisons.add_argument("--record", action="store_true", help="also measure with a recording")
+    comparisons.add_argument(
         "--floor",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="measure the same bytes over a bare DDS hop and a bare TCP connection too",
+        help="also send the same bytes over a bare DDS hop and a bare TCP connection " + default("--floor"),
     )
-    parser.add_argument(
-        "--peers", action="store_true", help=f"again with {' and '.join(PEERS)} instead of our client, where installed"
+    comparisons.add_argument(
+        "--peers", action="store_true", help=f"also measure with {' and '.join(PEERS)} as peer, if installed"
     )
-    parser.add_argument("--plot", type=Path, metavar="DIR", help="draw the rows into SVG files there")
-    parser.add_argument("--flame", type=Path, metavar="SVG", help="draw where the gateway spends its time (py-spy)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    plots = parser.add_argument_group("plots")
+    plots.add_argument("--plot", type=Path, metavar="DIR", help="write plots of the result (SVG) to this directory")
+    plots.add_argument("--flame", type=Path, metavar="FILE", help="write a flame graph of the gateway (SVG, py-spy)")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.options import default
 from igtl_gateway.cli.terminal import print_line
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.errors import ConfigError, GatewayError, Unavailable
@@ -28,8 +29,10 @@ from igtl_gateway.extras import missing
 from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
-  igtl-gateway demo                      in a temporary folder
-  igtl-gateway demo --keep out           keep the recording: out/demo.mcap"""
+  # record to a temporary directory
+  igtl-gateway demo
+  # write the recording to out/demo.mcap
+  igtl-gateway demo --keep out"""
 
 _PATIENCE_S = 60.0
 
@@ -39,8 +42,10 @@ class DemoError(GatewayError):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=float, default=8.0, help="how long the traffic runs (%(default)s)")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the recording in this folder")
+    parser.add_argument(
+        "--seconds", type=float, default=8.0, metavar="SECONDS", help="duration of the traffic " + default("8.0")
+    )
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="write the recording to this directory")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,7 +7,8 @@ import json
 from pathlib import Path
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import address, count_text, size_text
+from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, add_json, add_overwrite, address, default, definitions
 from igtl_gateway.cli.terminal import print_json, print_line, print_text
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError
@@ -19,18 +20,25 @@ from igtl_gateway_lab.simulate.catalogue import SCENARIOS
 from igtl_gateway_lab.simulate.load import SENDERS, SIZES, Load
 from igtl_gateway_lab.simulate.scenario import SYNTHETIC, Scenario
 
-_WIDTH = max(map(len, SCENARIOS))
-_SCENARIOS = "\n".join(f"  {name:<{_WIDTH}}  {scenario.title}" for name, scenario in SCENARIOS.items())
+_SCENARIOS = "\n".join(definitions([(name, scenario.title) for name, scenario in SCENARIOS.items()]))
 EXAMPLES = f"""\
-  igtl-gateway simulate acquisition                   live: a bridge, a ROS 2 node and an OpenIGTLink client
-  igtl-gateway simulate acquisition --record a.mcap   and keep what the bridge recorded
-  igtl-gateway simulate star --view                   and be seen in rerun's window as it happens
-  igtl-gateway simulate acquisition --out a.mcap      offline: no ROS, no network, always the same content
-  igtl-gateway simulate test-server --type IMAGE --size 640 --rate 30 --count 300
-  igtl-gateway simulate test-node --side ros          the ROS node alone, for a bridge of yours
+  # live: a bridge, a ROS 2 node and an OpenIGTLink client
+  igtl-gateway simulate acquisition
+  # the same, with the recording of the bridge
+  igtl-gateway simulate acquisition --record a.mcap
+  # the same, shown live in rerun
+  igtl-gateway simulate star --view
+  # offline: no ROS, no network, always the same content
+  igtl-gateway simulate acquisition --out a.mcap
+  # a load for the bridge
+  igtl-gateway simulate test-server --type IMAGE --size 640 --rate 30 \\
+      --count 300
+  # only the ROS node, for a bridge that you run
+  igtl-gateway simulate test-node --side ros
+  # only the OpenIGTLink client, for a bridge that you run
   igtl-gateway simulate test-server --side igtl --connect 127.0.0.1:18944
+  # robot and bridge; 3D Slicer replaces the planner
   igtl-gateway simulate acquisition --side ros --listen :18944
-                                                      robot and bridge; 3D Slicer stands in for the planner
 
 scenarios:
 {_SCENARIOS}"""
@@ -39,50 +47,53 @@ _MAX_S = 3600.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("name", choices=tuple(SCENARIOS), metavar="SCENARIO", help="one of those below")
+    parser.add_argument("name", choices=tuple(SCENARIOS), metavar="SCENARIO", help="scenario to play, see below")
+    parser.add_argument("--duration", type=float, metavar="SECONDS", help="duration of the session")
+    add_overwrite(parser)
+    add_json(parser)
     parser.add_argument("--out", type=Path, metavar="FILE", help="play offline and write this recording")
-    parser.add_argument("--record", type=Path, metavar="FILE", help="live: keep the bridge's recording")
-    parser.add_argument("--view", action="store_true", help="live: show it in rerun's window, as `bridge --view` does")
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
-    parser.add_argument("--duration", type=float, metavar="S", help="seconds of the session")
-    parser.add_argument(
-        "--timeout", type=float, metavar="S", help="live: longest time for the start, and for the story"
+    live = parser.add_argument_group("live")
+    live.add_argument("--record", type=Path, metavar="FILE", help="record to this MCAP file")
+    live.add_argument("--view", action="store_true", help="show the session in rerun, like `bridge --view`")
+    live.add_argument(
+        "--timeout", type=float, metavar="SECONDS", help="longest time for the start, and for the scenario"
     )
-    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
-    alone = parser.add_argument_group("one side alone")
+    alone = parser.add_argument_group("live, one side only")
     alone.add_argument(
         "--side",
         choices=("ros", "igtl"),
-        help="play only the actors of ROS 2, or of OpenIGTLink; the user runs the bridge and the other side",
+        help="play only the actors of ROS 2 or of OpenIGTLink; you run the bridge and the other side",
     )
     where = alone.add_mutually_exclusive_group()
     where.add_argument(
         "--connect",
         type=address,
         metavar="HOST:PORT",
-        help="OpenIGTLink actors: the bridge's server (default 127.0.0.1:18944)",
+        help="connect the OpenIGTLink actors to a bridge at this address " + default(f"{DEFAULT_HOST}:{DEFAULT_PORT}"),
     )
     where.add_argument(
         "--listen",
         type=address,
         metavar="HOST:PORT",
-        help="OpenIGTLink actors: be the server, and the bridge the client; with --side ros: run a bridge that "
-        "listens here for the program that stands in",
+        help="--side igtl: listen for the bridge on this address; --side ros: run a bridge that listens on this "
+        "address for the program that replaces the OpenIGTLink actors",
     )
-    alone.add_argument("--print-config", action="store_true", help="print the bridge's configuration, as TOML, and end")
-    load = parser.add_argument_group("load, of test-server")
-    load.add_argument("--type", choices=tuple(SIZES), help=f"type of the messages (default {Load().type})")
-    load.add_argument("--size", type=int, metavar="N", help="; ".join(_size_help()))
-    load.add_argument("--rate", type=float, metavar="HZ", help=f"messages a second (default {Load().rate_hz:g})")
-    load.add_argument("--count", type=int, metavar="N", help=f"messages (default {Load().count})")
-    load.add_argument("--sender", choices=SENDERS, help=f"which side sends (default {Load().sender})")
+    alone.add_argument(
+        "--print-config", action="store_true", help="print the configuration of the bridge (TOML), then exit"
+    )
+    load = parser.add_argument_group("load, for test-server")
+    load.add_argument("--type", choices=tuple(SIZES), help="type of the messages " + default(Load().type))
+    load.add_argument("--size", type=int, metavar="N", help=f"size of a message; {'; '.join(_size_help())}")
+    load.add_argument("--rate", type=float, metavar="HZ", help="rate of the messages " + default(f"{Load().rate_hz:g}"))
+    load.add_argument("--count", type=int, metavar="N", help="number of messages " + default(Load().count))
+    load.add_argument("--sender", choices=SENDERS, help="side that sends " + default(Load().sender))
     # of the programs that a live scenario starts
     parser.add_argument("--actor", help=argparse.SUPPRESS)
     parser.add_argument("--peers", type=int, default=1, help=argparse.SUPPRESS)
 
 
 def _size_help() -> list[str]:
-    return [f"{name}: {unit} (default {usual:,})" for name, (unit, _, usual, _) in SIZES.items() if unit]
+    return [f"{name}: {unit} " + default(f"{usual:,}") for name, (unit, _, usual, _) in SIZES.items() if unit]
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,0 +1,239 @@
+"""The output of ``bridge``: lines for people with a live status, or JSON lines for programs."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+from igtl_gateway import __version__
+from igtl_gateway.app.bridge import Bridge
+from igtl_gateway.cli import admission
+from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.losses import losses
+from igtl_gateway.cli.terminal import clear_live_line, live_line, print_json, print_line
+from igtl_gateway.cli.type_tables import mapping, profiles
+from igtl_gateway.clock import Clock
+from igtl_gateway.config import Config
+from igtl_gateway.gateway import FAULT
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import utc_text
+
+if TYPE_CHECKING:
+    from igtl_gateway.app.metrics import MetricsServer
+
+_MAX_EVENTS = 1000  # notes waiting to be printed; a flood of them must not cost memory
+_MAX_LOSSES = 20  # lines at the end; all are in the recording
+_MAX_CAUSES = (
+    1000  # causes of notes that are counted apart: a peer that invents device names must not flood the terminal
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A note in the log."""
+
+    stamp_ns: int
+    kind: Kind
+    note: Note
+    links: tuple[int, ...]
+
+
+class EntryWatch:
+    """Counts entries and stores the notes among them until they are printed; called under the hub's lock."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[Kind] = Counter()
+        self.refused = 0
+        self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
+
+    def __call__(self, entry: Entry) -> None:
+        self.counts[entry.kind] += 1
+        if entry.kind in _NOTES:
+            note = Note.unpack(entry.data())
+            self.refused += note.level >= Level.ERROR
+            self._events.append(Event(entry.stamp_ns, entry.kind, note, entry.links))
+
+    def take(self) -> list[Event]:
+        """Return the notes since the last call."""
+        taken = []
+        while self._events:
+            taken.append(self._events.popleft())
+        return taken
+
+
+_NOTES = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})
+
+
+class BridgeOutput(Protocol):
+    """How a bridge reports what it does."""
+
+    def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None: ...
+    def events(self, events: list[Event]) -> None: ...
+    def status(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> None: ...
+    def stopped(self, bridge: Bridge, watch: EntryWatch) -> None: ...
+
+
+class TextOutput:
+    """Lines for people; on a terminal the last one is a live status.
+
+    Marks: ``=`` state, ``!`` fault, ``?`` warning.
+    """
+
+    _MARKS = {Level.INFO: "=", Level.WARN: "?", Level.ERROR: "!"}  # noqa: RUF012
+
+    def __init__(self, terminal: bool) -> None:
+        self._terminal = terminal
+        self._status = ""
+        self._last: tuple[float, Counter[Kind]] = (0.0, Counter())
+        self._repeats: Counter[tuple[str, str]] = Counter()
+
+    def _print(self, text: str) -> None:
+        if self._terminal:
+            clear_live_line()
+        print_line(text, flush=True)
+        if self._terminal and self._status:
+            live_line(self._status)
+
+    def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None:
+        print_line(f"igtl-gateway {__version__}")
+        for (host, port), asked in zip(bridge.addresses, bridge.options.listen, strict=True):
+            tls = ", TLS" if asked in bridge.options.tls_listen else ""
+            print_line(f"OpenIGTLink  server, listening on {host}:{port}{tls}")
+        how = "one connection per client (--relay)" if config.relay else "reconnects until stopped"
+        for host, port in bridge.options.connect:
+            tls = ", TLS" if (host, port) in bridge.options.tls_connect else ""
+            print_line(f"OpenIGTLink  client of {host}:{port}{tls}, {how}")
+        off = "--relay" if config.relay else "--no-ros"
+        print_line(f"ROS 2        node /{bridge.options.node_name}" if bridge.ros else f"ROS 2        off ({off})")
+        for note in notes:
+            print_line(f"             {note.partition(' (')[0]}")
+        print_line(f"recording    {bridge.options.record or 'off (--record FILE)'}")
+        if metrics:
+            print_line(f"metrics      {metrics.url}")
+        if config.faults:
+            print_line(f"faults       {config.faults}, seed {config.fault_seed} (fault injection)")
+        for line in (*admission.denials(config), *profiles(config)):
+            print_line(line)
+        if bridge.ros:
+            for line in mapping(config):
+                print_line(line)
+        print_line("Press Ctrl-C to stop.", flush=True)
+
+    def events(self, events: list[Event]) -> None:
+        for event in events:
+            note, links = event.note, event.links
+            cause = (note.code, note.stream)
+            if cause not in self._repeats and len(self._repeats) >= _MAX_CAUSES:
+                cause = (note.code, "(other streams)")
+            self._repeats[cause] += 1
+            # the recording has all notes; the terminal has the first of each cause
+            if (note.level is Level.INFO and note.code != FAULT) or self._repeats[cause] == 1:
+                link = f" [link {', '.join(map(str, links))}]" if links else ""
+                self._print(f"{self._MARKS[note.level]} {note.text}{link}")
+
+    def status(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> None:
+        if not self._terminal:
+            return
+        before_s, before = self._last
+        self._last = (seconds, Counter(watch.counts))
+        rates = {kind: (watch.counts[kind] - before[kind]) / max(seconds - before_s, 1e-3) for kind in Kind}
+        peers = sum(link.connected for link in bridge.tcp.links())
+        dropped = sum(sum(counts.dropped.values()) for counts in bridge.tcp.counters().values())
+        recorded = ""
+        if bridge.recorder:
+            counters = bridge.recorder.counters()
+            recorded = f" | recorded {'(paused) ' if bridge.recorder.paused else ''}{counters['written_entries']:,}" + (
+                f" LOST {counters['dropped_entries']:,}" if counters["dropped_entries"] else ""
+            )
+        self._status = (
+            f"{seconds:6.0f} s | {count_text(peers, 'peer')} | OpenIGTLink in {rates[Kind.IGTL_IN]:.0f}/s "
+            f"out {rates[Kind.IGTL_OUT]:.0f}/s | ROS in {rates[Kind.ROS_IN]:.0f}/s out {rates[Kind.ROS_OUT]:.0f}/s | "
+            f"dropped {dropped:,} rejected {watch.refused:,}{recorded}"
+        )
+        live_line(self._status)
+
+    def stopped(self, bridge: Bridge, watch: EntryWatch) -> None:
+        if self._terminal:
+            clear_live_line()
+        counts = watch.counts
+        print_line(
+            f"stopped; OpenIGTLink: {counts[Kind.IGTL_IN]:,} in, {counts[Kind.IGTL_OUT]:,} out; "
+            f"ROS: {counts[Kind.ROS_IN]:,} in, {counts[Kind.ROS_OUT]:,} out; rejected: {watch.refused:,}"
+        )
+        for reason, number in bridge.tcp.refused().items():
+            print_line(f"  connections rejected, {reason}: {number:,}")
+        for cause, number in sorted(self._repeats.items()):
+            if number > 1 and cause[0] not in ("stream",):
+                print_line(f"  {' '.join(filter(None, cause))}: {number:,} times")
+        if bridge.summary:
+            summary = bridge.summary
+            lost, left_out = sum(summary.dropped.values()), sum(summary.left_out.values())
+            files = f"{count_text(len(summary.files), 'snapshot')} of " if bridge.options.recording.snapshot_s else ""
+            print_line(
+                f"recorded {count_text(summary.entries, 'entry', 'entries')} to {files}{summary.path} "
+                f"({size_text(summary.size)})"
+                + (f", {left_out:,} not selected" if left_out else "")
+                + (f", LOST {lost:,}" if lost else "")
+                + (f": {summary.failure}" if summary.failure else "")
+            )
+        lines = losses(bridge.losses)
+        for line in lines[:_MAX_LOSSES]:
+            print_line(f"  {line}")
+        if len(lines) > _MAX_LOSSES:
+            print_line(f"  … and {len(lines) - _MAX_LOSSES:,} more lines; `info` of the recording has all")
+
+
+class JsonOutput:
+    """The same facts as JSON lines, each with its UTC time."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+
+    def _print(self, event: str, stamp_ns: int = 0, **facts: Any) -> None:
+        print_json({"time": utc_text(stamp_ns or self._clock.utc_ns()), "event": event} | facts)
+
+    def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None:
+        self._print(
+            "started",
+            version=__version__,
+            listen=[{"host": host, "port": port} for host, port in bridge.addresses],
+            connect=[{"host": host, "port": port} for host, port in bridge.options.connect],
+            ros=bridge.ros is not None,
+            record=bridge.options.record,
+            metrics=metrics.url if metrics else None,
+            config=config.to_dict(),
+            environment=notes,
+        )
+
+    def events(self, events: list[Event]) -> None:
+        for event in events:
+            note = event.note
+            self._print(
+                event.kind.value,
+                event.stamp_ns,
+                level=note.level.name,
+                code=note.code,
+                text=note.text,
+                stream=note.stream,
+                links=event.links,
+                data=note.data,
+            )
+
+    def status(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> None:
+        """Print nothing: programs count entries themselves, or use ``--metrics``."""
+
+    def stopped(self, bridge: Bridge, watch: EntryWatch) -> None:
+        facts: dict[str, Any] = {"counts": {kind.value: watch.counts[kind] for kind in Kind}}
+        if bridge.summary:
+            facts["recording"] = {
+                "path": bridge.summary.path,
+                "entries": bridge.summary.entries,
+                "files": bridge.summary.files,
+                "dropped": sum(bridge.summary.dropped.values()),
+                "left_out": sum(bridge.summary.left_out.values()),
+                "bytes": bridge.summary.size,
+                "failure": bridge.summary.failure,
+            }
+        self._print("stopped", **facts, ledger=bridge.losses)

@@ -1,0 +1,76 @@
+"""``--help`` of every verb: it fits a terminal, its examples are valid, its defaults look the same; ``--version``."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+from collections.abc import Iterator
+
+import pytest
+
+from igtl_gateway import __version__
+from igtl_gateway.cli import complete, main, versions
+from igtl_gateway.cli.options import HelpFormatter
+from igtl_gateway.cli.verbs import available
+from igtl_gateway.sessionfile.layout import FORMAT_VERSION
+from igtl_gateway.wire.message import HEADER_VERSIONS
+
+COLUMNS = 80
+
+
+@pytest.fixture(params=available())
+def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> argparse.ArgumentParser:
+    """The complete parser of a verb, on a terminal with 80 columns."""
+    monkeypatch.setenv("COLUMNS", str(COLUMNS))
+    made = argparse.ArgumentParser(f"igtl-gateway {request.param}", formatter_class=HelpFormatter)
+    complete(made, available()[request.param])
+    return made
+
+
+def commands(epilog: str) -> Iterator[list[str]]:
+    """The words of each example, without what stands before and behind a pipe."""
+    for line in epilog.replace("\\\n", " ").splitlines():
+        if match := re.search(r"^ +(?:.*\| )?(igtl-gateway [^|]*)", line):
+            yield shlex.split(match[1])
+
+
+def test_help_fits_a_terminal(parser: argparse.ArgumentParser) -> None:
+    assert [line for line in parser.format_help().splitlines() if len(line) > COLUMNS] == []
+
+
+def test_examples_are_valid(parser: argparse.ArgumentParser) -> None:
+    examples = list(commands(str(parser.epilog)))
+    assert examples
+    for _, verb, *arguments in examples:
+        assert parser.prog.endswith(verb)
+        parser.parse_args(arguments)
+
+
+def test_every_option_has_help_and_one_form_of_default(parser: argparse.ArgumentParser) -> None:
+    for action in parser._actions:
+        if action.help == argparse.SUPPRESS:
+            continue
+        assert action.help and not action.help.endswith(".")
+        assert "%(default)s" not in action.help
+        assert not re.search(r"\(default [^:]|may be repeated|so many", action.help)
+        if isinstance(action, argparse._AppendAction):
+            assert "(repeatable)" in action.help
+
+
+def test_a_verb_with_many_options_has_a_short_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["replay", "--help"])
+    assert capsys.readouterr().out.startswith("usage: igtl-gateway replay [OPTION ...] --to {igtl,ros,both} FILE\n")
+
+
+def test_version_names_formats_and_libraries(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    assert end.value.code == 0
+    first, *rows = capsys.readouterr().out.splitlines()
+    assert first == f"igtl-gateway {__version__}"
+    names = {re.split(r"  +", row.strip())[0] for row in rows}
+    assert {"session log", "OpenIGTLink", "Python", "C part", "numpy", "mcap", "rclpy", "laboratory"} <= names
+    assert versions.FORMAT_VERSION == FORMAT_VERSION
+    assert versions.HEADER_VERSIONS == " and ".join(map(str, HEADER_VERSIONS))
