@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from igtl_gateway.cli.options import Options, add_allow, address, default
+from igtl_gateway.cli.options import Options, address, default
 from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import ConfigError
@@ -31,20 +31,6 @@ def peer_address(text: str) -> PeerAddress:
     made = PeerAddress(address(rest if found else text))
     made.scheme = scheme if found else ""
     return made
-
-
-def add_security(group: Options) -> None:
-    """Options for the clients and servers that the bridge accepts: networks, TLS, denied messages."""
-    add_allow(group)
-    add_tls(group)
-    for way, text in (("in", "reject messages of this type from peers"), ("out", "send no messages of this type")):
-        group.add_argument(
-            f"--deny-{way}",
-            action="append",
-            default=[],
-            metavar="TYPE",
-            help=f"{text}: COMMAND, 'GET_*', '*' for all (repeatable)",
-        )
 
 
 def add_tls(parser: Options) -> None:

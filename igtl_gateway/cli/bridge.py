@@ -18,6 +18,7 @@ from igtl_gateway.cli.options import (
     DEFAULT_HOST,
     DEFAULT_PORT,
     add_addresses,
+    add_allow,
     add_config,
     add_faults,
     address,
@@ -94,7 +95,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="forward all bytes unchanged between each client of --listen and the server of --connect; without ROS",
     )
-    admission.add_security(parser.add_argument_group("security"))
+    group = parser.add_argument_group("security")
+    add_allow(group)
+    admission.add_tls(group)
+    routes.add_denials(group)
     admission.add_limits(parser.add_argument_group("limits of a peer"))
     group = parser.add_argument_group("peers and messages")
     routes.add_peers(group)

@@ -100,7 +100,7 @@ class TextOutput:
         print_line(f"igtl-gateway {__version__}")
         for (host, port), asked in zip(bridge.addresses, bridge.options.listen, strict=True):
             tls = ", TLS" if asked in bridge.options.tls_listen else ""
-            print_line(f"OpenIGTLink  server, listening on {host}:{port}{tls}")
+            print_line(f"OpenIGTLink  server on {host}:{port}{tls}")
         how = "one connection per client (--relay)" if config.relay else "reconnects until stopped"
         for host, port in bridge.options.connect:
             tls = ", TLS" if (host, port) in bridge.options.tls_connect else ""

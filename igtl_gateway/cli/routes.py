@@ -63,6 +63,18 @@ def add_topics(group: Options) -> None:
     group.add_argument("--no-tf", action="store_true", help="do not publish poses on /tf")
 
 
+def add_denials(group: Options) -> None:
+    """``--deny-in`` and ``--deny-out``, any number of each."""
+    for way, text in (("in", "reject messages of this type from peers"), ("out", "send no messages of this type")):
+        group.add_argument(
+            f"--deny-{way}",
+            action="append",
+            default=[],
+            metavar="TYPE",
+            help=f"{text}: COMMAND, 'GET_*', '*' for all (repeatable)",
+        )
+
+
 def with_routes(config: Config, options: argparse.Namespace) -> Config:
     """Return ``config`` with the options of the command line; their rows precede those of the file."""
     values = config.to_dict()

@@ -283,6 +283,6 @@ def _show(options: argparse.Namespace, recording: Path, wait: Any) -> None:
 
     with Viewer.page(recording, options.port or 0) if options.web else Viewer.window(recording) as viewer:
         if options.web:
-            print_line(viewer.url, "Ctrl-C stops.", flush=True)
+            print_line(viewer.url, "Press Ctrl-C to stop.", flush=True)
         while not viewer.ended and not wait(_WAIT_S):
             pass

@@ -10,7 +10,7 @@ import pytest
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.admission import peer_address
 from igtl_gateway.cli.edge_file import completed
-from igtl_gateway.cli.options import add_addresses
+from igtl_gateway.cli.options import add_addresses, add_allow
 from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import ConfigError
@@ -19,6 +19,7 @@ from igtl_gateway.errors import ConfigError
 def parsed(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     add_addresses(parser, admission.peer_address)
+    add_allow(parser)
     admission.add_tls(parser)
     admission.add_limits(parser)
     return parser.parse_args(words)
@@ -70,4 +71,4 @@ def test_limits_and_their_defaults(capsys: pytest.CaptureFixture[str]) -> None:
 def test_what_is_denied_is_said_and_slips_are_seen() -> None:
     assert admission.denials(Config()) == []
     lines = admission.denials(Config(deny_in=("command", "TRANFORM"), deny_out=("*",)))
-    assert lines == ["denied       from peers: command, TRANFORM (no type known here)", "denied       to peers: *"]
+    assert lines == ["denied       from peers: command, TRANFORM (matches no known type)", "denied       to peers: *"]

@@ -193,7 +193,7 @@ def test_every_type_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
         (["--tf-out", "tool"], "--tf-out: found 'tool', expected FRAME"),
         (["--peer", "127.0.0.1=nobody"], "--peer: found '127.0.0.1=nobody', expected HOST:PORT=PROFILE"),
         (["--kinds", "Probe=colour"], "--kinds: found 'Probe=colour', expected DEVICE=KIND"),
-        (["--video-codec", "h264", "--no-ros"], "--video-codec encodes images of ROS"),
+        (["--video-codec", "h264", "--no-ros"], "--video-codec: found --no-ros, expected ROS"),
         (["--video-codec", "h264", "--video-bit-rate", "0"], "video bit_rate: found 0"),
     ],
 )

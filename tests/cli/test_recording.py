@@ -28,7 +28,6 @@ DEADLINE_S = 30.0
 
 def parsed(*arguments: str) -> RecordOptions:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--record", type=Path)
     recording.add_arguments(parser)
     return recording.record_options(parser.parse_args(arguments))
 
@@ -58,12 +57,15 @@ def test_every_option_arrives() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--snapshot", "30"], "--snapshot: about a recording, but --record FILE is missing"),
-        (["--record-all", "--split-size", "1"], "--record-all and --split-size: about a recording"),
+        (["--snapshot", "30"], "--snapshot: found no --record FILE, expected it"),
+        (["--record-all", "--split-size", "1"], "--record-all and --split-size: found no --record FILE"),
         (["--record", "a", "--split-duration", "-1"], "--split-duration: found -1, expected a number from 0 up"),
         (["--record", "a", "--flush-interval", "inf"], "--flush-interval: found inf"),
         (["--record", "a", "--snapshot", "nan"], "--snapshot: found nan"),
-        (["--record", "a", "--snapshot", "5", "--split-size", "1"], "nothing to split"),
+        (
+            ["--record", "a", "--snapshot", "5", "--split-size", "1"],
+            "--snapshot: found --split-size or --split-duration, expected neither",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_refused(arguments: list[str], words: str) -> None:
@@ -113,7 +115,7 @@ def test_a_signal_pauses_and_resumes(tmp_path: Path) -> None:
 def test_a_signal_writes_a_snapshot(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "a.mcap", snapshot_s=5.0)
     with recording.recording_controls(bench.recorder) as told:
-        assert told == "SIGUSR1 writes the last 5 s"
+        assert told == "SIGUSR1 saves the last 5 s"
         os.kill(os.getpid(), signal.SIGUSR1)
         bench.wait(SNAPSHOT)
     assert Path(bench.notes[0].data["path"]).is_file()
