@@ -24,7 +24,7 @@ _LIBRARIES = {
     "nibabel": ("nibabel",),
     "laboratory": ("igtl-gateway-lab",),
 }
-#: Equal to ``sessionfile.layout.FORMAT_VERSION`` and ``wire.message.HEADER_VERSIONS``, as a test ensures: the import of
+#: Equal to ``sessionfile.layout.FORMAT_VERSION`` and ``wire.header.HEADER_VERSIONS``, as a test ensures: the import of
 #: these modules takes longer than everything else here.
 FORMAT_VERSION, HEADER_VERSIONS = 1, "1 and 2"
 _C_PART = "igtl_gateway.convert._express"

@@ -14,7 +14,7 @@ from igtl_gateway.cli import complete, main, versions
 from igtl_gateway.cli.options import HelpFormatter
 from igtl_gateway.cli.verbs import available
 from igtl_gateway.sessionfile.layout import FORMAT_VERSION
-from igtl_gateway.wire.message import HEADER_VERSIONS
+from igtl_gateway.wire.header import HEADER_VERSIONS
 
 COLUMNS = 80
 
