@@ -1,8 +1,8 @@
 """The gateway: a pure function from each input entry to the entries that it causes.
 
-``Gateway.handle`` reads no clock, no file and no socket.  Its state (links, names, counters) is made by the
-inputs alone, so that the same inputs with the same configuration give the same outputs, live, in a replay and
-in a verification.  ``Session`` adds the numbering and is the door that all three come through.
+``Gateway.handle`` reads no clock, no file and no socket.  Its state (links, names, counters) depends on the inputs
+only.  The same inputs with the same configuration therefore give the same outputs: live, in a replay and in a
+verification.  All three use it through ``Session``, which adds the numbering.
 """
 
 from igtl_gateway.gateway.core import LISTENED, TICK, Gateway

@@ -1,8 +1,8 @@
-"""The gateway's core: each input goes to the room of its kind, and what the room makes of it is settled.
+"""The core of the gateway: passes each input to the room for its kind, and settles the outcome.
 
 The rooms are in the order of the traffic.  ``to_ros``: receive, route, convert.  ``to_igtl``: receive, compose,
-latest, deliver.  ``dialogue``: queries, commands, links.  A room returns an ``Outcome``, which ``outcome`` settles.  A
-message that fails on its way costs only itself: a note says why, and the ledger counts it.
+latest, deliver.  ``dialogue``: queries, commands, links.  A room returns an ``Outcome``, which the ``Bookkeeper``
+settles.  A message that fails does not affect others: a note gives the reason, and the ledger counts it.
 """
 
 from __future__ import annotations
@@ -41,26 +41,26 @@ from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire.query import split_query
 
-#: Code of the edge notes that tell the gateway that ``due_ns`` has come.
+#: Code of the edge notes that inform the gateway that ``due_ns`` has come.
 TICK = "tick"
 
-#: Code of the edge notes that tell the gateway, where ``has_subscriber`` is set, of the first subscriber of ``stream``.
+#: Code of the edge notes for the first subscriber of ``stream``; used only while ``has_subscriber`` is set.
 LISTENED = "listened"
 
-#: Types whose messages each count; states and pictures are replaced by the next one anyway.
-#: A frame of a video is the base of those that follow.
+#: Types of which every message matters: poses and images are superseded by the next one, and these are not.  Later
+#: frames of a video depend on earlier ones.
 _KEPT_TYPES = frozenset({"STRING", "STATUS", "COMMAND", "RTS_COMMAND", "VIDEO"})
 
 
 class Gateway:
-    """See the package.
+    """The core of a session with ROS; see the package.
 
     Args:
-        config: the configuration of the session.
-        fast_path: whether streams are compiled for the fast path; without it every message takes the full path.
+        config: configuration of the session.
+        fast_path: compile streams for the fast path; without it every message takes the full path.
 
     Attributes:
-        fast: the entry of the fast path.
+        fast: entry point of the fast path.
     """
 
     def __init__(self, config: Config, *, fast_path: bool = True) -> None:
@@ -124,7 +124,7 @@ class Gateway:
         streams.advertise(LINKS_TOPIC, LINKS_QOS)
 
     def handle(self, entry: Entry) -> list[Entry]:
-        """The entries that ``entry`` causes, numbered and stamped directly behind it.
+        """Return the entries that ``entry`` causes, with the numbers and nanoseconds directly after it.
 
         Outputs (``*_OUT``, ``NOTE``) are accepted and cause nothing.
         """
@@ -136,27 +136,27 @@ class Gateway:
             outcome.items += self._opened_streams()
             if outcome.origin:
                 self.fast_path.learn(entry, outcome)
-            outputs = self._accounts.settle(entry, outcome)  # last: what fails above has counted nothing yet
-        except Exception as error:  # a defect of ours must cost one message, not the session
+            outputs = self._accounts.settle(entry, outcome)  # last: a failure above has counted nothing
+        except Exception as error:  # an internal error must cost one message, not the session
             self._streams.reportable.clear()
             outputs = self._accounts.fail(entry, error)
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
 
-    # -- questions of the edges, answered without changing anything that influences outputs -------------------
+    # -- queries by the edges: none of them changes what influences outputs ------------------------------------
 
     @property
     def ledger(self) -> Ledger:
-        """What became of every message."""
+        """The loss ledger: the fate of every message."""
         return self._accounts.ledger
 
     @property
     def guard(self) -> Guard:
-        """What is known of the streams' stamps."""
+        """The guarded streams."""
         return self._guard
 
     @property
     def has_subscriber(self) -> Ask | None:
-        """Whether a topic of a ROS type has a subscriber; None, as in recorded sessions: build every output."""
+        """Function that returns whether a topic has a subscriber; None, as in recorded sessions: build all outputs."""
         return self._subscribers.ask
 
     @has_subscriber.setter
@@ -164,7 +164,7 @@ class Gateway:
         self._subscribers.ask = ask
 
     def subscription(self, topic: str, ros_type: str) -> Qos | None:
-        """The QoS with which to subscribe to a topic that is to be bridged, None if it is not."""
+        """Return the QoS of the subscription to a topic; None if the topic is not bridged."""
         if self._frames and topic in TF_QOS and ros_type == TFMessage.TYPE:
             return TF_QOS[topic]
         row, conversion = self._streams.rows(topic, ros_type)
@@ -173,25 +173,25 @@ class Gateway:
         return row.qos or conversion.qos if row and conversion else None
 
     def lacks_conversion(self, topic: str, ros_type: str) -> bool:
-        """Whether a topic is to be bridged, but no row of the conversion table can do it."""
+        """Return whether the configuration bridges a topic for whose type there is no conversion."""
         row, conversion = self._streams.rows(topic, ros_type)
         return row is not None and conversion is None and ros_type != RawMessage.TYPE
 
     def qos(self, topic: str) -> Qos | None:
-        """The QoS of a topic that the gateway publishes."""
+        """Return the QoS of a topic that the gateway publishes."""
         return self._streams.qos(topic)
 
     def keep(self, entry: Entry) -> bool:
-        """Whether an outgoing OpenIGTLink message must not be dropped at a full send queue."""
+        """Return whether a full send queue must not drop this OpenIGTLink message."""
         return _is_kept(entry.type)
 
     @property
     def due_ns(self) -> int | None:
-        """The gateway time (UTC ns) at which it wants a tick, None if none; see ``TICK``."""
+        """Gateway time (UTC ns) at which the core needs a tick (see ``TICK``); None if it needs none."""
         times = (self._commands.due_ns, self._links.due_ns)
         return min((time for time in times if time is not None), default=None)
 
-    # -- notes of the edges, and of new streams --------------------------------------------------------------
+    # -- notes of the edges, and new streams -------------------------------------------------------------------
 
     def _on_edge_note(self, entry: Entry) -> Outcome:
         event = Note.of(entry.data())
@@ -204,13 +204,13 @@ class Gateway:
         return Outcome(tallies=[Tally("edges", event.stream, event.code)])
 
     def _opened_streams(self) -> list[Finding]:
-        """Findings for the streams that this entry opened."""
+        """Return findings for the streams that the current entry opened."""
         if not self._streams.reportable:
             return []
         news, self._streams.reportable = self._streams.reportable, []
         return [Finding(Level.INFO, "stream", f"{stream} goes {text}", stream) for stream, text in news]
 
 
-@lru_cache(maxsize=1_024)  # asked for every message
+@lru_cache(maxsize=1_024)  # called for every message
 def _is_kept(igtl_type: str) -> bool:
     return igtl_type in _KEPT_TYPES or split_query(igtl_type) is not None

@@ -1,8 +1,8 @@
-"""Read-only mode: types that are not let through, so that a viewer cannot command a robot.
+"""Deny lists: types of messages that are not forwarded, so that a viewer cannot command a robot.
 
-The settings ``deny_in`` (from peers) and ``deny_out`` (to peers) are globs of type names, in either case of letters.  A
-type is denied under each name that stands for it (``QTRANS`` with ``POSITION``, ``GET_TRANS`` with ``GET_TRANSFORM``),
-and a BIND with each of its children: what a reader would unpack must not come in by the back door.
+The settings ``deny_in`` (from peers) and ``deny_out`` (to peers) are globs of type names; case does not matter.  A type
+is denied under each of its names (``QTRANS`` with ``POSITION``, ``GET_TRANS`` with ``GET_TRANSFORM``).  A BIND is
+denied if one of its children is: a reader would unpack it.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.registry import ALIASES, read_child
 
-#: Names whose answer is remembered; a peer that invents names must not fill the memory.
+#: Maximum number of cached results, in case a peer invents names.
 _MAX_KNOWN = 1_024
 
 
 class Denials:
-    """What one direction denies.  False where nothing is denied at all."""
+    """The deny list of one direction; false if it is empty."""
 
     def __init__(self, globs: Sequence[str]) -> None:
         self._globs = tuple(glob.upper() for glob in globs)
@@ -33,7 +33,7 @@ class Denials:
         return bool(self._globs)
 
     def type(self, igtl_type: str) -> bool:
-        """Whether messages of this type are denied."""
+        """Return whether messages of this type are denied."""
         if not self._globs:
             return False
         denied = self._known.get(igtl_type)
@@ -44,11 +44,11 @@ class Denials:
         return denied
 
     def message(self, message: Message) -> str:
-        """The denied type that a message is, or has in it; ``""`` if it may pass."""
+        """Return the denied type of a message or of a child in it; ``""`` if the message may pass."""
         return self.content(visible(message.type), message.content) if self._globs else ""
 
     def content(self, igtl_type: str, content: Body) -> str:
-        """The same of a content and its type."""
+        """As ``message``, for a type and a content."""
         if self.type(igtl_type):
             return igtl_type
         if self._globs and isinstance(content, Bind):
@@ -63,12 +63,12 @@ class Denials:
             return ""
         try:
             return self.content(name, read_child(child))
-        except WireError:  # nobody can read it
+        except WireError:  # no reader can unpack it
             return ""
 
 
 def _names(igtl_type: str) -> set[str]:
-    """Every name of a type."""
+    """Return all names of a type."""
     names = {igtl_type, ALIASES.get(igtl_type, igtl_type)}
     if query := split_query(igtl_type):
         names |= {"_".join(query), f"{query[0]}_{ALIASES.get(query[1], query[1])}"}

@@ -1,8 +1,8 @@
-"""What ``/diagnostics`` says: one status for each stream that comes in, for each peer, and for the recorder.
+"""Diagnostics for ``/diagnostics``: one status for each input stream, for each peer, and for the recorder.
 
-Made from the ledger and the guard once a second, beside the session log: counts of a whole session would differ in
-every slice, part or lossy recording of it, and a verification could never tell that from a defect.  Pure: time and
-counts are arguments.
+They are built from the ledger and the guard once a second and are not part of the session log.  Counts of a whole
+session differ in every slice, part or lossy recording, and a verification cannot distinguish that from a defect.  Pure:
+time and counts are arguments.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ PERIOD_NS = NS_PER_S
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
 
-#: A stream that had a rhythm and is silent for so long is stale.
+#: A periodic stream without a message for this time is stale.
 SILENT_NS = 5 * NS_PER_S
-#: Messages in one period that are a rhythm.
+#: Minimum rate of a periodic stream.
 _RHYTHM_HZ = 1.0
-#: Streams with a status of their own: 256 of them are 60 kB and 10 ms of work in each second.
+#: Maximum number of streams with a status: 256 streams are 60 kB and 10 ms of work every second.
 MAX_STREAMS = 256
-#: Reasons that are no trouble: nobody was there, or nobody wanted it.
+#: Reasons that are not a problem: no peer was connected, or no peer requested the message.
 _HARMLESS = frozenset({"no_peer", "not_chosen", "not_wanted", "not_for_peer", "part_of_volume", "empty", "denied"})
 
 _SIDES = {"igtl_in": "OpenIGTLink", "ros_in": "ROS"}
@@ -36,7 +36,7 @@ _SIDES = {"igtl_in": "OpenIGTLink", "ros_in": "ROS"}
 
 @dataclass(frozen=True, slots=True)
 class PeerFacts:
-    """What the TCP edge knows of a peer: its link, address, and what its link sent, has queued and dropped."""
+    """Facts of the TCP edge about a peer: link, address, and the sent, queued and dropped messages."""
 
     link: int
     address: str
@@ -49,16 +49,16 @@ class PeerFacts:
 
 @dataclass(slots=True)
 class _Baseline:
-    """A stream when it was last told of."""
+    """Counts of a stream at the previous call."""
 
     received: int = 0
     troubles: int = 0
-    moved_ns: int = 0  # when messages were last seen to have come
+    moved_ns: int = 0  # time at which the counts last grew
     rhythm: bool = False
 
 
 class Diagnostics:
-    """The statuses of a session; each call tells what happened since the one before."""
+    """Builds the statuses of a session; each call covers the time since the previous one."""
 
     def __init__(self, hardware_id: str) -> None:
         self._hardware_id = hardware_id
@@ -75,15 +75,15 @@ class Diagnostics:
         peers: Iterable[PeerFacts],
         recorder: Mapping[str, Any] | None,
     ) -> DiagnosticArray:
-        """The message for this moment.
+        """Build the message.
 
         Args:
-            utc_ns: of the message.
-            now_ns: on a clock that nobody sets.
-            streams: the ledger, as ``Ledger.to_dict`` gives it.
-            watched: (link, stream) and what the guard knows of it.
-            peers: those that are there.
-            recorder: its counters, None where nothing is recorded.
+            utc_ns: stamp of the message, UTC ns.
+            now_ns: time on the monotonic clock.
+            streams: the ledger, from ``Ledger.to_dict``.
+            watched: (link, stream) and the guarded stream.
+            peers: the connected peers.
+            recorder: counters of the recorder; None without a recording.
         """
         seconds = (now_ns - self._last_ns) / NS_PER_S if self._last_ns else 0.0
         self._last_ns = now_ns
@@ -105,7 +105,7 @@ class Diagnostics:
         return DiagnosticArray(Header(utc_ns, ""), tuple(statuses))
 
     def _frame(self, stream: str, watched: list[GuardedStream]) -> DiagnosticStatus:
-        """What is judged by its age, but no stream of the ledger: a frame of the tf tree, a message inside another."""
+        """Build the status of a guarded stream that the ledger does not have: a tf frame, a child of a BIND."""
         stale = sum(one.stale for one in watched)
         level, text = (ERROR, f"stale: withheld {stale:,} times so far (max_age_s)") if stale else (OK, "fresh")
         return DiagnosticStatus(level, f"igtl_gateway: {stream}", text, self._hardware_id)
@@ -174,6 +174,6 @@ class Diagnostics:
         return DiagnosticStatus(level, name, text, self._hardware_id, values)
 
     def _increase(self, name: str, number: int) -> int:
-        """By how much a count has grown."""
+        """Return the increase of a count since the previous call."""
         before, self._dropped[name] = self._dropped.get(name, 0), number
         return number - before

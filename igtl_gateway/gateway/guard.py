@@ -1,11 +1,11 @@
-"""The guard: old data is not forwarded as new, and what looks odd about a stream is noted.
+"""The guard: does not forward old data as new, and reports implausible streams.
 
-Two things, for each stream by itself (of OpenIGTLink: for each link):
+It has two functions, for each stream (of OpenIGTLink: for each stream of a link):
 
-* *Maximum age* (``max_age_s`` of a row; default: none).  A message whose own stamp is older than that on arrival is
-  withheld.  Without a stamp of its own a message has no age: that is noted once, and it passes.
-* *Watchers* (``watch``): jumps of the unit, stamps that run backwards, stand still or lie in the future.  They only
-  report.
+* *Maximum age* (``max_age_s`` of a row; default: none).  A message whose own stamp is older on arrival is withheld.  A
+  message without its own stamp has no age: it passes, and that is reported once.
+* *Watchers* (``watch``): jumps by a factor of 1000, and stamps that decrease, do not change or are in the future.
+  Watchers report only.
 
 ``watched`` has one stream.
 """
@@ -24,16 +24,16 @@ from igtl_gateway.wire.transform import Position, Transform
 
 __all__ = ["CODES", "MAX_WATCHED", "STALE", "Guard", "GuardedStream", "check_stamp", "findings_of", "translation_of"]
 
-#: Streams with a memory of their own, 1 kB each: eight peers that each use up ``max_streams``.  Those beyond share one
-#: for what is withheld, and are not watched.
+#: Maximum number of guarded streams, 1 kB each: enough for eight peers with ``max_streams`` each.  Further ones share
+#: one state for the maximum age and are not watched.
 MAX_WATCHED = 4_096
 
 
 class Guard:
-    """All streams that are guarded or watched.
+    """All guarded streams of a session.
 
     Attributes:
-        ahead_ns: by how much gateway time is ahead of the host's clock; see ``session.clocksteps``.
+        ahead_ns: how far gateway time is ahead of the host's clock; see ``session.clocksteps``.
     """
 
     def __init__(self, *, watch: bool) -> None:
@@ -43,13 +43,13 @@ class Guard:
         self._others: dict[int, GuardedStream] = {}
 
     def of(self, link: int, stream: str, max_age_s: float) -> GuardedStream | None:
-        """A stream of a link (0: of ROS); None where there is nothing to be looked at."""
+        """Return a stream of a link (0: of ROS); None if it is neither guarded nor watched."""
         if not (self.watch or max_age_s):
             return None
         watched = self._streams.get((link, stream))
         if watched is None:
             max_age_ns = round(max_age_s * NS_PER_S)
-            if len(self._streams) >= MAX_WATCHED:  # they share a memory for what is withheld; nothing else is said
+            if len(self._streams) >= MAX_WATCHED:  # shared state: maximum age only
                 watched = self._others.setdefault(max_age_ns, GuardedStream("(other streams)", max_age_ns, watch=False))
             else:
                 watched = self._streams[link, stream] = GuardedStream(stream, max_age_ns, watch=self.watch)
@@ -57,33 +57,33 @@ class Guard:
         return watched
 
     def clock_stepped(self, ahead_ns: int) -> None:
-        """The host's clock was set: gateway time is so far ahead of it now, and of other clocks nothing is known."""
+        """The host's clock was set: take the new ``ahead_ns``, and restart the estimates of other clocks."""
         self.ahead_ns = ahead_ns
         for watched in (*self._streams.values(), *self._others.values()):
             watched.ahead_ns = ahead_ns
             watched.timing.reset()
 
     def on_link_down(self, link: int) -> None:
-        """A link has gone, its streams with it."""
+        """Remove the streams of a closed link."""
         for key in [key for key in self._streams if key[0] == link]:
             del self._streams[key]
 
     def items(self) -> Iterable[tuple[tuple[int, str], GuardedStream]]:
-        """Link and name → stream, in the order in which they came; for any thread."""
+        """Return (link, name) and stream in the order of appearance; callable from any thread."""
         return list(self._streams.items())
 
 
 def check_stamp(
     entry: Entry, watched: GuardedStream, own_ns: int, shown_ns: int, place: Place | None
 ) -> tuple[bool, list[Item]]:
-    """Whether a message is too old to be forwarded, and the findings about it.
+    """Return whether a message is too old to be forwarded, and the findings about it.
 
     Args:
         entry: the input.
-        watched: its stream.
+        watched: the stream of the message.
         own_ns: the stamp of the message itself, UTC ns; 0: none.
         shown_ns: the stamp that it is forwarded with.
-        place: its translation, of a pose.
+        place: translation of a pose; None for other messages.
     """
     withheld, remarks = watched.judge(entry.stamp_ns, own_ns)
     remarks += watched.observe(entry.stamp_ns, shown_ns, place)
@@ -91,12 +91,12 @@ def check_stamp(
 
 
 def findings_of(entry: Entry, remarks: Iterable[Remark]) -> list[Item]:
-    """The findings for what was seen of a stream."""
+    """Return the findings for the remarks about a stream."""
     return [Finding(level, code, text, entry.channel, entry.links) for level, code, text in remarks]
 
 
 def translation_of(content: object) -> Place | None:
-    """The translation of a single pose, in the unit of its side."""
+    """Return the translation of a single pose, in the unit of its side (mm or m); None for other contents."""
     match content:
         case Transform():
             x, y, z = content.wire_matrix[9:]

@@ -1,11 +1,11 @@
-"""One guarded stream: its maximum age, and what looks odd about its stamps and its translation.
+"""One guarded stream: its maximum age, and the oddities of its stamps and its translation.
 
-Each oddity is noted once per *episode*: when it begins, and when it is over, with how often it was seen.
+Each oddity is reported once per *episode*: at its begin, and at its end with a count.
 
-The fast path (`igtl_gateway.gateway.fastpath`) must give what the full path gives, and a verification knows the full
-path only.  So what is looked at depends on the stamps of the entries alone: that a stamp runs backwards is seen in
-every message, all else in one message of each ``LOOK_NS``; and the fast path asks ``passes_quickly``, which leaves the
-message to the full path if there is anything to note.
+The fast path (`igtl_gateway.gateway.fastpath`) must give the same result as the full path, and a verification uses the
+full path only.  So the checks depend on the stamps of the entries only: decreasing stamps are checked in every message,
+everything else in one message per ``LOOK_NS``.  The fast path calls ``passes_quickly``, which sends the message to the
+full path if there is anything to report.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from igtl_gateway.session.note import Level
 from igtl_gateway.session.timing import FUTURE_NS, StampTiming
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 
-#: How often a stream is looked at: a tenth of a second costs a stream of 1 kHz nothing, and slow ones miss nothing.
+#: Interval of the checks: cheap for a stream at 1 kHz, and complete for slow streams.
 LOOK_NS = 100 * NS_PER_MS
-#: What was not seen for so long is over.
+#: An episode ends after this time without the oddity.
 EPISODE_NS = 10 * NS_PER_S
-#: Looks at one and the same stamp: two seconds or more, so that stamps in whole seconds do not count as standing still.
+#: Number of checks with the same stamp until it counts as frozen: at least 2 s, so that stamps in whole seconds do not.
 STILL_LOOKS = 20
-#: Metres for millimetres are a factor of 1000, in the same direction; a tool may move a little between two looks.
+#: Metres instead of millimetres are a factor of 1000 in the same direction; a tool may move between two checks.
 _LEAST_FACTOR, _MOST_FACTOR = 500.0, 2_000.0
 _SAME_DIRECTION = 0.99
 
 STALE, FRESH, AGE_UNKNOWN = "stale", "fresh", "age_unknown"
 JUMP, BACKWARDS, STILL, FUTURE = "unit_jump", "stamp_backwards", "stamp_still", "stamp_future"
-#: Code of the note that an episode of one of the last four is over.
+#: Code of the note for the end of an episode of one of the last four.
 CALM = "calm"
 #: All codes of the guard's notes.
 CODES = frozenset({STALE, FRESH, AGE_UNKNOWN, JUMP, BACKWARDS, STILL, FUTURE, CALM})
@@ -44,22 +44,22 @@ _WORDS = {
 }
 
 Place = tuple[float, float, float]
-#: Level, code and sentence of a note.
+#: Level, code and text of a note.
 Remark = tuple[Level, str, str]
 
 
 class GuardedStream:
-    """One stream.
+    """One guarded stream.
 
     Attributes:
-        stream: its name, for the sentences.
-        last_ns: stamp told of its last message (gateway time where it had none).
-        look_ns: gateway time from which ``passes_quickly`` has to ask ``is_unremarkable``.
-        arrived_ns: gateway time of the last look.
-        ahead_ns: by how much gateway time is ahead of the host's clock, by which senders are judged.
-        timing: of its stamps, as far as they were looked at.
-        stale: how many messages were withheld since it became stale; 0: it is fresh.
-        episodes: what is seen of it at present → since when, when last, how often.
+        stream: name of the stream.
+        last_ns: stamp of the last message (its gateway time if it had none).
+        look_ns: gateway time from which ``passes_quickly`` must call ``is_unremarkable``.
+        arrived_ns: gateway time of the last check.
+        ahead_ns: how far gateway time is ahead of the host's clock, with which source stamps are compared.
+        timing: timing of the checked stamps.
+        stale: number of messages withheld since the stream became stale; 0: it is fresh.
+        episodes: code of each current oddity → first time, last time (gateway time), count.
     """
 
     __slots__ = (
@@ -90,22 +90,22 @@ class GuardedStream:
         self._max_age_ns = max_age_ns
         self._watch = watch
         self._due_ns = 0
-        self._seen_ns = 0  # stamp told at the last look
-        self._still = 0  # looks since it changed
+        self._seen_ns = 0  # stamp at the last check
+        self._still = 0  # number of checks since the stamp changed
         self._place: Place | None = None
         self._stale_since_ns = 0
         self._unknown_said = False
 
     @property
     def age_ns(self) -> int | None:
-        """How old the last message was that was looked at; None without a stamp, or before the first."""
+        """Age of the last checked message; None if it had no stamp, and before the first check."""
         known = self._seen_ns not in (0, self.arrived_ns)
         return self.arrived_ns - self.ahead_ns - self._seen_ns if known else None
 
     # -- maximum age --------------------------------------------------------------------------------------------
 
     def judge(self, now_ns: int, own_ns: int) -> tuple[bool, list[Remark]]:
-        """Whether a message of that stamp (0: none) is to be withheld at that gateway time, and what is said of it."""
+        """Return whether to withhold a message with the stamp ``own_ns`` (0: none) at ``now_ns``, and the remarks."""
         if not self._max_age_ns:
             return False, []
         if own_ns <= 0:
@@ -131,12 +131,12 @@ class GuardedStream:
     # -- watchers -----------------------------------------------------------------------------------------------
 
     def observe(self, now_ns: int, told_ns: int, place: Place | None = None) -> list[Remark]:
-        """Look at a message; what is new about its stream.
+        """Check a message; return the new remarks about its stream.
 
         Args:
             now_ns: gateway time.
-            told_ns: its stamp, ``now_ns`` where it has none or where the senders' stamps are not told.
-            place: its translation, of a pose.
+            told_ns: stamp of the message; ``now_ns`` if it has none or if source stamps are not forwarded.
+            place: translation of a pose; None for other messages.
         """
         if not self._watch:
             return []
@@ -165,7 +165,7 @@ class GuardedStream:
         return findings
 
     def passes_quickly(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
-        """``is_unremarkable``, of a message on the fast path: most pass after two comparisons."""
+        """``is_unremarkable`` for the fast path: most messages pass after two comparisons."""
         if (told_ns < self.last_ns or now_ns >= self.look_ns) and not self.is_unremarkable(
             now_ns, told_ns, data, numbers, at
         ):
@@ -174,11 +174,11 @@ class GuardedStream:
         return True
 
     def is_unremarkable(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
-        """Whether nothing is to be said of a message and it may go out: then it was looked at, else nothing is changed.
+        """Return whether a message may pass without a remark: then it is checked, else nothing changes.
 
         Args:
             now_ns, told_ns: as for ``observe``.
-            data, numbers, at: a message whose translation is written so at that offset; None: it is no pose.
+            data, numbers, at: the message, and format (None: not a pose) and offset of its translation.
         """
         if self._max_age_ns:
             unknown = told_ns == now_ns and not self._unknown_said
@@ -199,7 +199,7 @@ class GuardedStream:
         return True
 
     def _find_oddities(self, now_ns: int, told_ns: int, place: Place | None) -> list[str]:
-        """What is seen of a message."""
+        """Return the codes of the oddities of a message."""
         odd = [BACKWARDS] if told_ns < self.last_ns else []
         if now_ns < self._due_ns:
             return odd
@@ -229,10 +229,10 @@ class GuardedStream:
 
 
 def is_unit_jump(before: Sequence[float], after: Sequence[float]) -> bool:
-    """Whether one translation is about a thousand times the other, in the same direction."""
+    """Return whether one translation is about a thousand times the other, in the same direction."""
     one, other = math.hypot(*before), math.hypot(*after)
     least, most = min(one, other), max(one, other)
-    if not (least > 0.0 and _LEAST_FACTOR * least <= most <= _MOST_FACTOR * least):  # NaN, too, is none
+    if not (least > 0.0 and _LEAST_FACTOR * least <= most <= _MOST_FACTOR * least):  # also false for NaN
         return False
     cosine = sum((x / one) * (y / other) for x, y in zip(before, after, strict=True))
     return cosine >= _SAME_DIRECTION

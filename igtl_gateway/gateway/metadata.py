@@ -1,6 +1,6 @@
-"""What travels as metadata of header version 2, and how it is restored on the way back.
+"""Metadata of header version 2: what the gateway writes, and how it reads that back.
 
-Four keys are ours; the rest belongs to the users and is passed on as it is.
+Four keys belong to the gateway.  All others belong to the users and are forwarded unchanged.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.message import sorted_items
 from igtl_gateway.wire.text import CODECS, US_ASCII, UTF_8
 
-#: Device name that was too long for its 20 bytes.
+#: Full device name, if it does not fit into the 20 bytes of the header.
 FULL_NAME = "DeviceName"
-#: Stamp of the ROS header, integer UTC nanoseconds: programs that leave the header's stamp at 0 pass it on.
+#: Stamp of the ROS header, integer UTC nanoseconds: also forwarded by programs that leave the header's stamp at 0.
 STAMP = "ros.stamp"
 FRAME_ID = "ros.frame_id"
 CHILD_FRAME_ID = "ros.child_frame_id"
 
 OURS = frozenset({FULL_NAME, STAMP, FRAME_ID, CHILD_FRAME_ID})
 
-#: UTC ns of the year 2106, where the tick word of OpenIGTLink ends.
+#: UTC ns in the year 2106, where the time stamps of OpenIGTLink end.
 _MAX_STAMP_NS = (1 << 32) * 1_000_000_000
 
 
 @value(frozen=True, slots=True)
 class RestoredMetadata:
-    """What the metadata of a received message says.
+    """The contents of the metadata of a received message.
 
     Attributes:
-        device_name: the full name of the stream.
-        stamp_ns: UTC ns, 0 where there is none.
-        frame_id, child_frame_id: "" where there are none.
-        items: what is not ours.
+        device_name: full device name of the stream.
+        stamp_ns: UTC ns; 0 if there is none.
+        frame_id, child_frame_id: "" if there are none.
+        items: the items of the user.
     """
 
     device_name: str
@@ -47,7 +47,7 @@ class RestoredMetadata:
 
 
 def restore_metadata(message: Message) -> RestoredMetadata:
-    """Read the metadata of a message; what is not as we write it is taken for the user's."""
+    """Read the metadata of a message; items that the gateway would write differently count as the user's."""
     name = visible(message.device_name)
     if not message.metadata:
         return RestoredMetadata(name)
@@ -76,7 +76,7 @@ def _is_valid(item: Item, device_name: str) -> bool:
 
 
 def _decoded_value(item: Item) -> MetadataItem:
-    """The value in its named encoding; undecodable bytes are replaced."""
+    """Return an item with its value decoded by its named encoding; undecodable bytes are replaced."""
     codec = CODECS.get(item.encoding, "utf-8")
     value = item.value.decode("utf-8" if item.encoding == US_ASCII else codec, "replace")
     return MetadataItem(visible(item.key), item.encoding, value.replace("\x00", "\ufffd"))
@@ -90,7 +90,7 @@ def compose_metadata(
     child_frame_id: str,
     users: Iterable[MetadataItem],
 ) -> tuple[Item, ...]:
-    """The metadata of an outgoing message: the user's, then ours, one value for each key, sorted."""
+    """Return the metadata of an outgoing message: the user's and the gateway's, one value per key, sorted."""
     items = [_encoded_value(item) for item in users]
     if device_name != full_name:
         items.append(Item.of(FULL_NAME, full_name))
@@ -104,7 +104,7 @@ def compose_metadata(
 
 
 def _encoded_value(item: MetadataItem) -> Item:
-    """In the encoding that the item names where that can hold it, else as US-ASCII or UTF-8 by content."""
+    """Return an item with its value encoded as the item names, else as US-ASCII or UTF-8 by content."""
     codec = CODECS.get(item.encoding)
     if codec is None or item.encoding in (US_ASCII, UTF_8):
         return Item.of(item.key, item.value)

@@ -1,8 +1,8 @@
-"""What a stage of the gateway makes of a message, and the one place where that is settled.
+"""The outcome of an input, and the bookkeeper that settles it.
 
-A stage changes no count and writes no note.  It returns an :class:`Outcome`: outputs and findings in the order of the
-log, and the fate of the message.  :class:`Bookkeeper` settles each outcome once: it counts the outputs, turns findings
-into notes, and adds the fate to the loss ledger.
+A stage of the gateway changes no count and writes no note.  It returns an :class:`Outcome`: outputs and findings in the
+order of the log, and the fate of the message.  :class:`Bookkeeper` settles each outcome once: it counts the outputs,
+turns findings into notes, and adds the fate to the loss ledger.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.session.note import Level
 from igtl_gateway.values import value
 
-#: Findings that are noted only once, of each link: a peer that invents names must fill neither the memory nor the log,
-#: and what others do is noted all the same.
+#: Maximum number of once-only findings of each link: a peer that invents names must fill neither memory nor log, and
+#: must not suppress the findings of others.
 MAX_NOTED = 2_000
 
 #: Fates of messages that were not dropped.
@@ -33,13 +33,13 @@ _ROS_OUT = Kind.ROS_OUT.value
 
 @value(frozen=True, slots=True)
 class Finding:
-    """Something about a message that a note reports.
+    """A fact about a message that a note reports.
 
     Attributes:
-        level, code, text, stream, links: of the note.
-        subject: with None every such finding is noted, else only the first of this code and subject from ``by``.
-        by: link that the subject is counted under, 0 for all.
-        loss: stream and reason of an output that is not sent; counted each time.
+        level, code, text, stream, links: fields of the note.
+        subject: None: every finding is reported; else only the first with this code and subject from ``by``.
+        by: link to which the subject belongs; 0: the whole session.
+        loss: stream and reason of an output that is not sent; always counted.
     """
 
     level: Level
@@ -57,7 +57,7 @@ Item = Output | Finding
 
 @value(frozen=True, slots=True)
 class Tally:
-    """A count for the ledger that belongs to no message; ``dropped``: ``fate`` is the reason of a loss."""
+    """A count for the ledger that does not belong to the message; ``dropped``: ``fate`` is the reason of a loss."""
 
     section: str
     row: str
@@ -68,14 +68,14 @@ class Tally:
 
 @dataclass(slots=True)
 class Outcome:
-    """What became of one input.
+    """The result of one input.
 
     Attributes:
         items: outputs and findings, in the order of the log.
-        fate: what the ledger says of the message; a reason, if it was dropped; "" for inputs that are no messages.
-        decoded: whether an OpenIGTLink message could be read.
+        fate: fate of the message for the ledger: the reason if it was dropped; "" for inputs without a message.
+        decoded: whether an OpenIGTLink message could be decoded.
         tallies: further counts.
-        origin: what the fast path can compile from this message; None where it cannot.
+        origin: what the fast path needs to compile the stream; None if it cannot be compiled.
     """
 
     items: list[Item] = field(default_factory=list)
@@ -96,10 +96,10 @@ class Bookkeeper:
     def __init__(self, peers: Peers) -> None:
         self.ledger = Ledger()
         self._peers = peers
-        self._noted: dict[int, set[tuple[str, str]]] = {}  # link → code and subject
+        self._noted: dict[int, set[tuple[str, str]]] = {}  # link → codes and subjects
 
     def settle(self, entry: Entry, outcome: Outcome) -> list[Output]:
-        """Count everything, and give the outputs with the notes among them."""
+        """Count everything; return the outputs and the notes in their order."""
         ledger, channel = self.ledger, entry.channel
         if entry.kind in _MESSAGES:
             direction = entry.kind.value
@@ -115,12 +115,12 @@ class Bookkeeper:
         outputs = self._settled(outcome.items)
         if entry.kind is Kind.LINK:
             for link in entry.links:
-                if self._peers.get(link) is None:  # it has gone; another one that gets its number starts anew
+                if self._peers.get(link) is None:  # disconnected: its subjects are dropped
                     self._noted.pop(link, None)
         return outputs
 
     def fail(self, entry: Entry, error: Exception) -> list[Output]:
-        """The message was lost to a defect of the gateway."""
+        """Count a message that an internal error lost; return the note about it."""
         if entry.kind in _MESSAGES:
             self.ledger.count(entry.kind.value, entry.channel, "received")
         self.ledger.drop(entry.kind.value, entry.channel, "internal_error")
@@ -157,10 +157,10 @@ class Bookkeeper:
 
 
 def warning_findings(warnings: Iterable[tuple[str, str]], entry: Entry) -> list[Item]:
-    """What a conversion had to change, noted once for each stream and cause."""
+    """Return findings for the warnings of a conversion, reported once per stream and cause."""
     return [Finding(Level.WARN, code, text, entry.channel, entry.links, entry.channel) for code, text in warnings]
 
 
 def conversion_failure(error: Exception, text: str, entry: Entry, code: str = "conversion") -> Finding:
-    """A message, or a part of it, that cannot be converted: ``text`` and the error say why."""
+    """Return the finding for a message, or a part of it, that cannot be converted."""
     return Finding(Level.ERROR, code, f"{text}: {error}", entry.channel, entry.links)

@@ -1,4 +1,4 @@
-"""What an input causes, before it has its number."""
+"""Outputs: what an input causes, before the entries get their numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from igtl_gateway.values import value
 
 @value(frozen=True, slots=True)
 class Output:
-    """An ``Entry`` without number and stamp; attributes as there."""
+    """An output without number and gateway time; attributes as in ``Entry``."""
 
     kind: Kind
     channel: str = ""
@@ -23,7 +23,7 @@ class Output:
     source_ns: int = 0
 
     def entry(self, cause: Entry, step: int) -> Entry:
-        """The ``step``-th output of ``cause``."""
+        """Return the entry of the ``step``-th output of ``cause``."""
         return Entry(
             cause.seq + step,
             cause.stamp_ns + step,
@@ -37,10 +37,10 @@ class Output:
 
 
 def ros_output(topic: str, message: RosMessage, stamp_ns: int) -> Output:
-    """A ROS message on a topic; ``stamp_ns`` is that of its header, UTC ns."""
+    """Return the output of a ROS message on a topic; ``stamp_ns`` is the stamp of its header, UTC ns."""
     return Output(Kind.ROS_OUT, topic, message.TYPE, (message.pack(),), (), stamp_ns)
 
 
 def note_output(level: Level, code: str, text: str, stream: str = "", links: tuple[int, ...] = ()) -> Output:
-    """A note of the gateway."""
+    """Return the output of a note."""
     return Output(Kind.NOTE, payload=(Note(level, code, text, stream).pack(),), links=links)

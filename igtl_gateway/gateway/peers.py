@@ -1,4 +1,4 @@
-"""The peers of a session: what each has shown, what it may be sent, which streams it asked for."""
+"""The peers of a session: their profiles and header versions, and the streams that they requested."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from igtl_gateway.globs import matches
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire import Message
 
-#: Streams that one peer may ask for: more is a peer that invents names.
-MAX_WISHES = 256
+#: Maximum number of streams that one peer may request, in case it invents names.
+MAX_STREAM_REQUESTS = 256
 
 
 @dataclass(slots=True)
 class StreamRequest:
-    """A stream that a peer asked for (STT_) or asked to end (STP_).
+    """A stream that a peer started (STT_) or stopped (STP_).
 
     Attributes:
-        wanted: False after STP_.
-        interval_ns: least time between two messages.
-        frame: coordinate frame wanted for tracking data, "" for the stream's own.
+        wanted: True after STT_, False after STP_.
+        interval_ns: minimum time between two messages.
+        frame: requested coordinate frame of tracking data; "": the frame of the stream.
         sent_ns: gateway time of the last message of each device.
     """
 
@@ -36,17 +36,17 @@ class StreamRequest:
 
 @dataclass(slots=True)
 class Peer:
-    """One link that is up.
+    """The peer of one open link.
 
     Attributes:
-        link: its number.
-        address, role: as the link told of itself.
-        profile: what it is taken for.
-        chosen: whether the configuration chose that.
-        shown: highest header version received.
-        said_ns: gateway time of the last message to it.
-        sent: messages to it so far.
-        wishes: by (type, device name asked for).
+        link: number of the link.
+        address, role: from the note of the link.
+        profile: profile of the peer.
+        chosen: whether the configuration sets the profile.
+        shown: highest received header version.
+        said_ns: gateway time of the last message to the peer.
+        sent: number of messages to the peer.
+        stream_requests: requests by (type, requested device name).
     """
 
     link: int
@@ -61,11 +61,11 @@ class Peer:
 
     @property
     def version(self) -> int:
-        """Header version of what it is sent: the highest that it has shown, within its profile."""
+        """Header version of messages to the peer: the highest version received, within the limits of its profile."""
         return min(max(self.profile.first_version, self.shown), self.profile.max_version)
 
     def learn_from(self, message: Message) -> bool:
-        """Learn from a message; returns whether that changed what the peer is taken for."""
+        """Learn version and profile from a message; return whether the profile changed."""
         before = (self.profile, self.shown)
         self.shown = max(self.shown, message.header_version)
         if not self.chosen and (profile := profile_shown_by(message)):
@@ -73,13 +73,13 @@ class Peer:
         return (self.profile, self.shown) != before
 
     def stream_request(self, igtl_type: str, device: str) -> StreamRequest | None:
-        """What the peer said of a stream: of this device, or of any."""
+        """Return the request of the peer for a stream: for this device, or for any device."""
         if not self.stream_requests:
             return None
         return self.stream_requests.get((igtl_type, device)) or self.stream_requests.get((igtl_type, ""))
 
     def claim_due(self, igtl_type: str, device: str, now_ns: int) -> bool:
-        """Whether a message of a stream is due; what was never asked for is always."""
+        """Return whether a message of a stream is due, and start the next interval; always True without a request."""
         if not self.is_due(igtl_type, device, now_ns):
             return False
         if wish := self.stream_request(igtl_type, device):
@@ -87,37 +87,37 @@ class Peer:
         return True
 
     def is_due(self, igtl_type: str, device: str, now_ns: int) -> bool:
-        """The same question, with nothing to follow."""
+        """Return whether a message of a stream is due, without starting the next interval."""
         wish = self.stream_request(igtl_type, device)
         if wish is None:
             return True
         return wish.wanted and now_ns - wish.sent_ns.get(device, -wish.interval_ns) >= wish.interval_ns
 
     def start_stream(self, igtl_type: str, device: str, interval_ns: int, frame: str) -> bool:
-        """STT_; False where the peer has too many already."""
-        if (igtl_type, device) not in self.stream_requests and len(self.stream_requests) >= MAX_WISHES:
+        """Start a stream (STT_); return False if the peer has too many."""
+        if (igtl_type, device) not in self.stream_requests and len(self.stream_requests) >= MAX_STREAM_REQUESTS:
             return False
         self.stream_requests[igtl_type, device] = StreamRequest(True, interval_ns, frame)
         return True
 
     def stop_stream(self, igtl_type: str, device: str) -> None:
-        """STP_; without a device it ends all streams of the type."""
+        """Stop a stream (STP_); without a device, all streams of the type."""
         for key in [key for key in self.stream_requests if key[0] == igtl_type and device in ("", key[1])]:
             del self.stream_requests[key]
-        if len(self.stream_requests) < MAX_WISHES:
+        if len(self.stream_requests) < MAX_STREAM_REQUESTS:
             self.stream_requests[igtl_type, device] = StreamRequest(False)
 
     def status(self) -> LinkStatus:
-        """As ROS is told."""
+        """Return the status of the link as a ROS message."""
         return LinkStatus(self.link, True, self.address, self.role, self.profile.name, self.shown)
 
 
 class Peers:
-    """All links that are up, by number.
+    """All peers of open links, by link number.
 
     Attributes:
-        changed: called when a peer comes, goes, shows what it is or asks for streams: what was compiled for the peers
-            before (`igtl_gateway.gateway.fastpath`) is void then.
+        changed: called when a peer connects, disconnects, changes its version or profile, or requests streams: compiled
+            streams (`igtl_gateway.gateway.fastpath`) are invalid then.
     """
 
     def __init__(self, config: Config) -> None:
@@ -135,7 +135,7 @@ class Peers:
         return self._peers.get(link)
 
     def up(self, link: int, facts: dict[str, Any], now_ns: int) -> Peer:
-        """A link came up; ``facts`` are those of its note: ``peer``, ``local``, ``role``."""
+        """Add the peer of a new link; ``facts`` are the data of its note: ``peer``, ``local``, ``role``."""
         address, role = str(facts.get("peer", "")), str(facts.get("role", ""))
         place = str(facts.get("local", "")) if role == "server" else address
         rows = (row.profile for row in self._config.peers if matches(row.at, place) or matches(row.at, address))
@@ -145,14 +145,14 @@ class Peers:
         return peer
 
     def down(self, link: int) -> None:
-        """A link has gone."""
+        """Remove the peer of a closed link."""
         self._peers.pop(link, None)
 
     def all(self) -> Iterable[Peer]:
-        """In the order in which they came."""
+        """Return all peers in the order in which they connected."""
         return self._peers.values()
 
 
 def interval_ns(resolution_ms: int) -> int:
-    """Least interval of a query's resolution; what is negative is as fast as possible."""
+    """Return the minimum interval for the resolution of a query; a negative one means as fast as possible."""
     return max(0, resolution_ms) * NS_PER_MS

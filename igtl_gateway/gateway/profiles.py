@@ -1,7 +1,7 @@
-"""Peer profiles: what programs on the other side can and cannot take, as rows of a table with their sources.
+"""Peer profiles: what the programs of peers can and cannot read, as rows of a table with sources.
 
-The sources are the programs' own code and documents as read for ``openigtlink-reference`` (its sections are named
-with §) and reports of their users.
+The sources are code and documents of these programs, as collected in ``openigtlink-reference`` (§ names its sections),
+and reports of their users.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from igtl_gateway.wire.polydata import NORMAL, Attribute, PolyData
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.text import Status
 
-#: What the factory of the C++ library 3.x can name; PLUS loses the stream at anything else.
+#: Types that the factory of the C++ library 3.x knows; PLUS loses the stream at any other type.
 CPP_FACTORY = frozenset(
     "CAPABILITY COMMAND GET_IMAGE GET_IMGMETA GET_LBMETA GET_POINT GET_POLYDATA GET_STATUS GET_TRAJ GET_TRANS IMAGE "
     "IMGMETA LBMETA POINT POLYDATA POSITION QTDATA RTS_COMMAND RTS_POLYDATA RTS_QTDATA RTS_TDATA STATUS STP_POLYDATA "
@@ -29,7 +29,7 @@ CPP_FACTORY = frozenset(
 
 _NINE = 9
 
-#: (content, warning or "") for a content that the peer would misread as it is.
+#: (content, warning or "") in place of a content that the peer would misread.
 Adapted = tuple[Any, str]
 
 
@@ -63,20 +63,20 @@ def _widened(attribute: Attribute) -> Attribute:
 
 @dataclass(frozen=True, slots=True)
 class PeerProfile:
-    """What is known of a kind of peer.
+    """The known facts of one kind of peer.
 
     Attributes:
-        name: for options and configurations.
-        facts: (what is so, where that is known from); the reasons for the settings below.
-        first_version: header version to begin with.
-        max_version: highest header version that it may be sent.
-        reads: types that it may be sent, None for all; queries and their replies not counted.
-        queries: queries (GET_, STT_, STP_ types) that it may be sent, None for all that it reads.
-        replies: RTS_ types that it may be sent, None for all that it reads.
-        takes_empty: whether it survives a version 1 message without content of a type that should have one.
-        ping_ns: silence after which it is sent a GET_STATUS; 0 = never.
-        adapt: by class of content, how to send what it would misread.
-        shows: whether a message could only come from such a peer; None where none could.
+        name: name in options and configurations.
+        facts: (fact, source); the reasons for the settings below.
+        first_version: header version of the first message to the peer.
+        max_version: highest header version of messages to the peer.
+        reads: types that may be sent, without queries and their replies; None for all.
+        queries: queries (GET_, STT_, STP_ types) that may be sent; None for all types in ``reads``.
+        replies: RTS_ types that may be sent; None for all types in ``reads``.
+        takes_empty: whether the peer accepts a version 1 message without content of a type that has content.
+        ping_ns: time without a message after which a GET_STATUS is sent; 0 = never.
+        adapt: class of a content → function that adapts it to the peer.
+        shows: returns whether only such a peer can send a message; None if no message shows that.
     """
 
     name: str
@@ -92,7 +92,7 @@ class PeerProfile:
     shows: Callable[[Message], bool] | None = None
 
     def may_send(self, igtl_type: str) -> bool:
-        """Whether the peer may be sent a message of this type."""
+        """Return whether messages of this type may be sent to the peer."""
         if self.reads is None and self.queries is None and self.replies is None:
             return True
         prefix = split_query(igtl_type)
@@ -194,7 +194,7 @@ PROFILES: tuple[PeerProfile, ...] = (
 
 BY_NAME = {profile.name: profile for profile in PROFILES}
 
-#: The setting that lets a peer show what it is.
+#: Setting for the detection of the profile from the messages of the peer.
 AUTO = "auto"
 
 
@@ -202,5 +202,5 @@ _SHOWING = tuple((profile, profile.shows) for profile in PROFILES if profile.sho
 
 
 def profile_shown_by(message: Message) -> PeerProfile | None:
-    """The profile that only such a message can come from, None if many could have sent it."""
+    """Return the profile of the only kind of peer that can send such a message; None if several can."""
     return next((profile for profile, shows in _SHOWING if shows(message)), None)

@@ -1,14 +1,14 @@
-"""The relay: two OpenIGTLink programs talk through the gateway as if it were not there.
+"""The relay: forwards all messages between two OpenIGTLink programs unchanged.
 
-Whatever comes from a link goes to its partner, byte for byte: other header versions, unknown types and broken
-bodies too.  Which links are partners is told by the notes of the links themselves, so that this core is a pure
-function of its inputs like the other one, and recordings of it replay and verify in the same way.
+Each message of a link goes to its partner link, byte for byte, including other header versions, unknown types and
+damaged bodies.  The notes of the links name the partners.  So this core is a pure function of its inputs, too, and its
+recordings replay and verify in the same way.
 
-Types may be denied: ``deny_in`` on the way from the clients to the server, ``deny_out`` on the way back.  Such a
-message goes nowhere, and nobody is answered for it: a relay has no words of its own.
+Deny lists apply: ``deny_in`` from the clients to the server, ``deny_out`` in the other direction.  A denied message is
+not forwarded and gets no reply, because a relay sends no messages of its own.
 
-With ``faults`` in the configuration it is a bad line between the two, see ``igtl_gateway.faults``: a message then
-leaves with the input that makes it due, be it a tick, and as it became on the way.
+With ``faults`` in the configuration the relay injects faults, see ``igtl_gateway.faults``.  A message is then sent with
+the input, which may be a tick, at which it is due, and with the faults applied.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import decode
 
-#: In the note of a link that was made for another one: the number of that one.
+#: Key in the note of a link that was opened for another link: the number of that link.
 PARTNER = "partner"
 
-#: Codes of the notes that say what a fault did to a message, and of those that ask the edge to close their links.
+#: Codes of the notes about an injected fault, and of the notes that make the edge close their links.
 FAULT, CUT = "fault", "fault_disconnect"
 
 _IN, _OUT = "igtl_in", "igtl_out"
 
 
 class RelayGateway:
-    """See the module.  It has no ROS side, and but for faults it wants no ticks and loses nothing while both live."""
+    """The core of a relay.  It has no ROS side.  Without fault injection it needs no ticks and drops nothing."""
 
     def __init__(self, config: Config) -> None:
         self.config = config
@@ -56,11 +56,11 @@ class RelayGateway:
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)
         self._said: set[tuple[str, str, int]] = set()
         self._faults = RelayFaults.parse(config.faults)
-        self._lines: dict[int, FaultLine[Entry]] = {}  # link → the way of the messages to it
+        self._lines: dict[int, FaultLine[Entry]] = {}  # link → fault line of the messages to it
         self._cut: set[int] = set()  # links that are being closed
 
     def handle(self, entry: Entry) -> list[Entry]:
-        """The entries that ``entry`` causes, numbered and stamped directly behind it."""
+        """Return the entries that ``entry`` causes, with the numbers and nanoseconds directly after it."""
         outputs: list[Output] = []
         for link, line in self._lines.items():
             outputs += self._forward(link, line.due(entry.stamp_ns))
@@ -74,23 +74,23 @@ class RelayGateway:
 
     @property
     def due_ns(self) -> int | None:
-        """The gateway time (UTC ns) at which it wants a tick, None if none; see ``TICK``."""
+        """Gateway time (UTC ns) at which the core needs a tick (see ``TICK``); None if it needs none."""
         return min((line.due_ns for line in self._lines.values() if line.due_ns is not None), default=None)
 
     def subscription(self, topic: str, ros_type: str) -> Qos | None:
-        """No topic is bridged."""
+        """Return None: a relay bridges no topic."""
         return None
 
     def lacks_conversion(self, topic: str, ros_type: str) -> bool:
-        """Nothing is missing where nothing is bridged."""
+        """Return False: a relay bridges no topic."""
         return False
 
     def qos(self, topic: str) -> Qos | None:
-        """No topic is published."""
+        """Return None: a relay publishes no topic."""
         return None
 
     def keep(self, entry: Entry) -> bool:
-        """No message may be dropped."""
+        """Return True: a relay drops no message."""
         return True
 
     def _on_link(self, entry: Entry) -> list[Output]:
@@ -107,7 +107,7 @@ class RelayGateway:
             self._said = {said for said in self._said if said[2] != link}
             if line := self._lines.pop(link, None):
                 self._drop_waiting(line, LINK_DOWN)
-            if line := self._lines.get(partner):  # what it said last is still to arrive
+            if line := self._lines.get(partner):  # its last messages are still in the line
                 return self._forward(partner, line.rest())
         return []
 
@@ -133,19 +133,19 @@ class RelayGateway:
         return self._sent(entry, entry.payload, partner)
 
     def _sent(self, entry: Entry, payload: Sequence[Buffer], partner: int) -> list[Output]:
-        """A message goes to the partner of its link."""
+        """Forward a message to the partner of its link."""
         self.ledger.count(_IN, entry.channel, "relayed")
         self.ledger.count(_OUT, entry.channel, "sent")
         sent = Output(Kind.IGTL_OUT, entry.channel, entry.type, payload, (partner,), entry.source_ns)
         try:
             decode(entry.payload[0], check_crc=self.config.check_crc)
         except WireError as error:
-            # the bytes are for the other side to judge; each kind of fault is told once, all are in the recording
+            # damaged bytes are forwarded: each kind is reported once, and the recording has all of them
             return [sent, *self._once(entry, error.code, f"relayed as it is: {error}")]
         return [sent]
 
     def _forward(self, link: int, fates: list[Fate[Entry]]) -> list[Output]:
-        """Messages leave a line with faults, or are lost."""
+        """Return the outputs for messages that leave a fault line, or are lost in it."""
         outputs: list[Output] = []
         for fate in fates:
             entry = fate.message
@@ -168,12 +168,12 @@ class RelayGateway:
         return outputs
 
     def _drop_waiting(self, line: FaultLine[Entry], reason: str) -> None:
-        """What still waits in a line does not arrive."""
+        """Count the messages that are still in a line as dropped."""
         for fate in line.rest():
             self.ledger.drop(_IN, fate.message.channel, reason)
 
     def _denied(self, entry: Entry) -> str | None:
-        """Why a message may not pass, None if it may."""
+        """Return why a message is denied; None if it may pass."""
         setting = "deny_out" if entry.links[0] in self._servers else "deny_in"
         denials = self._denied_out if setting == "deny_out" else self._denied_in
         if denials.type(entry.type):
@@ -182,12 +182,12 @@ class RelayGateway:
             return None
         try:
             denied = denials.message(decode(entry.payload[0], check_crc=False))
-        except WireError as error:  # it may be readable for others
+        except WireError as error:  # another program may be able to read it
             return f"a BIND that cannot be looked into is denied ({setting}): {error}"
         return f"BIND with {denied} inside is denied ({setting})" if denied else None
 
     def _once(self, entry: Entry, code: str, text: str) -> list[Output]:
-        """A warning, unless this link's stream had it before."""
+        """Return a warning, unless this stream of the link already had it."""
         said = (code, entry.channel, entry.links[0])
         if said in self._said:
             return []

@@ -1,7 +1,6 @@
-"""The sequencer: raw inputs in, numbered entries out.  Still pure: the time is an argument.
+"""The sequencer: raw inputs in, numbered entries out.  Pure: time is an argument.
 
-Live traffic, replay, verification, slices and the viewer come to the gateway through a :class:`Session`, and through
-nothing else.
+Live traffic, replay, verification, slices and the viewer use the gateway through a :class:`Session` only.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from igtl_gateway.wire.header import HEADER_SIZE, NAMES, TICKS_AT, U64, Header
 
 
 class Core(Protocol):
-    """What a session needs of a gateway, and its edges ask; see ``Gateway`` and ``RelayGateway``."""
+    """What the session and the edges need of a core; see ``Gateway`` and ``RelayGateway``."""
 
     config: Config
     fast: Fast
@@ -53,12 +52,12 @@ class Core(Protocol):
 
 
 def make_core(config: Config, *, fast_path: bool = True) -> Core:
-    """The gateway that a configuration asks for; for ``fast_path`` see ``Gateway``."""
+    """Return the core for a configuration; for ``fast_path`` see ``Gateway``."""
     return RelayGateway(config) if config.relay else Gateway(config, fast_path=fast_path)
 
 
 class Session:
-    """A gateway with its numbering."""
+    """A core with the numbering of the entries."""
 
     def __init__(self, gateway: Core) -> None:
         self.gateway = gateway
@@ -77,11 +76,13 @@ class Session:
         links: tuple[int, ...] = (),
         source_ns: int = 0,
     ) -> list[Entry]:
-        """The entry of an input that arrived at ``now_ns`` (UTC), followed by what it caused.
+        """Return the entry of an input that arrived at ``now_ns`` (UTC), followed by the entries that it causes.
 
-        OpenIGTLink input names its own channel, type and stamp: they are read from its header.
+        Channel, type and stamp of OpenIGTLink input are read from its header.
         """
-        stamp_ns = max(now_ns, self._stamp_ns + 1)  # log order is time order, even where the host's clock steps back
+        stamp_ns = max(
+            now_ns, self._stamp_ns + 1
+        )  # stamps increase in the order of the log, even if the host's clock steps back
         entries = self._fast(self._seq + 1, stamp_ns, kind, payload, channel, type_name, links, source_ns)
         if not entries:
             if kind is Kind.IGTL_IN:
@@ -92,9 +93,9 @@ class Session:
         return entries
 
     def recorded(self, entry: Entry) -> list[Entry]:
-        """What a recorded input causes, numbered and stamped behind it; always by the full path.
+        """Return the entries that a recorded input causes, numbered after it; always by the full path.
 
-        So a verification checks what the fast path gave on the day of the recording.
+        So a verification checks the outputs that the fast path gave during the recording.
         """
         outputs = self.gateway.handle(entry)
         last = outputs[-1] if outputs else entry
@@ -103,12 +104,12 @@ class Session:
 
 
 def header_names(message: Buffer) -> tuple[str, str, int]:
-    """What the header of an OpenIGTLink message names: stream, type, and its stamp in UTC ns.
+    """Return stream, type and stamp (UTC ns) from the header of an OpenIGTLink message.
 
     Raises TruncatedMessage below 58 bytes.
     """
     if len(message) < HEADER_SIZE:
-        Header.unpack(message)  # which says what is wrong
+        Header.unpack(message)  # raises the error
     stream, igtl_type = _named(bytes(message[NAMES]))
     (ticks,) = U64.unpack_from(message, TICKS_AT)
     return stream, igtl_type, ticks_to_ns(ticks)
@@ -116,6 +117,6 @@ def header_names(message: Buffer) -> tuple[str, str, int]:
 
 @lru_cache(maxsize=4_096)
 def _named(names: bytes) -> tuple[str, str]:
-    """Stream and type of the first bytes of a header: the same come again and again."""
+    """Return stream and type from the first bytes of a header; cached, because they repeat."""
     header = Header.unpack(names.ljust(HEADER_SIZE, b"\0"))
     return f"{visible(header.type)}/{visible(header.device_name)}", visible(header.type)

@@ -1,7 +1,7 @@
-"""Other stamps for an OpenIGTLink message, in its bytes as they are.
+"""Changes the stamps in the bytes of an OpenIGTLink message.
 
-There is the tick word of the header, which no checksum covers, and where there is one the ROS stamp in the metadata,
-with the checksum of the body.
+These are the time stamp in the header, which no checksum covers, and the ROS stamp in the metadata if there is one,
+which needs a new checksum of the body.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from igtl_gateway.wire.message import Item
 
 
 def restamped(data: bytes, new: Callable[[int], int]) -> bytes:
-    """The message with ``new`` of each stamp (UTC ns, 0: unset); what is shorter than a header stays as it is."""
+    """Apply ``new`` to each stamp of a message (UTC ns, 0: unset); shorter data than a header stays unchanged."""
     if len(data) < HEADER_SIZE:
         return data
     (ticks,) = U64.unpack_from(data, TICKS_AT)
@@ -28,12 +28,12 @@ def restamped(data: bytes, new: Callable[[int], int]) -> bytes:
 
 
 def moved(data: bytes, by_ns: int) -> bytes:
-    """The message with all stamps moved; those that are unset stay so, and none becomes unset."""
+    """Shift all stamps of a message; unset stamps stay unset, and no stamp becomes unset."""
     return restamped(data, lambda stamp_ns: max(stamp_ns + by_ns, 1) if stamp_ns else 0)
 
 
 def _restamped_metadata(data: bytes, new: Callable[[int], int]) -> bytes | None:
-    """The message with the ROS stamp in its metadata changed; None where there is none, or the message is damaged."""
+    """Change the ROS stamp in the metadata; None if there is none, or if the message is damaged."""
     if STAMP.encode() not in data:
         return None
     try:

@@ -1,7 +1,7 @@
-"""Which stream goes where: everything that the hot path needs, resolved once for each stream.
+"""The streams of a session: everything that the conversion of a message needs, resolved once for each stream.
 
-Names are given first come, first served: a second device that would get the same topic, or a second topic that
-would get the same device, gets its hash added.
+Names are assigned in the order of appearance.  A second device with the same topic, or a second topic with the same
+device, gets a hash added to its name.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from igtl_gateway.convert.table import ConversionToIgtl, ConversionToRos, Role, 
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.qos import Qos
 
-#: Kind of the topic of a type without a conversion, and of what metadata says beside a standard message.
+#: Kinds of topics: of messages without a conversion, and of metadata beside a standard message.
 RAW, METADATA = "raw", "metadata"
 
 _TF = "tf"
 
-#: Device names whose owner is remembered: commands and queries from ROS may name any.
+#: Maximum number of assigned device names: commands and queries from ROS may contain any name.
 MAX_NAMES = 10_000
 
 
 @dataclass(frozen=True, slots=True)
 class ToIgtlStream:
-    """A ROS topic that is bridged.
+    """A bridged ROS topic.
 
     Attributes:
-        row, conversion: of the configuration and of the conversion table.
-        device, full_name: on the wire, and before it was shortened.
+        row, conversion: its row of the configuration and of the conversion table.
+        device, full_name: device name on the wire, and before it was shortened.
         lengths: units.
-        latched: whether a peer that comes later gets the last message.
-        row_metadata: of the configuration.
+        latched: whether late joiners get the latest message.
+        row_metadata: metadata of the row of the configuration.
     """
 
     row: ToIgtlRow
@@ -48,13 +48,13 @@ class ToIgtlStream:
 
 @dataclass(frozen=True, slots=True)
 class ToRosStream:
-    """An OpenIGTLink stream that is bridged.
+    """A bridged OpenIGTLink stream.
 
     Attributes:
-        row: of the configuration.
-        outputs: rows of the conversion table with their topics.
-        raw_topic, metadata_topic: for what no row carries.
-        frame_id, child_frame_id: where neither configuration nor metadata name them.
+        row: its row of the configuration.
+        outputs: rows of the conversion table, with their topics.
+        raw_topic, metadata_topic: topics for messages without a conversion and for metadata.
+        frame_id, child_frame_id: default frames, unless the metadata name others.
         lengths: units.
     """
 
@@ -74,23 +74,23 @@ class Streams:
         self._config = config
         self._to_igtl: dict[tuple[str, str], ToIgtlStream | None] = {}
         self._to_ros: dict[tuple[str, str], ToRosStream] = {}
-        self._tokens: dict[str, str] = {}  # topic token → device that owns it
-        self._devices: dict[str, str] = {}  # short device name → full name that owns it
+        self._tokens: dict[str, str] = {}  # topic token → its device
+        self._devices: dict[str, str] = {}  # short device name → its full name
         self._qos: dict[str, Qos] = {}
-        self.reportable: list[tuple[str, str]] = []  # (stream, where it goes) of those that were opened since
+        self.reportable: list[tuple[str, str]] = []  # (stream, destination) of new streams that are not reported yet
 
     def qos(self, topic: str) -> Qos | None:
-        """The QoS of a topic that the gateway publishes."""
+        """Return the QoS of a topic that the gateway publishes."""
         return self._qos.get(topic)
 
     def advertise(self, topic: str, qos: Qos) -> None:
-        """Say how a topic is published that is of no stream."""
+        """Set the QoS of a published topic that belongs to no stream."""
         self._qos[topic] = qos
 
     # -- OpenIGTLink → ROS --------------------------------------------------------------------------------------
 
     def to_ros(self, igtl_type: str, device: str) -> ToRosStream | None:
-        """The stream of a device, resolved on its first message; None beyond the limit of streams."""
+        """Return the stream of a device, resolved at its first message; None above the limit of streams."""
         key = (igtl_type, device)
         stream = self._to_ros.get(key)
         if stream is None and len(self._to_ros) < self._config.max_streams:
@@ -126,7 +126,7 @@ class Streams:
         )
 
     def _chosen(self, row: ToRosRow, conversions: Sequence[ConversionToRos]) -> Sequence[ConversionToRos]:
-        """The rows of the conversion table that a stream with that row of the configuration goes by."""
+        """Return the rows of the conversion table for a stream with this row of the configuration."""
         added = {kind.removeprefix("+") for kind in row.kinds if kind.startswith("+")}
         if row.kinds and len(added) < len(row.kinds):
             return [one for one in conversions if one.kind in added.union(row.kinds)]
@@ -135,11 +135,11 @@ class Streams:
             wanted = [one for one in wanted if one.kind != _TF]
         if "{kind}" in row.topic:
             return wanted
-        # all messages of a topic are of one type: the standard one where there is one
+        # a topic has one type: the standard one if there is one
         return [one for one in wanted if one.role is Role.STANDARD] or wanted[:1]
 
     def _token(self, device: str) -> str:
-        """The topic token of a device; a second device that would get the same one gets its hash added."""
+        """Return the topic token of a device, with a hash added if another device has that token."""
         token = topic_token(device)
         while self._tokens.setdefault(token, device) != device:
             token = f"{token}_{name_hash(device)}"
@@ -148,14 +148,14 @@ class Streams:
     # -- ROS → OpenIGTLink --------------------------------------------------------------------------------------
 
     def rows(self, topic: str, ros_type: str) -> tuple[ToIgtlRow | None, ConversionToIgtl | None]:
-        """The row of the configuration for a topic, and the one of the conversion table that it leads to."""
+        """Return the rows of the configuration and of the conversion table for a topic."""
         row = self._config.row_to_igtl(topic)
         return row, row_to_igtl(ros_type, row.type) if row else None
 
     def to_igtl(self, topic: str, ros_type: str) -> ToIgtlStream | None:
-        """The stream of a topic, resolved on its first message; None where the topic is not bridged.
+        """Return the stream of a topic, resolved at its first message; None if the topic is not bridged.
 
-        None, too, beyond the limit of streams; ``is_over_limit`` tells that apart.
+        Also None above the limit of streams: ``is_over_limit`` distinguishes the two.
         """
         key = (topic, ros_type)
         if key in self._to_igtl:
@@ -166,7 +166,7 @@ class Streams:
         return stream
 
     def is_over_limit(self, topic: str, ros_type: str) -> bool:
-        """Whether a topic would be bridged, had there not been so many streams before it."""
+        """Return whether only the limit of streams keeps a topic from being bridged."""
         return (topic, ros_type) not in self._to_igtl and self.rows(topic, ros_type)[1] is not None
 
     def _resolve_topic(self, topic: str, ros_type: str) -> ToIgtlStream | None:
@@ -184,7 +184,7 @@ class Streams:
         return ToIgtlStream(row, conversion, device, full_name, self._config.lengths(row), latched, metadata)
 
     def device(self, full_name: str) -> str:
-        """The name of at most 20 bytes that stands for a full one."""
+        """Return the device name of at most 20 bytes for a full name."""
         device = short_device_name(full_name)
         while self._devices.get(device, full_name) != full_name:
             device = short_device_name(f"{full_name[:8]}_{name_hash(device + full_name)}_{full_name}")

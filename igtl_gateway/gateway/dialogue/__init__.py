@@ -1,1 +1,1 @@
-"""What the gateway says on its own account: replies to queries and commands, links, ticks."""
+"""Messages that the gateway itself sends: replies to queries and commands, the list of links, pings."""

@@ -1,8 +1,8 @@
 """Answers to queries: GET_ is answered from the latest messages, STT_ and STP_ start and stop streams to the peer.
 
 The reply to a query that cannot be answered is a message of the requested type without content.  ``query.md`` requires
-it, and 3D Slicer accepts it, while an RTS_ of a known type crashes 3D Slicer.  Other programs on the C++ library wait
-for the content of a version 1 message without content; they get a STATUS.
+it, and 3D Slicer accepts it; an RTS_ of a known type crashes 3D Slicer.  Other programs that use the C++ library wait
+for the missing content of a version 1 message.  They get a STATUS.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from igtl_gateway.wire.text import Status
 OK, ERROR = 0, 1
 _STATUS_OK, _STATUS_NOT_FOUND, _STATUS_ACCESS_DENIED = 1, 4, 5
 _LONG_NAME_BYTES = 63
-_TYPE_BYTES = 12  # in a header
+_TYPE_BYTES = 12  # of the type name in a header
 
-#: Names by which one peer may ask for tracking data: each costs a message for every pose that goes out.
+#: Maximum number of device names under which one peer may request tracking data: each costs a message per pose.
 MAX_TRACKED = 16
 
 #: Whether a coordinate frame is known.
 Known = Callable[[str], bool]
 
-#: What we read: every type that has a codec, by the names that programs send.
+#: Types that the gateway reads, under the names that programs send.
 READABLE = tuple(sorted(BODIES.keys() - ALIASES.keys()))
 
 
 def answer(igtl_type: str, device: str, now_ns: int, latest: Latest) -> list[OutboundMessage]:
-    """The answers to a GET_ of a type; none where there is nothing to tell."""
+    """Return the answers to a GET_; none if there is no message of that type and device."""
     if igtl_type == "STATUS":
         return [OutboundMessage(igtl_type, device, Status(_STATUS_OK), now_ns)]
     if igtl_type == "CAPABILITY":
@@ -56,11 +56,11 @@ def answer(igtl_type: str, device: str, now_ns: int, latest: Latest) -> list[Out
 
 
 def empty_reply(igtl_type: str, device: str, now_ns: int, peer: Peer) -> OutboundMessage:
-    """What says "I have none": the type without content, where the peer survives that."""
+    """Return the reply for "none": the type without content, or a STATUS for peers that do not accept that."""
     body = BODIES.get(igtl_type, Raw)
-    # a name of odd bytes is longer as text: there may be no message of that type
+    # escaped bytes make a name longer: a message of that type may be impossible
     names_one = len(igtl_type.encode()) <= _TYPE_BYTES
-    # a program on the C++ library waits for the default size of a version 1 message that has none
+    # a program on the C++ library waits for the default size of an empty version 1 message
     survives = peer.version > 1 or peer.profile.takes_empty or getattr(body, "MAY_BE_EMPTY", body is Raw)
     if names_one and survives:
         return OutboundMessage(igtl_type, device, Raw(b""), now_ns)
@@ -69,20 +69,20 @@ def empty_reply(igtl_type: str, device: str, now_ns: int, peer: Peer) -> Outboun
 
 
 def denial_reply(prefix: str, igtl_type: str, device: str, now_ns: int) -> list[OutboundMessage]:
-    """What says "you may not": the RTS_ of a stream, else a STATUS."""
+    """Return the reply to a denied query: the RTS_ for a stream, else a STATUS."""
     outs = acknowledgement(igtl_type, device, now_ns, ERROR) if prefix != "GET" else []
     text = f"{query_name(prefix, igtl_type)} is denied"
     return outs or [OutboundMessage("STATUS", device, Status(_STATUS_ACCESS_DENIED, 0, "AccessDenied", text), now_ns)]
 
 
 def acknowledgement(igtl_type: str, device: str, now_ns: int, status: int) -> list[OutboundMessage]:
-    """The RTS_ of a type; none where the protocol has none."""
+    """Return the RTS_ of a type; none if the protocol does not define one."""
     name = query_name("RTS", igtl_type)
     return [OutboundMessage(name, device, QueryReply(status), now_ns)] if name in QUERIES else []
 
 
 def start_stream(message: Message, igtl_type: str, peer: Peer, known: Known) -> int:
-    """STT_: begin a stream to a peer; the status to be told."""
+    """Start a stream to a peer (STT_); return the status for the reply."""
     content = message.content
     frame = visible(content.coordinate_name) if isinstance(content, StartTracking) else ""
     device = visible(message.device_name)
@@ -102,7 +102,7 @@ def _interval_ns(content: Body) -> int:
         case StartPolyData():
             return content.resolution_ns or 0
         case StartBind():
-            # the C++ writer leaves this field undefined: what no person would wait for is no wish
+            # the C++ writer leaves this field undefined: ignore values that are too long to be meant
             return content.resolution_ns if content.resolution_ns <= _LONGEST_NS else 0
         case _:
             return 0
@@ -112,7 +112,7 @@ _LONGEST_NS = 3_600_000 * NS_PER_MS
 
 
 def _images(device: str, now_ns: int, latest: Latest) -> list[OutboundMessage]:
-    """IMGMETA of the images that go out."""
+    """Return the IMGMETA of the images that go out."""
     rows = [_image_row(one) for one in latest("IMAGE", device)]
     if not rows:
         return []

@@ -1,4 +1,4 @@
-"""Commands in both directions: each one waits for its reply, and whoever sent it learns of its fate."""
+"""Commands in both directions: each command waits for its reply, and its sender gets a reply in every case."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Special = Callable[[Entry, ToIgtlStream, ConvertedMessage], list[Item]]
 
 
 class Commands:
-    """See the module."""
+    """Handles the commands of both directions."""
 
     def __init__(self, config: Config, peers: Peers, streams: Streams, composer: Composer, delivery: Delivery) -> None:
         self._config = config
@@ -45,12 +45,12 @@ class Commands:
 
     @property
     def due_ns(self) -> int | None:
-        """The first deadline (gateway time, UTC ns), None where nothing waits."""
+        """The earliest deadline (gateway time, UTC ns); None if no command waits."""
         times = (self._from_peers.due_ns, self._to_peers.due_ns)
         return min((time for time in times if time is not None), default=None)
 
     def overdue(self, entry: Entry) -> list[Item]:
-        """Give up the commands whose time is up at ``entry``, a tick."""
+        """End the commands whose deadline has passed at ``entry``, a tick."""
         items: list[Item] = []
         text = "no reply in time"
         for pending in self._from_peers.overdue(entry.stamp_ns):
@@ -64,7 +64,7 @@ class Commands:
         return items
 
     def on_link_down(self, entry: Entry, link: int) -> list[Item]:
-        """A peer has gone: it gets no reply any more, and gives none."""
+        """End the commands of a disconnected peer, in both directions."""
         self._from_peers.on_link_down(link)
         items: list[Item] = []
         for pending in self._to_peers.on_link_down(link):
@@ -74,9 +74,9 @@ class Commands:
     # -- from peers -----------------------------------------------------------------------------------------------
 
     def accept(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
-        """Remember a command of a peer until its reply; what the peer gets for one that cannot be accepted.
+        """Keep a command of a peer until its reply; return a reply for one that cannot be accepted.
 
-        A peer must be able to rely on a failure: a refused command does not reach ROS.
+        A peer must be able to rely on a failure: a rejected command does not reach ROS.
         """
         command = message.content
         if not isinstance(command, Command) or visible(message.type) != "COMMAND":
@@ -92,19 +92,19 @@ class Commands:
         return [*items, Finding(Level.WARN, "command_refused", text, entry.channel, (peer.link,))]
 
     def deny(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
-        """The reply to a COMMAND that may not come in (``deny_in``)."""
+        """Return the reply to a COMMAND that ``deny_in`` denies."""
         assert isinstance(message.content, Command)
         name, device = visible(message.content.name), visible(message.device_name)
         pending = PendingCommand(peer.link, message.content.command_id, device, name, entry.stamp_ns)
         return self._reply(entry, pending, CommandReply.FAIL, "COMMAND is denied")
 
     def on_reply(self, peer: Peer, message: Message) -> None:
-        """A peer has replied to a command of ROS."""
+        """A peer has replied to a command from ROS: it waits no longer."""
         if isinstance(message.content, Command) and visible(message.type) != "COMMAND":
             self._to_peers.take(message.content.command_id, peer.link)
 
     def _reply(self, entry: Entry, pending: PendingCommand, status: int, text: str) -> list[Item]:
-        """An RTS_COMMAND of the gateway's own."""
+        """Return an RTS_COMMAND of the gateway itself."""
         peer = self._peers.get(pending.link)
         if peer is None:
             return []
@@ -115,11 +115,11 @@ class Commands:
     # -- from ROS -------------------------------------------------------------------------------------------------
 
     def sender_for(self, igtl_type: str) -> Special | None:
-        """How messages of a type are sent that are more than a content: who asked, and who has to answer, matters."""
+        """Return the function that sends messages of a type for which the sender and the addressee matter."""
         return self._special.get(igtl_type)
 
     def deny_ros(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage, igtl_type: str) -> list[Item]:
-        """The reply to a COMMAND from ROS that may not go out (``deny_out``); nothing for other types."""
+        """Return the reply to a COMMAND from ROS that ``deny_out`` denies; nothing for other types."""
         command = outgoing.content
         if not isinstance(command, Command) or igtl_type != "COMMAND":
             return []
@@ -128,7 +128,7 @@ class Commands:
         return self._reply_to_ros(entry, asked, CommandReply.FAIL, "COMMAND is denied")
 
     def _send_command(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage) -> list[Item]:
-        """A COMMAND: numbered if it has no number, remembered until its reply."""
+        """Send a COMMAND: give it an id if it has none, and keep it until its reply."""
         command = outgoing.content
         assert isinstance(command, Command)
         if not command.command_id:
@@ -158,7 +158,7 @@ class Commands:
             ]
 
     def _send_reply(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage) -> list[Item]:
-        """An RTS_COMMAND: to the peer that waits for it."""
+        """Send an RTS_COMMAND to the peer that waits for it."""
         message = CommandReply.unpack(entry.payload[0])
         pending = self._from_peers.take(message.id, message.link)
         if pending is None:
@@ -170,7 +170,7 @@ class Commands:
             return [finding, *self._reply(entry, pending, CommandReply.FAIL, finding.text)]
 
     def _reply_to_ros(self, entry: Entry, pending: PendingCommand, status: int, text: str) -> list[Item]:
-        """A reply to ROS that no peer sent."""
+        """Return a reply to ROS that does not come from a peer."""
         stream = self._streams.to_ros("RTS_COMMAND", pending.device)
         if stream is None:
             return []
@@ -184,8 +184,8 @@ class Commands:
 
 
 def _replying(entry: Entry, pending: PendingCommand, message: CommandReply) -> OutboundMessage:
-    """A reply as the command wants it: with its device and name."""
-    device = short_device_name(pending.device)  # a name of odd bytes is longer as text
+    """Return a reply with the device and the name of its command."""
+    device = short_device_name(pending.device)  # escaped bytes make a name longer
     named = replace(message, device_name=device, name=message.name or pending.name)
     outgoing = conversions.reply_to_igtl(named, ToIgtlContext())
     stamp_ns = message.header.stamp_ns or entry.stamp_ns

@@ -1,7 +1,7 @@
-"""Commands that wait for their reply, in both directions: who asked whom, and until when.
+"""Pending commands of both directions: sender, addressee and deadline.
 
-A command without a reply would leave a program waiting that stands beside a robot; so each has a deadline, and at
-the deadline whoever asked is told.
+A command without a reply would keep a program beside a robot waiting.  So each command has a deadline, and at the
+deadline its sender gets a reply about the failure.
 """
 
 from __future__ import annotations
@@ -9,19 +9,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-#: Commands that wait at once, in each direction.
+#: Maximum number of pending commands in each direction.
 MAX_PENDING = 1_000
 
 
 @dataclass(frozen=True, slots=True)
 class PendingCommand:
-    """A command that waits.
+    """A command that waits for its reply.
 
     Attributes:
-        link: number of the peer that asked (from a peer) or is asked (to a peer).
-        command_id: of the command.
+        link: number of the peer that sent it (from a peer) or gets it (to a peer).
+        command_id: id of the command.
         device: device name in its header.
-        name: of the command.
+        name: name of the command.
         deadline_ns: gateway time, UTC ns.
     """
 
@@ -33,7 +33,7 @@ class PendingCommand:
 
 
 class PendingCommands:
-    """Commands of one direction, by peer and id."""
+    """Pending commands of one direction, by peer and id."""
 
     def __init__(self) -> None:
         self._pending: dict[tuple[int, int], PendingCommand] = {}
@@ -44,11 +44,11 @@ class PendingCommands:
 
     @property
     def due_ns(self) -> int | None:
-        """The first deadline, None where nothing waits."""
+        """The earliest deadline; None if no command waits."""
         return min((one.deadline_ns for one in self._pending.values()), default=None)
 
     def new_id(self) -> int:
-        """An id that no waiting command has."""
+        """Return an id that no pending command has."""
         taken = {command_id for _, command_id in self._pending}
         while True:
             self._last_id = self._last_id % 0xFFFFFFFF + 1
@@ -56,7 +56,7 @@ class PendingCommands:
                 return self._last_id
 
     def add(self, command: PendingCommand) -> bool:
-        """False where too many wait already, or the peer has one of this id."""
+        """Add a command; return False if too many wait, or if the peer has a pending command with this id."""
         key = (command.link, command.command_id)
         if key in self._pending or len(self._pending) >= MAX_PENDING:
             return False
@@ -64,16 +64,16 @@ class PendingCommands:
         return True
 
     def take(self, command_id: int, link: int = 0) -> PendingCommand | None:
-        """The waiting command that a reply answers: of this peer, or with link 0 the first of this id."""
+        """Remove and return the command of a reply: that of the peer ``link``, or with 0 the first with this id."""
         keys = [key for key in self._pending if key[1] == command_id and link in (0, key[0])]
         return self._pending.pop(keys[0]) if keys else None
 
     def overdue(self, now_ns: int) -> list[PendingCommand]:
-        """Take those whose time is up."""
+        """Remove and return the commands whose deadline has passed."""
         return self._take(key for key, one in self._pending.items() if one.deadline_ns <= now_ns)
 
     def on_link_down(self, link: int) -> list[PendingCommand]:
-        """Take those of a peer that is no more."""
+        """Remove and return the commands of a disconnected peer."""
         return self._take(key for key in self._pending if key[0] == link)
 
     def _take(self, keys: Iterable[tuple[int, int]]) -> list[PendingCommand]:

@@ -1,4 +1,4 @@
-"""Links that come and go: the list of peers for ROS, the latest state for late joiners, pings."""
+"""Links that go up and down: the list of peers for ROS, latched messages for late joiners, pings."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from igtl_gateway.wire.query import EmptyQuery
 
 LINK_UP, LINK_DOWN = "link_up", "link_down"
 
-#: Who is connected, for ROS.
+#: Topic of the list of connected peers.
 LINKS_TOPIC = "/igtl/links"
 LINKS_QOS = Qos(depth=10, latched=True)
 
 
 class Links:
-    """See the module.
+    """Handles link events.
 
     Args:
-        denied: types that no peer is sent (``deny_out``).
+        denied: types that are not sent to peers (``deny_out``).
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Links:
         self._commands = commands
 
     def take(self, entry: Entry) -> Outcome:
-        """A link came up or went down."""
+        """Handle a link that went up or down."""
         event = Note.of(entry.data())
         self._peers.changed()
         outcome = Outcome()
@@ -80,18 +80,18 @@ class Links:
         return outcome
 
     def status(self, now_ns: int) -> Output:
-        """The list of peers, for ROS."""
+        """Return the list of peers as an output to ROS."""
         header = RosHeader(now_ns, self._config.base_frame)
         statuses = tuple(peer.status() for peer in self._peers.all())
         return ros_output(LINKS_TOPIC, LinkStatusList(header, statuses), now_ns)
 
     @property
     def due_ns(self) -> int | None:
-        """When the next ping is due (gateway time, UTC ns); None where no peer wants any."""
+        """Gateway time (UTC ns) of the next ping; None if no peer needs pings."""
         return min((peer.said_ns + peer.profile.ping_ns for peer in self._peers_to_ping()), default=None)
 
     def ping(self, entry: Entry) -> list[Item]:
-        """Pings for the peers that would otherwise close the link; ``entry`` is a tick."""
+        """Return pings for the peers that close a silent link; ``entry`` is a tick."""
         items: list[Item] = []
         now_ns = entry.stamp_ns
         for peer in list(self._peers_to_ping()):
@@ -100,13 +100,13 @@ class Links:
         return items
 
     def _peers_to_ping(self) -> Iterable[Peer]:
-        """The peers that want to receive something from time to time."""
+        """Return the peers whose profile has a ping interval."""
         if self._denied.type("GET_STATUS"):
             return ()
         return (peer for peer in self._peers.all() if peer.profile.ping_ns)
 
     def _send_latched(self, entry: Entry, peer: Peer) -> list[Item]:
-        """A late joiner gets the latest message of each latched stream, as a subscriber of a transient-local topic."""
+        """Return the latest message of each latched stream for a late joiner, as transient-local durability does."""
         items: list[Item] = []
         for latest, stream in self._latest.latched():
             if self._commands.sender_for(stream.conversion.igtl_type):
@@ -119,14 +119,14 @@ class Links:
         return items + self._frames.send_static(entry, peer)
 
     def _final_counts(self, link: int, counts: dict[str, Any]) -> list[Tally]:
-        """What became of all that was sent to a peer that has gone, as its link counted it."""
+        """Return the counts of a closed link: messages delivered, dropped, and lost at its end."""
         peer = self._peers.get(link)
         if peer is None or not isinstance(delivered := counts.get("sent_messages"), int):
             return []
         row = f"{link} {peer.address}"
         by_stream = counts.get("dropped", {})
         dropped = sum(by_stream.values()) if isinstance(by_stream, dict) else by_stream
-        gone = peer.sent - delivered - dropped  # sent while the link was closing: it took them no more
+        gone = peer.sent - delivered - dropped  # sent while the link was closing
         losses = (("queue", dropped), ("link_closed", gone))
         return [
             Tally(PEERS, row, "sent", peer.sent),

@@ -18,16 +18,16 @@ from igtl_gateway.wire import Message
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.query import split_query
 
-#: Entry, peer, message, type asked for, short device name.
+#: Entry, peer, message, requested type, short device name.
 _Answer = Callable[["Queries", Entry, Peer, Message, str, str], list[Item]]
 
 
 class Queries:
-    """See the module.
+    """Answers queries.
 
     Args:
-        denied: types that no peer is sent (``deny_out``).
-        knows_frame: whether poses can be given in a coordinate frame.
+        denied: types that are not sent to peers (``deny_out``).
+        knows_frame: returns whether poses can be expressed in a coordinate frame.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class Queries:
         self._knows_frame = knows_frame
 
     def respond(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
-        """What a peer gets in answer to a message; nothing for messages that are no query."""
+        """Return the reply to a query; nothing for other messages."""
         query = split_query(message.type)
         if query is None:
             return []
@@ -51,12 +51,12 @@ class Queries:
             finding = _once(entry, Level.WARN, "denied", text, visible(message.type), peer)
             return [finding, *self.deny(entry, peer, message, prefix, igtl_type)]
         answer = _ANSWERS.get(prefix)
-        # a name of odd bytes is longer as text: what answers it has to fit the wire
+        # escaped bytes make a name longer: the reply must fit the header
         device = short_device_name(visible(message.device_name))
         return answer(self, entry, peer, message, igtl_type, device) if answer else []
 
     def deny(self, entry: Entry, peer: Peer, message: Message, prefix: str, igtl_type: str) -> list[Item]:
-        """A query that is denied: refused by its RTS_ where it has one, else by a STATUS."""
+        """Reject a denied query: with its RTS_ if it has one, else with a STATUS."""
         if prefix == "RTS":
             return []
         device = short_device_name(visible(message.device_name))

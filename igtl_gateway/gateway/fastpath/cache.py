@@ -1,4 +1,4 @@
-"""The compiled streams of a session: which there are, when they are compiled, and when they are void."""
+"""The cache of compiled streams: which streams are compiled, when they are compiled, and when they are dropped."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.wire.header import NAMES
 
-#: Streams of each direction that are compiled; those beyond take the full path.
+#: Maximum number of compiled streams in each direction; further streams take the full path.
 MAX_STREAMS = 4_096
 
-#: How often a stream is compiled until the peers change: one whose messages never fit keeps to the full path.
+#: Number of times that a stream is compiled until the peers change: if its messages never fit, it keeps the full path.
 MAX_COMPILED = 8
 
-#: Link and names; topic and ROS type.
+#: Key of a stream: link and names in the header; topic and ROS type.
 ToRosKey = tuple[int, bytes]
 ToIgtlKey = tuple[str, str]
 
 #: Entry number, gateway time (UTC ns), kind, payload, channel, type, links and source stamp of an input → its entry and
-#: those that it causes; nothing where the input has to take the full path.
+#: the entries that it causes; nothing if the input must take the full path.
 Fast = Callable[[int, int, Kind, Sequence[Buffer], str, str, tuple[int, ...], int], list[Entry] | None]
 
 
 class FastPath:
-    """See the package.
+    """The cache of compiled streams.
 
     Args:
         latest: topic → its latest message.
-        enabled: whether streams are compiled at all.
+        enabled: compile streams; False: every message takes the full path.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class FastPath:
     ) -> None:
         self.to_ros: dict[ToRosKey, CompiledToRos] = {}
         self.to_igtl: dict[ToIgtlKey, CompiledToIgtl] = {}
-        self._compiled: dict[ToRosKey | ToIgtlKey, int] = {}  # how often
+        self._compiled: dict[ToRosKey | ToIgtlKey, int] = {}  # number of times
         self._common = CompileContext(config, ledger, qos, subscribers.waiting)
         self._peers = peers
         self._subscribers = subscribers
@@ -81,7 +81,7 @@ class FastPath:
         links: tuple[int, ...],
         source_ns: int,
     ) -> list[Entry] | None:
-        """What the compiled stream gives, if there is one that fits; see ``Fast``."""
+        """Return the entries of the compiled stream, if there is one that fits the message; see ``Fast``."""
         entries: list[Entry] | None = None
         if kind is Kind.ROS_IN:
             topic_key = (channel, type_name)
@@ -98,7 +98,7 @@ class FastPath:
         return entries
 
     def learn(self, entry: Entry, outcome: Outcome) -> None:
-        """Compile the stream of a message that took the full path, where that is possible and of use."""
+        """Compile the stream of a message that took the full path, if possible."""
         if not self._enabled or not outcome.is_good:
             return
         try:
@@ -106,7 +106,7 @@ class FastPath:
                 self._learn_to_ros(entry, outcome.origin)
             else:
                 self._learn_to_igtl(entry, outcome.origin)
-        except ConversionError:  # nobody subscribes to some of its outputs, so the full path has not converted those
+        except ConversionError:  # an output without a subscriber, which the full path has not converted
             return
 
     def _learn_to_ros(self, entry: Entry, origin: RosOrigin) -> None:
@@ -123,24 +123,24 @@ class FastPath:
             self._keep(self.to_igtl, key, compiled)
 
     def _may_compile(self, key: ToRosKey | ToIgtlKey) -> bool:
-        """Whether a stream is not compiled, and may be."""
+        """Return whether a stream is not compiled and may be."""
         if key in self.to_ros or key in self.to_igtl:
             return False
         times = self._compiled.get(key)
         return times < MAX_COMPILED if times is not None else len(self._compiled) < MAX_STREAMS
 
     def _keep(self, streams: dict[Any, Any], key: ToRosKey | ToIgtlKey, compiled: object | None) -> None:
-        """Use a compiled stream from now on; None: this stream cannot be compiled."""
+        """Store a compiled stream; None: this stream cannot be compiled."""
         self._compiled[key] = self._compiled.get(key, 0) + 1 if compiled else MAX_COMPILED
         if compiled:
             streams[key] = compiled
 
     def _drop_compiled(self) -> None:
-        """The peers have changed."""
+        """Drop all compiled streams, because the peers have changed."""
         self.to_ros.clear()
         self.to_igtl.clear()
         self._compiled.clear()
 
 
 def no_fast_path(*_input: object) -> None:
-    """The fast path of a gateway that has none."""
+    """The fast path of a core without one: every message takes the full path."""

@@ -1,4 +1,4 @@
-"""What all streams compile from: the session's parts, and how CDR writes a name."""
+"""Common parts of the compilers: the parts of the session that they need, and the layout of strings in CDR."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from igtl_gateway.config import Config
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.ledger import Ledger
 
-#: In CDR that begins with a header: where its stamp and its frame id are.
+#: Offsets of the stamp and of the frame id in CDR that begins with a std_msgs/Header.
 STAMP_AT, NAMES_AT = 4, 12
 
 
 class CompileContext(NamedTuple):
-    """Parts of a session.
+    """The parts of a session that streams are compiled from.
 
     Attributes:
-        config, ledger: of the session.
-        qos: of a topic that is published.
-        waiting: latched topic → its last message, where it has no subscriber yet.
+        config, ledger: configuration and ledger of the session.
+        qos: returns the QoS of a published topic.
+        waiting: latched topic without a subscriber → its last message.
     """
 
     config: Config
@@ -30,5 +30,5 @@ class CompileContext(NamedTuple):
 
 
 def end_of_name(cdr: Buffer, at: int) -> int:
-    """The offset behind a string in CDR; its length is at ``at``."""
+    """Return the offset after a string in CDR whose length is at ``at``."""
     return at + 4 + int.from_bytes(cdr[at : at + 4], "little")

@@ -1,6 +1,6 @@
-"""How a stream of a ROS topic is compiled: from a message that took the full path without a finding.
+"""Compiles the stream of a ROS topic from a message that took the full path without a finding.
 
-As in ``compile_to_ros``, towards the peers that are there.
+As ``compile_to_ros``, for the connected peers.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.message import EXTENDED_SIZE
 
-#: How a row reads one → the bytes of its numbers in OpenIGTLink.
+#: Conversion function of a pose → number of bytes of its content in OpenIGTLink.
 _TO_IGTL: dict[Callable[..., Any], int] = {
     poses.transform_to_igtl: MATRIX,
     poses.pose_to_transform: MATRIX,
     poses.position_to_igtl: QUATERNION,
     poses.pose_to_position: QUATERNION,
 }
-#: How a row converts bulk → the form of the result.
+#: Conversion function of bulk data → form of the result.
 _BULK_TO_IGTL: dict[Callable[..., Any], int] = {
     texts.string_to_igtl: TEXT,
     clouds.cloud_to_points: POINTS,
@@ -44,17 +44,17 @@ TYPES = frozenset({TransformStamped.TYPE, PoseStamped.TYPE, String.TYPE, PointCl
 _LITTLE_ENDIAN = b"\x00\x01"
 _POSE_SIZE = 56
 _XYZ, _FLOAT32 = ("x", "y", "z"), 7
-_LEAST_PICTURE = 4  # bytes; the least point has as many
-#: Stamps of 19 digits, no two the same at the same place: they show where in a message the stamp is.
+_LEAST_PICTURE = 4  # bytes of the smallest image; the smallest point has as many
+#: Stamps of 19 digits that differ in every digit: encoding both shows where in a message the stamp is.
 _TWO_STAMPS = (1_111_111_111_111_111_111, 2_222_222_222_222_222_222)
 
 
 def compile_to_igtl(
     entry: Entry, origin: IgtlOrigin, common: CompileContext, latest: dict[str, Entry], peers: Sequence[Peer]
 ) -> CompiledToIgtl | None:
-    """From a message that was sent without a finding; None where its stream cannot be compiled.
+    """Compile from a message that was sent without a finding; None if its stream cannot be compiled.
 
-    ``latest`` keeps the last message of each topic.
+    ``latest`` has the latest message of each topic.
     """
     stream, out, watched = origin
     cdr, size = entry.payload[0], _TO_IGTL.get(stream.conversion.convert, 0)
@@ -117,21 +117,21 @@ def compile_to_igtl(
 
 
 def _difference(one: bytes, other: bytes) -> int:
-    """Where what is behind two contents begins to differ; −1 where it does not."""
+    """Return the first offset after the contents at which two messages differ; −1 if there is none."""
     pairs = zip(one, other, strict=True)
     return next((index for index, (left, right) in enumerate(pairs) if left != right), -1)
 
 
 def _cloud_places(cdr: Buffer) -> tuple[int, ...] | None:
-    """What ``bulk_to_igtl`` is to know of a cloud; None where it has more than x, y and z, or those in another form."""
+    """Return the offsets that ``bulk_to_igtl`` needs of a cloud; None for fields other than float32 x, y, z."""
     cloud = PointCloud2.unpack(cdr)
     fields = {field.name: field for field in cloud.fields}
     plain = all(field.datatype == _FLOAT32 and field.count in (0, 1) for field in cloud.fields)
     if cloud.is_bigendian or not plain or len(cloud.fields) != len(_XYZ) or fields.keys() != set(_XYZ):
         return None
-    same = [NAMES_AT, end_of_name(cdr, NAMES_AT)]  # what is between the parts is padding
+    same = [NAMES_AT, end_of_name(cdr, NAMES_AT)]  # between the parts is padding
     height_at = same[-1] + -same[-1] % 4
-    at = height_at + 8  # the number of fields
+    at = height_at + 8  # offset of the number of fields
     same += (at, at + 4)
     at += 4
     for _ in cloud.fields:
@@ -139,27 +139,27 @@ def _cloud_places(cdr: Buffer) -> tuple[int, ...] | None:
         offset_at = end + -end % 4
         same += (at, end, offset_at, offset_at + 5, offset_at + 8, offset_at + 12)
         at = offset_at + 12
-    same += (at, at + 1, at + 4, at + 8)  # byte order and the size of a point
+    same += (at, at + 1, at + 4, at + 8)  # byte order and point_step
     data_at = at + 16
     return height_at, data_at, cloud.point_step, *(fields[name].offset for name in _XYZ), *same
 
 
 def _picture_places(cdr: Buffer, size: int) -> tuple[int, tuple[int, ...] | None]:
-    """What is made of an Image of so many bytes, and what ``bulk_to_igtl`` is to know; None where rows are padded."""
+    """Return the form of an Image and the offsets that ``bulk_to_igtl`` needs; None for padded rows."""
     picture = rosmsg.Image.unpack(cdr)
     blue_first = picture.encoding.startswith("bgr")
     if picture.step * picture.height != size or size < _LEAST_PICTURE or (blue_first and picture.encoding != "bgr8"):
         return PICTURE, None
     frame_end = end_of_name(cdr, NAMES_AT)
     height_at = frame_end + -frame_end % 4
-    end = end_of_name(cdr, height_at + 8) + 1  # the encoding, and the byte order
+    end = end_of_name(cdr, height_at + 8) + 1  # after the encoding and the byte order
     data_at = end + -end % 4 + 8
     same = (NAMES_AT, frame_end, height_at, end, data_at - 8, data_at)
     return BLUE_FIRST if blue_first else PICTURE, (height_at, data_at, size, 0, 0, 0, *same)
 
 
 def _names_of(cdr: Buffer, *, two: bool) -> tuple[int, int, int] | None:
-    """Offsets behind the first name, before and behind the second one; None where no pose follows at once."""
+    """Return the offsets after the first name, before and after the second; None if the pose does not follow."""
     first_end = second = end = end_of_name(cdr, 12)
     if two:
         second = first_end + -first_end % 4

@@ -1,7 +1,7 @@
-"""How a stream of an OpenIGTLink device is compiled: from a message that took the full path without a finding.
+"""Compiles the stream of an OpenIGTLink device from a message that took the full path without a finding.
 
-All that does not change from message to message becomes a sample, which the next one is compared with, and templates,
-which the functions of `igtl_gateway.convert.express` fill.
+The constant parts of the message become a sample, with which the next message is compared, and templates, which the
+functions of `igtl_gateway.convert.express` fill.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.message import EXTENDED_SIZE, ExtendedHeader
 
-#: How a row writes a pose → the offset of the stamp in its CDR, which ends with the pose.
+#: Conversion function of a pose → offset of the stamp in its CDR, which ends with the pose.
 _TO_ROS: dict[Callable[..., Any], int] = {
     poses.transform_to_ros: 4,
     poses.position_to_ros: 4,
     tracking.transform_to_tf: 8,
     tracking.position_to_tf: 8,
 }
-#: Types whose messages are poses → the bytes of their numbers.
+#: Types of poses → number of bytes of the content.
 _POSES = {"TRANSFORM": MATRIX, "POSITION": QUATERNION, "QTRANS": QUATERNION}
-#: How a row converts bulk → the form of the result.
+#: Conversion function of bulk data → form of the result.
 _BULK_TO_ROS: dict[Callable[..., Any], int] = {
     texts.string_to_ros: TEXT,
     clouds.point_to_ros: POINT,
@@ -43,23 +43,23 @@ _BULK_TO_ROS: dict[Callable[..., Any], int] = {
     clouds.polydata_to_cloud: CLOUD,
     images.image_to_ros: PICTURE,
 }
-#: Of rows that apply to nothing that a form of bulk is made of, or (of pictures) to nothing if not to the sample.
+#: Conditions of rows that never apply to bulk data, or (for images) that apply if they apply to the sample.
 _NEVER: frozenset[Callable[..., bool]] = frozenset(
     {is_labeled, surfaces.has_faces, surfaces.has_lines, exceeds_standard, volumes.exceeds_picture, volumes.has_slices}
 )
 #: Types whose streams can be compiled.
 TYPES = frozenset({*_POSES, "STRING", "POINT", "POLYDATA", "IMAGE"})
-#: Where the translation is among the numbers in OpenIGTLink.
+#: Offset of the translation in the content.
 _PLACE_AT = {MATRIX: 36, QUATERNION: 0}
 
 
 def compile_to_ros(
     entry: Entry, origin: RosOrigin, common: CompileContext, assembler: VolumeAssembler | None
 ) -> CompiledToRos | None:
-    """From a message that was converted without a finding; None where its stream cannot be compiled.
+    """Compile from a message that was converted without a finding; None if its stream cannot be compiled.
 
-    ``assembler`` keeps the last image of its device.  Raises ConversionError: of a message without subscribers, which
-    the full path has not converted.
+    ``assembler`` has the latest image of the device.  Raises ConversionError for a message that the full path has not
+    converted, for want of subscribers.
     """
     message, stream, to, watched = origin
     to = replace(to, warnings=[], made={})
@@ -90,7 +90,7 @@ def compile_to_ros(
     if to.warnings:
         return None
     own = common.config.stamp_of(stream.row) == "source"
-    if stream.row.max_age_s and not own:  # judged by a stamp that is not shown
+    if stream.row.max_age_s and not own:  # the guard checks a stamp that the output does not have
         return None
     fill: Fill | None = express.pose_to_ros if size else express.bulk_to_ros
     if fill is None:
@@ -116,7 +116,7 @@ def compile_to_ros(
 
 
 def _pose_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[bytes, int] | None:
-    """CDR and where its stamp is."""
+    """Return the CDR and the offset of its stamp."""
     stamp_at = _TO_ROS.get(row.convert)
     if stamp_at is None or not row.applies(content):
         return None
@@ -125,7 +125,7 @@ def _pose_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[by
 
 
 def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[int, bytes, int, int] | None:
-    """What is made, its template, and where the stamp and the width of that are."""
+    """Return the form, its template, and the offsets of stamp and width in it."""
     form = _BULK_TO_ROS.get(row.convert)
     if form == TEXT:
         return TEXT, b"", 0, 0

@@ -1,4 +1,4 @@
-"""The next message of a ROS topic, compiled: its numbers fill the templates of the messages to the peers."""
+"""A compiled stream of a ROS topic: fills the numbers of each message into the templates of the messages to peers."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
 
-#: A translation at the beginning of a pose in CDR.
+#: The translation at the beginning of a pose in CDR.
 _PLACE = struct.Struct("<3d")
 
 
 class CompiledToIgtl:
-    """A message of one topic, to the peers that are there: fill the templates of its messages.
+    """A compiled stream of one topic, for the connected peers.
 
     Args:
-        fill: ``pose_to_igtl`` or ``bulk_to_igtl``, with the ``sample``, ``names`` and ``size`` that it takes.
-        outputs: an output and its form for each header version and profile.
-        latest: the last message of each topic.
-        place_at: where the translation is in the message, of a pose.
+        fill: ``pose_to_igtl`` or ``bulk_to_igtl``, with its arguments ``sample``, ``names`` and ``size``.
+        outputs: output and form for each header version and profile.
+        latest: topic → its latest message.
+        place_at: offset of the translation in the message, for poses.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class CompiledToIgtl:
     def __call__(
         self, seq: int, stamp_ns: int, payload: Sequence[Buffer], channel: str, ros_type: str, source_ns: int
     ) -> list[Entry] | None:
-        """The entries of the next message: [] leaves this one to the full path, None all that follow."""
+        """Return the entries of a message; [] sends it to the full path, None also all further messages."""
         made = self._fill(
             payload[0],
             self._sample,

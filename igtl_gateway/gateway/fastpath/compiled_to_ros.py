@@ -1,4 +1,4 @@
-"""The next message of an OpenIGTLink device, compiled: its numbers fill the CDR templates of its topics."""
+"""A compiled stream of an OpenIGTLink device: fills the numbers of a message into the CDR templates of its topics."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from igtl_gateway.gateway.to_ros.subscribers import Ask
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
 
-#: What keeps the last image of a device, and what the images of a stream are.
+#: The assembler with the latest image of a device, and form and dtype of the images of a stream.
 Volume = tuple[VolumeAssembler, Form, np.dtype[Any]]
 
-#: A translation in OpenIGTLink.
+#: The translation in OpenIGTLink.
 _PLACE = struct.Struct(">3f")
 
 
 class CompiledToRos:
-    """A message of one device, from one link: fill the CDR templates of its topics.
+    """A compiled stream of one device from one link.
 
     Args:
-        fill: ``pose_to_ros`` or ``bulk_to_ros``, with the ``sample`` and ``places`` (``at``, ``size``) that it takes.
-        entry: of the message that this is compiled from.
+        fill: ``pose_to_ros`` or ``bulk_to_ros``, with its arguments ``sample`` and ``places`` (``at``, ``size``).
+        entry: entry of the message that the stream is compiled from.
         forms: topic, ROS type and form of each output.
-        place_at: where the translation is in the message, of a pose.
-        waiting: last messages of latched topics without subscriber; the topics of ``forms`` that are latched.
-        volume: of pictures, which later ones may be parts of.
+        place_at: offset of the translation in the message, for poses.
+        waiting: last messages of latched topics without a subscriber, and the latched topics of ``forms``.
+        volume: for images, of which later messages may be parts.
     """
 
     def __init__(
@@ -72,15 +72,15 @@ class CompiledToRos:
     def __call__(
         self, seq: int, stamp_ns: int, payload: Sequence[Buffer], links: tuple[int, ...], ask: Ask | None
     ) -> list[Entry] | None:
-        """The entries of the next message: [] leaves this one to the full path, None all that follow."""
+        """Return the entries of a message; [] sends it to the full path, None also all further messages."""
         outputs, forms = self._outputs, self._forms
         if ask is not None:
             outputs = tuple(one for one in outputs if ask(one[0], one[1]))
             forms = tuple(form for _, _, form, _ in outputs)
             if self._latched and not self._latched <= {topic for topic, _, _, _ in outputs}:
-                return []  # the last message is kept for the first subscriber
+                return []  # the full path keeps the message for the first subscriber
             if not forms and self._place is None:
-                return []  # bulk is checked as it is built: the full path knows whether it is sound
+                return []  # without a subscriber, only the full path checks bulk data
         at, size = self._places
         volume = self._volume
         if volume and not volume[0].takes(volume[1]):

@@ -1,4 +1,4 @@
-"""A converted ROS message gets its device name, stamp and metadata: it becomes an :class:`OutboundMessage`."""
+"""Composes an :class:`OutboundMessage` from a converted ROS message: adds device name, stamp and metadata."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from igtl_gateway.wire.video import Video
 
 
 class Composer:
-    """Composes outbound messages; remembers the frame ids, and the picture size of each video stream."""
+    """Composes outbound messages; keeps the frame ids and the image size of each video stream."""
 
     def __init__(self, config: Config, streams: Streams) -> None:
         self._config = config
@@ -28,13 +28,13 @@ class Composer:
     def compose(
         self, entry: Entry, stream: ToIgtlStream, conversion: ConversionToIgtl, outgoing: ConvertedMessage
     ) -> OutboundMessage:
-        """The outbound message of what ``conversion`` made of a ROS message."""
+        """Return the outbound message for the result of ``conversion``."""
         device, full_name, content = stream.device, stream.full_name, outgoing.content
         if len(self._frames) < MAX_FRAMES:
             self._frames.add(outgoing.frame_id)
         if isinstance(content, Video):
             content = self._sized(entry.channel, content)
-        # a query without a device asks for any
+        # a query without a device means any device
         if outgoing.device_name or (outgoing.igtl_type and split_query(outgoing.igtl_type)):
             full_name = outgoing.device_name
             device = self._streams.device(full_name)
@@ -51,16 +51,16 @@ class Composer:
         )
 
     def convert(self, entry: Entry, stream: ToIgtlStream, conversion: ConversionToIgtl) -> OutboundMessage:
-        """The outbound message of a ROS message that was kept.  Raises ConversionError."""
+        """Return the outbound message of a kept ROS message.  Raises ConversionError."""
         outgoing = conversion.convert(conversion.message.unpack(entry.payload[0]), ToIgtlContext(stream.lengths))
         return self.compose(entry, stream, conversion, outgoing)
 
     def knows(self, frame: str) -> bool:
-        """Whether a message of that frame has gone out."""
+        """Return whether a message with this frame has been sent."""
         return frame in self._frames
 
     def _sized(self, topic: str, frame: Video) -> Video:
-        """A frame with the size of its stream, which only key frames state."""
+        """Return a video frame with the size of its stream, which only key frames contain."""
         if frame.size[0]:
             self._video_sizes[topic] = frame.size
             return frame

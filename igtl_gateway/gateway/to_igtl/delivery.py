@@ -1,4 +1,4 @@
-"""Outbound messages to peers: who may have them, in which frame, and what is found on the way."""
+"""Delivers outbound messages to peers: deny list, pace, coordinate frame, findings."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from igtl_gateway.session.note import Level
 
 
 class Delivery:
-    """The way out, which every OpenIGTLink message of the gateway takes.
+    """Delivers every OpenIGTLink message of the gateway.
 
     Args:
-        denied: types that no peer is sent (``deny_out``).
-        frames: the tf tree, for tracking data in the frame that a peer asked for.
+        denied: types that are not sent to peers (``deny_out``).
+        frames: the tf tree, for tracking data in the frame that a peer requested.
     """
 
     def __init__(self, denied: Denials, frames: FrameTree) -> None:
@@ -32,20 +32,20 @@ class Delivery:
     def to(
         self, entry: Entry, peers: Iterable[Peer], outs: Iterable[OutboundMessage], *, asked: bool = True
     ) -> list[Item]:
-        """Messages to peers.
+        """Return the outputs and findings for messages to peers.
 
         Args:
             entry: the input that causes them.
-            peers: those that they are for.
+            peers: the addressees.
             outs: the messages.
-            asked: whether the peers asked for just these messages, so that no pace holds them back.
+            asked: whether they answer a query, so that the pace of streams does not apply.
 
         Raises:
-            WireError: what no layout holds.
+            WireError: a content that cannot be encoded.
         """
         items: list[Item] = []
         for out in outs:
-            if self._denied.type(out.igtl_type):  # whatever its way was: nothing denied leaves
+            if self._denied.type(out.igtl_type):  # checked here for all messages, whatever their origin
                 text = f"{out.channel} is not sent: {out.igtl_type} is denied (deny_out)"
                 loss = (out.channel, "denied")
                 items.append(
@@ -61,7 +61,7 @@ class Delivery:
     def deliver_each(
         self, entry: Entry, outs: Iterable[OutboundMessage], send: Callable[[OutboundMessage], list[Item]]
     ) -> list[Item]:
-        """Messages sent one by one: one that cannot be sent costs only itself."""
+        """Deliver messages one by one, so that one that cannot be sent does not affect the others."""
         items: list[Item] = []
         for out in outs:
             try:
@@ -75,7 +75,7 @@ class Delivery:
     def deliver_stream(
         self, entry: Entry, peers: Iterable[Peer], out: OutboundMessage, lengths: LengthUnits
     ) -> list[Item]:
-        """A message of a stream, at the pace of each peer; tracking data in the frame that each asked for."""
+        """Deliver a message of a stream at the pace of each peer; tracking data in the frame that each requested."""
         if out.igtl_type not in TRACKING:
             return self.to(entry, peers, (out,), asked=False)
         by_frame: dict[str, list[Peer]] = {}
@@ -101,7 +101,7 @@ class Delivery:
 
 
 def _profile_findings(entry: Entry, sent: SendResult) -> list[Item]:
-    """What peers get in another form than it is, or not at all."""
+    """Return findings for peers that get an adapted message, or none."""
     items = warning_findings(sent.warnings, entry)
     for peer, igtl_type in sent.refused:
         profile = peer.profile.name

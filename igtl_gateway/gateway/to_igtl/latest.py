@@ -16,10 +16,10 @@ from igtl_gateway.stamp import NS_PER_S
 
 
 class Latest:
-    """See the module.
+    """Keeps the latest message of each bridged topic.
 
     Attributes:
-        entries: topic → its latest message; as many as there are bridged topics.
+        entries: topic → its latest message; at most one for each bridged topic.
     """
 
     def __init__(self, streams: Streams, guard: Guard, tf: TfOut, composer: Composer) -> None:
@@ -30,9 +30,9 @@ class Latest:
         self._composer = composer
 
     def of(self, cause: Entry, igtl_type: str, device: str) -> list[OutboundMessage]:
-        """The latest messages of a type and device ("" for any), as they would be sent at the time of ``cause``.
+        """Return the latest messages of a type and device ("" for any), composed for the time of ``cause``.
 
-        Those of the streams that go out as this type; if there are none, of the streams that could.
+        They come from the streams that are sent as this type; if there are none, from streams that can be converted.
         """
         native: list[OutboundMessage] = []
         other: list[OutboundMessage] = []
@@ -41,7 +41,7 @@ class Latest:
             if stream is None or device not in ("", stream.device, stream.full_name):
                 continue
             outs = self._as_type(entry, stream, igtl_type)
-            if stream.row.max_age_s and not stream.latched:  # a late question must not make old data look new
+            if stream.row.max_age_s and not stream.latched:  # a late query must not make old data look new
                 least_ns = cause.stamp_ns - self._guard.ahead_ns - round(stream.row.max_age_s * NS_PER_S)
                 outs = [out for out in outs if out.stamp_ns >= least_ns]
             (native if stream.conversion.igtl_type == igtl_type else other).extend(outs)
@@ -53,24 +53,24 @@ class Latest:
         return native or other
 
     def has_stream_of(self, igtl_type: str) -> bool:
-        """Whether a stream of its own goes out as this type."""
+        """Return whether a stream is sent as this type."""
         streams = (self._streams.to_igtl(one.channel, one.type) for one in self.entries.values())
         own = any(stream.conversion.igtl_type == igtl_type for stream in streams if stream)
         return own or any(out.igtl_type == igtl_type for out in self._tf.latest())
 
     def latched(self) -> Iterator[tuple[Entry, ToIgtlStream]]:
-        """The latest messages of latched streams."""
+        """Yield the latest messages of latched streams."""
         for entry in self.entries.values():
             stream = self._streams.to_igtl(entry.channel, entry.type)
             if stream and stream.latched:
                 yield entry, stream
 
     def _as_type(self, entry: Entry, stream: ToIgtlStream, igtl_type: str) -> list[OutboundMessage]:
-        """A kept ROS message as ``igtl_type`` ("" for that of its stream); none where it cannot be converted."""
+        """Convert a kept ROS message to ``igtl_type`` ("": that of its stream); none if it cannot be converted."""
         conversion = row_to_igtl(entry.type, igtl_type) if igtl_type else stream.conversion
         if conversion is None:
             return []
         try:
             return [self._composer.convert(entry, stream, conversion)]
-        except ConversionError:  # noted when it came
+        except ConversionError:  # reported when it arrived
             return []

@@ -1,4 +1,4 @@
-"""What the fast path can compile the next message of a ROS topic from."""
+"""What the fast path needs to compile the stream of a ROS topic."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 
 
 class IgtlOrigin(NamedTuple):
-    """The stream of a message that has gone out, the message, and what the guard knows of the stream."""
+    """A sent message, its stream, and its guarded stream."""
 
     stream: ToIgtlStream
     out: OutboundMessage

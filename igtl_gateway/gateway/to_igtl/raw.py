@@ -20,7 +20,7 @@ from igtl_gateway.wire.fields import visible
 
 
 class RawMessages:
-    """See the module."""
+    """Sends RawMessages."""
 
     def __init__(self, config: Config, peers: Peers, guard: Guard, denied: Denials) -> None:
         self._config = config
@@ -29,11 +29,11 @@ class RawMessages:
         self._denied = denied
 
     def takes(self, entry: Entry) -> bool:
-        """Whether a ROS message is such a one, on a topic that is bridged."""
+        """Return whether an entry is a RawMessage on a bridged topic."""
         return entry.type == RawMessage.TYPE and self._config.row_to_igtl(entry.channel) is not None
 
     def take(self, entry: Entry) -> Outcome:
-        """The message inside, to the peers that it names, or to all that can read it."""
+        """Send the contained message to the peer that it names, or to all peers that can read it."""
         topic = entry.channel
         try:
             raw = RawMessage.unpack(entry.payload[0])
@@ -63,7 +63,7 @@ class RawMessages:
         return Outcome([sent, *found], CONVERTED)
 
     def _is_denied(self, igtl_type: str, data: Buffer) -> bool:
-        """Whether a valid message may not go out, or a BIND because of a child."""
+        """Return whether a valid message is denied, or a BIND because of a child."""
         if igtl_type != "BIND":
             return self._denied.type(igtl_type)
         return bool(self._denied.message(decode(data, check_crc=False)))

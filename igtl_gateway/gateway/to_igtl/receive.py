@@ -1,4 +1,4 @@
-"""A ROS message on its way to OpenIGTLink: routed by its topic, converted, judged, composed, delivered."""
+"""Processes a ROS message for OpenIGTLink: route by topic, convert, guard, compose, deliver."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from igtl_gateway.session.note import Level
 
 
 class RosReceiver:
-    """See the module."""
+    """Receives the messages of ROS."""
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class RosReceiver:
         self._raw = RawMessages(config, peers, guard, denied)
 
     def take(self, entry: Entry) -> Outcome:
-        """A message of any ROS topic."""
+        """Process a message of any ROS topic."""
         if self._frames.takes(entry):
             return self._frames.take(entry)
         if self._raw.takes(entry):
@@ -75,7 +75,7 @@ class RosReceiver:
         if stream is None:
             return self._unrouted(entry)
         lonely = not self._peers and stream.conversion.igtl_type != "COMMAND"
-        if not stream.row.max_age_s:  # what is too old must not become the latest
+        if not stream.row.max_age_s:  # a message that is too old must not become the latest
             self._latest.entries[topic] = entry
             if lonely:
                 return Outcome(fate="no_peer")
@@ -106,7 +106,7 @@ class RosReceiver:
         return outcome
 
     def _unrouted(self, entry: Entry) -> Outcome:
-        """A topic that is not bridged, or one too many."""
+        """Handle a message of a topic that is not bridged, or above the limit of streams."""
         if not self._streams.is_over_limit(entry.channel, entry.type):
             return Outcome(fate=RECORDED_ONLY)
         text = f"more than {self._config.max_streams} streams: {entry.channel} is recorded, not sent"
@@ -116,7 +116,7 @@ class RosReceiver:
     def _sent(
         self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage, watched: GuardedStream | None
     ) -> Outcome:
-        """The converted message to its peers.  Raises ConversionError and WireError."""
+        """Send the converted message to its peers.  Raises ConversionError and WireError."""
         if special := self._commands.sender_for(stream.conversion.igtl_type):
             items, origin = special(entry, stream, outgoing), None
         else:
@@ -128,14 +128,14 @@ class RosReceiver:
         return Outcome(items, CONVERTED if sent else "not_wanted", origin=origin)
 
     def _deny(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage, igtl_type: str) -> Outcome:
-        """A message that peers must not be sent (``deny_out``); who commands learns of it at once."""
+        """Reject a message that ``deny_out`` denies; a denied command gets a reply."""
         text = f"{entry.channel} is not sent: {igtl_type} is denied (deny_out)"
         subject = f"{entry.channel} {igtl_type}"
         finding = Finding(Level.WARN, "denied", text, entry.channel, entry.links, subject)
         return Outcome([finding, *self._commands.deny_ros(entry, stream, outgoing, igtl_type)], "denied")
 
     def _addressed(self, outgoing: ConvertedMessage) -> Iterable[Peer]:
-        """The peers that a message is for."""
+        """Return the addressees of a message."""
         if not outgoing.link:
             return self._peers.all()
         peer = self._peers.get(outgoing.link)

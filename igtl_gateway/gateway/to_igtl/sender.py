@@ -1,6 +1,6 @@
-"""One content to many peers: who may have it, who wants it now, in which form.
+"""Encodes one message for many peers: by profile, header version and pace.
 
-Peers that get the same bytes share one entry, so that a message is encoded once however many peers there are.
+Peers that get the same bytes share one entry, so that each form of a message is encoded once.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class OutboundMessage:
     """A message for peers, before it is encoded.
 
     Attributes:
-        igtl_type, device: as on the wire.
-        content: the body.
-        stamp_ns: for the header, UTC ns.
-        full_name: of the device, "" where it is whole already.
-        ros_stamp_ns, frame_id, child_frame_id: of the ROS message; for the metadata.
-        metadata: the user's.
+        igtl_type, device: type and device name on the wire.
+        content: content of the body.
+        stamp_ns: stamp of the header, UTC ns.
+        full_name: full device name; "" if ``device`` is complete.
+        ros_stamp_ns, frame_id, child_frame_id: from the ROS message, for the metadata.
+        metadata: metadata of the user.
     """
 
     igtl_type: str
@@ -54,12 +54,12 @@ class OutboundMessage:
 
 @dataclass(slots=True)
 class SendResult:
-    """What became of a message.
+    """The result of encoding a message for peers.
 
     Attributes:
-        outputs: the messages that go out.
-        refused: (profile, type) of the peers that must not be sent such a type.
-        warnings: what was bent for some peers.
+        outputs: the encoded messages.
+        refused: (profile, type) of the peers that cannot read the type.
+        warnings: adaptations for some peers.
     """
 
     outputs: list[Output]
@@ -68,16 +68,16 @@ class SendResult:
 
 
 def send(out: OutboundMessage, peers: Iterable[Peer], now_ns: int, *, asked: bool = False) -> SendResult:
-    """One entry for each form in which peers get the message, header version 1 first.
+    """Return one output for each form of the message, header version 1 first.
 
     Args:
         out: the message.
-        peers: those that it is for.
+        peers: the addressees.
         now_ns: gateway time.
-        asked: whether the peers have asked for just this message, so that no pace holds it back.
+        asked: whether it answers a query, so that the pace of streams does not apply.
 
     Raises:
-        MalformedBody: what no layout holds.
+        MalformedBody: a content that cannot be encoded.
     """
     sent = SendResult([], [], [])
     forms: dict[tuple[int, str], tuple[Body, list[int]]] = {}

@@ -1,4 +1,4 @@
-"""ROS frames on their way to OpenIGTLink: which messages an update of the tf tree causes."""
+"""Frames of the tf tree for OpenIGTLink: the messages that an update of the tree causes."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.tracking import TOOL_6D
 
-#: topic → whether what it says holds at all times.
+#: topic → whether its transforms are static.
 TF_TOPICS = {"/tf": False, "/tf_static": True}
-#: tf is a stream of changes: a sample that is missed leaves a chain at an old place.
+#: /tf is a stream of changes: after a lost sample a chain of transforms is outdated.
 TF_QOS = {"/tf": Qos(depth=1000), "/tf_static": Qos(depth=100, latched=True)}
 
 
-#: (row, frame, stamp of its pose) → whether that is too old to be told.
+#: (row, frame, stamp of its pose) → whether the pose is too old to be sent.
 IsStale = Callable[[TfOutRow, str, int], bool]
 
 
 @dataclass(slots=True)
 class _FramesSent:
-    """One row of the configuration and what was last sent for it; the oldest stamp in that, 0: it does not move."""
+    """A row of the configuration, its last messages, and the oldest stamp in them (0: static)."""
 
     row: TfOutRow
     request: TfRequest
@@ -44,10 +44,10 @@ class _FramesSent:
 
 
 class TfOut:
-    """The tf tree, and the frames of it that go out.
+    """The tf tree, and the frames of it that are sent to peers.
 
     Args:
-        config: its rows ``tf_out``.
+        config: configuration with the rows ``tf_out``.
         devices: device name of at most 20 bytes for each row.
     """
 
@@ -64,8 +64,10 @@ class TfOut:
     def update(
         self, message: TFMessage, static: bool, now_ns: int, is_stale: IsStale
     ) -> tuple[list[tuple[OutboundMessage, LengthUnits]], list[str]]:
-        """Take a message of /tf or /tf_static: what has changed of what goes out, with its units, and what of it
-        cannot be told.  Frames that are too old are left out."""
+        """Apply a message of /tf or /tf_static; return the changed messages with their units, and the problems.
+
+        Frames that are too old are left out.
+        """
         self.tree.update(message, static)
         changed: list[tuple[OutboundMessage, LengthUnits]] = []
         refused: list[str] = []
@@ -121,7 +123,7 @@ class TfOut:
         )
 
     def latest(self, now_ns: int | None = None) -> list[OutboundMessage]:
-        """What was last sent, for who asks or comes later; of that, what is not too old at that time."""
+        """Return the last messages for queries and late joiners, without those that are too old at ``now_ns``."""
         return [
             one.last
             for one in self._requests
@@ -134,5 +136,5 @@ class TfOut:
         ]
 
     def static(self) -> list[OutboundMessage]:
-        """Of these, what does not move: it is said once."""
+        """Return the last messages of static frames, which are sent only once."""
         return [one.last for one in self._requests if one.last and not one.last.ros_stamp_ns]

@@ -1,4 +1,4 @@
-"""/tf and /tf_static from ROS: the frames that the configuration sends out (``tf_out``)."""
+"""Processes /tf and /tf_static from ROS for the frames in ``tf_out`` of the configuration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from igtl_gateway.session.note import Level
 
 
 class TfReceiver:
-    """See the module.  False where no frame goes out."""
+    """Receives /tf and /tf_static; false if ``tf_out`` is empty."""
 
     def __init__(self, tf: TfOut, guard: Guard, peers: Peers, delivery: Delivery, tracking: Tracking) -> None:
         self._tf = tf
@@ -29,11 +29,11 @@ class TfReceiver:
         return bool(self._tf)
 
     def takes(self, entry: Entry) -> bool:
-        """Whether a ROS message is a change of the tf tree that matters here."""
+        """Return whether an entry is a message of /tf or /tf_static that is needed."""
         return bool(self._tf) and entry.channel in TF_TOPICS and entry.type == TFMessage.TYPE
 
     def take(self, entry: Entry) -> Outcome:
-        """A message of /tf or /tf_static."""
+        """Process a message of /tf or /tf_static."""
         try:
             message = TFMessage.unpack(entry.payload[0])
         except ConversionError as error:
@@ -41,7 +41,7 @@ class TfReceiver:
         return Outcome(self.update(entry, message, static=TF_TOPICS[entry.channel]), CONVERTED)
 
     def update(self, entry: Entry, message: TFMessage, *, static: bool) -> list[Item]:
-        """What a change of the tf tree sends out."""
+        """Return the outputs and findings of a change of the tf tree."""
         items: list[Item] = []
 
         def is_stale(row: TfOutRow, frame: str, stamp_ns: int) -> bool:
@@ -57,14 +57,14 @@ class TfReceiver:
         items += self._delivery.deliver_each(
             entry, outs, lambda out: self._delivery.deliver_stream(entry, self._peers.all(), out, lengths[out.channel])
         )
-        # tracking data is put together of all poses: once for each type, however many of them have changed
+        # tracking data contains all poses: once for each type, however many poses have changed
         last = {out.igtl_type: out for out in outs}
         return items + self._delivery.deliver_each(
             entry, last.values(), lambda out: self._tracking.follow_pose(entry, out, lengths[out.channel])
         )
 
     def send_static(self, entry: Entry, peer: Peer) -> list[Item]:
-        """The frames that do not move, for a peer that has just connected."""
+        """Return the static frames for a new peer."""
         return self._delivery.deliver_each(
             entry, self._tf.static(), lambda out: self._delivery.to(entry, [peer], [out])
         )

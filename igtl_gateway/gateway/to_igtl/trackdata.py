@@ -1,4 +1,4 @@
-"""Tracking data: put together of single poses, and moved to the frame that a peer asked for."""
+"""Tracking data: composed of single poses, and transformed to the frame that a peer requested."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from igtl_gateway.wire.tracking import (
 )
 from igtl_gateway.wire.transform import Position, Transform
 
-NAME_BYTES = 19  # of 20: the reference reader drops a name that fills its field
+NAME_BYTES = 19  # of 20: the C++ reader drops a name that fills its field
 
-#: Device name of tracking data that is put together for a peer that names none.
+#: Device name of composed tracking data, unless the peer names one.
 TRACKING_DEVICE = "Tracking"
 
-#: Tracking data and the single poses that it can be put together from.
+#: Type of tracking data → type of the single poses that it is composed of.
 TRACKING = {"TDATA": "TRANSFORM", "QTDATA": "POSITION"}
 
-#: Latest messages of a type and device ("" = any), as they would be sent.
+#: (type, device or "" for any) → the latest messages, composed.
 Latest = Callable[[str, str], list[OutboundMessage]]
 
 
 def tracking_content(igtl_type: str, device: str, now_ns: int, latest: Latest) -> OutboundMessage | None:
-    """TDATA or QTDATA of all single poses that go out; None without any."""
+    """Return a TDATA or QTDATA of all single poses that are sent; None without any."""
     poses = latest(TRACKING[igtl_type], "")
     if not poses:
         return None
@@ -70,12 +70,12 @@ def _fill(element: Any, pose: OutboundMessage) -> None:
 
 
 def in_frame(content: Body, pose: Pose, lengths: LengthUnits) -> Body:
-    """Tracking data in another frame, in which its own has the pose ``pose`` (metres)."""
+    """Transform tracking data to another frame, in which its own frame has ``pose`` (metres)."""
     if isinstance(content, TrackingData):
         elements = content.elements.copy()
         columns = elements["matrix"].astype(np.float64).reshape(-1, 4, 3)
         turned = np.empty_like(columns)
-        for row, (a, b, c) in enumerate(rotation_matrix(pose[3:])):  # plain sums: the same bits on every machine
+        for row, (a, b, c) in enumerate(rotation_matrix(pose[3:])):  # plain sums give the same bits on every machine
             turned[:, :, row] = a * columns[:, :, 0] + b * columns[:, :, 1] + c * columns[:, :, 2]
             turned[:, 3, row] += lengths.to_igtl(pose[row])
         elements["matrix"] = turned.reshape(-1, 12)
@@ -90,7 +90,7 @@ def in_frame(content: Body, pose: Pose, lengths: LengthUnits) -> Body:
 
 
 def trackers(peers: Iterable[Peer]) -> dict[tuple[str, str], list[Peer]]:
-    """Who has asked for streams of tracking data, by (type, device asked for)."""
+    """Return (type, requested device) → peers that requested this stream of tracking data."""
     wanted: dict[tuple[str, str], list[Peer]] = {}
     for peer in peers:
         for (igtl_type, device), wish in peer.stream_requests.items():

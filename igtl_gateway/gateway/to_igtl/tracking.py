@@ -1,4 +1,4 @@
-"""Tracking data for the peers that asked for it, where only single poses go out."""
+"""Tracking data for peers that requested it, composed of single poses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _POSES = frozenset(TRACKING.values())
 
 
 class Tracking:
-    """See the module."""
+    """Sends composed tracking data."""
 
     def __init__(self, peers: Peers, latest: Latest, delivery: Delivery) -> None:
         self._peers = peers
@@ -25,11 +25,11 @@ class Tracking:
         self._delivery = delivery
 
     def follow_pose(self, entry: Entry, out: OutboundMessage, lengths: LengthUnits) -> list[Item]:
-        """What follows a pose that has gone out: tracking data, for each peer whose stream is due."""
+        """Return the tracking data that is due after a pose, for each peer that requested it."""
         if out.igtl_type not in _POSES:
             return []
         items: list[Item] = []
-        made: dict[str, OutboundMessage | None] = {}  # the same for every device name that it is asked for by
+        made: dict[str, OutboundMessage | None] = {}  # shared by all requested device names
         for (igtl_type, device), peers in trackers(self._peers.all()).items():
             name = device or TRACKING_DEVICE
             if not any(peer.is_due(igtl_type, name, entry.stamp_ns) for peer in peers):

@@ -1,4 +1,4 @@
-"""A decoded message becomes ROS messages: by the rows of the conversion table that apply, or as it is."""
+"""Converts a decoded message to ROS messages: by the rows of the conversion table, or as a RawMessage."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _METADATA_QOS = Qos(depth=100)
 
 
 class Converter:
-    """See the module."""
+    """Converts decoded messages to ROS."""
 
     def __init__(self, streams: Streams, subscribers: Subscribers, frames: TfReceiver) -> None:
         self._streams = streams
@@ -46,9 +46,9 @@ class Converter:
     def convert(
         self, entry: Entry, message: Message, content: object, stream: ToRosStream, to: ToRosContext
     ) -> Outcome:
-        """The ROS messages of a content; of a type without conversions, the message as it is.
+        """Return the ROS messages of a content; a RawMessage for a type without a conversion.
 
-        Raises ConversionError where no row can convert it.
+        Raises ConversionError if no row can convert it.
         """
         outputs = [pair for pair in stream.outputs if isinstance(content, pair[0].content)]
         if not outputs:
@@ -66,7 +66,7 @@ class Converter:
         stream: ToRosStream,
         outputs: Sequence[tuple[ConversionToRos, str]],
     ) -> list[Item]:
-        """By every row that applies.  What one refuses costs the others nothing; raises ConversionError if all do."""
+        """Convert by every row that applies; an error of one row does not affect others.  Raises if all rows fail."""
         items: list[Item] = []
         frames: list[Item] = []
         problems: list[tuple[ConversionToRos, ConversionError]] = []
@@ -92,7 +92,7 @@ class Converter:
         return items + warning_findings(to.warnings, entry) + frames
 
     def build_waiting(self, topic: str) -> list[Item]:
-        """The last message of a latched topic, for its first subscriber."""
+        """Return the last message of a latched topic for its first subscriber."""
         waiting = self._subscribers.waiting.pop(topic, None)
         if waiting is None:
             return []
@@ -105,7 +105,7 @@ class Converter:
     def _built(
         self, topic: str, entry: Entry, row: ConversionToRos, content: object, to: ToRosContext
     ) -> Sequence[RosMessage]:
-        """The messages of a row; none where nobody subscribes.  Raises ConversionError."""
+        """Return the outputs of a row; none without a subscriber.  Raises ConversionError."""
         if self._subscribers.has(topic, row.message.TYPE):
             messages = _converted(row, content, to)
             self._subscribers.waiting.pop(topic, None)
@@ -116,21 +116,21 @@ class Converter:
         return ()
 
     def _metadata(self, stream: ToRosStream, to: ToRosContext) -> Item:
-        """What the sender said besides, for messages that cannot carry it."""
+        """Return the metadata of the sender as a message of its own, beside a ROS type that cannot contain it."""
         header = RosHeader(to.stamp_ns, to.frame_id)
         message = Metadata(header, to.igtl_type, to.device_name, to.message_id, to.metadata)
         self._streams.advertise(stream.metadata_topic, _METADATA_QOS)
         return ros_output(stream.metadata_topic, message, to.stamp_ns)
 
     def _unconverted(self, entry: Entry, message: Message, stream: ToRosStream, to: ToRosContext) -> Outcome:
-        """A message without a conversion: as it is; an empty one of a type that has conversions: not at all."""
+        """Publish a message without a conversion as a RawMessage; an empty one of a known type is not published."""
         if stream.outputs and isinstance(message.content, Raw):
             text = f"{to.igtl_type} has an empty body: nothing to publish"
             return Outcome([_first(entry, "empty", text, message, to)], "empty")
         if any(not kind.startswith("+") for kind in stream.row.kinds):
             return Outcome(fate="not_chosen")
         self._streams.advertise(stream.raw_topic, RAW_QOS)
-        # a child of a BIND has no message of its own, and the whole BIND for each of thousands would fill the memory
+        # a child of a BIND has no bytes of its own, and thousands of copies of the BIND would fill the memory
         data = entry.payload[0] if entry.payload else join(encode(message))
         raw = raw_message(data, entry.stamp_ns, to.link)
         text = f"{to.igtl_type} has no conversion to ROS and is published as it is"
@@ -139,12 +139,12 @@ class Converter:
 
 
 def _first(entry: Entry, code: str, text: str, message: Message, to: ToRosContext) -> Finding:
-    """Noted for the first message of a type from each link."""
+    """Return a finding that is reported for the first message of a type from each link."""
     return Finding(Level.INFO, code, text, entry.channel, entry.links, subject=message.type, by=to.link)
 
 
 def _converted(row: ConversionToRos, content: object, to: ToRosContext) -> Sequence[RosMessage]:
-    """What a row converts a content to; other rows may use it.  Raises ConversionError."""
+    """Convert a content by a row; other rows can use the result.  Raises ConversionError."""
     converted = row.convert(content, to)
     messages = converted if isinstance(converted, list) else [converted]
     to.made.update((message.TYPE, message) for message in messages)

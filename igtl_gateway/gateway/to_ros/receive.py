@@ -1,4 +1,4 @@
-"""A message of a peer: checked and decoded, held against the deny list, routed to ROS, and answered."""
+"""Processes a message of a peer: check, decode, deny list, route to ROS, reply."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from igtl_gateway.wire.query import split_query
 
 
 class IgtlReceiver:
-    """See the module.
+    """Receives the messages of peers.
 
     Args:
-        denied: types that may not come in (``deny_in``).
+        denied: types that are not accepted (``deny_in``).
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class IgtlReceiver:
         self._commands = commands
 
     def take(self, entry: Entry) -> Outcome:
-        """A message of any type."""
+        """Process a message of any type."""
         try:
             message = decode(entry.payload[0], check_crc=self._config.check_crc)
         except WireError as error:
@@ -73,7 +73,7 @@ class IgtlReceiver:
         return outcome
 
     def _learned(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
-        """What a message shows of its sender."""
+        """Learn version and profile of the sender; return the findings."""
         before = peer.profile
         if not peer.learn_from(message):
             return []
@@ -85,7 +85,7 @@ class IgtlReceiver:
         return items
 
     def _deny(self, entry: Entry, peer: Peer | None, message: Message, denied: str) -> list[Item]:
-        """A message that may not come in; a peer that asks or commands gets an answer."""
+        """Reject a denied message; a query or command gets a reply."""
         igtl_type = visible(message.type)
         inside = f" with {denied} inside" if denied != igtl_type else ""
         text = f"{igtl_type}{inside} from {peer.address or 'the peer' if peer else 'a peer'} is denied (deny_in)"

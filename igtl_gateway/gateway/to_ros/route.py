@@ -1,4 +1,4 @@
-"""A decoded message finds its stream: topics, frames, stamp and units; the children of a BIND find their own."""
+"""Routes a decoded message to its stream: topics, frames, stamp and units; each child of a BIND to its own."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from igtl_gateway.wire.registry import read_child
 
 
 class RosOrigin(NamedTuple):
-    """What the fast path can compile the next message of a device from: a message, its stream and circumstances."""
+    """What the fast path needs to compile the stream of a device: a message, its stream and its context."""
 
     message: Message
     stream: ToRosStream
@@ -35,7 +35,7 @@ class RosOrigin(NamedTuple):
 
 
 class Router:
-    """See the module."""
+    """Routes decoded messages to their streams."""
 
     def __init__(self, config: Config, streams: Streams, guard: Guard, volumes: Volumes, converter: Converter) -> None:
         self._config = config
@@ -45,7 +45,7 @@ class Router:
         self._converter = converter
 
     def route(self, entry: Entry, message: Message, restored: RestoredMetadata) -> Outcome:
-        """A decoded message to ROS; ``restored`` is what its metadata says."""
+        """Return the outcome of a decoded message for ROS; ``restored`` has the contents of its metadata."""
         igtl_type, link = visible(message.type), entry.links[0]
         stream = self._streams.to_ros(igtl_type, restored.device_name)
         if stream is None:
@@ -67,7 +67,7 @@ class Router:
         found: list[Item] = []
         name = (
             entry.channel if entry.payload else f"{igtl_type}/{restored.device_name}"
-        )  # of a child of a BIND: its own
+        )  # for a child of a BIND: its own stream
         if watched := self._guard.of(link, name, stream.row.max_age_s):
             withheld, found = check_stamp(entry, watched, source_ns, to.stamp_ns, translation_of(message.content))
             if withheld:
@@ -84,7 +84,7 @@ class Router:
     def _converted(
         self, entry: Entry, message: Message, restored: RestoredMetadata, stream: ToRosStream, to: ToRosContext
     ) -> Outcome:
-        """The conversion of a message that is fresh enough.  Raises ConversionError and WireError."""
+        """Convert a message that is not too old.  Raises ConversionError and WireError."""
         content = message.content
         if isinstance(content, Bind):
             return Outcome(self._split_bind(entry, message, content, restored, stream, to), CONVERTED)
@@ -104,7 +104,7 @@ class Router:
         stream: ToRosStream,
         to: ToRosContext,
     ) -> list[Item]:
-        """A BIND as a whole, then each of its children as if it had come alone."""
+        """Route a BIND as a whole, then each child as a separate message."""
         items = self._converter.publish(entry, bind, to, stream, stream.outputs) if stream.outputs else []
         alone = replace(entry, payload=())
         for child in bind.children:

@@ -1,4 +1,4 @@
-"""Outputs to ROS that nobody subscribes to are not built, in sessions that nobody records."""
+"""Subscribers of topics: outputs without a subscriber are not built, in sessions without a recording."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.table import ConversionToRos
 from igtl_gateway.session.entry import Entry
 
-#: Topic and ROS type → whether there is a subscriber.
+#: Topic and ROS type → whether the topic has a subscriber.
 Ask = Callable[[str, str], bool]
 
 
 class Subscribers:
-    """Which topics have subscribers, where the ROS edge tells.
+    """Which topics have a subscriber, if the ROS edge reports it.
 
-    It is no input of the gateway.  A session that is recorded leaves ``ask`` unset: then everything is built, so that
-    what is verified depends on the inputs alone.
+    This is not an input of the gateway.  A recorded session leaves ``ask`` unset: then all outputs are built, so that a
+    verification depends on the inputs only.
 
     Args:
-        needs_tf: whether frames go out (``tf_out``), which are taken from /tf messages.
+        needs_tf: whether ``tf_out`` has rows, which need the /tf messages.
 
     Attributes:
-        ask: whether a topic has a subscriber; None: build everything.
-        waiting: latched topic → its last message, which is built for the first subscriber; as many as there are topics.
+        ask: returns whether a topic has a subscriber; None: build all outputs.
+        waiting: latched topic → its last message, which is built for the first subscriber; at most one per topic.
     """
 
     def __init__(self, *, needs_tf: bool) -> None:
@@ -33,5 +33,5 @@ class Subscribers:
         self._needs_tf = needs_tf
 
     def has(self, topic: str, ros_type: str) -> bool:
-        """Whether a message has to be built: for a subscriber, or for the frames that go out."""
+        """Return whether a message must be built: for a subscriber, or for ``tf_out``."""
         return self.ask is None or self.ask(topic, ros_type) or (self._needs_tf and ros_type == TFMessage.TYPE)

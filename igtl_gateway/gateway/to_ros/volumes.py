@@ -1,4 +1,4 @@
-"""Images that come in parts: each device keeps its last whole image, into which parts are written."""
+"""Partial images: the latest whole image of each device, into which parts are written."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ from igtl_gateway.convert.assembly import VolumeAssembler
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import Image
 
-#: Devices whose images may come in parts: each keeps its last image.
+#: Maximum number of devices with partial images.
 MAX_VOLUMES = 64
-#: What all of them may keep, in bytes: several times the largest volumes of the field (250 MiB).
+#: Maximum size of all kept images in bytes: several times the largest usual volumes (250 MiB).
 MAX_VOLUMES_BYTES = 2 << 30
 
 
 class Volumes:
-    """The last image of each device."""
+    """The latest image of each device."""
 
     def __init__(self) -> None:
         self._assemblers: dict[str, VolumeAssembler] = {}
 
     def get(self, device: str) -> VolumeAssembler | None:
-        """What keeps the last image of a device; None if there is none."""
+        """Return the assembler of a device; None if there is none."""
         return self._assemblers.get(device)
 
     def assembled(self, device: str, image: Image) -> Image | None:
-        """The whole image that ``image`` updates; None as long as parts of it have never been sent.
+        """Return the whole image that ``image`` updates; None while some of its parts are missing.
 
-        Raises ConversionError for parts from more devices than can be kept.
+        Raises ConversionError for partial images of too many devices.
         """
         assembler = self._assemblers.get(device)
         if assembler is None:

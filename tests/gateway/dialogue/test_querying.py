@@ -12,7 +12,7 @@ from igtl_gateway.convert.igtl_msgs import MetadataItem, PointList, Query, Track
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway import outcome, streams
 from igtl_gateway.gateway.dialogue.answers import MAX_TRACKED
-from igtl_gateway.gateway.peers import MAX_WISHES
+from igtl_gateway.gateway.peers import MAX_STREAM_REQUESTS
 from igtl_gateway.gateway.profiles import PROFILES
 from igtl_gateway.gateway.to_igtl import trackdata
 from igtl_gateway.gateway.to_igtl import tracking as tracking_room
@@ -207,7 +207,7 @@ def test_pictures_can_be_paced_and_stopped() -> None:
 def test_a_peer_that_invents_streams_is_refused_in_the_end() -> None:
     script = Script()
     script.up(1)
-    for index in range(MAX_WISHES):
+    for index in range(MAX_STREAM_REQUESTS):
         script.igtl(query("STT_IMAGE", f"I{index}"))
     assert "note stream_refused" in script.igtl(query("STT_IMAGE", "One more"))
     script.igtl(query("STP_IMAGE", ""))
