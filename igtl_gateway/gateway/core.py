@@ -138,7 +138,7 @@ class Gateway:
                 self.fast_path.learn(entry, outcome)
             outputs = self._accounts.settle(entry, outcome)  # last: a failure above has counted nothing
         except Exception as error:  # an internal error must cost one message, not the session
-            self._streams.reportable.clear()
+            self._streams.opened.clear()
             outputs = self._accounts.fail(entry, error)
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
 
@@ -205,10 +205,10 @@ class Gateway:
 
     def _opened_streams(self) -> list[Finding]:
         """Return findings for the streams that the current entry opened."""
-        if not self._streams.reportable:
+        if not self._streams.opened:
             return []
-        news, self._streams.reportable = self._streams.reportable, []
-        return [Finding(Level.INFO, "stream", f"{stream} goes {text}", stream) for stream, text in news]
+        opened, self._streams.opened = self._streams.opened, []
+        return [Finding(Level.INFO, "stream", f"{stream} goes {text}", stream) for stream, text in opened]
 
 
 @lru_cache(maxsize=1_024)  # called for every message

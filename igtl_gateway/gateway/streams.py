@@ -77,7 +77,7 @@ class Streams:
         self._tokens: dict[str, str] = {}  # topic token → its device
         self._devices: dict[str, str] = {}  # short device name → its full name
         self._qos: dict[str, Qos] = {}
-        self.reportable: list[tuple[str, str]] = []  # (stream, destination) of new streams that are not reported yet
+        self.opened: list[tuple[str, str]] = []  # (stream, destination) of new streams that are not reported yet
 
     def qos(self, topic: str) -> Qos | None:
         """Return the QoS of a topic that the gateway publishes."""
@@ -114,7 +114,7 @@ class Streams:
             self._qos.setdefault(topic, row.qos or conversion.qos)
         poses = any(conversion.kind == "transform" for conversion in rows_to_ros(igtl_type))
         topics = ", ".join(dict.fromkeys(topic for _, topic in outputs)) or topic_of(RAW)
-        self.reportable.append((f"{igtl_type}/{device}", f"to {topics}"))
+        self.opened.append((f"{igtl_type}/{device}", f"to {topics}"))
         return ToRosStream(
             row,
             tuple(outputs),
@@ -178,7 +178,7 @@ class Streams:
         full_name = row.device or device_of_topic(topic, last if last in kinds else "")
         device = self.device(full_name)
         name = f"{conversion.igtl_type}/{device}"
-        self.reportable.append((topic, f"to {name}" + (f" (for {full_name})" if device != full_name else "")))
+        self.opened.append((topic, f"to {name}" + (f" (for {full_name})" if device != full_name else "")))
         latched = (row.qos or conversion.qos).latched
         metadata = tuple(MetadataItem(key, 0, value) for key, value in row.metadata)
         return ToIgtlStream(row, conversion, device, full_name, self._config.lengths(row), latched, metadata)

@@ -180,7 +180,7 @@ def _asked(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
     names = list(dict.fromkeys([*options.case, *(TABLE_1 if options.table1 else ())]))
     if unknown := [name for name in names if name not in CASES and name not in WORKS]:
         raise ConfigError(f"--case: found {unknown[0]!r}, expected one of {', '.join([*CASES, *WORKS])}")
-    if not names and not options.check_liveness:
+    if not names and not options.sweep:
         raise ConfigError(
             "found nothing to measure, expected --case NAME, --sweep or --table1 (--list shows the cases)"
         )
@@ -195,7 +195,7 @@ def _asked(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
     directions = tuple(one for one in Direction if options.direction in (one.value, _BOTH))
     extent = Extent(options.duration, options.count or (_TABLE_COUNT if options.table1 else 0))
     groups = [_group(_at_rate(CASES[name], options), directions, extent, options) for name in names if name in CASES]
-    for name in options.check_liveness:
+    for name in options.sweep:
         plans = SWEEPS[name].plans(Extent(options.duration, options.count or 0), directions)
         if not plans:
             raise ConfigError(f"--direction: found {options.direction}, --sweep {name} goes the other way only")
