@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from io import BufferedReader, FileIO
 from pathlib import Path
 
+import pytest
+
 from igtl_gateway.buffers import Buffer
+from igtl_gateway.untrusted import files
 
 
 def write_anew(path: Path, data: Buffer) -> None:
@@ -15,3 +19,30 @@ def write_anew(path: Path, data: Buffer) -> None:
     """
     path.unlink(missing_ok=True)
     path.write_bytes(data)
+
+
+class BytesRead:
+    """Counts the bytes that are read from recordings, by replacing the function that opens them."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.count = 0
+        monkeypatch.setattr(files, "open_file", self._open)
+
+    def _open(self, path: Path) -> BufferedReader:
+        return BufferedReader(_Counted(path, self))
+
+
+class _Counted(FileIO):
+    def __init__(self, path: Path, total: BytesRead) -> None:
+        super().__init__(path)
+        self._total = total
+
+    def readinto(self, buffer: bytearray) -> int | None:  # type: ignore[override]
+        size = super().readinto(buffer)
+        self._total.count += size or 0
+        return size
+
+    def readall(self) -> bytes:
+        data = super().readall()
+        self._total.count += len(data)
+        return data

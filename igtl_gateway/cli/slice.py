@@ -60,7 +60,10 @@ def run(options: argparse.Namespace) -> int:
             raise ConfigError(f"--start, --end: found an end {_apart(window)} the start, expected one after it")
         # what a part of a split recording brings along of the time before it is older than its first entry
         part = Slice(
-            lambda: chain(file.prologue(), file.entries()), config_to_run(file.session, options.config), window
+            lambda: chain(file.prologue(), file.entries()),
+            config_to_run(file.session, options.config),
+            window,
+            file.entries_since,
         )
         _write(file, part, window, options)
         if options.json:

@@ -34,6 +34,7 @@ from igtl_gateway.session.note import Note
 SMALL_BYTES = 4096
 
 _Read = Callable[[], Iterable[Entry]]
+_ReadFrom = Callable[[int, int], Iterable[Entry]]
 _PREFIXES = ("STT_", "STP_")
 _COMMANDS = frozenset({"COMMAND", "RTS_COMMAND", Command.TYPE, CommandReply.TYPE})
 
@@ -117,14 +118,21 @@ def input_groups(entries: Iterable[Entry]) -> Iterator[InputGroup]:
 class Slice:
     """A window of a session; finds the depth that it needs when it is made.
 
+    The state at the start of the window follows from all inputs before it, so these are read: once.  Only where the
+    inputs of :attr:`Depth.STATE` do not suffice they are read again.
+
     Args:
-        read: gives the entries of the session, from the beginning, each time that it is called.
+        read: returns the entries of the session, from the beginning, each time that it is called.
         config: of the session.
-        window: what is wanted.
+        window: the requested part.
+        read_from: returns the entries from a time on (UTC ns, entry number of an earlier entry or 0) without reading
+            those before it; default: those of ``read``.
     """
 
-    def __init__(self, read: _Read, config: Config, window: SliceWindow) -> None:
+    def __init__(self, read: _Read, config: Config, window: SliceWindow, read_from: _ReadFrom | None = None) -> None:
         self._read, self._config, self._window = read, config, window
+        self._read_from = read_from
+        self._state: dict[int, Entry] | None = None  # the prologue of Depth.STATE, once it is known
         depths = (Depth.STATE, Depth.SMALL) if window.globs else tuple(Depth)
         tried: list[SliceReport] = []
         for depth in depths:
@@ -149,15 +157,14 @@ class Slice:
     def _cut(self, report: SliceReport, *, rewrite: bool) -> Iterator[Entry]:
         """The entries at the depth of ``report``, counted there; with ``rewrite`` groups that differ are computed."""
         window, depth = self._window, report.depth
-        kept = _prologue(self._read(), window, depth)
         session = Session(make_core(self._config, fast_path=False))
         seq, stamp_ns = 1, 0
-        for group in input_groups(self._read()):
+        for group in self._groups(depth):
             cause = group.input
             if cause.stamp_ns >= window.end_ns:
                 break
             inside = cause.stamp_ns >= window.start_ns
-            if not (_wanted(group, window) if inside else cause.seq in kept):
+            if inside and not _wanted(group, window):
                 continue
             # computed outputs may be more than that day's: later entries make room, as in a live session
             moved = replace(cause, seq=seq, stamp_ns=max(cause.stamp_ns, stamp_ns + 1))
@@ -181,6 +188,24 @@ class Slice:
             seq += extent
             stamp_ns = (outputs[-1] if outputs else moved).stamp_ns
         report.ledger = session.gateway.ledger.to_dict()
+
+    def _groups(self, depth: Depth) -> Iterator[InputGroup]:
+        """The groups of the prologue, whose outputs may be missing, and all groups from the start of the window on."""
+        start_ns = self._window.start_ns
+        if depth is not Depth.STATE:
+            kept = _prologue(self._read(), self._window, depth).keys()
+            for group in input_groups(self._read()):
+                if group.input.stamp_ns >= start_ns or group.input.seq in kept:
+                    yield group
+            return
+        if self._state is None:
+            self._state = _prologue(self._read(), self._window, depth)
+        for seq in sorted(self._state):
+            yield InputGroup(self._state[seq], (), 1)
+        rest = self._read_from(start_ns, max(self._state, default=0)) if self._read_from else self._read()
+        for group in input_groups(rest):
+            if group.input.stamp_ns >= start_ns:
+                yield group
 
 
 def _moved(entry: Entry, cause: Entry, moved: Entry) -> Entry:
@@ -232,12 +257,12 @@ def _code(entry: Entry) -> str:
     return Note.of(entry.data()).code
 
 
-def _prologue(entries: Iterable[Entry], window: SliceWindow, depth: Depth) -> set[int]:
-    """Entry numbers of the inputs before the window that are in the slice."""
-    kept: set[int] = set()
-    first: dict[object, int] = {}
-    last: dict[object, int] = {}
-    links: dict[int, list[int]] = {}  # link → its entries, as long as it is up
+def _prologue(entries: Iterable[Entry], window: SliceWindow, depth: Depth) -> dict[int, Entry]:
+    """The inputs before the window that are in the slice, by number; beyond `Depth.STATE` without their content."""
+    kept: dict[int, Entry] = {}
+    first: dict[object, Entry] = {}
+    last: dict[object, Entry] = {}
+    links: dict[int, Entry] = {}  # link → the entry with which it came up, while it is up
     for group in input_groups(entries):
         entry = group.input
         if entry.stamp_ns >= window.start_ns:
@@ -245,21 +270,21 @@ def _prologue(entries: Iterable[Entry], window: SliceWindow, depth: Depth) -> se
         if entry.kind is Kind.LINK:
             _follow(links, entry)
         if depth is Depth.ALL or (depth is Depth.SMALL and entry.size <= SMALL_BYTES):
-            kept.add(entry.seq)
+            kept[entry.seq] = replace(entry, payload=())
         elif entry.kind is not Kind.LINK and _carries_state(group):
-            kept.add(entry.seq)
+            kept[entry.seq] = entry
         elif entry.channel and (not window.globs or _selected(group, window.globs)):
             for key in _keys(entry):
                 if entry.size <= SMALL_BYTES:
-                    first.setdefault(key, entry.seq)
-                last[key] = entry.seq
-    return kept.union(first.values(), last.values(), *links.values())
+                    first.setdefault(key, entry)
+                last[key] = entry
+    return kept | {entry.seq: entry for found in (first, last, links) for entry in found.values()}
 
 
-def _follow(links: dict[int, list[int]], entry: Entry) -> None:
+def _follow(links: dict[int, Entry], entry: Entry) -> None:
     for link in entry.links:
         if _code(entry) == LINK_UP:
-            links[link] = [entry.seq]
+            links[link] = entry
         else:
             links.pop(link, None)
 

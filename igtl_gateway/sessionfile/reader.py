@@ -162,6 +162,16 @@ class SessionFile:
         if rest_ns is not None:
             yield from self._numbered(self._rows(rest_ns), seq)
 
+    def entries_since(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
+        """The entries from ``start_ns`` (UTC) on; what comes before is not read.  Raises as `entries`.
+
+        Args:
+            seq: number of an earlier entry, from which the 32 bits that the file has of each number are extended.
+        """
+        if self.foreign or self.format_version != layout.FORMAT_VERSION:
+            return (entry for entry in self.entries() if entry.stamp_ns >= start_ns)
+        return self._numbered(self._rows(start_ns), seq)
+
     def prologue(self) -> list[Entry]:
         """Inputs before the first entry, which the gateway's state follows from; for files that begin midway.
 
@@ -392,9 +402,15 @@ class SessionParts(SessionFile):
         """As SessionFile.entries_from."""
         return self._of_parts(lambda part: part.entries_from(start_ns, rule))
 
-    def _of_parts(self, entries: Callable[[SessionFile], Iterator[Entry]]) -> Iterator[Entry]:
+    def entries_since(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
+        """As SessionFile.entries_since; parts that end before are not opened."""
+        return self._of_parts(lambda part: part.entries_since(start_ns, seq), start_ns)
+
+    def _of_parts(self, entries: Callable[[SessionFile], Iterator[Entry]], start_ns: int = 0) -> Iterator[Entry]:
         seq = 0
         for each in self.parts:
+            if each.end_ns < start_ns:
+                continue
             with SessionFile.open(each.path) as part:
                 for entry in entries(part):
                     if entry.seq:

@@ -20,7 +20,10 @@ from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
+from tests.files import BytesRead
 from tests.record import samples
+from tests.sessionfile.test_lookup import long_session
 
 TYPES = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
 S = 1_000_000_000
@@ -170,3 +173,25 @@ def test_a_stop_ends_the_wait_for_acknowledgements() -> None:
     stop.set()
     igtl_sender(edge, stop)(Entry(1, 1, Kind.IGTL_OUT, "STRING/A"))  # type: ignore[arg-type]
     assert edge.asked == ["send STRING/A"]
+
+
+def test_a_start_near_the_end_does_not_read_the_file_from_its_beginning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entries = long_session(20_000)
+    path = tmp_path / "long.mcap"
+    latched = Qos(latched=True)
+    writer = SessionWriter(
+        path, {}, qos_of=lambda topic, _type: latched if topic == "/plan" else None, chunk_bytes=20_000
+    )
+    for entry in entries:
+        writer.write(entry)
+    writer.close({})
+    size = path.stat().st_size
+    read = BytesRead(monkeypatch)
+    with SessionFile.open(path) as file:
+        how = plan_replay(file, "igtl", recompute=False)
+        found = list(planned_entries(file, Config(), how, [], file.end_ns - 1_000))
+    assert found[0].type == "STRING" and found[1].seq > entries[-200].seq
+    # the summary with its index, one chunk with the latched message, and the last two chunks
+    assert read.count < size / 5

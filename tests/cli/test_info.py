@@ -11,6 +11,7 @@ from igtl_gateway.cli import main
 from igtl_gateway.config import Config
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile.writer import SessionWriter
+from tests.files import BytesRead
 from tests.record import samples
 
 SESSION = {**samples.SESSION, "config": json.dumps(Config().to_dict())}
@@ -118,3 +119,10 @@ def test_the_age_of_stamps_is_a_median_and_its_range_is_max_minus_min(
     assert stream["age_max_minus_min_ms"] == pytest.approx(100, abs=1e-3)
     assert stream["stamps"] == "median age 4.0 ms (max - min 100.0 ms)"
     assert "median age 4.0 ms (max - min 100.0 ms)" in said(capsys, path)
+
+
+def test_a_recording_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    path = FIXTURES / "star.mcap"
+    read = BytesRead(monkeypatch)
+    assert main(["info", str(path)]) == 0
+    assert read.count < 1.05 * path.stat().st_size

@@ -12,6 +12,7 @@ from rosbags.highlevel import AnyReader
 from igtl_gateway.cli import main
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
+from tests.files import BytesRead
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 
@@ -104,3 +105,14 @@ def test_no_file_is_replaced_unasked_and_never_the_recording_itself(
     assert source.read_bytes() == data
     assert main(["slice", str(source), str(other), "--overwrite"]) == 0
     assert capsys.readouterr().out.startswith(f"{other}: ")
+
+
+def test_what_is_before_the_window_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = FIXTURES / "star.mcap"
+    size = source.stat().st_size
+    with SessionFile.open(source) as file:
+        share = 2e9 / (file.end_ns - file.start_ns)
+    read = BytesRead(monkeypatch)
+    assert main(["slice", str(source), str(tmp_path / "late.mcap"), "--start", str((1 - share) * 2 / share)]) == 0
+    # the state follows from all of the session before, so that is read; the window is read to compare, and to write
+    assert read.count < size * (1 + 2 * share) + (1 << 20)
