@@ -1,4 +1,4 @@
-"""Where the recorder's worker works: in a process of its own, or in a thread.
+"""Where the recorder's worker runs: in a process of its own, or in a thread.
 
 A thread is for tests on manual time, and for systems that refuse another process, or memory which processes can share
 (a limit of the size of files counts for that, too).
@@ -43,7 +43,7 @@ class WorkerHost:
     Attributes:
         pipe: the recorder's end.
         queue: the end that puts.
-        wait: waits for the worker's end, and says in a few words how it was.
+        wait: waits for the worker's end, and returns how it ended, in a few words.
         warning: what is not as it should be, or ``""``.
     """
 
@@ -69,7 +69,7 @@ def in_process(settings: WorkerSettings, clock: Clock) -> WorkerHost:
         return f"killed by signal {-code}" if code < 0 else f"exit code {code}"
 
     queue.warm_up()  # while it starts
-    # a process that did not start is told of by the first answer, which does not come
+    # of a process that did not start there is no first answer
     try:
         ours.send(settings)
     except BrokenPipeError:
@@ -88,8 +88,8 @@ def _start(options: RecordOptions) -> tuple[subprocess.Popen[bytes], Connection,
                 [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), str(handle), str(os.getpid())],
                 pass_fds=(theirs.fileno(), handle),
                 stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,  # whoever reads what the bridge prints waits for the bridge only
-                # what ends the bridge from a terminal must not end this: the bridge says when
+                stdout=subprocess.DEVNULL,  # readers of the bridge's output wait for the bridge only
+                # Ctrl-C in the bridge's terminal must not end this process: the bridge decides when it ends
                 start_new_session=True,
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(_python_path())},
             )
@@ -129,12 +129,12 @@ def _putter(place: mmap.mmap, options: RecordOptions) -> QueueWriter:
 
 def main() -> None:
     """The process."""
-    # whoever ends services signals to all their processes at once: here, too, it is the bridge that says when
+    # a service manager signals all processes of a service at once: the bridge decides when this one ends
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     pipe, handle, bridge = (int(word) for word in sys.argv[1:])
     os.nice(_NICENESS)
-    with Connection(pipe) as connection, suppress(EOFError):  # it was gone before it could say anything
+    with Connection(pipe) as connection, suppress(EOFError):  # the bridge ended before it sent the settings
         settings = connection.recv()
         try:
             queue = QueueReader(mmap.mmap(handle, 0))
@@ -145,9 +145,9 @@ def main() -> None:
 
 
 def _set_priority(hurried: bool) -> bool:
-    """See to it that the bridge, and all else, goes first, or not; False if that is to be tried again.
+    """Lower the priority below that of all other processes, or restore it; False if that is to be tried again.
 
-    Where the system does not know of sessions, the niceness of the process is all there is.
+    Where the system has no sessions, only the niceness of the process counts.
     """
     try:
         _SESSION_NICENESS.write_text(str(_LEVEL if hurried else _BEHIND))

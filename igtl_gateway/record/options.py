@@ -25,19 +25,19 @@ class RecordOptions:
     """See the command line.
 
     Attributes:
-        compression: of the chunks; lz4 is for speed, and leaves large ones of streams as they are that gain nothing by
-            it; zstd is for size, and compresses all.
+        compression: of the chunks; lz4 is for speed: large chunks of streams that do not shrink stay uncompressed;
+            zstd is for size: it compresses all.
         chunk_bytes: size of a chunk before compression.
-        flush_s: everything older is in the file, come what may.
-        fsync: when what is in the file is on the disk itself.
-        split_bytes, split_s: a part ends when it has reached this size or lasted so long; 0: never.
-        snapshot_s: keep the last seconds in memory, and write them when asked to; 0: write everything at once.
+        flush_s: interval between flushes: the most that SIGKILL of the recorder loses.
+        fsync: when written data are forced to the disk.
+        split_bytes, split_s: a part ends when it has this size or duration; 0: never.
+        snapshot_s: keep the last seconds in memory, and write them on request; 0: write everything immediately.
         snapshot_bytes: bound of what is kept in memory.
         selection: which streams are recorded.
         queue_bytes, queue_entries: bounds of the queue.
         overwrite: replace an existing recording instead of refusing it.
-        stop_on_failure: whoever runs the recorder ends with it.
-        custom: what the user wants to have said in the recording, as (key, value).
+        stop_on_failure: the bridge stops when the recording fails.
+        custom: keys and values of the user for the metadata of the recording.
     """
 
     compression: Compression = "lz4"

@@ -1,12 +1,12 @@
-"""The prologue: what the gateway has to know before a file that begins in the middle of a session.
+"""The prologue: the inputs that the gateway needs before a file that begins in the middle of a session.
 
 The state of the gateway follows from all inputs since the beginning.  Most of them have left nothing behind, so a
 few stand for all: links, inputs by which the gateway learned something (a first message of a stream, a version, a
 refusal: it shows in their outputs), the last messages of mixed topics, and the last input of each stream, which a
 query may ask for.  They are kept within bounds; where a state is made of more, only all parts together give it.
 
-Of a peer that has gone nothing is left but what was learned from it: that it came and went gives way before that does,
-so that in a long session, in which peers come and go, those that are still there are not forgotten.
+Of a disconnected peer only the inputs that taught the gateway something are kept; its link entries are dropped first.
+So a long session, in which peers come and go, does not forget the connected ones.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Prologue:
         self._max_entries, self._max_bytes = max_entries, max_bytes
         self._input: Entry | None = None
         self._links: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
-        self._gone: OrderedDict[Hashable, Entry] = OrderedDict()  # by number: links of peers that have gone
+        self._gone: OrderedDict[Hashable, Entry] = OrderedDict()  # by number: links of disconnected peers
         self._learned: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
         self._last: OrderedDict[Hashable, Entry] = OrderedDict()  # by stream and link
         self._mixed: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
@@ -44,7 +44,7 @@ class Prologue:
             came = next((seq for seq, link in self._links.items() if link.links == entry.links), None)
             if came is None:
                 self._add(self._links, entry.seq, entry)
-            else:  # its second is that it went
+            else:  # its second entry: the link is down
                 self._gone[came] = self._links.pop(came)
                 self._add(self._gone, entry.seq, entry)
         elif entry.kind.is_input:

@@ -6,9 +6,8 @@ whatever happens to the bridge: if it is killed, the other process writes what w
 there through memory that both share (``shared_queue``); requests wait in the same queue, so they act between the
 entries before and after them.  Questions and notes come back through a pipe.
 
-At the bound of the queue the entry is dropped.  Every drop is counted by stream; at most once a second a note tells
-of those since the last one.  Notes are given from a thread of the recorder's own, so that the one who drops has
-nothing to wait for.
+At the bound of the queue the entry is dropped.  Every drop is counted by stream; at most once a second a note reports
+those since the last note.  A thread of the recorder delivers notes, so that the caller never waits.
 """
 
 from __future__ import annotations
@@ -39,10 +38,10 @@ class Recorder:
     """Records entries; see the module.
 
     Args:
-        path: the file to create, or what the parts or snapshots are called after.
-        session: what the recording says of itself.
+        path: the file to create, or the name of the parts or snapshots.
+        session: the session metadata.
         qos_of: QoS of a ROS topic (name, type), None where it is not known; called in the recorder's thread.
-        on_note: takes what the recorder has to say; called in the recorder's thread.
+        on_note: takes the notes of the recorder; called in the recorder's thread.
         clock: paces flushes and notes, names snapshots, where the worker is not another process.
         options: how to record.
         rule: which inputs later outputs depend on; for what is left out, and for files that begin midway.
@@ -132,7 +131,7 @@ class Recorder:
         self._command("pause")
 
     def resume(self) -> None:
-        """From the next input on, record everything again; a note tells what was left out meanwhile."""
+        """From the next input on, record everything again; a note reports what was left out meanwhile."""
         self._command("resume")
 
     def snapshot(self) -> Future[Path]:
@@ -180,7 +179,7 @@ class Recorder:
             with self._sending:
                 self._pipe.send(answer)
         except OSError:
-            pass  # its end is told by what comes back, or does not
+            pass  # the listening thread detects its end
 
     def _count_drop(self, entry: Entry) -> None:
         """The caller holds the lock."""
@@ -192,7 +191,7 @@ class Recorder:
     # -- the recorder's thread --------------------------------------------------------------------------------
 
     def _listen(self) -> None:
-        """Answer the worker's questions and pass on what it tells, until its end."""
+        """Answer the worker's questions and forward its messages, until its end."""
         if self._place.warning:
             self._take("note", [Note(Level.WARN, THREAD, self._place.warning)])
         while not self._ended:
@@ -210,7 +209,7 @@ class Recorder:
             case "note":
                 try:
                     self._on_note(*told)
-                except Exception as error:  # a defect elsewhere: not without a word
+                except Exception as error:  # a defect elsewhere must not end the recording silently
                     self._command("fail", f"recording to {self._path} failed: {type(error).__name__}: {error}")
             case "state":
                 self._state = told[0]
@@ -235,13 +234,13 @@ class Recorder:
             return f"{type(error).__name__}: {error}"
 
     def _on_worker_death(self) -> None:
-        """The worker ended without a word: it was killed."""
+        """The worker ended without a message: it was killed."""
         failure = f"recording to {self._path} failed: the recorder's process has ended: {self._place.wait()}"
         with self._lock:
             told = self._state
             if self.options.snapshot_s:
                 lost, _ = self._queue.waiting
-            else:  # what it had taken, and not yet told of, may be in the file, or not
+            else:  # entries that it took and did not report may be in the file, or not
                 accounted = told.written_entries + sum(told.dropped.values()) + sum(told.left_out.values())
                 lost = self._queue.entries_put - accounted
             self._dropped["(with the recorder's process)"] += lost
@@ -249,7 +248,7 @@ class Recorder:
             self._ended = True
         self._end()
         then = "the bridge stops" if self.options.stop_on_failure else "the bridge goes on without recording"
-        self._on_note(Note(Level.ERROR, FAILED, f"{failure}; {then}; igtl-gateway recover mends the file"))
+        self._on_note(Note(Level.ERROR, FAILED, f"{failure}; {then}; igtl-gateway recover repairs the file"))
 
     def _summary_of_lost(self) -> RecordingSummary:
         """As far as this end knows."""
@@ -279,5 +278,5 @@ class Recorder:
             waiting = list(self._snapshots)
         for number in waiting:
             self._end_snapshot(number, None, _ENDED)
-        with self._sending:  # nobody is to write to what has this number next
+        with self._sending:  # no thread may write to the next file with this number
             self._pipe.close()

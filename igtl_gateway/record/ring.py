@@ -1,4 +1,4 @@
-"""Snapshots: the last seconds of a session in memory, written into a file of their own when asked to."""
+"""Snapshots: the last seconds of a session in memory, written into a file of their own on request."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Ring:
         path: ``name.mcap``: snapshots are ``name_<UTC time>.mcap`` beside it.
         open_file: makes the writer of a snapshot.
         prologue: has to be fresh.
-        seconds, max_bytes: what is older, or too much, is let go, an input with its outputs.
+        seconds, max_bytes: older entries, and those above the size, are dropped, an input with its outputs.
 
     Raises RecordingError when no file can be created there.
     """
@@ -49,11 +49,11 @@ class Ring:
         self._entries: deque[Entry] = deque()
         self._bytes = 0
         trial = self._path(0)
-        create_file(trial, overwrite=False).close()  # what is in the way is better known now than at the first snapshot
+        create_file(trial, overwrite=False).close()  # an obstacle is reported now, not at the first snapshot
         trial.unlink()
 
     def write(self, entry: Entry) -> None:
-        """Keep an entry, and let go of what is too old."""
+        """Keep an entry, and drop those that are too old."""
         self._entries.append(entry)
         self._bytes += entry.size + _ENTRY_BYTES
         while self._bytes > self._max_bytes or entry.stamp_ns - self._entries[0].stamp_ns > self._max_ns:
@@ -70,7 +70,7 @@ class Ring:
         return following > 0
 
     def take(self, ledger: dict[str, Any], utc_ns: int) -> Path:
-        """Write what there is into a file named by the time.  Raises RecordingError; the ring goes on in any case."""
+        """Write all entries into a file named by the time.  Raises RecordingError; the ring goes on in any case."""
         entries = list(self._entries)
         path = self._path(utc_ns)
         writer = self._open_file(path, {layout.SNAPSHOT_KEY: f"{self._seconds:g}"}, self._prologue.entries())
@@ -85,17 +85,17 @@ class Ring:
         return path
 
     def flush(self) -> None:
-        """Nothing is on its way to a file."""
+        """Nothing to flush: entries are in memory."""
 
     def close(self, ledger: dict[str, Any]) -> None:
-        """What was not asked for is not written."""
+        """Drop the entries: only requested snapshots are written."""
         self._entries.clear()
 
     def _path(self, utc_ns: int) -> Path:
         time = datetime.fromtimestamp(utc_ns // NS_PER_S, UTC)
         name = f"{self.path.stem if self.path.suffix == '.mcap' else self.path.name}_{time:%Y%m%dT%H%M%SZ}"
         path, number = self.path.with_name(f"{name}.mcap"), 1
-        while os.path.exists(path):  # which takes a name that is too long for one that is free
+        while os.path.exists(path):  # False for a name that is too long: creating the file reports that
             number += 1
             path = self.path.with_name(f"{name}_{number}.mcap")
         return path

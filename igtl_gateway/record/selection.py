@@ -3,7 +3,7 @@
 An input that is left out takes its outputs with it, so what is recorded still follows from what is recorded.  Two
 kinds of inputs are recorded in any case, because later outputs depend on them: links and notes, and inputs by which
 the gateway learned something, which shows in their outputs (a note, the list of links).  So an input that is to be
-left out is held until its outputs have told.
+left out is held until its outputs have shown it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Selection:
     exclude: tuple[str, ...] = ()
 
     def facts(self) -> dict[str, str]:
-        """What a recording says of it; nothing where all is recorded."""
+        """The items of the session metadata; none where everything is recorded."""
         told = {layout.INCLUDE_KEY: self.include, layout.EXCLUDE_KEY: self.exclude}
         return {key: json.dumps(globs) for key, globs in told.items() if globs}
 
@@ -54,11 +54,11 @@ class Selection:
 
 @dataclass(frozen=True, slots=True)
 class StateInputRule:
-    """How to see that an input changes what the gateway will say to others.
+    """How to recognise an input that changes later outputs.
 
     Attributes:
-        topics: an output there, or an input from there, tells.
-        types: types of inputs that always do.
+        topics: an output or an input on such a topic shows it.
+        types: types of inputs that always change them.
         mixed: topics of which every message adds to what is known: recorded in any case, though too many to be
             repeated in a prologue.
     """
@@ -68,12 +68,12 @@ class StateInputRule:
     mixed: frozenset[str] = frozenset()
 
     def by_input(self, entry: Entry) -> bool:
-        """Whether the input tells by itself."""
+        """Whether the input itself shows it."""
         told = entry.kind is Kind.LINK or entry.type in self.types or entry.channel in self.topics
         return told or ClockStep.of(entry) is not None
 
     def by_output(self, entry: Entry) -> bool:
-        """Whether an output tells it of its cause."""
+        """Whether an output shows it of its cause."""
         return entry.kind is Kind.NOTE or (entry.kind is Kind.ROS_OUT and entry.channel in self.topics)
 
     def mixes(self, entry: Entry) -> bool:

@@ -1,13 +1,13 @@
-"""A queue of entries in memory that two processes share: one puts, the other one gets, and nobody waits.
+"""A queue of entries in memory that two processes share: one puts, the other one gets, and neither waits.
 
 To put an entry is to copy it: no lock is shared, no system call is made, no thread has to run.  So what was put is
 safe from whatever happens to the process that did, and costs it microseconds.
 
 Layout: a page of counters, then room for records.  A record is five numbers and bytes; it is never split.  What all
-entries of a stream have in common is said once, in a record before the first of them; an entry is the number of that
+entries of a stream have in common is written once, in a record before the first of them; an entry is the number of that
 stream, three numbers of its own, and the payload.  Commands, and what does not fit into that, are marshalled.
 
-Records follow each other, until a mark says at what place it goes on: where the room ends, where
+Records follow each other, until a mark has the place of the next one: where the room ends, where
 something waits still, and as soon as there is room at the beginning, so that the same few pages, which are there
 already, serve again and again.  Positions count the bytes of records and marks and only grow; the putter knows the
 place of each that waits.
@@ -84,7 +84,7 @@ _LENT_BYTES = 64 << 10
 
 
 def memory(queue_bytes: int, largest: int) -> mmap.mmap:
-    """Memory for a queue of so many bytes between threads, in which the largest entry alone fits, too.
+    """Memory for a queue of ``queue_bytes`` between threads, in which the largest entry alone fits, too.
 
     Nothing is taken from the system before it is used.  Raises OSError.
     """
@@ -122,7 +122,7 @@ class _QueueEnd:
 
 
 class QueueWriter(_QueueEnd):
-    """The end that puts.  Its caller sees to it that one thread at a time does.
+    """The end that puts.  Its caller ensures that only one thread at a time uses it.
 
     Args:
         place: as for both ends.
@@ -160,7 +160,7 @@ class QueueWriter(_QueueEnd):
         return self._entries
 
     def put(self, entry: Entry) -> bool:
-        """Add an entry; False if there is no room for it.  Raises TypeError or the like for what is none.
+        """Add an entry; False if there is no room for it.  Raises TypeError or the like for other objects.
 
         That a peer came or went finds room beyond the bound, as commands do: without it every later output to the peers
         would be another one than that of the recording.  Large ones give way first: pictures fill a queue in seconds,
@@ -203,9 +203,9 @@ class QueueWriter(_QueueEnd):
         return taken
 
     def _new_stream(self, entry: Entry) -> int:
-        """The number of an entry's stream, which the other end is told; ``_ENTRY`` where there is no room for that.
+        """The number of an entry's stream, which the other end gets; ``_ENTRY`` where there is no room for that.
 
-        When all numbers are taken both ends begin anew: each set of peers that hears a message is a stream, and peers
+        When all numbers are taken both ends start again: each set of peers that gets a message is a stream, and peers
         come and go.
         """
         _, _, kind, channel, type_name, links, _ = _words(entry)
@@ -246,13 +246,13 @@ class QueueWriter(_QueueEnd):
             room[at:end] = part
         self._place = place + need
         self._position += need
-        with self._barrier:  # on processors that reorder writes, the record is there before the position says so
+        with self._barrier:  # on processors that reorder writes, the record is there before the position includes it
             pass
         self._counters[_HEAD] = self._position
         return True
 
     def _reserve(self, need: int) -> bool:
-        """See to it that a record of this size fits at the place where it goes on; False if there is no room."""
+        """Make room for a record of this size at the place of the next one; False if there is none."""
         tail = self._counters[_TAIL]
         while self._runs and self._runs[0][0] + self._runs[0][2] - self._runs[0][1] <= tail:
             self._runs.popleft()
@@ -293,7 +293,7 @@ def _flat(part: Buffer) -> Buffer:
 
 
 def _words(entry: Entry) -> tuple[int, int, int, str, str, tuple[int, ...], int]:
-    """All but the payload.  What only passes for a number or a text is made one: marshal takes it for bytes, or not."""
+    """All except the payload.  Values that only behave like numbers or strings become such: marshal needs it."""
     return (
         index(entry.seq),
         index(entry.stamp_ns),

@@ -1,11 +1,11 @@
-"""The worker: takes what the recorder was given out of the queue and writes it.
+"""The worker: takes entries out of the queue and writes them.
 
 What is recorded is chosen by a gate (``selection``) and goes into one file, into parts (``parts``) or into a ring in
-memory that is written when asked to (``ring``).  The worker looks twenty times a second, or when it is woken because
-much waits.
+memory that is written on request (``ring``).  The worker polls the queue twenty times a second, and is woken when much
+waits.
 
-If the bridge is gone without having said that the recording ends, the worker writes what waits and closes the file, or
-writes what the ring holds; the ledger says that it was so.
+If the bridge ends without closing the recording, the worker writes all queued entries and closes the file, or writes
+the entries of the ring; the ledger states it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
 _LOOK_S = 0.05
 _LOOK_NS = 50_000_000
 _NOTE_NS = 1_000_000_000
-#: The worker is in a hurry where more than the first part of the queue's bound waits, until it is the second.
+#: The worker has raised priority from when the first part of the queue's bound waits until the second part does.
 _HURRY_PART, _CALM_PART = 8, 64
 #: Also where that took longer which should take less than two looks: others leave it too little time.
 _LATE_NS = 200_000_000
@@ -82,7 +82,7 @@ class RecordingSummary:
 
 @dataclass(frozen=True, slots=True)
 class WorkerSettings:
-    """What the worker is told at the beginning; fields as the arguments of ``Recorder``."""
+    """What the worker is started with; fields as the arguments of ``Recorder``."""
 
     path: Path
     session: dict[str, str]
@@ -92,7 +92,7 @@ class WorkerSettings:
 
 @dataclass(frozen=True, slots=True)
 class WorkerState:
-    """What the worker tells of itself.
+    """The state of the worker.
 
     Attributes:
         written_entries: entries in the file.
@@ -129,10 +129,10 @@ def run_worker(
     orphaned: Callable[[], bool] = lambda: False,
     rank: Callable[[bool], bool] = lambda hurried: True,
 ) -> None:
-    """Record until the other end says so or is gone.  Says first whether the file could be created.
+    """Record until the other end requests the end, or has ended.  Reports first whether the file could be created.
 
-    ``orphaned`` tells that the bridge is gone though the pipe is open: whom it has forked has that, too.  ``rank`` is
-    told whether the worker is in a hurry, which it is at first, whenever that changes, and again if it could not help.
+    ``orphaned``: whether the bridge has ended though the pipe is open: its forked processes have the pipe, too.
+    ``rank`` sets the priority of the worker, raised at first; it is called at each change, and again where it failed.
     """
     worker, refused = None, ""
     try:
@@ -220,7 +220,7 @@ class _RecorderWorker:
             self._writer = _NullWriter(settings.path, str(error))
 
     def _open(self, path: Path, rule: StateInputRule) -> SessionWriter | PartsWriter | Ring:
-        """What writes, as the options say."""
+        """The writer for these options."""
         options = self.options
         if options.snapshot_s:
             return Ring(
@@ -267,7 +267,7 @@ class _RecorderWorker:
         self._finish()
 
     def _guarded(self, step: Callable[[], object]) -> None:
-        """A defect here must not end the recording without a word."""
+        """Report unexpected errors instead of ending the recording silently."""
         try:
             step()
         except Exception as error:
@@ -276,7 +276,7 @@ class _RecorderWorker:
     # -- the bridge -------------------------------------------------------------------------------------------
 
     def _wait(self) -> bool:
-        """Until it is time to look, or the bridge wants it; whether it was the former."""
+        """Wait until the next poll is due, or the bridge signals; True for the former."""
         rested = False
         try:
             if self._pipe.poll(_LOOK_S):
@@ -472,7 +472,7 @@ class _RecorderWorker:
         self._send("snapshot", number, path, "")
 
     def _refused(self, entry: Entry, error: LayoutError) -> None:
-        """Tell once per stream of entries that the format cannot hold."""
+        """Report once per stream that entries do not fit the format."""
         stream = entry.channel or entry.kind.value
         if stream not in self._told_refused and len(self._told_refused) < MAX_STREAMS:
             self._told_refused.add(stream)
@@ -536,4 +536,4 @@ def _size(path: Path) -> int:
     try:
         return path.stat().st_size
     except OSError:
-        return 0  # somebody took the file away
+        return 0  # the file was removed
