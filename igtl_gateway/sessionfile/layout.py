@@ -18,6 +18,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from igtl_gateway.convert.names import topic_token
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.records import crc32
@@ -64,8 +65,7 @@ STREAM_KEY = "igtl_gateway.stream"
 
 WIRE_TOPICS = {Kind.IGTL_IN: "/igtl_gateway/wire/in", Kind.IGTL_OUT: "/igtl_gateway/wire/out"}
 NOTES_TOPIC = "/igtl_gateway/notes"
-#: Topic token of a device without a name, and of the streams beyond MAX_WIRE_STREAMS.
-UNNAMED = "unnamed"
+#: Topic token of the streams beyond MAX_WIRE_STREAMS.
 OTHER = "other"
 SHARED_TOPICS = frozenset(f"{root}/{OTHER}" for root in WIRE_TOPICS.values())
 #: A channel costs about 2 kB in the file and in every reader, and MCAP has 65,535 of them.  A session has some
@@ -139,14 +139,6 @@ def unescape(text: str) -> str:
 
 
 # --- topics ----------------------------------------------------------------------------------------------------
-
-
-def topic_token(name: str) -> str:
-    """``name`` as one token of a ROS 2 topic name: letters, digits, single underscores, no digit first."""
-    token = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
-    if not token:
-        return UNNAMED
-    return f"_{token}" if token[0].isdigit() else token
 
 
 class WireTopics:

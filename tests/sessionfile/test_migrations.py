@@ -12,6 +12,7 @@ from igtl_gateway.errors import UnsupportedRecording
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout, migrations
 from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
 
 OLD = Path(__file__).parent / "old"
 
@@ -73,3 +74,24 @@ def test_the_first_version_is_still_read() -> None:
         assert file.ledger is not None and file.ledger["streams"]
     assert len(entries) == file.entry_count > 100
     assert {entry.kind for entry in entries} >= {Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT, Kind.LINK}
+
+
+def bare(entry: Entry) -> Entry:
+    """With the payload as bytes."""
+    return replace(entry, payload=(entry.data(),))
+
+
+def test_channels_with_single_underscores_are_still_read(tmp_path: Path) -> None:
+    """The topic of an OpenIGTLink channel once had another rule than in ROS; readers take the names of the messages."""
+    path = OLD / "v1-single-underscores.mcap"
+    with SessionFile.open(path) as file:
+        entries = list(file.entries())
+        writer = SessionWriter(tmp_path / "new.mcap", dict(file.session))
+    for entry in entries:
+        writer.write(entry)
+    writer.close({"streams": {}})
+    topic, again = b"/transform/A_probe_with_a_8980", b"/transform/A_probe_with_a__8980"
+    assert topic in path.read_bytes() and again in (tmp_path / "new.mcap").read_bytes()
+    with SessionFile.open(tmp_path / "new.mcap") as file:
+        assert [bare(entry) for entry in file.entries()] == [bare(entry) for entry in entries]
+    assert "TRANSFORM/A probe with a _8980" in {entry.channel for entry in entries}
