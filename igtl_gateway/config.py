@@ -9,7 +9,7 @@ verification use what was in force that day.
     base_frame = "igtl"            # frame of all that names no frame of its own
     ros_unit = "m"                 # m, dm, cm, mm, um
     igtl_unit = "mm"
-    stamp = "source"               # source: the sender's stamp, else the gateway's; receive, now: the gateway's
+    stamp = "source"               # source: the sender's stamp, else the gateway's; receive: the gateway's
     check_crc = true
     profile = "auto"               # what the peers are: slicer, plus …; auto: by what they show
     publish_tf = true              # poses appear on /tf too
@@ -63,6 +63,7 @@ from string import Formatter
 from typing import Any, TypeVar
 
 from igtl_gateway.convert.frames import TfRequest
+from igtl_gateway.convert.profiles import AUTO, BY_NAME
 from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, LengthUnits
 from igtl_gateway.errors import ConfigError, DamagedRecording, UnsupportedRecording
@@ -72,18 +73,19 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.untrusted.files import read_bytes
 from igtl_gateway.untrusted.text import parse_toml
 
-#: Which time an outgoing message tells.  An output leaves with its cause, so that ``now`` is the time of receipt.
-STAMP_POLICIES = ("source", "receive", "now")
+#: Which time is the stamp of a converted message: the sender's, if it sent one, or the time of receipt.
+SOURCE, RECEIVE = "source", "receive"
+STAMP_POLICIES = (SOURCE, RECEIVE)
+#: Other names of the policies, for the configurations of old recordings.
+_STAMP_ALIASES = {"now": RECEIVE}
 OUT_PREFIX = "/igtl/out/"
 IN_TOPIC = "/igtl/in/{device}/{kind}"
 
 #: Streams that one session may open in each direction: a peer that invents names must not fill the ROS graph.
 DEFAULT_MAX_STREAMS = 512
 
-#: What the peers are is told by what they show.
-AUTO = "auto"
-#: Peer profiles; ``gateway.profiles`` says what each means.
-PROFILES = (AUTO, "default", "slicer", "plus", "brainlab", "holoscan", "legacy-v1")
+#: Values of the setting ``profile``.
+PROFILE_NAMES = (AUTO, *BY_NAME)
 
 #: A COMMAND that takes longer than a day has no reply.
 MAX_TIMEOUT_S = 86_400.0
@@ -167,7 +169,7 @@ class Config:
     base_frame: str = "igtl"
     ros_unit: str = "m"
     igtl_unit: str = "mm"
-    stamp: str = "source"
+    stamp: str = SOURCE
     check_crc: bool = True
     max_streams: int = DEFAULT_MAX_STREAMS
     profile: str = AUTO
@@ -247,11 +249,12 @@ class Config:
     def pick_stamp(self, row: _Row, source_ns: int, received_ns: int) -> int:
         """The stamp of an outgoing message: never 0."""
         # a negative stamp (before 1970) has no tick word
-        return source_ns if source_ns > 0 and self.stamp_of(row) == "source" else received_ns
+        return source_ns if source_ns > 0 and self.stamp_of(row) == SOURCE else received_ns
 
     def stamp_of(self, row: _Row) -> str:
-        """Which stamp the messages of a row get: ``"source"`` or ``"received"``."""
-        return row.stamp or self.stamp
+        """Return the stamp policy of a row: ``SOURCE`` or ``RECEIVE``."""
+        policy = row.stamp or self.stamp
+        return _STAMP_ALIASES.get(policy, policy)
 
     def watched(self, unless_set: bool | None = True) -> Config:
         """The configuration with ``watch`` settled, where it leaves that open: on in a live session."""
@@ -348,8 +351,8 @@ _SENT_TYPES = tuple(sorted({row.igtl_type for row in TO_IGTL}))
 _CHOICES = {
     "ros_unit": tuple(UNITS),
     "igtl_unit": tuple(UNITS),
-    "stamp": STAMP_POLICIES,
-    "profile": PROFILES,
+    "stamp": (*STAMP_POLICIES, *_STAMP_ALIASES),
+    "profile": PROFILE_NAMES,
 }
 
 T = TypeVar("T")

@@ -21,10 +21,10 @@ from rosbags.highlevel import AnyReader
 from igtl_gateway.config import Config
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList
+from igtl_gateway.convert.profiles import BY_NAME
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.gateway import LINKS_TOPIC
-from igtl_gateway.gateway.profiles import BY_NAME
 from igtl_gateway.replay.verify import verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note

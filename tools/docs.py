@@ -26,6 +26,7 @@ from igtl_gateway.cli.verbs import Verb, available
 from igtl_gateway.config import Config
 from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
+from igtl_gateway.convert.profiles import CPP_FACTORY, PROFILES, PeerProfile
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToIgtl, ConversionToRos, Role
 from igtl_gateway.doctor import checks
 from igtl_gateway.doctor.observer import MAX_STREAMS
@@ -33,7 +34,6 @@ from igtl_gateway.doctor.protocols import PROTOCOLS
 from igtl_gateway.doctor.rules import RULES, Rule
 from igtl_gateway.gateway import metadata
 from igtl_gateway.gateway.dialogue import answers
-from igtl_gateway.gateway.profiles import CPP_FACTORY, PROFILES, PeerProfile
 from igtl_gateway.qos import Qos
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire.body import Body

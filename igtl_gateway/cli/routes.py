@@ -6,8 +6,9 @@ import argparse
 from typing import Any
 
 from igtl_gateway.cli.options import Options, default
-from igtl_gateway.config import AUTO, PROFILES, Config
+from igtl_gateway.config import PROFILE_NAMES, Config
 from igtl_gateway.convert.frames import TfRequest
+from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.errors import ConfigError
 
@@ -26,7 +27,9 @@ def add_send(parser: Options) -> None:
 def add_peers(group: Options) -> None:
     """Options for the profiles of peers."""
     group.add_argument(
-        "--profile", choices=PROFILES, help="profile of all peers " + default(f"{AUTO}, detected from their messages")
+        "--profile",
+        choices=PROFILE_NAMES,
+        help="profile of all peers " + default(f"{AUTO}, detected from their messages"),
     )
     group.add_argument(
         "--peer",
@@ -126,6 +129,6 @@ def _kinds_row(text: str) -> tuple[str, list[str]]:
 
 def _peer_row(text: str) -> dict[str, str]:
     place, _, profile = text.rpartition("=")
-    if not place or profile not in PROFILES:
-        raise ConfigError(f"--peer: found {text!r}, expected HOST:PORT=PROFILE, one of {', '.join(PROFILES)}")
+    if not place or profile not in PROFILE_NAMES:
+        raise ConfigError(f"--peer: found {text!r}, expected HOST:PORT=PROFILE, one of {', '.join(PROFILE_NAMES)}")
     return {"at": place, "profile": profile}

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from igtl_gateway.config import AUTO, Config
+from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import Query
+from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToRos, Role
 
 #: A row with more types than this is the one of the queries.

@@ -8,7 +8,7 @@ from typing import Any
 
 from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatus
-from igtl_gateway.gateway.profiles import AUTO, BY_NAME, DEFAULT, PeerProfile, profile_shown_by
+from igtl_gateway.convert.profiles import AUTO, BY_NAME, DEFAULT, PeerProfile, profile_shown_by
 from igtl_gateway.globs import matches
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire import Message

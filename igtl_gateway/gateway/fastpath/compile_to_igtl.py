@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from igtl_gateway.buffers import Buffer, join
+from igtl_gateway.config import SOURCE
 from igtl_gateway.convert import clouds, express, images, poses, rosmsg, texts
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, MATRIX, PICTURE, POINTS, QUATERNION, TEXT, Fill
@@ -92,7 +93,7 @@ def compile_to_igtl(
             outputs.append((one, (template, at, at + content + digits_at if digits_at > 0 else digits_at)))
         else:
             outputs.append((replace(one, payload=()), (head, tail, digits_at)))
-    own = common.config.stamp_of(stream.row) == "source"
+    own = common.config.stamp_of(stream.row) == SOURCE
     if stream.row.max_age_s and not own:
         return None
     sample = bytes(cdr) if size else bytes(cdr[: names[1] if names else 4])

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from igtl_gateway.config import SOURCE
 from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts, tracking, volumes
 from igtl_gateway.convert.assembly import VolumeAssembler, form_of
 from igtl_gateway.convert.context import ToRosContext
@@ -89,7 +90,7 @@ def compile_to_ros(
         forms.append((topic, row.message.TYPE, form))
     if to.warnings:
         return None
-    own = common.config.stamp_of(stream.row) == "source"
+    own = common.config.stamp_of(stream.row) == SOURCE
     if stream.row.max_age_s and not own:  # the guard checks a stamp that the output does not have
         return None
     fill: Fill | None = express.pose_to_ros if size else express.bulk_to_ros

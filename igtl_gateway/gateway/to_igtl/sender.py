@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from igtl_gateway.convert.igtl_msgs import MetadataItem
+from igtl_gateway.convert.profiles import Adapted
 from igtl_gateway.gateway.metadata import compose_metadata
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
-from igtl_gateway.gateway.profiles import Adapted
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.values import value

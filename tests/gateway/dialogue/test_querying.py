@@ -9,11 +9,11 @@ from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, FrameTransform, MultiArrayLayout, TFMessage
 from igtl_gateway.convert.igtl_msgs import MetadataItem, PointList, Query, TrackedTool, TrackingData
+from igtl_gateway.convert.profiles import PROFILES
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway import outcome, streams
 from igtl_gateway.gateway.dialogue.answers import MAX_TRACKED
 from igtl_gateway.gateway.peers import MAX_STREAM_REQUESTS
-from igtl_gateway.gateway.profiles import PROFILES
 from igtl_gateway.gateway.to_igtl import trackdata
 from igtl_gateway.gateway.to_igtl import tracking as tracking_room
 from igtl_gateway.wire import Message, Raw

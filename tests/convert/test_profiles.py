@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.gateway.profiles import BY_NAME, profile_shown_by
+from igtl_gateway.convert.profiles import BY_NAME, profile_shown_by
 from igtl_gateway.wire import Item, Message, Raw
 from igtl_gateway.wire.image import LPS, RAS, Image
 from igtl_gateway.wire.polydata import CELL, SCALAR, Attribute, Cells, PolyData
