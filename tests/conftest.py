@@ -18,8 +18,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-#: Domains that runs on one machine share by process number: 1 to 100, away from the default 0.
-DOMAINS = 100
+from tests import domains
 
 #: Vectors, captured traffic and other material that may not be copied into the project.
 SHARED = Path(__file__).parents[2] / "shared"
@@ -29,7 +28,7 @@ _ros_log_dir = tempfile.mkdtemp(prefix="igtl-gateway-ros-log-")
 atexit.register(shutil.rmtree, _ros_log_dir, ignore_errors=True)
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % DOMAINS)
+os.environ["ROS_DOMAIN_ID"] = str(domains.OWN)
 os.environ["ROS_LOG_DIR"] = _ros_log_dir
 
 # Compiled modules are kept, whatever the shell says: a run starts some hundred Pythons of ours, and reading 240 test
@@ -47,50 +46,52 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 #: The second tier: files whose tests are all marked ``slow``, which ``make test-fast`` leaves out.  A slow test in any
 #: other file has the mark itself.
 SLOW = (
+    # the longest first
     "integration/test_soak.py",
     "integration/test_live_faults.py",
+    "review/test_assess.py",
     "integration/test_cli_bridge.py",
+    "test_gateway_fuzz.py",
+    "exchange/test_targets.py",
     "cli/test_replay.py",
     "test_fixtures.py",
-    "integration/test_replay_ros.py",
-    "integration/test_recording_faults.py",
-    "integration/test_crash.py",
-    "integration/test_relay.py",
-    "integration/test_hostile_files.py",
-    "exchange/test_targets.py",
     "cli/test_review.py",
     "cli/test_exit_codes.py",
     "cli/test_slice.py",
+    "integration/test_hostile_files.py",
+    "integration/test_recording_faults.py",
+    "integration/test_replay_ros.py",
     "integration/test_rosbag2_folder.py",
+    "lab/simulate/test_star.py",
+    "view/test_shots.py",
+    "review/test_error.py",
     "integration/test_simulate.py",
+    "integration/test_crash.py",
+    "integration/test_relay.py",
     "integration/test_demo.py",
     "integration/test_hostile.py",
     "integration/test_hostile_crowds.py",
-    "lab/simulate/test_star.py",
-    "review/test_error.py",
-    "view/test_shots.py",
+    "integration/test_interop.py",
+    "integration/test_ros_types.py",
+    "lab/cli/test_bench.py",
+    "lab/bench/test_peers.py",
 )
 
 #: Where several workers take files in turn, these go first: none of them must be left for the end.
 LONGEST = (
     *SLOW,
-    "test_gateway_fuzz.py",
-    "sessionfile/test_salvage.py",
     "wire/test_bodies.py",
-    "review/test_assess.py",
-    "cli/test_view.py",
+    "sessionfile/test_salvage.py",
+    "cli/test_main.py",
+    "view/test_stream.py",
+    "record/test_recorder.py",
     "edges/ros/test_edge.py",
     "edges/tcp/test_edge.py",
-    "record/test_recorder.py",
-    "lab/cli/test_bench.py",
-    "cli/test_main.py",
-    "integration/test_interop.py",
-    "integration/test_ros_types.py",
-    "lab/bench/test_peers.py",
     "replay/test_verify.py",
+    "test_architecture.py",
     "sessionfile/test_reader.py",
     "sessionfile/test_lookup.py",
-    "test_architecture.py",
+    "cli/test_view.py",
 )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -239,12 +240,15 @@ def imports_of(module: str, is_package: bool, tree: ast.Module) -> Iterator[tupl
                         yield node.lineno, "?"
 
 
+parsed = cache(ast.parse)  # two tests look at each module
+
+
 def violations(module: str, source: str, *, is_package: bool = False) -> list[str]:
     """What ``source``, as the module of that name relative to the package, does against the tables."""
     unit = unit_of(module)
     if unit is None:
         return [f"{module}: has no level; add it to LEVELS"]
-    tree = ast.parse(source)
+    tree = parsed(source)
     imports = imports_of(module, is_package, tree)
     if unit in STRANGERS:
         known = [(line, name, other) for line, name in imports if (other := ours(name)) is not None]
@@ -331,7 +335,7 @@ def test_module_keeps_to_the_tables(module: str) -> None:
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda module: module or PACKAGE)
 def test_module_says_what_it_is(module: str) -> None:
-    assert ast.get_docstring(ast.parse(MODULES[module].read_text("utf-8")))
+    assert ast.get_docstring(parsed(MODULES[module].read_text("utf-8")))
 
 
 def mirrored(test: Path) -> bool:

@@ -23,6 +23,8 @@ from typing import Any
 
 from fastcrc import crc64
 
+from tests import domains
+
 ROOT = Path(__file__).parents[2]
 #: Far longer than anything takes here: reaching it is a failure, not a measurement.
 TIMEOUT_S = 45.0
@@ -30,8 +32,8 @@ TIMEOUT_S = 45.0
 START_S = 60.0
 HEADER_SIZE = 58
 
-#: conftest has 1 to 100.  The second is for a bridge that must be alone with its nodes while another runs.
-DOMAIN, SECOND_DOMAIN = 101 + os.getpid() % 100, 201 + os.getpid() % 32
+#: The second is for a bridge that must be alone with its nodes while another runs.
+DOMAIN, SECOND_DOMAIN = domains.reserve(), domains.reserve()
 
 Event = dict[str, Any]
 

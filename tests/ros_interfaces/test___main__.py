@@ -11,13 +11,20 @@ from igtl_gateway.ros_interfaces import __main__ as program
 from igtl_gateway.ros_interfaces.definitions import PACKAGES
 
 
+@pytest.fixture(autouse=True)
+def _only_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The packages of this checkout, not imported by an earlier test."""
+    monkeypatch.syspath_prepend(Path(program.__file__).parent / "python")
+    for package in PACKAGES:
+        monkeypatch.delitem(sys.modules, package, raising=False)
+
+
 def test_every_package_is_named_with_its_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     installed = tmp_path / "tf2_msgs" / "__init__.py"
     installed.parent.mkdir()
     installed.touch()
-    monkeypatch.delitem(sys.modules, "tf2_msgs", raising=False)  # whoever else was here before may have imported it
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(program, "package_path", lambda package: [f"/compiled/{package}"])
     assert program.main() == 0
