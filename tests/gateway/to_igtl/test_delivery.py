@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from igtl_gateway.config import Config, TfOutRow, ToIgtlRow
-from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert import profiles, rosmsg
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData
-from igtl_gateway.gateway import profiles
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.query import StartTracking
