@@ -1,1 +1,1 @@
-"""Replay: entries out of a session file, paced, selected, verified."""
+"""Replay of recordings: playback, comparison, slices and verification."""

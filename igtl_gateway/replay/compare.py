@@ -1,9 +1,9 @@
-"""Two messages of one type, compared by value: what differs, in the units of their world.
+"""Compares two messages of one type by value; differences have units.
 
-A message becomes a row of *leaves*, each with its path: numbers and texts, and as a whole what has a measure of its
-own: places (position and rotation), grids (points, pixels, values) and stamps.  OpenIGTLink is read by our codecs,
-ROS by the definitions that its file brings, so that messages of any type can be compared, whatever the padding
-between their fields holds.
+A message is flattened into *leaves*, each with its path.  Leaves are numbers and strings, and as a whole the values
+that have a measure: poses (position and rotation), arrays of elements (points, pixels, values) and stamps.  Our codecs
+decode OpenIGTLink; the definitions in the file decode ROS.  So messages of any type can be compared, and padding does
+not count.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ _NOTHING = "nothing"
 
 
 class Undecodable(GatewayError):
-    """A message that cannot be read: of an unknown type, or not of the type that it is said to be."""
+    """A message that cannot be decoded: its type is unknown, or its bytes are not of that type."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoseValue:
-    """Where something is.
+    """A pose, a position or a rotation.
 
     Attributes:
-        numbers: as in the message.
-        position: in millimetres; None for a rotation alone.
-        rotation: matrix, row by row; None for a position alone.
+        numbers: the numbers of the message.
+        position: in millimetres; None for a rotation without a position.
+        rotation: matrix, row by row; None for a position without a rotation.
     """
 
     numbers: tuple[float, ...]
@@ -69,12 +69,12 @@ class PoseValue:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ElementArray:
-    """Many elements of one kind.
+    """An array of elements of one kind.
 
     Attributes:
         values: (elements, components).
-        what: "points", "pixels" …
-        mm: millimetres of 1, where values are positions; else 0.
+        what: name of the elements: "points", "pixels" …
+        mm: length of 1 in millimetres if the values are positions; else 0.
     """
 
     values: Array
@@ -84,14 +84,14 @@ class ElementArray:
 
 @dataclass(frozen=True, slots=True)
 class StampValue:
-    """A time in a message, UTC ns; 0 = unset."""
+    """A stamp in a message, UTC ns; 0 = unset."""
 
     ns: int
 
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """What counts as the same."""
+    """The differences that count as equal."""
 
     mm: float = 0.0
     deg: float = 0.0
@@ -102,15 +102,15 @@ EXACT = Tolerance()
 
 @dataclass(slots=True)
 class Delta:
-    """How two messages differ.
+    """The difference of two messages.
 
     Attributes:
-        field: path of the first field that differs beyond the tolerance; ``""`` where none does.
-        one, other: its values.
+        field: path of the first field that differs by more than the tolerance; ``""`` for none.
+        one, other: values of that field.
         mm, deg: largest distance between positions in millimetres, and between rotations in degrees.
-        what, elements, of: what differs in the array with the most differing elements: so many of so many.
-        largest: largest difference of a number in an array that holds no positions.
-        stamps_ns: by how much each stamp is later in the other one.
+        what, elements, of: of the array with the most differing elements: their name, their number, and the total.
+        largest: largest difference of numbers in an array without positions.
+        stamps_ns: how much later each stamp is in the other message.
     """
 
     field: str = ""
@@ -125,13 +125,13 @@ class Delta:
     stamps_ns: list[int] = dataclasses.field(default_factory=list)
 
     def differ(self, path: str, one: Any, other: Any) -> None:
-        """Take note of a field, if it is the first one."""
+        """Record a differing field, if it is the first."""
         if not self.field:
             self.field, self.one, self.other = path, one, other
 
     @property
     def measure(self) -> str:
-        """The difference in units, for people; ``""`` where it has none."""
+        """Return the difference in units, for people; ``""`` if it has no unit."""
         parts = [f"{self.mm:.6g} mm"] if self.mm else []
         parts += [f"{self.deg:.6g}°"] if self.deg else []
         parts += [f"{self.elements:,} of {self.of:,} {self.what}"] if self.elements else []
@@ -140,7 +140,7 @@ class Delta:
 
 
 def compare_values(one: Iterator[_Leaf], other: Iterator[_Leaf], tolerance: Tolerance = EXACT) -> Delta:
-    """How two messages differ, given their leaves; raises Undecodable where one cannot be read."""
+    """Return the difference of two messages, given their leaves.  Raises Undecodable."""
     delta = Delta()
     for left, right in zip_longest(one, other):
         if left is None or right is None or left[0] != right[0] or type(left[1]) is not type(right[1]):
@@ -165,14 +165,14 @@ def compare_values(one: Iterator[_Leaf], other: Iterator[_Leaf], tolerance: Tole
 
 
 def same(one: Any, other: Any) -> bool:
-    """Equal, or neither a number."""
+    """Return whether two values are equal or both NaN."""
     return bool(one == other) or (
         isinstance(one, float) and isinstance(other, float) and math.isnan(one) and math.isnan(other)
     )
 
 
 def first_byte(one: bytes, other: bytes) -> tuple[str, str, str]:
-    """Place and values of the first byte that differs, for what cannot be decoded."""
+    """Return offset and values of the first byte that differs, for messages that cannot be decoded."""
     at = next((at for at, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
     return f"byte {at}", one[at : at + 8].hex(), other[at : at + 8].hex()
 
@@ -184,7 +184,7 @@ def _compare_poses(delta: Delta, path: str, one: PoseValue, other: PoseValue, to
     if one.position is not None and other.position is not None and not all(map(same, one.position, other.position)):
         mm = _finite(math.dist(one.position, other.position))
     if one.rotation is not None and other.rotation is not None and not all(map(same, one.rotation, other.rotation)):
-        # the chord between two rotations: right for small angles too, and not 0 for what is no rotation
+        # the chord between two rotations: exact for small angles, and not 0 for matrices that are not orthonormal
         chord = _finite(math.dist(one.rotation, other.rotation))
         deg = math.degrees(2 * math.asin(min(1.0, chord / _SAME_ROTATION))) if chord < math.inf else chord
     delta.mm, delta.deg = max(delta.mm, mm), max(delta.deg, deg)
@@ -221,11 +221,11 @@ def _finite(value: float) -> float:
 
 
 class LeafDecoder:
-    """Takes messages apart.
+    """Flattens messages into leaves.
 
     Args:
-        definitions: ROS type → definition with all that it needs, as in ``ros2msg`` schemas.
-        lengths: units of both sides.
+        definitions: ROS type → its definition with all dependencies, as in ``ros2msg`` schemas.
+        lengths: length units of both sides.
     """
 
     def __init__(self, definitions: Mapping[str, str] | None = None, lengths: LengthUnits = LengthUnits()) -> None:
@@ -233,7 +233,7 @@ class LeafDecoder:
         self._ros_mm, self._igtl_mm = UNITS[lengths.ros] / UNITS["mm"], UNITS[lengths.igtl] / UNITS["mm"]
 
     def leaves(self, entry: Entry) -> Iterator[_Leaf]:
-        """The leaves of an entry's message.  Raises Undecodable, perhaps after some."""
+        """Yield the leaves of the message of an entry.  Raises Undecodable, possibly after the first leaves."""
         if entry.kind in _NOTES:
             yield from _of_note(entry)
         elif entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT):
@@ -286,7 +286,7 @@ class LeafDecoder:
         yield from flattened(told, "content")
 
     def _element(self, told: dict[str, Any], row: Any) -> dict[str, Any]:
-        """An element of a list, such as a tool or a landmark."""
+        """Return an element of a list, such as a tool or a landmark, with its pose as one value."""
         told = dict(told)
         if "matrix" in told:
             told["matrix"] = _of_matrix(row["matrix"].tolist(), self._igtl_mm)
@@ -307,13 +307,13 @@ class LeafDecoder:
             message = self._decoder.decode(entry.type, entry.data())
         except DamagedRecording as error:
             raise Undecodable(str(error)) from None
-        except Exception as error:  # of the library: whatever it makes of foreign bytes
+        except Exception as error:  # rosbags raises many types of errors for invalid bytes
             raise Undecodable(f"{entry.type}: {type(error).__name__}: {error}") from None
         yield from self._walk(message, "")
 
     @cached_property
     def _decoder(self) -> RosDecoder:
-        # loaded where something differs, or is shown
+        # imported only if messages differ or are shown
         from igtl_gateway.untrusted.decoding import MessageDecoder as RosDecoder
 
         return RosDecoder(lambda ros_type: self._definitions.get(ros_type, ""))
@@ -344,7 +344,7 @@ class LeafDecoder:
 
 
 def flattened(value: Any, path: str) -> Iterator[_Leaf]:
-    """Every leaf of nested values with its path, as ``content.matrix[0][3]``."""
+    """Yield the leaves of nested values with their paths, such as ``content.matrix[0][3]``."""
     if isinstance(value, PoseValue | ElementArray | StampValue):
         yield path, value
         return
@@ -365,7 +365,7 @@ def flattened(value: Any, path: str) -> Iterator[_Leaf]:
 
 
 def _of_note(entry: Entry) -> Iterator[_Leaf]:
-    """Of notes code, level and stream count, not the wording."""
+    """Yield the leaves of a note: code, level and stream, without the text."""
     try:
         note = Note.unpack(entry.data())
     except ValueError as error:
@@ -376,7 +376,7 @@ def _of_note(entry: Entry) -> Iterator[_Leaf]:
 
 
 def _pose_value(position: Sequence[float], quaternion: Sequence[float], mm: float) -> PoseValue:
-    """From a position and a quaternion x, y, z, w; either may be missing."""
+    """Build a pose from a position and a quaternion x, y, z, w; either may be empty."""
     rotation = None
     if quaternion:
         x, y, z = quaternion[:3]
@@ -393,18 +393,18 @@ def _pose_value(position: Sequence[float], quaternion: Sequence[float], mm: floa
 
 
 def _of_matrix(columns: Sequence[float], mm: float) -> PoseValue:
-    """From three columns of directions and one of the position."""
+    """Build a pose from three columns of directions and one of the position."""
     turned = tuple(columns[3 * column + row] for row in range(3) for column in range(3))
     return PoseValue(tuple(columns), tuple(value * mm for value in columns[9:12]), turned)
 
 
 def _spacing(columns: Sequence[float]) -> list[float]:
-    """Lengths of the directions of an image, without the noise of a rotation."""
+    """Return the lengths of the directions of an image, without the noise of the rotation."""
     return [float(f"{math.hypot(*columns[at : at + 3]):.6g}") for at in (0, 3, 6)]
 
 
 def _of_image_matrix(columns: Sequence[float], mm: float) -> PoseValue:
-    """The same with directions that are as long as a pixel."""
+    """Build a pose from four columns of which the directions have the length of a pixel."""
     lengths = [math.hypot(*columns[at : at + 3]) or 1.0 for at in (0, 3, 6)]
     place = _of_matrix([*(columns[at] / lengths[at // 3] for at in range(9)), *columns[9:]], mm)
     return dataclasses.replace(place, numbers=tuple(columns))
@@ -418,7 +418,7 @@ def _quaternion(value: Any) -> tuple[float, float, float, float]:
     return *_vector(value), float(value.w)
 
 
-#: ROS type → what it is, given millimetres of 1.
+#: ROS type → function (message, length of 1 in millimetres) that returns its pose.
 _SPECIAL: dict[str, Callable[[Any, float], PoseValue]] = {
     **dict.fromkeys(_POINTS, lambda point, mm: _pose_value(_vector(point), (), mm)),
     "geometry_msgs/msg/Quaternion": lambda turn, mm: _pose_value((), _quaternion(turn), mm),
@@ -430,7 +430,7 @@ _SPECIAL: dict[str, Callable[[Any, float], PoseValue]] = {
 
 
 def _of_image(image: Any, _mm: float) -> dict[str, Any]:
-    """The pixels of a sensor_msgs/Image, without what stands between its rows."""
+    """Return the pixels of a sensor_msgs/Image, without row padding."""
     height, width, step, data = image.height, image.width, image.step, image.data
     found = _BITS.match(image.encoding)
     bits, kind = (int(found[1]), found[2]) if found else (16 if image.encoding.endswith("16") else 8, "U")
@@ -441,7 +441,7 @@ def _of_image(image: Any, _mm: float) -> dict[str, Any]:
 
 
 def _of_cloud(cloud: Any, mm: float) -> dict[str, Any]:
-    """The points of a sensor_msgs/PointCloud2: positions, and the bytes of all other fields."""
+    """Return the points of a sensor_msgs/PointCloud2: positions, and the bytes of all other fields."""
     number, step, data = cloud.width * cloud.height, cloud.point_step, cloud.data
     if not number or len(data) != number * step:
         return {"data": ElementArray(data.reshape(-1, 1), "bytes")}
@@ -463,7 +463,7 @@ def _of_cloud(cloud: Any, mm: float) -> dict[str, Any]:
 
 _FLOATS = {7: "f4", 8: "f8"}
 
-#: ROS type → its fields that are arrays of elements.
+#: ROS type → function that returns its fields that are arrays of elements.
 _ARRAYS: dict[str, Callable[[Any, float], dict[str, Any]]] = {
     "sensor_msgs/msg/Image": _of_image,
     "sensor_msgs/msg/PointCloud2": _of_cloud,

@@ -1,13 +1,12 @@
-"""Two recordings side by side: which messages are only in one, and how the others differ.
+"""Compares two recordings: which messages are in one of them only, and how the others differ.
 
-Messages are paired by stream and by their order in it.  Where two do not match, the next messages of both are
-searched for the place at which the streams go on together (the same bytes, or as many with the same stamp of the
-sender): what lies before it on one side only is missing there.  Both files are read once, at the same pace; at most a
-window of each stream waits.
+Messages are paired by stream and by their order in it.  If two messages do not match, the next messages of both streams
+are searched for a match (equal bytes, or equal size and equal source stamp).  Unmatched messages before it are missing
+on the other side.  Both files are read once, in step; at most a window of messages per stream waits for a match.
 
-Times are compared apart from values.  The gateway times of two recordings never agree, so their offset and its
-jitter are told and decide nothing.  Stamps inside messages may all be later by one constant (a session that was
-replayed with shifted stamps); what deviates from the commonest offset is a difference.
+Times are compared separately from values.  Gateway times of two recordings always differ, so their offset and jitter
+are reported but are not a difference.  Stamps inside messages may all be later by one constant, as in a session that
+was replayed with shifted stamps.  A stamp that deviates from the most frequent offset is a difference.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Un
 from igtl_gateway.replay.source import matches_any
 from igtl_gateway.session.entry import Entry, Kind
 
-#: So many messages of a stream wait for their counterpart, and so many bytes of them.
+#: Maximum number of messages of a stream that wait for a match, and their maximum size in bytes.
 WINDOW = 1024
 WINDOW_BYTES = 32 << 20
-#: So many of both sides are looked through for the nearest place where they go on together; what waits longer is
-#: looked through only for the counterpart of the next one.
+#: Number of messages on both sides that are searched for the nearest match.  Messages that wait longer are searched
+#: only for the match of the next message.
 AHEAD = 16
-#: What a stamp may lose on its way through 32.32 fixed point.
+#: Maximum rounding of a stamp by the 32.32 fixed-point format.
 STAMP_NS = 1_000
 
 _MAX_OFFSETS = 10_000
@@ -40,12 +39,12 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class DiffLocation:
-    """Where in a stream a difference is.
+    """The position of a difference in a stream.
 
     Attributes:
         index: number of the message in the stream of the first recording, from 1.
-        seq, other_seq: entry numbers; 0 where there is none.
-        delta: how the messages differ.
+        seq, other_seq: entry numbers; 0 = none.
+        delta: difference of the messages.
     """
 
     index: int
@@ -66,20 +65,20 @@ class StreamDiff:
     """One stream in both recordings.
 
     Attributes:
-        kind: ``igtl_in`` …; ``ros`` where one recording is not of igtl-gateway.
-        stream: its channel.
-        messages, other_messages: how many there are.
-        missing: messages that only the first recording has.
-        extra: messages that only the other one has.
-        different: messages that differ beyond the tolerance.
-        restamped: messages with a stamp that deviates from the common offset.
-        within: messages that differ within the tolerance.
-        mm, deg: largest distance and rotation.
-        mm_at, deg_at: the messages that they are of.
-        first: the first difference of values.
-        first_missing, first_extra: entry numbers of the first ones; 0 = none.
-        offset_ns: mean of how much later, by gateway time, the other recording's messages are.
-        jitter_ns: standard deviation of that.
+        kind: ``igtl_in`` …; ``ros`` if one recording is not of igtl-gateway.
+        stream: channel of the stream.
+        messages, other_messages: number of messages in each recording.
+        missing: number of messages that only the first recording has.
+        extra: number of messages that only the other recording has.
+        different: number of messages that differ by more than the tolerance.
+        restamped: number of messages with a stamp that deviates from the most frequent offset.
+        within: number of messages that differ within the tolerance.
+        mm, deg: largest distance in millimetres and largest rotation in degrees.
+        mm_at, deg_at: positions of these two.
+        first: position of the first difference of values.
+        first_missing, first_extra: entry numbers of the first missing and extra message; 0 = none.
+        offset_ns: mean offset of the gateway times in the other recording.
+        jitter_ns: standard deviation of that offset.
     """
 
     kind: str
@@ -108,12 +107,12 @@ class StreamDiff:
 
 @dataclass(slots=True)
 class DiffReport:
-    """Two recordings.
+    """The differences of two recordings.
 
     Attributes:
-        streams: by kind and name.
-        stamp_offset_ns: by how much the stamps in the other recording's messages are later.
-        offset_ns: the same of its gateway times, in the mean.
+        streams: differences by kind and stream.
+        stamp_offset_ns: most frequent offset of the stamps in the messages of the other recording.
+        offset_ns: mean offset of its gateway times.
     """
 
     streams: list[StreamDiff] = field(default_factory=list)
@@ -127,11 +126,11 @@ class DiffReport:
 
 @dataclass(slots=True)
 class DiffInput:
-    """One recording.
+    """One recording to compare.
 
     Attributes:
-        entries: in order.
-        decoder: of its messages.
+        entries: its entries in order.
+        decoder: decoder of its messages.
     """
 
     entries: Iterable[Entry]
@@ -145,10 +144,10 @@ def diff(
 
     Args:
         one, other: the recordings.
-        globs: only these streams: topic, ``TYPE/device`` or device; none = all, notes too.
-        tolerance: what counts as equal.
-        foreign: one of them (not both) is of another program: its ROS messages are compared, with those of the
-            session whichever way they went.
+        globs: select streams by topic, ``TYPE/device`` or device; empty = all, with notes.
+        tolerance: differences that count as equal.
+        foreign: one of them (not both) is of another program: its ROS messages are compared with those of the session
+            in both directions.
     """
     pairing = _Pairing(one.decoder, other.decoder, tolerance)
     for entry, first in _in_step(one.entries, other.entries):
@@ -158,7 +157,7 @@ def diff(
 
 
 def _in_step(one: Iterable[Entry], other: Iterable[Entry]) -> Iterator[tuple[Entry, bool]]:
-    """The entries of both, by their time since the beginning of their recording, and whether of the first one."""
+    """Yield the entries of both in the order of their time since the start, and whether of the first one."""
     sides = iter(one), iter(other)
     heads = [next(side, None) for side in sides]
     starts = [head.stamp_ns if head else 0 for head in heads]
@@ -172,7 +171,7 @@ def _in_step(one: Iterable[Entry], other: Iterable[Entry]) -> Iterator[tuple[Ent
 
 
 def _key(entry: Entry, globs: Sequence[str], foreign: bool) -> Key | None:
-    """The stream of an entry, None if it is not compared."""
+    """Return the stream of an entry; None if it is not compared."""
     ros = entry.kind in (Kind.ROS_IN, Kind.ROS_OUT)
     if foreign and not ros:
         return None
@@ -186,7 +185,7 @@ def _key(entry: Entry, globs: Sequence[str], foreign: bool) -> Key | None:
 
 @dataclass(slots=True)
 class _Times:
-    """Mean and deviation of times, exactly: sums of whole numbers."""
+    """Mean and standard deviation of times, exact by integer sums."""
 
     number: int = 0
     total: int = 0
@@ -208,7 +207,7 @@ class _Times:
 
 
 class _WaitingMessages:
-    """Messages of one side that wait."""
+    """Messages of one side that wait for a match."""
 
     def __init__(self) -> None:
         self._entries: deque[Entry] = deque()
@@ -222,7 +221,7 @@ class _WaitingMessages:
     def push(self, entry: Entry) -> None:
         self._entries.append(entry)
         self._digests.append(hash(entry.data()))
-        # a message whose value changed has kept its size, mostly, and its sender's stamp
+        # a message with a changed value usually has the same size and source stamp
         self._stamps.append((entry.source_ns, entry.size) if entry.source_ns else None)
         self._size += entry.size
 
@@ -238,13 +237,13 @@ class _WaitingMessages:
         return len(self) > WINDOW or (self._size > WINDOW_BYTES and len(self) > 1)
 
     def same(self, at: int, other: _WaitingMessages, there: int) -> bool:
-        """Whether two messages are one message, perhaps changed."""
+        """Return whether two messages match."""
         if self._digests[at] == other._digests[there]:
             return True
         return self._stamps[at] is not None and self._stamps[at] == other._stamps[there]
 
     def find_first_of(self, other: _WaitingMessages) -> int | None:
-        """Where the other side's next message is, None if not in the window."""
+        """Return the position of the match of the other side's next message; None if it is not in the window."""
         for mine, wanted in ((self._digests, other._digests[0]), (self._stamps, other._stamps[0])):
             if wanted is not None and wanted in mine:
                 return mine.index(wanted)  # type: ignore[arg-type]
@@ -257,7 +256,7 @@ class _StreamPairing:
     one: _WaitingMessages = field(default_factory=_WaitingMessages)
     other: _WaitingMessages = field(default_factory=_WaitingMessages)
     times: _Times = field(default_factory=_Times)
-    #: Offsets of stamps → number of messages that have one, and the first of them.
+    #: Offset of stamps → number of messages with this offset.
     offsets: Counter[int] = field(default_factory=Counter)
     first_at: dict[int, DiffLocation] = field(default_factory=dict)
     index: int = 0
@@ -271,7 +270,7 @@ class _Pairing:
         self._all = _Times()
 
     def take(self, key: Key, entry: Entry, first: bool) -> None:
-        """The next entry of one side."""
+        """Take the next entry of one side."""
         stream = self._streams.get(key)
         if stream is None:
             stream = self._streams[key] = _StreamPairing(StreamDiff(*key))
@@ -284,7 +283,7 @@ class _Pairing:
         self._pair_waiting(stream, lambda: stream.one.full or stream.other.full)
 
     def end(self) -> DiffReport:
-        """Both have ended."""
+        """Return the report, at the end of both recordings."""
         for stream in self._streams.values():
             self._pair_waiting(stream, lambda: True)
         offset_ns = self._commonest_offset()
@@ -307,7 +306,7 @@ class _Pairing:
         return min(offsets, key=lambda offset: (-offsets[offset], abs(offset)), default=0)
 
     def _pair_waiting(self, stream: _StreamPairing, full: Callable[[], bool]) -> None:
-        """Pair what can be paired; all of it when ``full`` says that no more may be waited for."""
+        """Pair messages while possible; while ``full()`` is true, also without waiting for better matches."""
         one, other = stream.one, stream.other
         while one or other:
             if one and other and one.same(0, other, 0):
@@ -355,7 +354,7 @@ class _Pairing:
         if delta.deg > told.deg:
             told.deg, told.deg_at = delta.deg, stream.index
         for offset in set(delta.stamps_ns):
-            # whatever has so many offsets has no constant one
+            # a stream with this many offsets has no constant one
             known = offset in stream.offsets or len(stream.offsets) < _MAX_OFFSETS
             stream.offsets[offset if known else max(stream.offsets)] += 1
             if known:
@@ -377,7 +376,7 @@ class _Pairing:
 
 
 def _together(one: _WaitingMessages, other: _WaitingMessages) -> tuple[int, int] | None:
-    """How many messages of each side come before the first place at which they are the same again."""
+    """Return the number of messages on each side before the nearest match."""
     ours, theirs = min(AHEAD, len(one)), min(AHEAD, len(other))
     for distance in range(1, ours + theirs - 1):
         for i in range(max(0, distance - theirs + 1), min(distance, ours - 1) + 1):

@@ -1,14 +1,14 @@
-"""A part of a session that begins in its middle: what was latched before comes first.
+"""Latched messages for a replay that starts in the middle of a session.
 
-Whoever joins a running session is told the state that others were told before: static transforms, plans, meshes, the
-last status.  A replay that begins at a moment, or jumps to one, tells it too: of every latched stream the last
-message before the moment, in the order of the log.
+A late joiner gets the state that was published before: static transforms, plans, meshes, the latest status.  A replay
+that starts at a moment, or seeks to one, also sends it first: the latest message before the moment of each latched
+stream, in the order of the log.
 
 Latched are
 
-* ROS topics that were offered so (transient local);
-* OpenIGTLink types that say a state rather than a sample: see :data:`STATE_TYPES`;
-* what the gateway sent to the other side because of such a message.
+* ROS topics with transient-local durability;
+* OpenIGTLink types that are a state and not a sample: see :data:`STATE_TYPES`;
+* the outputs that such a message caused.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from igtl_gateway.errors import GatewayError
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.lookup import LatchedStateRule
 
-#: Surfaces, plans, annotations, tables, states: sent when they change, and valid until they change again.
+#: Surfaces, plans, annotations, tables, states: sent on a change, and valid until the next change.
 STATE_TYPES = frozenset("BIND CAPABILITY COLORT COLORTABLE IMGMETA LBMETA POINT POLYDATA STATUS TRAJ VIDEOMETA".split())
 
 _STATIC_TF = "/tf_static"
 _ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
 _MESSAGES = _ROS | {Kind.IGTL_IN, Kind.IGTL_OUT}
 
-#: Whether a ROS topic of a type is latched.
+#: ROS topic and type → whether the topic is latched.
 IsLatched = Callable[[str, str], bool]
 
 
 def part_of_session(
     entries: Iterable[Entry], start_ns: int | None, end_ns: int | None, is_latched: IsLatched
 ) -> Iterator[Entry]:
-    """The entries from ``start_ns`` to ``end_ns`` (both included; None: no limit), the latched ones before them.
+    """Yield the latched entries before ``start_ns``, then the entries to ``end_ns`` (both included; None: no limit).
 
     Args:
-        entries: the whole session, inputs too, in order; of what is before ``start_ns`` at least what
-            :func:`latched_state_rule` names.
-        is_latched: tells it of a topic and its type, as recorded.
+        entries: the session in order, with inputs; before ``start_ns`` at least the entries that
+            :func:`latched_state_rule` selects.
+        is_latched: returns whether a recorded topic is latched.
     """
     state: dict[Hashable, Entry] | None = {}
     cause_is_latched = False
@@ -63,7 +63,7 @@ def part_of_session(
 
 
 def latched_state_rule(is_latched: IsLatched) -> LatchedStateRule:
-    """What :func:`part_of_session` needs to see of the entries before its start."""
+    """Return the rule that selects the entries that :func:`part_of_session` needs from before its start."""
     return LatchedStateRule(
         lambda kind, channel, type_name: _is_state(kind, channel, type_name, is_latched),
         lambda channel: channel == _STATIC_TF,
@@ -79,14 +79,14 @@ def _in_order(state: dict[Hashable, Entry]) -> list[Entry]:
 
 
 def _key(entry: Entry, latched: bool) -> Hashable:
-    """What a later entry with the same key replaces; None for what is no state."""
+    """Return the key of a latched entry: a later entry with the same key replaces it; None if it is not latched."""
     if not latched or entry.kind not in _MESSAGES:
         return None
     return (entry.kind, entry.channel, _frames(entry) if entry.channel == _STATIC_TF else ())
 
 
 def _frames(entry: Entry) -> Hashable:
-    """The frames of a message on /tf_static: its publishers are many, and each tells its own."""
+    """Return the frames of a message on /tf_static: each of its publishers publishes other frames."""
     try:
         transforms = TFMessage.unpack(entry.data()).transforms
     except GatewayError:

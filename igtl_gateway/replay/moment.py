@@ -1,4 +1,4 @@
-"""Moments of a recording as people write them: seconds from its beginning, UTC seconds, or ISO 8601."""
+"""Parses moments of a recording: seconds from its start, UTC seconds, or ISO 8601."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from decimal import Decimal, InvalidOperation
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.stamp import NS_PER_S
 
-#: From here on a number of seconds is UTC (1973), below it counts from the beginning (three years).
+#: Numbers from here on are UTC seconds (1973); smaller numbers are seconds from the start (up to three years).
 FIRST_UTC_S = 100_000_000
 
 _MAX_NS = 1 << 63
@@ -16,14 +16,14 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def moment(text: str, start_ns: int, option: str) -> int:
-    """UTC nanoseconds of ``12.5`` (seconds from the beginning), ``1795248000.25`` (UTC) or ``2026-11-21T08:00:00Z``.
+    """Return UTC ns of ``12.5`` (seconds from the start), ``1795248000.25`` (UTC) or ``2026-11-21T08:00:00Z``.
 
     ISO times without a zone are UTC.
 
     Args:
-        text: as written.
-        start_ns: the beginning of the recording, in UTC ns.
-        option: where it was written, for the error.
+        text: the moment as the user wrote it.
+        start_ns: start of the recording, UTC ns.
+        option: name of the option, for the error.
 
     Raises ConfigError.
     """
@@ -47,7 +47,7 @@ def _iso(text: str, option: str) -> int:
 
 
 def _checked(utc_ns: int, text: str, option: str) -> int:
-    """A moment that a recording can have: unsigned 64 bits, of which Python's times take fewer."""
+    """Return a moment that a recording can have: it must fit 64 bits and Python's datetime."""
     if not 0 <= utc_ns < _MAX_NS:
         raise ConfigError(f"{option}: found {text!r}, expected a time from 1970 to 2262")
     return utc_ns
@@ -55,5 +55,6 @@ def _checked(utc_ns: int, text: str, option: str) -> int:
 
 def _unreadable(text: str, option: str) -> ConfigError:
     return ConfigError(
-        f"{option}: found {text!r}, expected seconds from the beginning, UTC seconds, or a time as 2026-11-21T08:00:00Z"
+        f"{option}: found {text!r}, expected seconds from the beginning, UTC seconds, "
+        "or an ISO time such as 2026-11-21T08:00:00Z"
     )

@@ -1,7 +1,7 @@
-"""New stamps for old messages: as they were, the time of sending, or all moved by one constant.
+"""Stamps of replayed messages: unchanged, the time of sending, or shifted by one constant.
 
-Only stamps change: in an OpenIGTLink message those that ``gateway.stamps`` tells, in a ROS message all that it has
-(``stamp_places``), in the CDR bytes as they are.  Stamp 0 is "unset" and stays so when moved.
+Only stamps change: in an OpenIGTLink message those in ``gateway.stamps``, in a ROS message all stamps
+(``stamp_places``), in its CDR bytes.  Stamp 0 is "unset" and stays 0 when stamps are shifted.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 
 
 class Restamper:
-    """Gives messages their new stamps.
+    """Sets the stamps of messages.
 
     Args:
         mode: ``keep``, ``now`` or ``shift``.
-        on_unknown: told once of each ROS type that stays as it is, since it is not known here.
-        definitions: of ROS types, as the recording has them.
+        on_unknown: called once for each ROS type whose stamps cannot be changed, because its definition is unknown.
+        definitions: definitions of ROS types from the recording.
     """
 
     def __init__(
@@ -42,11 +42,11 @@ class Restamper:
         self._shift_ns: int | None = None
 
     def begin(self, recorded_ns: int | None, now_ns: int) -> None:
-        """What comes next is moved so that ``recorded_ns`` becomes ``now_ns``; None: the first message does."""
+        """Shift stamps so that ``recorded_ns`` becomes ``now_ns``; None: so that the next message does."""
         self._shift_ns = None if recorded_ns is None else now_ns - recorded_ns
 
     def payload(self, entry: Entry, now_ns: int) -> tuple[Buffer, ...]:
-        """The payload of an entry that is sent at ``now_ns`` (UTC)."""
+        """Return the payload of an entry that is sent at ``now_ns`` (UTC)."""
         if self._mode == "keep":
             return tuple(entry.payload)
         if self._shift_ns is None:
@@ -77,5 +77,5 @@ class Restamper:
 
 
 def _order(data: bytes) -> str:
-    """Byte order of CDR, by its encapsulation."""
+    """Return the byte order of CDR from its encapsulation header."""
     return "<" if data[1] & 1 else ">"

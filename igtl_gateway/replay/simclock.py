@@ -1,6 +1,6 @@
 """The clock of a replay on ``/clock``, for nodes with ``use_sim_time``.
 
-Its ticks stand between the entries at fixed steps of recorded time, so they are the same at every rate, like all else.
+Its ticks come between the entries at fixed steps of recorded time, so they do not depend on the rate.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from igtl_gateway.stamp import NS_PER_S, ns_to_ros
 
 CLOCK_TOPIC = "/clock"
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
-#: Reliable, so that it suits every subscriber; those of ROS want the last one only.
+#: Reliable, which matches every subscriber; those of ROS keep only the latest message.
 CLOCK_QOS = Qos(depth=10)
 #: As in ``ros2 bag play``.
 DEFAULT_HZ = 40.0
@@ -26,26 +26,26 @@ _CDR_LE = b"\x00\x01\x00\x00"
 
 
 def period_ns(hz: float) -> int:
-    """Recorded time between two ticks.  Raises ConfigError."""
+    """Return the recorded time between two ticks.  Raises ConfigError."""
     if not 0 < hz <= NS_PER_S:
-        raise ConfigError(f"--clock: found {hz}, expected ticks a second, above 0")
+        raise ConfigError(f"--clock: found {hz}, expected a positive number of ticks per second")
     return max(1, round(NS_PER_S / hz))
 
 
 def is_tick(entry: Entry) -> bool:
-    """Whether an entry is one of the ticks: they have no number in the session."""
+    """Return whether an entry is a tick: ticks have no entry number."""
     return entry.seq == 0 and entry.channel == CLOCK_TOPIC
 
 
 def with_ticks(
     entries: Iterable[Entry], start_ns: int | None, step_ns: int, pace: SessionTimeline | None = None
 ) -> Iterator[Entry]:
-    """The entries with ticks between them, the first at ``start_ns``; a recorded ``/clock`` gives way.
+    """Yield the entries with ticks between them, the first tick at ``start_ns``; they replace a recorded ``/clock``.
 
     Args:
-        start_ns: None: the first entry.
-        step_ns: recorded time from tick to tick.
-        pace: of the session: in a jump of its time there are no ticks.
+        start_ns: time of the first tick; None: that of the first entry.
+        step_ns: recorded time between two ticks.
+        pace: time line of the session: in a jump of gateway time there are no ticks.
     """
     pace = pace or SessionTimeline()
     next_ns = start_ns
@@ -54,7 +54,9 @@ def with_ticks(
             continue
         if next_ns is None:
             next_ns = entry.stamp_ns
-        if next_ns == start_ns and entry.stamp_ns < next_ns:  # state of before the start: the clock comes first
+        if (
+            next_ns == start_ns and entry.stamp_ns < next_ns
+        ):  # latched entries from before the start: the clock comes first
             yield clock_entry(next_ns)
             next_ns += step_ns
         while (next_ns := _behind_jump(next_ns, step_ns, pace)) <= entry.stamp_ns:
@@ -64,11 +66,11 @@ def with_ticks(
 
 
 def _behind_jump(tick_ns: int, step_ns: int, pace: SessionTimeline) -> int:
-    """The first tick from that one on that lies in no jump."""
+    """Return the first tick from ``tick_ns`` on that is not in a jump."""
     return tick_ns - (tick_ns - pace.behind_jump_ns(tick_ns)) // step_ns * step_ns
 
 
 def clock_entry(stamp_ns: int) -> Entry:
-    """The clock says this."""
+    """Return the entry of a tick."""
     data = _CLOCK.pack(_CDR_LE, *ns_to_ros(stamp_ns))
     return Entry(0, stamp_ns, Kind.ROS_OUT, CLOCK_TOPIC, CLOCK_TYPE, (data,))

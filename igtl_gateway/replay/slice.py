@@ -1,16 +1,16 @@
-"""A slice of a session: some of its time and streams, as a session of its own that verifies as the whole does.
+"""A slice of a session: a part of its time and streams as a separate session that verifies.
 
-What the gateway says depends on what it heard before.  So a slice begins with a *prologue*: inputs from before the
-cut that rebuild the state, such as the links that are up and the last message of each stream.  How many inputs
-that takes is found by trying: with each depth of prologue the gateway is fed, and what it says inside the window is
-held against the recording; the first depth at which nothing differs is taken, the last one is everything.
+The outputs of the gateway depend on earlier inputs.  So a slice begins with a *prologue*: inputs from before the window
+that restore the state, such as open links and the latest message of each stream.  The size of the prologue is found by
+trial: for each depth the gateway processes prologue and window, and its outputs in the window are compared with the
+recording.  The first depth without a difference is used; the last depth contains all inputs.
 
-The unit is the *group*: an input with all that lies in the file before the next input.  Inside the window groups are
-copied as they are, their outputs from the recording; those of the prologue are computed.  Entry numbers begin at 1
-again; gaps inside a group (what the recorder lost) stay gaps.
+The unit is the *group*: an input and all entries before the next input.  In the window, groups are copied with their
+recorded outputs; in the prologue, outputs are computed.  Entry numbers start at 1; gaps in a group (entries that the
+recorder lost) stay gaps.
 
-With globs, inputs are left out inside the window, too, and what depends on those cannot be told from the rest: where
-something differs all the same, the outputs of that group are computed, and the report counts it.
+Globs also leave out inputs in the window, and other outputs can depend on them.  If the outputs of a group differ
+therefore, they are computed, and the report counts the group.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from igtl_gateway.session.clocksteps import CLOCK_STEP
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 
-#: Inputs up to this size are small: poses, texts, queries; no picture, no cloud.
+#: Maximum size of a small input: poses, strings and queries are small, images and clouds are not.
 SMALL_BYTES = 4096
 
 _Read = Callable[[], Iterable[Entry]]
@@ -42,18 +42,18 @@ _COMMANDS = frozenset({"COMMAND", "RTS_COMMAND", Command.TYPE, CommandReply.TYPE
 class Depth(Enum):
     """Which inputs from before the window are in the slice."""
 
-    STATE = "state"  #: links, subscriptions, commands, first and last message of each stream
-    SMALL = "small"  #: those, and all that are small
-    ALL = "all"  #: everything
+    STATE = "state"  #: links, stream requests, commands, first and last message of each stream
+    SMALL = "small"  #: also all small inputs
+    ALL = "all"  #: all inputs
 
 
 @dataclass(frozen=True, slots=True)
 class SliceWindow:
-    """What is to be in a slice.
+    """The window of a slice.
 
     Attributes:
-        start_ns, end_ns: gateway time, UTC ns; the end is outside.
-        globs: streams, by topic, ``TYPE/device`` or device: of an input or of what it caused; none = all.
+        start_ns, end_ns: gateway time, UTC ns; the end is not included.
+        globs: topic, ``TYPE/device`` or device of an input or of its outputs; empty = all.
     """
 
     start_ns: int
@@ -63,12 +63,12 @@ class SliceWindow:
 
 @dataclass(frozen=True, slots=True)
 class InputGroup:
-    """An input and all that follows it before the next one.
+    """An input and all entries before the next input.
 
     Attributes:
         input: the input.
-        outputs: in their order.
-        extent: entry numbers that the group takes, those of lost entries included.
+        outputs: its outputs in order.
+        extent: number of entry numbers in the group, including lost entries.
     """
 
     input: Entry
@@ -78,15 +78,15 @@ class InputGroup:
 
 @dataclass(slots=True)
 class SliceReport:
-    """What became of a session.
+    """The result of slicing a session.
 
     Attributes:
-        depth: of the prologue.
-        prologue: inputs in it.
-        inputs, outputs: entries inside the window.
-        computed: groups inside the window whose outputs are those of today's gateway, not the recorded ones.
-        differing: outputs inside the window that today's gateway does not say like this.
-        ledger: what the gateway counted.
+        depth: depth of the prologue.
+        prologue: number of inputs in the prologue.
+        inputs, outputs: number of entries in the window.
+        computed: number of groups in the window whose outputs are computed, not recorded.
+        differing: number of outputs in the window that differ from the computed ones.
+        ledger: the ledger of the slice.
     """
 
     depth: Depth
@@ -99,7 +99,7 @@ class SliceReport:
 
 
 def input_groups(entries: Iterable[Entry]) -> Iterator[InputGroup]:
-    """The groups of a session; outputs before the first input belong to none."""
+    """Yield the groups of a session; outputs before the first input are left out."""
     cause: Entry | None = None
     outputs: list[Entry] = []
     last = 0
@@ -116,14 +116,14 @@ def input_groups(entries: Iterable[Entry]) -> Iterator[InputGroup]:
 
 
 class Slice:
-    """A window of a session; finds the depth that it needs when it is made.
+    """A slice of a session; the constructor finds the necessary depth of the prologue.
 
     The state at the start of the window follows from all inputs before it, so these are read: once.  Only where the
     inputs of :attr:`Depth.STATE` do not suffice they are read again.
 
     Args:
-        read: returns the entries of the session, from the beginning, each time that it is called.
-        config: of the session.
+        read: returns the entries of the session from the start, each time that it is called.
+        config: configuration of the session.
         window: the requested part.
         read_from: returns the entries from a time on (UTC ns, entry number of an earlier entry or 0) without reading
             those before it; default: those of ``read``.
@@ -140,11 +140,11 @@ class Slice:
             if not tried[-1].differing:
                 break
         self._depth = min(tried, key=lambda report: report.differing).depth
-        #: What :meth:`entries` gave, complete when it has ended.
+        #: The report, complete at the end of :meth:`entries`.
         self.report = SliceReport(self._depth)
 
     def entries(self) -> Iterator[Entry]:
-        """The entries of the slice."""
+        """Yield the entries of the slice."""
         self.report = SliceReport(self._depth)
         return self._cut(self.report, rewrite=bool(self._window.globs))
 
@@ -155,7 +155,7 @@ class Slice:
         return report
 
     def _cut(self, report: SliceReport, *, rewrite: bool) -> Iterator[Entry]:
-        """The entries at the depth of ``report``, counted there; with ``rewrite`` groups that differ are computed."""
+        """Yield the entries at the depth of ``report`` and count them; ``rewrite``: compute groups that differ."""
         window, depth = self._window, report.depth
         session = Session(make_core(self._config, fast_path=False))
         seq, stamp_ns = 1, 0
@@ -166,7 +166,7 @@ class Slice:
             inside = cause.stamp_ns >= window.start_ns
             if inside and not _wanted(group, window):
                 continue
-            # computed outputs may be more than that day's: later entries make room, as in a live session
+            # more outputs can be computed than recorded: later entries move, as in a live session
             moved = replace(cause, seq=seq, stamp_ns=max(cause.stamp_ns, stamp_ns + 1))
             said = session.recorded(moved)
             outputs = said
@@ -190,7 +190,7 @@ class Slice:
         report.ledger = session.gateway.ledger.to_dict()
 
     def _groups(self, depth: Depth) -> Iterator[InputGroup]:
-        """The groups of the prologue, whose outputs may be missing, and all groups from the start of the window on."""
+        """Yield the groups of the prologue, possibly without outputs, and all groups from the window on."""
         start_ns = self._window.start_ns
         if depth is not Depth.STATE:
             kept = _prologue(self._read(), self._window, depth).keys()
@@ -209,14 +209,14 @@ class Slice:
 
 
 def _moved(entry: Entry, cause: Entry, moved: Entry) -> Entry:
-    """An output behind its cause's new place."""
+    """Return an output with the number and time relative to its moved cause."""
     return replace(
         entry, seq=moved.seq + entry.seq - cause.seq, stamp_ns=moved.stamp_ns + entry.stamp_ns - cause.stamp_ns
     )
 
 
 def _differing(recorded: Sequence[Entry], said: Sequence[Entry], cause: int) -> int:
-    """How many outputs of a group are not what the gateway says now."""
+    """Return the number of outputs of a group that differ from the computed ones."""
     now = {entry.seq: entry for entry in said}
     differing = 0
     for entry in recorded:
@@ -226,7 +226,7 @@ def _differing(recorded: Sequence[Entry], said: Sequence[Entry], cause: int) -> 
 
 
 def _wanted(group: InputGroup, window: SliceWindow) -> bool:
-    """Whether a group inside the window is in the slice."""
+    """Return whether a group in the window is in the slice."""
     return not window.globs or _carries_state(group) or _selected(group, window.globs)
 
 
@@ -240,10 +240,10 @@ def _selected(group: InputGroup, globs: tuple[str, ...]) -> bool:
 
 
 def _carries_state(group: InputGroup) -> bool:
-    """Whether an input changes what becomes of others, whatever its stream."""
+    """Return whether an input influences the outputs of other streams."""
     entry = group.input
     if any(output.channel == LINKS_TOPIC for output in group.outputs):
-        return True  # it showed what its peer is
+        return True  # it changed the profile of its peer
     match entry.kind:
         case Kind.LINK:
             return True
@@ -258,11 +258,11 @@ def _code(entry: Entry) -> str:
 
 
 def _prologue(entries: Iterable[Entry], window: SliceWindow, depth: Depth) -> dict[int, Entry]:
-    """The inputs before the window that are in the slice, by number; beyond `Depth.STATE` without their content."""
+    """Return entry number → input of the prologue; beyond `Depth.STATE` without the payload."""
     kept: dict[int, Entry] = {}
     first: dict[object, Entry] = {}
     last: dict[object, Entry] = {}
-    links: dict[int, Entry] = {}  # link → the entry with which it came up, while it is up
+    links: dict[int, Entry] = {}  # open link → the entry of its opening
     for group in input_groups(entries):
         entry = group.input
         if entry.stamp_ns >= window.start_ns:
@@ -290,7 +290,7 @@ def _follow(links: dict[int, Entry], entry: Entry) -> None:
 
 
 def _keys(entry: Entry) -> Iterator[object]:
-    """What an input is the latest of: its stream from its link; each of its frames."""
+    """Yield the keys of which an input is the latest: its link and stream, or each of its frames."""
     yield (entry.kind, entry.channel, entry.links)
     if entry.type == TFMessage.TYPE:
         try:

@@ -1,4 +1,4 @@
-"""What a replay sends: the bytes of that day, or those of today's gateway for the inputs of that day."""
+"""The entries that a replay sends: recorded outputs, or outputs computed from the recorded inputs."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from igtl_gateway.globs import matches
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 
-#: The link that stands for "whoever listens" where a recording knows of no link.
+#: The link for all peers, for recordings without links.
 _ANY_LINK = 1
 
-#: Why a replay passes over a message: names in its account.
+#: Reasons for which a replay skips a message, in its account.
 FORMS, RELAY, STREAMS, MADE_ANEW = "other_forms", "other_side", "not_chosen", "made_anew"
 
 
 def through_gateway(
     entries: Iterable[Entry], config: Config, *, has_links: bool, made: Counter[Kind] | None = None
 ) -> Iterator[Entry]:
-    """Inputs and outputs of today's gateway for the recorded inputs.
+    """Yield the recorded inputs and the outputs that the gateway computes from them.
 
     Args:
-        has_links: whether the recording tells of links; if not, one that reads header version 1 is assumed.
-        made: counts the outputs.
+        has_links: whether the recording has links; if not, one peer with header version 1 is assumed.
+        made: counts the computed outputs.
     """
     made = Counter() if made is None else made
     session = Session(make_core(config, fast_path=False))
@@ -41,10 +41,10 @@ def through_gateway(
 
 
 def first_form_only(entries: Iterable[Entry], passed_over: Counter[str] | None = None) -> Iterator[Entry]:
-    """Of a message that went out in several header versions only the first form: version 1 where it was sent.
+    """Yield only the first form of a message that was sent in several header versions: version 1 if it was sent.
 
     Args:
-        passed_over: counts the others.
+        passed_over: counts the skipped forms.
     """
     passed_over = Counter() if passed_over is None else passed_over
     sent: set[str] = set()
@@ -60,12 +60,12 @@ def first_form_only(entries: Iterable[Entry], passed_over: Counter[str] | None =
 
 
 def one_side_of_relay(role: str, entries: Iterable[Entry], passed_over: Counter[str] | None = None) -> Iterator[Entry]:
-    """Of a relay's recording the inputs, and of the outputs the words to one side.
+    """Yield the inputs of a relay's recording, and the outputs to one side.
 
     Args:
-        passed_over: counts the outputs that are left out.
-        role: our own in the replay.  ``"server"``: what was sent to those that had connected to the relay, which is
-            what their server said; ``"client"``: what was sent to that server.
+        passed_over: counts the skipped outputs.
+        role: role of the replay.  ``"server"``: messages to the clients of the relay, which come from their server;
+            ``"client"``: messages to that server.
     """
     passed_over = Counter() if passed_over is None else passed_over
     listeners: set[int] = set()
@@ -86,14 +86,14 @@ def select_entries(
     streams: Iterable[str] = (),
     passed_over: Counter[str] | None = None,
 ) -> Iterator[Entry]:
-    """Entries of some kinds, of streams that match one of the globs (no glob: all).
+    """Yield the entries of some kinds from streams that match one of the globs (no glob: all).
 
-    A glob fits the channel (``TYPE/device`` or the topic) or the device name alone.  ``passed_over`` counts the
-    entries of other streams.
+    A glob matches the channel (``TYPE/device`` or the topic) or the device name.  ``passed_over`` counts the entries of
+    other streams.
     """
     passed_over = Counter() if passed_over is None else passed_over
     globs = tuple(streams)
-    few = tuple(kinds)  # found sooner than by their hash
+    few = tuple(kinds)  # faster than a set
     known: dict[str, bool] = {}
     for entry in entries:
         if entry.kind in few:
@@ -108,7 +108,7 @@ def select_entries(
 
 
 def matches_any(name: str, globs: Sequence[str]) -> bool:
-    """Whether a name matches one of the globs, or there is none."""
+    """Return whether a name matches one of the globs, or there is no glob."""
     return not globs or any(matches(glob, name) for glob in globs)
 
 

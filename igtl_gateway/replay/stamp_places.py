@@ -1,12 +1,12 @@
-"""Where the stamps are in a ROS message, in its CDR bytes as they are: a walk by the definition of its type.
+"""Finds the offsets of stamps in the CDR bytes of a ROS message, by the definition of its type.
 
 A stamp is a field ``stamp`` or ``timestamp`` of the type ``builtin_interfaces/Time``, at any depth: in headers, in the
-transforms of a TFMessage, the markers of a MarkerArray; and the time of ``/clock``.  Other times, such as that of a
-scan or of a reference clock, are facts and no stamps.
+transforms of a TFMessage, in the markers of a MarkerArray; and the time of ``/clock``.  Other times, such as the times
+of a scan or of a reference clock, are data and not stamps.
 
-The definition is that of the recording, where it has one; else that of ROS 2 Jazzy or ours.  It is made into a list of
-steps once; steps behind the last stamp are left away, so that of a message with its header in front nothing else is
-looked at.
+The definition comes from the recording if it has one, else from ROS 2 Jazzy or igtl_msgs.  It is compiled once into a
+list of steps.  Steps after the last stamp are left out, so that of a message with a leading header only the header is
+read.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _SIZES = {
     "uint32": 4, "float32": 4, "int64": 8, "uint64": 8, "float64": 8,
 }  # fmt: skip
 _BASE, _NAME, _ARRAY = 1, 2, 3  # rosbags' kinds of field types; the others are sequences
-_ENCAPSULATION = 4  # bytes; alignment counts from behind them
+_ENCAPSULATION = 4  # bytes; alignment is relative to their end
 
 
 @dataclass(frozen=True, slots=True)
 class _Numbers:
-    """So many numbers in a row; ``several``: as the elements of a sequence."""
+    """A number of consecutive numbers; ``several``: the elements of a sequence."""
 
     size: int
     count: int
@@ -49,14 +49,14 @@ class _Stamp:
 
 @dataclass(frozen=True, slots=True)
 class _Text:
-    """A string; ``wide``: of wide characters, which rosbags does not read and we do not walk past."""
+    """A string; ``wide``: of wide characters, which rosbags cannot read and which end the walk."""
 
     wide: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class _RepeatedSteps:
-    """Steps so many times; 0: as the bytes say."""
+    """Repeated steps; 0: the number of repetitions is in the bytes."""
 
     steps: tuple[_Step, ...]
     count: int
@@ -69,7 +69,7 @@ class StampPlaces:
     """Finds the stamps of messages.
 
     Args:
-        definitions: type → ``ros2msg`` text with all that it needs, of the recording.
+        definitions: type → ``ros2msg`` text with all dependencies, from the recording.
     """
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
@@ -78,7 +78,7 @@ class StampPlaces:
         self._steps: dict[str, tuple[_Step, ...] | None] = {}
 
     def of(self, ros_type: str, data: bytes) -> list[int] | None:
-        """Their offsets, in order; None for a type of which no definition is found, or bytes that are not of it."""
+        """Return the offsets in order; None for a type without a definition, or for bytes that are not of the type."""
         if ros_type not in self._steps:
             self._steps[ros_type] = self._compile(ros_type)
         steps = self._steps[ros_type]
@@ -134,7 +134,7 @@ class StampPlaces:
                 return [_RepeatedSteps(tuple(steps), count)]
 
     def _ours(self, name: str) -> Any:
-        """The definition of one of our types.  Raises KeyError."""
+        """Return the definition of a type of igtl_msgs.  Raises KeyError."""
         package, _, rest = name.partition("/")
         for share in SHARES:
             path = share / package / f"{rest}.msg"
@@ -152,7 +152,7 @@ def _has_stamp(step: _Step) -> bool:
 
 
 class _Walk:
-    """One walk through a message.  Raises struct.error or ValueError where the bytes are not of the type."""
+    """One walk through a message.  Raises struct.error or ValueError if the bytes are not of the type."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data

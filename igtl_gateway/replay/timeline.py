@@ -1,6 +1,6 @@
-"""The pace of a session: gateway time without the jumps that it made because the host's clock was set forward.
+"""The time line of a session: gateway time without the jumps that occur when the host's clock is set forward.
 
-A replay keeps the pauses of that day, but nobody waited for the hour by which a clock was set.
+A replay keeps the recorded pauses, but not a jump of the clock, during which no time passed.
 """
 
 from __future__ import annotations
@@ -13,30 +13,30 @@ from igtl_gateway.sessionfile.reader import SessionFile
 
 
 class SessionTimeline:
-    """Gateway time ⇄ time that has passed, both in ns; monotone, and the same but for jumps.
+    """Converts between gateway time and passed time, both in ns; monotonic, and equal except for jumps.
 
-    A jump is noticed shortly after it: messages in between are of the moment of the jump.
+    A jump is detected shortly after it: the messages in between count as messages at the moment of the jump.
     """
 
     def __init__(self, steps: Iterable[ClockStep] = ()) -> None:
         self._jumps = tuple((step.at_ns, step.jump_ns) for step in steps if step.jump_ns)
 
     def passed_ns(self, recorded_ns: int) -> int:
-        """The time that has passed at a moment of the session."""
+        """Return the time that has passed at a moment of the session."""
         left_out_ns = 0
         for at_ns, jump_ns in self._jumps:
             left_out_ns += min(max(0, recorded_ns - (at_ns - jump_ns)), jump_ns)
         return recorded_ns - left_out_ns
 
     def recorded_ns(self, passed_ns: int) -> int:
-        """The moment of the session at which so much time has passed; behind a jump where that is just then."""
+        """Return the moment of the session after ``passed_ns``; the end of a jump if it is exactly there."""
         for at_ns, jump_ns in self._jumps:
             if passed_ns >= at_ns - jump_ns:
                 passed_ns += jump_ns
         return passed_ns
 
     def behind_jump_ns(self, recorded_ns: int) -> int:
-        """The end of the jump that a moment lies in; the moment itself where it lies in none."""
+        """Return the end of the jump that contains a moment, or the moment itself."""
         for at_ns, jump_ns in self._jumps:
             if at_ns - jump_ns < recorded_ns < at_ns:
                 return at_ns
@@ -44,9 +44,9 @@ class SessionTimeline:
 
 
 def clock_steps_of(file: SessionFile) -> list[ClockStep]:
-    """The steps of the host's clock in a recording.  Raises DamagedRecording.
+    """Return the steps of the host's clock in a recording.  Raises DamagedRecording.
 
-    The notes are only looked for where the ledger does not say that there are none.
+    The notes are read only if the ledger does not exclude them.
     """
     streams = (file.ledger or {}).get("streams")
     if file.foreign or (streams is not None and CLOCK_STEP not in streams.get("edges", {}).get("", {})):

@@ -1,11 +1,11 @@
-"""Verification: feed the recorded inputs to the gateway and compare what it says with what was said that day.
+"""Verification: passes the recorded inputs to the gateway and compares its outputs with the recorded ones.
 
-What the gateway produced is compared byte by byte; of notes the code, level, stream and links count, not the
-wording.  Where bytes differ, both are decoded and the first field that differs is named.
+Outputs are compared byte by byte; of notes the code, level, stream and links, not the text.  If bytes differ, both
+messages are decoded, and the first differing field is reported.
 
-Numbers without an entry are losses.  Those that the recording declares (what the recorder dropped or was not to
-record, what `recover` could not read) are excused, and counted: a lost output; a lost input, with the outputs of it
-that are there all the same.  An output that changed, or that nothing can have caused, is never excused.
+Entry numbers without an entry are losses.  Losses that the recording declares are accepted and counted: entries that
+the recorder dropped or did not select, entries that `recover` could not read.  If an input is lost, its recorded
+outputs are counted, too.  An output that changed, or that no input can have caused, is never accepted.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from igtl_gateway.session.note import Note
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.wire import describe
 
-#: So many differences are kept in full, and the first of each of so many streams; all are counted.
+#: Maximum number of differences that are kept, and of streams of which the first is kept; all are counted.
 MAX_KEPT = 1_000
 
-#: Stream of what is not there to tell.
+#: Stream of entries that are not in the recording.
 UNKNOWN = "(not recorded)"
 
-#: What the gateway publishes: by conversion, and of its own.
+#: Types that the gateway publishes: by conversion, and its own.
 _MESSAGES = {row.message.TYPE: row.message for row in TO_ROS} | {
     kind.TYPE: kind for kind in (LinkStatusList, Metadata, RawMessage)
 }
 
-#: What is compared of two outputs beside their bytes.
+#: Attributes of outputs that are compared besides the bytes.
 _COMPARED = ("kind", "channel", "type", "links", "stamp_ns", "source_ns")
 _OUTSIDE = attrgetter(*_COMPARED)
 
@@ -51,16 +51,16 @@ _OTHERS = "(others)"
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One output that is not what was recorded.
+    """One output that differs from the recording.
 
     Attributes:
         seq: entry number of the output.
         cause: entry number of the input that caused it.
-        stream: its channel.
-        field: path of the first field that differs, or ``"message"`` where one side has none.
+        stream: channel of the output.
+        field: path of the first field that differs, or ``"message"`` if one side has no message.
         recorded: value in the recording.
-        computed: value today.
-        measure: the difference in millimetres, degrees, pixels …; ``""`` where it has none.
+        computed: computed value.
+        measure: the difference in millimetres, degrees, pixels …; ``""`` if it has no unit.
     """
 
     seq: int
@@ -81,13 +81,13 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class DeclaredLosses:
-    """What a recording says is not in it.
+    """The losses that a recording declares.
 
     Attributes:
-        entries: how many entries.
-        streams: of these, how many of each stream.
-        uncounted: more may be lost, and its end: a recovered file, one without a ledger, one of a killed bridge.
-        midway: it begins in the middle of a session.
+        entries: number of lost entries.
+        streams: number of lost entries by stream.
+        uncounted: further entries and the end may be lost: in a recovered file, or without a ledger.
+        midway: the recording starts in the middle of a session.
     """
 
     entries: int = 0
@@ -97,7 +97,7 @@ class DeclaredLosses:
 
     @classmethod
     def of(cls, session: Mapping[str, str], ledger: Mapping[str, Any] | None) -> DeclaredLosses:
-        """As the metadata of a recording tell."""
+        """Return the losses that the metadata of a recording declare."""
         midway = layout.SNAPSHOT_KEY in session or session.get(layout.PART_KEY, "0") != "0"
         if ledger is None:
             return cls(uncounted=True, midway=midway)
@@ -111,19 +111,19 @@ class DeclaredLosses:
 
 @dataclass(slots=True)
 class VerifyReport:
-    """The outcome: ``good`` if every output is the same and nothing is missing that should be there.
+    """The result: ``good`` if all outputs are equal and all losses are declared.
 
     Attributes:
-        inputs, outputs: entries of the recording.
-        equal: outputs that are what the gateway says today.
-        lost: outputs that it says but that were not recorded, as the recording declares.
-        missing: other entries that are not there, as the recording declares: inputs, with what they caused.
-        orphans: outputs whose cause is among those; not verified.
-        late: notes that come at another time than that day, because what they are about was lost.
-        differing: outputs that are different, missing or too many.
-        by_stream: these by stream.
-        firsts: the first of each stream.
-        differences: all of them, up to MAX_KEPT.
+        inputs, outputs: number of entries in the recording.
+        equal: number of outputs that are equal.
+        lost: number of computed outputs that were not recorded, as declared.
+        missing: number of other declared losses: inputs and their outputs.
+        orphans: number of recorded outputs of such inputs; not verified.
+        late: number of notes at other times than recorded, because the entries that they report were lost.
+        differing: number of outputs that are different, missing or additional.
+        by_stream: differing outputs by stream.
+        firsts: first difference of each stream.
+        differences: all differences, up to MAX_KEPT.
     """
 
     inputs: int = 0
@@ -159,14 +159,14 @@ def verify(
     before: Iterable[Entry] = (),
     decoder: LeafDecoder | None = None,
 ) -> VerifyReport:
-    """Compare the recorded outputs with those that ``config`` gives today for the recorded inputs.
+    """Compare the recorded outputs with those that the gateway computes from the recorded inputs.
 
     Args:
-        entries: the recording, in order.
-        config: the configuration to run with, usually the recorded one.
-        losses: what the recording says is not in it.
-        before: inputs from before its beginning.
-        decoder: of the recording, to tell differences in units.
+        entries: entries of the recording in order.
+        config: configuration of the gateway, usually the recorded one.
+        losses: declared losses of the recording.
+        before: inputs from before the start of the recording (its prologue).
+        decoder: decoder for the recording, to report differences with units.
     """
     verifier = _Verifier(config, losses, decoder or LeafDecoder(lengths=LengthUnits(config.ros_unit, config.igtl_unit)))
     for entry in before:
@@ -178,24 +178,24 @@ def verify(
 
 class _Verifier:
     def __init__(self, config: Config, losses: DeclaredLosses, decoder: LeafDecoder) -> None:
-        # without the fast path: what that gave on the day of the recording is checked against the full path
+        # without the fast path: its recorded outputs are checked against the full path
         self._session = Session(make_core(config, fast_path=False))
         self._losses, self._decoder = losses, decoder
-        self._left, self._left_of = losses.entries, dict(losses.streams)  # what may still be lost
+        self._left, self._left_of = losses.entries, dict(losses.streams)  # remaining declared losses
         self._report = VerifyReport()
         self._expected: deque[Entry] = deque()
         self._cause = 0
         self._last: int | None = None if losses.midway else 0
-        # what the guard says depends on what came before: a part of a session may say it elsewhere
+        # notes of the guard depend on earlier inputs: in a part of a session they can come at other times
         self._partial = losses.midway or losses.uncounted or losses.entries > 0
-        self._gap = False  # since the last input that is there, an input may have been lost
+        self._gap = False  # whether an input may be lost since the last recorded one
 
     def before(self, entry: Entry) -> None:
-        """Take an input from before the beginning."""
+        """Process an input from before the start."""
         self._session.recorded(entry)
 
     def take(self, entry: Entry) -> None:
-        """Take the next entry of the recording."""
+        """Process the next entry of the recording."""
         self._skip_to(entry.seq)
         self._last = entry.seq
         if entry.kind.is_input:
@@ -222,7 +222,7 @@ class _Verifier:
             self._differ(entry, _kind(entry), "nothing")
 
     def end(self) -> VerifyReport:
-        """The recording has ended."""
+        """Return the report, at the end of the recording."""
         while self._expected:
             expected = self._expected.popleft()
             if self._losses.uncounted or self._take_from(_name(expected)):
@@ -232,7 +232,7 @@ class _Verifier:
         return self._report
 
     def _skip_to(self, seq: int) -> None:
-        """Numbers up to here have no entry."""
+        """Account for entry numbers before ``seq`` that have no entry."""
         if self._last is None:
             return
         numbers = seq - self._last - 1
@@ -254,7 +254,7 @@ class _Verifier:
             self._report.add(Difference(seq - 1, self._cause, UNKNOWN, "entries", "nothing", text))
 
     def _miss(self) -> None:
-        """What the gateway says and another entry has the number of."""
+        """Account for a computed output whose number belongs to another entry in the recording."""
         while self._expected:
             expected = self._expected.popleft()
             if (self._report.missing and _is_news(expected)) or self._is_elsewhere(expected):
@@ -263,7 +263,7 @@ class _Verifier:
                 self._differ(expected, "nothing", _kind(expected))
 
     def _take_from(self, stream: str) -> bool:
-        """Whether a loss of this stream was declared, and is not used up."""
+        """Use one declared loss of this stream; return False if there is none left."""
         stream = stream if self._left_of.get(stream) else _OTHERS
         if self._left <= 0 or not self._left_of.get(stream):
             return False
@@ -272,7 +272,7 @@ class _Verifier:
         return True
 
     def _is_elsewhere(self, entry: Entry) -> bool:
-        """Whether an output is a note of the guard in a part of a session."""
+        """Return whether an output is a note of the guard in a part of a session."""
         return self._partial and entry.kind is Kind.NOTE and Note.of(entry.data()).code in CODES
 
     def _differ(self, entry: Entry, recorded: str, computed: str) -> None:
@@ -284,7 +284,7 @@ def _is_news(entry: Entry) -> bool:
 
 
 def compare(recorded: Entry, computed: Entry, cause: int, decoder: LeafDecoder | None = None) -> Difference | None:
-    """The first difference of two outputs, None if they are the same; with a decoder in units, too."""
+    """Return the first difference of two outputs, None if they are equal; with a decoder also in units."""
 
     def differ(what: str, one: Any, other: Any, measure: str = "") -> Difference:
         return Difference(recorded.seq, cause, _name(recorded), what, one, other, measure)
@@ -307,7 +307,7 @@ def compare(recorded: Entry, computed: Entry, cause: int, decoder: LeafDecoder |
 
 
 def _equal(recorded: Sequence[Buffer], computed: Sequence[Buffer]) -> bool:
-    """Whether the bytes are the same; those from a file, one buffer, are not copied for that."""
+    """Return whether the bytes are equal; a single buffer from a file is compared without a copy."""
     one = recorded[0] if len(recorded) == 1 else join(recorded)
     other = join(computed)
     return memoryview(one).nbytes == len(other) and other.startswith(one)
@@ -317,11 +317,11 @@ def _measure(recorded: Entry, computed: Entry, decoder: LeafDecoder) -> str:
     try:
         return compare_values(decoder.leaves(recorded), decoder.leaves(computed)).measure
     except GatewayError:
-        return ""  # not decodable: the bytes themselves are the answer
+        return ""  # not decodable: the bytes are reported
 
 
 def _first_field(recorded: Entry, computed: Entry) -> tuple[str, Any, Any]:
-    """Path and values of the first field in which two payloads of one type differ."""
+    """Return path and values of the first field in which two payloads of one type differ."""
     one, other = recorded.data(), computed.data()
     try:
         for (path, value), (other_path, other_value) in zip(
@@ -332,7 +332,7 @@ def _first_field(recorded: Entry, computed: Entry) -> tuple[str, Any, Any]:
             if not same(value, other_value):
                 return path, value, other_value
     except GatewayError:
-        pass  # not decodable: the bytes themselves are the answer
+        pass  # not decodable: the bytes are reported
     return first_byte(one, other)
 
 
@@ -340,8 +340,8 @@ def _fields(entry: Entry, data: Buffer) -> Iterator[tuple[str, Any]]:
     if entry.kind is Kind.IGTL_OUT:
         told = describe(data)
         if told.get("error", {}).get("code") == ChecksumMismatch.code:
-            del told["error"]  # `crc` says it
-        # errors, sizes and CRC follow from the content: name the cause before the consequence
+            del told["error"]  # `crc` has the reason
+        # errors, sizes and CRC depend on the content: report the cause first
         for derived in ("error", "crc", "crc_ok", "body_size", "content_size"):
             if derived in told:
                 told[derived] = told.pop(derived)
