@@ -7,7 +7,7 @@ Field by field in the order of the definitions of ROS 2 Jazzy; lengths in metres
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -46,9 +46,8 @@ class PoseStamped(Struct):
     """geometry_msgs/msg/PoseStamped."""
 
     TYPE: ClassVar[str] = "geometry_msgs/msg/PoseStamped"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, POSE)
-    header: Header
-    pose: Pose
+    header: Annotated[Header, HEADER]
+    pose: Annotated[Pose, POSE]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +55,8 @@ class PoseArray(Struct):
     """geometry_msgs/msg/PoseArray: poses (n, 7) float64."""
 
     TYPE: ClassVar[str] = "geometry_msgs/msg/PoseArray"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, number_sequence("float64", 7, as_name="geometry_msgs/Pose[]"))
-    header: Header
-    poses: Array
+    header: Annotated[Header, HEADER]
+    poses: Annotated[Array, number_sequence("float64", 7, as_name="geometry_msgs/Pose[]")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +64,9 @@ class FrameTransform(Struct):
     """geometry_msgs/msg/TransformStamped inside a TFMessage; the transform as a pose of the child in the parent."""
 
     TYPE: ClassVar[str] = "geometry_msgs/msg/TransformStamped"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, STRING, POSE)
-    header: Header
-    child_frame_id: str
-    pose: Pose
+    header: Annotated[Header, HEADER]
+    child_frame_id: Annotated[str, STRING]
+    pose: Annotated[Pose, POSE]
 
     def write(self, out: CdrWriter) -> None:
         """Written out: poses go by here at the rate of trackers."""
@@ -83,8 +80,7 @@ class TFMessage(Struct):
     """tf2_msgs/msg/TFMessage: what /tf and /tf_static carry."""
 
     TYPE: ClassVar[str] = "tf2_msgs/msg/TFMessage"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (sequence_of(FrameTransform),)
-    transforms: tuple[FrameTransform, ...]
+    transforms: Annotated[tuple[FrameTransform, ...], sequence_of(FrameTransform)]
 
     def pack(self) -> bytes:
         if len(self.transforms) != 1:
@@ -99,16 +95,11 @@ class JointState(Struct):
     """sensor_msgs/msg/JointState: radians or metres, per second, newton metres or newtons."""
 
     TYPE: ClassVar[str] = "sensor_msgs/msg/JointState"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        HEADER,
-        sequence_of(STRING),
-        *(number_sequence("float64") for _ in range(3)),
-    )
-    header: Header
-    name: tuple[str, ...]
-    position: Array = field(default_factory=_nothing)
-    velocity: Array = field(default_factory=_nothing)
-    effort: Array = field(default_factory=_nothing)
+    header: Annotated[Header, HEADER]
+    name: Annotated[tuple[str, ...], sequence_of(STRING)]
+    position: Annotated[Array, number_sequence("float64")] = field(default_factory=_nothing)
+    velocity: Annotated[Array, number_sequence("float64")] = field(default_factory=_nothing)
+    effort: Annotated[Array, number_sequence("float64")] = field(default_factory=_nothing)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +107,11 @@ class RegionOfInterest(Struct):
     """sensor_msgs/msg/RegionOfInterest: pixels; all 0 = the whole picture."""
 
     TYPE: ClassVar[str] = "sensor_msgs/msg/RegionOfInterest"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (UINT32, UINT32, UINT32, UINT32, BOOL)
-    x_offset: int = 0
-    y_offset: int = 0
-    height: int = 0
-    width: int = 0
-    do_rectify: bool = False
+    x_offset: Annotated[int, UINT32] = 0
+    y_offset: Annotated[int, UINT32] = 0
+    height: Annotated[int, UINT32] = 0
+    width: Annotated[int, UINT32] = 0
+    do_rectify: Annotated[bool, BOOL] = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,22 +119,17 @@ class CameraInfo(Struct):
     """sensor_msgs/msg/CameraInfo: distortion d, intrinsics k (3 x 3), rectification r (3 x 3), projection p (3 x 4)."""
 
     TYPE: ClassVar[str] = "sensor_msgs/msg/CameraInfo"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        *(HEADER, UINT32, UINT32, STRING, number_sequence("float64")),
-        *(fixed_array("float64", count) for count in (9, 9, 12)),
-        *(UINT32, UINT32, struct_of(RegionOfInterest)),
-    )
-    header: Header
-    height: int
-    width: int
-    distortion_model: str
-    d: Array
-    k: tuple[float, ...]
-    r: tuple[float, ...]
-    p: tuple[float, ...]
-    binning_x: int = 0
-    binning_y: int = 0
-    roi: RegionOfInterest = RegionOfInterest()
+    header: Annotated[Header, HEADER]
+    height: Annotated[int, UINT32]
+    width: Annotated[int, UINT32]
+    distortion_model: Annotated[str, STRING]
+    d: Annotated[Array, number_sequence("float64")]
+    k: Annotated[tuple[float, ...], fixed_array("float64", 9)]
+    r: Annotated[tuple[float, ...], fixed_array("float64", 9)]
+    p: Annotated[tuple[float, ...], fixed_array("float64", 12)]
+    binning_x: Annotated[int, UINT32] = 0
+    binning_y: Annotated[int, UINT32] = 0
+    roi: Annotated[RegionOfInterest, struct_of(RegionOfInterest)] = RegionOfInterest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +137,9 @@ class CompressedImage(Struct):
     """sensor_msgs/msg/CompressedImage."""
 
     TYPE: ClassVar[str] = "sensor_msgs/msg/CompressedImage"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, STRING, OCTETS)
-    header: Header
-    format: str
-    data: Buffer
+    header: Annotated[Header, HEADER]
+    format: Annotated[str, STRING]
+    data: Annotated[Buffer, OCTETS]
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +147,10 @@ class CompressedVideo(Struct):
     """foxglove_msgs/msg/CompressedVideo: one frame; format h264, h265, vp9 or av1."""
 
     TYPE: ClassVar[str] = "foxglove_msgs/msg/CompressedVideo"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (TIME, STRING, OCTETS, STRING)
-    timestamp_ns: int
-    frame_id: str
-    data: Buffer
-    format: str
+    timestamp_ns: Annotated[int, TIME]
+    frame_id: Annotated[str, STRING]
+    data: Annotated[Buffer, OCTETS]
+    format: Annotated[str, STRING]
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,10 +158,9 @@ class MultiArrayDimension(Struct):
     """std_msgs/msg/MultiArrayDimension: stride counts elements from this dimension inwards."""
 
     TYPE: ClassVar[str] = "std_msgs/msg/MultiArrayDimension"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, UINT32, UINT32)
-    label: str
-    size: int
-    stride: int
+    label: Annotated[str, STRING]
+    size: Annotated[int, UINT32]
+    stride: Annotated[int, UINT32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,9 +168,8 @@ class MultiArrayLayout(Struct):
     """std_msgs/msg/MultiArrayLayout: outermost dimension first."""
 
     TYPE: ClassVar[str] = "std_msgs/msg/MultiArrayLayout"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (sequence_of(MultiArrayDimension), UINT32)
-    dim: tuple[MultiArrayDimension, ...] = ()
-    data_offset: int = 0
+    dim: Annotated[tuple[MultiArrayDimension, ...], sequence_of(MultiArrayDimension)] = ()
+    data_offset: Annotated[int, UINT32] = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,9 +219,8 @@ class DiagnosticArray(Struct):
     """diagnostic_msgs/msg/DiagnosticArray."""
 
     TYPE: ClassVar[str] = "diagnostic_msgs/msg/DiagnosticArray"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        HEADER,
+    header: Annotated[Header, HEADER]
+    status: Annotated[
+        tuple[DiagnosticStatus, ...],
         sequence_of(CdrType("diagnostic_msgs/DiagnosticStatus", _write_status, _read_status)),
-    )
-    header: Header
-    status: tuple[DiagnosticStatus, ...]
+    ]

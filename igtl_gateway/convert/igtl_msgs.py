@@ -7,7 +7,7 @@ stamps in UTC ns (0 = unset), poses are (x, y, z, qx, qy, qz, qw).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -54,10 +54,9 @@ class MetadataItem(Struct):
     """igtl_msgs/msg/MetadataItem; encoding 0 is chosen on the way out."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/MetadataItem"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, UINT16, STRING)
-    key: str
-    encoding: int
-    value: str
+    key: Annotated[str, STRING]
+    encoding: Annotated[int, UINT16]
+    value: Annotated[str, STRING]
 
 
 Items = tuple[MetadataItem, ...]
@@ -69,12 +68,11 @@ class Metadata(Struct):
     """igtl_msgs/msg/Metadata."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/Metadata"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, STRING, STRING, UINT32, _ITEMS)
-    header: Header
-    type: str
-    device_name: str
-    message_id: int
-    items: Items
+    header: Annotated[Header, HEADER]
+    type: Annotated[str, STRING]
+    device_name: Annotated[str, STRING]
+    message_id: Annotated[int, UINT32]
+    items: Annotated[Items, _ITEMS]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +80,9 @@ class TrackedTool(Struct):
     """igtl_msgs/msg/TrackedTool."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/TrackedTool"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, UINT8, POSE)
-    name: str
-    type: int
-    pose: Pose
+    name: Annotated[str, STRING]
+    type: Annotated[int, UINT8]
+    pose: Annotated[Pose, POSE]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +90,9 @@ class TrackingData(Struct):
     """igtl_msgs/msg/TrackingData."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/TrackingData"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(TrackedTool), _ITEMS)
-    header: Header
-    tools: tuple[TrackedTool, ...]
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    tools: Annotated[tuple[TrackedTool, ...], sequence_of(TrackedTool)]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,15 +100,14 @@ class Trajectory(Struct):
     """igtl_msgs/msg/Trajectory."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/Trajectory"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, STRING, UINT8, _RGBA, POINT, POINT, FLOAT64, STRING)
-    name: str
-    group: str
-    type: int
-    rgba: Rgba
-    entry: Point
-    target: Point
-    diameter: float
-    owner: str
+    name: Annotated[str, STRING]
+    group: Annotated[str, STRING]
+    type: Annotated[int, UINT8]
+    rgba: Annotated[Rgba, _RGBA]
+    entry: Annotated[Point, POINT]
+    target: Annotated[Point, POINT]
+    diameter: Annotated[float, FLOAT64]
+    owner: Annotated[str, STRING]
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,10 +115,9 @@ class TrajectoryList(Struct):
     """igtl_msgs/msg/TrajectoryList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/TrajectoryList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(Trajectory), _ITEMS)
-    header: Header
-    trajectories: tuple[Trajectory, ...]
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    trajectories: Annotated[tuple[Trajectory, ...], sequence_of(Trajectory)]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,13 +125,12 @@ class LabeledPoint(Struct):
     """igtl_msgs/msg/LabeledPoint."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/LabeledPoint"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, STRING, _RGBA, POINT, FLOAT64, STRING)
-    name: str
-    group: str
-    rgba: Rgba
-    position: Point
-    diameter: float
-    owner: str
+    name: Annotated[str, STRING]
+    group: Annotated[str, STRING]
+    rgba: Annotated[Rgba, _RGBA]
+    position: Annotated[Point, POINT]
+    diameter: Annotated[float, FLOAT64]
+    owner: Annotated[str, STRING]
 
     def write(self, out: CdrWriter) -> None:
         """Written out, as ``read``: points come by the thousands where surfaces are digitised."""
@@ -159,10 +152,9 @@ class PointList(Struct):
     """igtl_msgs/msg/PointList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/PointList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(LabeledPoint), _ITEMS)
-    header: Header
-    points: tuple[LabeledPoint, ...]
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    points: Annotated[tuple[LabeledPoint, ...], sequence_of(LabeledPoint)]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,13 +162,12 @@ class Sensor(Struct):
     """igtl_msgs/msg/Sensor: values (n,) float64."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/Sensor"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, UINT8, UINT64, STRING, number_sequence("float64"), _ITEMS)
-    header: Header
-    status: int
-    unit: int
-    unit_text: str
-    values: Array
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    status: Annotated[int, UINT8]
+    unit: Annotated[int, UINT64]
+    unit_text: Annotated[str, STRING]
+    values: Annotated[Array, number_sequence("float64")]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,13 +175,12 @@ class NdArray(Struct):
     """igtl_msgs/msg/NdArray."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/NdArray"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, UINT8, number_sequence("uint16"), BOOL, OCTETS, _ITEMS)
-    header: Header
-    scalar_type: int
-    size: Array
-    is_bigendian: bool
-    data: Buffer
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    scalar_type: Annotated[int, UINT8]
+    size: Annotated[Array, number_sequence("uint16")]
+    is_bigendian: Annotated[bool, BOOL]
+    data: Annotated[Buffer, OCTETS]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,13 +188,12 @@ class ColorTable(Struct):
     """igtl_msgs/msg/ColorTable."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/ColorTable"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, UINT8, UINT8, BOOL, OCTETS, _ITEMS)
-    header: Header
-    index_type: int
-    map_type: int
-    is_bigendian: bool
-    table: Buffer
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    index_type: Annotated[int, UINT8]
+    map_type: Annotated[int, UINT8]
+    is_bigendian: Annotated[bool, BOOL]
+    table: Annotated[Buffer, OCTETS]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,15 +201,14 @@ class ImageMeta(Struct):
     """igtl_msgs/msg/ImageMeta."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/ImageMeta"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, STRING, STRING, STRING, STRING, TIME, _SIZE, UINT8)
-    name: str
-    device_name: str
-    modality: str
-    patient_name: str
-    patient_id: str
-    scan_time_ns: int
-    size: Size
-    scalar_type: int
+    name: Annotated[str, STRING]
+    device_name: Annotated[str, STRING]
+    modality: Annotated[str, STRING]
+    patient_name: Annotated[str, STRING]
+    patient_id: Annotated[str, STRING]
+    scan_time_ns: Annotated[int, TIME]
+    size: Annotated[Size, _SIZE]
+    scalar_type: Annotated[int, UINT8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,10 +216,9 @@ class ImageMetaList(Struct):
     """igtl_msgs/msg/ImageMetaList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/ImageMetaList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(ImageMeta), _ITEMS)
-    header: Header
-    images: tuple[ImageMeta, ...]
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    images: Annotated[tuple[ImageMeta, ...], sequence_of(ImageMeta)]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,13 +226,12 @@ class LabelMeta(Struct):
     """igtl_msgs/msg/LabelMeta."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/LabelMeta"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, STRING, UINT8, _RGBA, _SIZE, STRING)
-    name: str
-    device_name: str
-    label: int
-    rgba: Rgba
-    size: Size
-    owner: str
+    name: Annotated[str, STRING]
+    device_name: Annotated[str, STRING]
+    label: Annotated[int, UINT8]
+    rgba: Annotated[Rgba, _RGBA]
+    size: Annotated[Size, _SIZE]
+    owner: Annotated[str, STRING]
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,10 +239,9 @@ class LabelMetaList(Struct):
     """igtl_msgs/msg/LabelMetaList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/LabelMetaList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(LabelMeta), _ITEMS)
-    header: Header
-    labels: tuple[LabelMeta, ...]
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    labels: Annotated[tuple[LabelMeta, ...], sequence_of(LabelMeta)]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,21 +249,17 @@ class VideoMeta(Struct):
     """igtl_msgs/msg/VideoMeta; direction column by column."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/VideoMeta"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        *(STRING, STRING, STRING, STRING, INT16, FLOAT64, _SIZE),
-        *(fixed_array("float64", 9), fixed_array("float64", 3), POINT, UINT8),
-    )
-    name: str
-    device_name: str
-    patient_name: str
-    patient_id: str
-    zoom_level: int
-    focal_length: float
-    size: Size
-    direction: tuple[float, ...]
-    spacing: Point
-    center: Point
-    scalar_type: int
+    name: Annotated[str, STRING]
+    device_name: Annotated[str, STRING]
+    patient_name: Annotated[str, STRING]
+    patient_id: Annotated[str, STRING]
+    zoom_level: Annotated[int, INT16]
+    focal_length: Annotated[float, FLOAT64]
+    size: Annotated[Size, _SIZE]
+    direction: Annotated[tuple[float, ...], fixed_array("float64", 9)]
+    spacing: Annotated[Point, fixed_array("float64", 3)]
+    center: Annotated[Point, POINT]
+    scalar_type: Annotated[int, UINT8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,10 +267,9 @@ class VideoMetaList(Struct):
     """igtl_msgs/msg/VideoMetaList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/VideoMetaList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(VideoMeta), _ITEMS)
-    header: Header
-    videos: tuple[VideoMeta, ...]
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    videos: Annotated[tuple[VideoMeta, ...], sequence_of(VideoMeta)]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,10 +277,9 @@ class Capability(Struct):
     """igtl_msgs/msg/Capability."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/Capability"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(STRING), _ITEMS)
-    header: Header
-    types: tuple[str, ...]
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    types: Annotated[tuple[str, ...], sequence_of(STRING)]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,10 +287,9 @@ class BoundMessage(Struct):
     """igtl_msgs/msg/BoundMessage."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/BoundMessage"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, STRING, OCTETS)
-    type: str
-    name: str
-    content: Buffer
+    type: Annotated[str, STRING]
+    name: Annotated[str, STRING]
+    content: Annotated[Buffer, OCTETS]
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,10 +297,9 @@ class Bind(Struct):
     """igtl_msgs/msg/Bind."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/Bind"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(BoundMessage), _ITEMS)
-    header: Header
-    children: tuple[BoundMessage, ...]
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    children: Annotated[tuple[BoundMessage, ...], sequence_of(BoundMessage)]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,16 +307,15 @@ class Command(Struct):
     """igtl_msgs/msg/Command; timeout in seconds."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/Command"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, STRING, UINT32, STRING, UINT16, STRING, _ITEMS, UINT32, FLOAT64)
-    header: Header
-    device_name: str
-    id: int
-    name: str
-    encoding: int
-    content: str
-    metadata: Items = ()
-    link: int = 0
-    timeout: float = 0.0
+    header: Annotated[Header, HEADER]
+    device_name: Annotated[str, STRING]
+    id: Annotated[int, UINT32]
+    name: Annotated[str, STRING]
+    encoding: Annotated[int, UINT16]
+    content: Annotated[str, STRING]
+    metadata: Annotated[Items, _ITEMS] = ()
+    link: Annotated[int, UINT32] = 0
+    timeout: Annotated[float, FLOAT64] = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -347,23 +323,20 @@ class CommandReply(Struct):
     """igtl_msgs/msg/CommandReply."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/CommandReply"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        *(HEADER, STRING, UINT32, STRING, UINT8, STRING, UINT16, STRING, _ITEMS, UINT32),
-    )
     SUCCESS: ClassVar[int] = 1
     FAIL: ClassVar[int] = 2
     TIMEOUT: ClassVar[int] = 3
     NO_PEER: ClassVar[int] = 4
-    header: Header
-    device_name: str
-    id: int
-    name: str
-    status: int
-    error_message: str = ""
-    encoding: int = 0
-    content: str = ""
-    metadata: Items = ()
-    link: int = 0
+    header: Annotated[Header, HEADER]
+    device_name: Annotated[str, STRING]
+    id: Annotated[int, UINT32]
+    name: Annotated[str, STRING]
+    status: Annotated[int, UINT8]
+    error_message: Annotated[str, STRING] = ""
+    encoding: Annotated[int, UINT16] = 0
+    content: Annotated[str, STRING] = ""
+    metadata: Annotated[Items, _ITEMS] = ()
+    link: Annotated[int, UINT32] = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -371,21 +344,17 @@ class Volume(Struct):
     """igtl_msgs/msg/Volume; direction column by column."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/Volume"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        *(HEADER, _SIZE, UINT8, UINT8, BOOL, UINT8),
-        *(fixed_array("float64", 9), fixed_array("float64", 3), POINT, OCTETS, _ITEMS),
-    )
-    header: Header
-    size: Size
-    scalar_type: int
-    components: int
-    is_bigendian: bool
-    coordinate_system: int
-    direction: tuple[float, ...]
-    spacing: Point
-    origin: Point
-    data: Buffer
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    size: Annotated[Size, _SIZE]
+    scalar_type: Annotated[int, UINT8]
+    components: Annotated[int, UINT8]
+    is_bigendian: Annotated[bool, BOOL]
+    coordinate_system: Annotated[int, UINT8]
+    direction: Annotated[tuple[float, ...], fixed_array("float64", 9)]
+    spacing: Annotated[Point, fixed_array("float64", 3)]
+    origin: Annotated[Point, POINT]
+    data: Annotated[Buffer, OCTETS]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -393,11 +362,10 @@ class PolyDataAttribute(Struct):
     """igtl_msgs/msg/PolyDataAttribute: values (n,) float32."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/PolyDataAttribute"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (STRING, UINT8, UINT8, number_sequence("float32"))
-    name: str
-    type: int
-    components: int
-    values: Array
+    name: Annotated[str, STRING]
+    type: Annotated[int, UINT8]
+    components: Annotated[int, UINT8]
+    values: Annotated[Array, number_sequence("float32")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -405,25 +373,14 @@ class PolyData(Struct):
     """igtl_msgs/msg/PolyData: points (n, 3) float64, cell arrays (m,) uint32 of counts and indices."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/PolyData"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        *(
-            HEADER,
-            POINTS,
-            number_sequence("uint32"),
-            number_sequence("uint32"),
-            number_sequence("uint32"),
-            number_sequence("uint32"),
-        ),
-        *(sequence_of(PolyDataAttribute), _ITEMS),
-    )
-    header: Header
-    points: Array
-    vertices: Array = field(default_factory=lambda: np.empty(0, np.uint32))
-    lines: Array = field(default_factory=lambda: np.empty(0, np.uint32))
-    polygons: Array = field(default_factory=lambda: np.empty(0, np.uint32))
-    triangle_strips: Array = field(default_factory=lambda: np.empty(0, np.uint32))
-    attributes: tuple[PolyDataAttribute, ...] = ()
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    points: Annotated[Array, POINTS]
+    vertices: Annotated[Array, number_sequence("uint32")] = field(default_factory=lambda: np.empty(0, np.uint32))
+    lines: Annotated[Array, number_sequence("uint32")] = field(default_factory=lambda: np.empty(0, np.uint32))
+    polygons: Annotated[Array, number_sequence("uint32")] = field(default_factory=lambda: np.empty(0, np.uint32))
+    triangle_strips: Annotated[Array, number_sequence("uint32")] = field(default_factory=lambda: np.empty(0, np.uint32))
+    attributes: Annotated[tuple[PolyDataAttribute, ...], sequence_of(PolyDataAttribute)] = ()
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -431,23 +388,19 @@ class VideoFrame(Struct):
     """igtl_msgs/msg/VideoFrame; direction column by column."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/VideoFrame"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        *(HEADER, STRING, UINT16, BOOL, _SIZE, _SIZE, _SIZE, UINT8),
-        *(fixed_array("float64", 9), fixed_array("float64", 3), POINT, OCTETS, _ITEMS),
-    )
-    header: Header
-    codec: str
-    frame_type: int
-    is_bigendian: bool
-    size: Size
-    offset: Size
-    part_size: Size
-    coordinate_system: int
-    direction: tuple[float, ...]
-    spacing: Point
-    center: Point
-    data: Buffer
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    codec: Annotated[str, STRING]
+    frame_type: Annotated[int, UINT16]
+    is_bigendian: Annotated[bool, BOOL]
+    size: Annotated[Size, _SIZE]
+    offset: Annotated[Size, _SIZE]
+    part_size: Annotated[Size, _SIZE]
+    coordinate_system: Annotated[int, UINT8]
+    direction: Annotated[tuple[float, ...], fixed_array("float64", 9)]
+    spacing: Annotated[Point, fixed_array("float64", 3)]
+    center: Annotated[Point, POINT]
+    data: Annotated[Buffer, OCTETS]
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -455,23 +408,20 @@ class Query(Struct):
     """igtl_msgs/msg/Query; resolution in milliseconds."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/Query"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        *(HEADER, UINT8, STRING, STRING, UINT32, STRING, STRING, UINT8, UINT32, _ITEMS),
-    )
     GET: ClassVar[int] = 1
     START: ClassVar[int] = 2
     STOP: ClassVar[int] = 3
     REPLY: ClassVar[int] = 4
-    header: Header
-    kind: int
-    type: str
-    device_name: str = ""
-    resolution: int = 0
-    coordinate_name: str = ""
-    codec: str = ""
-    status: int = 0
-    link: int = 0
-    metadata: Items = ()
+    header: Annotated[Header, HEADER]
+    kind: Annotated[int, UINT8]
+    type: Annotated[str, STRING]
+    device_name: Annotated[str, STRING] = ""
+    resolution: Annotated[int, UINT32] = 0
+    coordinate_name: Annotated[str, STRING] = ""
+    codec: Annotated[str, STRING] = ""
+    status: Annotated[int, UINT8] = 0
+    link: Annotated[int, UINT32] = 0
+    metadata: Annotated[Items, _ITEMS] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -479,13 +429,12 @@ class LinkStatus(Struct):
     """igtl_msgs/msg/LinkStatus."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/LinkStatus"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (UINT32, BOOL, STRING, STRING, STRING, UINT8)
-    link: int
-    connected: bool
-    peer: str
-    role: str
-    profile: str
-    header_version: int
+    link: Annotated[int, UINT32]
+    connected: Annotated[bool, BOOL]
+    peer: Annotated[str, STRING]
+    role: Annotated[str, STRING]
+    profile: Annotated[str, STRING]
+    header_version: Annotated[int, UINT8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -493,9 +442,8 @@ class LinkStatusList(Struct):
     """igtl_msgs/msg/LinkStatusList."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/LinkStatusList"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(LinkStatus))
-    header: Header
-    links: tuple[LinkStatus, ...]
+    header: Annotated[Header, HEADER]
+    links: Annotated[tuple[LinkStatus, ...], sequence_of(LinkStatus)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -503,16 +451,13 @@ class RawMessage(Struct):
     """igtl_msgs/msg/RawMessage: one whole OpenIGTLink message."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/RawMessage"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        *(TIME, TIME, UINT64, UINT8, number_sequence("uint32"), STRING, STRING, OCTETS),
-    )
     DIRECTION_IN: ClassVar[int] = 0
     DIRECTION_OUT: ClassVar[int] = 1
-    stamp_ns: int
-    source_stamp_ns: int
-    source_ticks: int
-    direction: int
-    links: Array
-    type: str
-    device_name: str
-    data: Buffer
+    stamp_ns: Annotated[int, TIME]
+    source_stamp_ns: Annotated[int, TIME]
+    source_ticks: Annotated[int, UINT64]
+    direction: Annotated[int, UINT8]
+    links: Annotated[Array, number_sequence("uint32")]
+    type: Annotated[str, STRING]
+    device_name: Annotated[str, STRING]
+    data: Annotated[Buffer, OCTETS]

@@ -1,7 +1,7 @@
-"""ROS 2 messages told by tables: a frozen dataclass with the CDR type of each field gives ``pack`` and ``unpack``.
+"""ROS 2 messages as frozen dataclasses: the annotations of the fields give ``pack`` and ``unpack``.
 
-For messages that are many rather than fast; the few on the hot path are written out in ``rosmsg``.  Arrays of
-numbers stay numpy views on the received bytes, octets stay views, whatever the size.
+For the many messages that are not on the hot path; the few that are stand in ``rosmsg``.  Arrays of numbers stay numpy
+views on the received bytes, and octets stay views, of any size.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, get_type_hints
 
 import numpy as np
 
@@ -126,13 +126,20 @@ def sequence_of(of: CdrType | type[Struct]) -> CdrType:
 
 
 class Struct:
-    """Base of the value classes: a dataclass whose fields are, in order, of the types in ``FIELDS``."""
+    """Base of the value classes: each field is annotated with its CDR type, in the order of the message.
+
+    For example ``encoding: Annotated[int, UINT16]``; ``FIELDS`` has the types in this order.
+    """
 
     __slots__ = ()
     TYPE: ClassVar[str]
     FIELDS: ClassVar[tuple[CdrType, ...]]
     #: The names of the fields in their order, by ``dataclass``.
     __match_args__: ClassVar[tuple[str, ...]]
+
+    def __init_subclass__(cls) -> None:
+        hints = get_type_hints(cls, include_extras=True).values()
+        cls.FIELDS = tuple(kind for hint in hints for kind in getattr(hint, "__metadata__", ()))
 
     def write(self, out: CdrWriter) -> None:
         """Append the fields."""

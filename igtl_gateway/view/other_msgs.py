@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy.typing as npt
 
@@ -18,7 +18,6 @@ from igtl_gateway.convert.structs import (
     TIME,
     UINT8,
     UINT32,
-    CdrType,
     Struct,
     fixed_array,
     number_sequence,
@@ -33,9 +32,8 @@ class Path(Struct):
     """nav_msgs/msg/Path."""
 
     TYPE: ClassVar[str] = "nav_msgs/msg/Path"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, sequence_of(PoseStamped))
-    header: Header
-    poses: tuple[PoseStamped, ...]
+    header: Annotated[Header, HEADER]
+    poses: Annotated[tuple[PoseStamped, ...], sequence_of(PoseStamped)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +41,7 @@ class Float64(Struct):
     """std_msgs/msg/Float64."""
 
     TYPE: ClassVar[str] = "std_msgs/msg/Float64"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (FLOAT64,)
-    data: float
+    data: Annotated[float, FLOAT64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +49,8 @@ class WrenchStamped(Struct):
     """geometry_msgs/msg/WrenchStamped: force in newtons and torque in newton metres, along x, y, z."""
 
     TYPE: ClassVar[str] = "geometry_msgs/msg/WrenchStamped"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (HEADER, fixed_array("float64", 6))
-    header: Header
-    wrench: tuple[float, ...]
+    header: Annotated[Header, HEADER]
+    wrench: Annotated[tuple[float, ...], fixed_array("float64", 6)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +58,10 @@ class Log(Struct):
     """rcl_interfaces/msg/Log, the log messages of nodes on /rosout; file, function and line are not read."""
 
     TYPE: ClassVar[str] = "rcl_interfaces/msg/Log"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (TIME, UINT8, STRING, STRING)
-    stamp_ns: int
-    level: int
-    name: str
-    msg: str
+    stamp_ns: Annotated[int, TIME]
+    level: Annotated[int, UINT8]
+    name: Annotated[str, STRING]
+    msg: Annotated[str, STRING]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,20 +69,12 @@ class CameraInfo(Struct):
     """sensor_msgs/msg/CameraInfo; binning and region of interest are not read."""
 
     TYPE: ClassVar[str] = "sensor_msgs/msg/CameraInfo"
-    FIELDS: ClassVar[tuple[CdrType, ...]] = (
-        HEADER,
-        UINT32,
-        UINT32,
-        STRING,
-        number_sequence("float64"),
-        fixed_array("float64", 9),
-    )
-    header: Header
-    height: int
-    width: int
-    distortion_model: str
-    d: Array
-    k: tuple[float, ...]
+    header: Annotated[Header, HEADER]
+    height: Annotated[int, UINT32]
+    width: Annotated[int, UINT32]
+    distortion_model: Annotated[str, STRING]
+    d: Annotated[Array, number_sequence("float64")]
+    k: Annotated[tuple[float, ...], fixed_array("float64", 9)]
 
 
 @dataclass(frozen=True, slots=True)
