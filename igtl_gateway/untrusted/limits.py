@@ -57,17 +57,17 @@ class FileLimits:
 
 #: Limit → what it bounds, for ``--help`` and the documentation.
 MEANINGS = {
-    "memory": "bytes that one chunk, record, frame or header may have unpacked",
-    "ratio": "unpacked bytes for each packed byte, above `free`",
-    "free": "bytes that a piece may have unpacked whatever its ratio",
+    "memory": "decompressed bytes of one chunk, record, frame or header",
+    "ratio": "decompressed bytes for each compressed byte, above `free`",
+    "free": "decompressed bytes of one piece at any ratio",
     "depth": "levels of nesting (JSON, YAML, message definitions)",
-    "count": "things of one sort (header fields, connections, channels, names)",
+    "count": "items of one kind (header fields, connections, channels, names)",
     "topics": "topics of a bag",
     "definition": "characters of the definition of one message type",
     "fields": "fields, constants and types of one definition; transforms of one sequence",
     "document": "characters of a YAML document or of a line of an image header",
-    "seconds": "time that reading a file may take, plus `seconds_per_mb`",
-    "seconds_per_mb": "further seconds for each megabyte of the file",
+    "seconds": "seconds to read a file, plus `seconds_per_mb`",
+    "seconds_per_mb": "additional seconds for each megabyte of the file",
 }
 
 _current: ContextVar[FileLimits] = ContextVar("igtl_gateway_limits", default=FileLimits())  # noqa: B039  # frozen

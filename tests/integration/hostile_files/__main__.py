@@ -1,4 +1,4 @@
-"""Run the table and write ``docs/hostile-files.md`` anew: ``python -m tests.integration.hostile_files``.
+"""Run the table and write ``docs/hostile-files.md`` again: ``python -m tests.integration.hostile_files``.
 
 ``--tree`` runs the command line of another checkout, whose counts stand on the page as those of before.
 """
@@ -22,7 +22,7 @@ def main() -> int:
     parser.add_argument("--tree", type=Path, default=ROOT, help="run the command line of this checkout")
     parser.add_argument("--only", default="", help="files whose name begins so; nothing is written")
     parser.add_argument(
-        "--verbs", type=int, help="the first verb of each sort and so many others by turns (default: all)"
+        "--verbs", type=int, help="run the first verb of each sort and N others, round-robin (default: all)"
     )
     parser.add_argument("--page", action="store_true", help="only write the page of the results that are there")
     options = parser.parse_args()

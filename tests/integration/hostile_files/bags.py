@@ -1,4 +1,4 @@
-"""Hostile recordings of ROS 1 and ROS 2: bags, SQLite, and the YAML beside them."""
+"""Hostile recordings of ROS 1 and ROS 2: bags, SQLite, and their YAML files."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ BAGS_1: tuple[Hostile, ...] = (
     _bag1(
         "bz2-garbage",
         Danger.LIE,
-        "a chunk of bz2 that is none",
+        "an invalid chunk of bz2",
         lambda: bag1(compression="bz2", packed=b"BZh9" + b"x" * 99),
     ),
     _bag1(
@@ -194,12 +194,12 @@ BAGS_1: tuple[Hostile, ...] = (
     _bag1(
         "no-utf8",
         Danger.SHAPE,
-        "a definition that is no UTF-8",
+        "a definition that is invalid UTF-8",
         lambda: bag1(kind="lab/Thing", definition=b"uint8 \xff\xfe\n"),
     ),
     _bag1("empty", Danger.SHAPE, "a definition that is empty", lambda: bag1(kind="lab/Thing", definition="")),
     _bag1(
-        "string-length", Danger.LIE, "a text that claims 4 GiB", lambda: bag1(message=b"\xff\xff\xff\xff" + b"hello")
+        "string-length", Danger.LIE, "a string that claims 4 GiB", lambda: bag1(message=b"\xff\xff\xff\xff" + b"hello")
     ),
     _bag1("message-empty", Danger.SHAPE, "a message of no bytes", lambda: bag1(message=b"")),
     _bag1("times", Danger.SHAPE, "times of 2^64 − 1", lambda: bag1(times=(1 << 64) - 1)),
@@ -345,13 +345,13 @@ BAGS_2: tuple[Hostile, ...] = (
     _db(
         "view-messages",
         Danger.BOMB,
-        "a SQLite view without end in place of the messages",
+        "an endless SQLite view instead of the messages",
         script=_endless("messages", "", "i AS id, 1 AS topic_id, i AS timestamp, zeroblob(1000000) AS data"),
     ),
     _db(
         "view-topics",
         Danger.BOMB,
-        "a SQLite view without end in place of the topics",
+        "an endless SQLite view instead of the topics",
         script=_endless(
             "topics",
             "",
@@ -366,9 +366,9 @@ BAGS_2: tuple[Hostile, ...] = (
         script="DROP TABLE messages; CREATE VIEW messages AS SELECT 1 AS id, 1 AS topic_id, 1 AS timestamp,"
         " zeroblob(900000000) AS data;",
     ),
-    _db("blob", Danger.LIE, "texts in place of numbers and bytes", stamp="soon", data="text"),
-    _db("nulls", Danger.SHAPE, "NULL in place of a message", data=None),
-    _db("number", Danger.SHAPE, "a number in place of a message", data=7),
+    _db("blob", Danger.LIE, "strings instead of numbers and bytes", stamp="soon", data="text"),
+    _db("nulls", Danger.SHAPE, "NULL instead of a message", data=None),
+    _db("number", Danger.SHAPE, "a number instead of a message", data=7),
     _db("stamp-float", Danger.SHAPE, "a time with a fraction", stamp=1.5),
     _db("stamp-negative", Danger.SHAPE, "a time before 1970", stamp=-(1 << 62)),
     _db("no-tables", Danger.SHAPE, "no tables", script="DROP TABLE messages; DROP TABLE topics;"),
@@ -378,7 +378,7 @@ BAGS_2: tuple[Hostile, ...] = (
     _db(
         "schema-text",
         Danger.SHAPE,
-        "a version of the schema that nobody knows",
+        "an unknown version of the schema",
         script="UPDATE schema SET schema_version = 99;",
     ),
     _db(
@@ -409,13 +409,13 @@ BAGS_2: tuple[Hostile, ...] = (
             ("chain", "with a chain of 2,000 types", "ros2msg", chained(2000)),
             ("doubling", "with 2^40 fields", "ros2msg", doubling(40)),
             ("idl", "in IDL that nests 3,000 deep", "ros2idl", "module a { " * 3000 + "}; " * 3000),
-            ("garbage", "that is none", "ros2msg", "= = [[[["),
+            ("garbage", "that is invalid", "ros2msg", "= = [[[["),
         )
     ),
     _db(
         "definition-blob",
         Danger.SHAPE,
-        "a definition that is no UTF-8",
+        "a definition that is invalid UTF-8",
         kind="lab/msg/Thing",
         script=_DEFINE.format(encoding="ros2msg", text="x'75696e7438ff'"),
     ),
@@ -427,7 +427,7 @@ BAGS_2: tuple[Hostile, ...] = (
         "db-garbage",
         "ROS 2 bag",
         Danger.LIE,
-        "a SQLite header and nothing like it behind",
+        "a SQLite header followed by other data",
         file("db-garbage.db3", lambda: b"SQLite format 3\0" + bytes(range(256)) * 40),
     ),
     Hostile(
@@ -499,7 +499,7 @@ BAGS_2: tuple[Hostile, ...] = (
             + "  compression_format",
         ),
     ),
-    _yaml("no-utf8", Danger.SHAPE, "YAML that is no UTF-8", lambda: b"rosbag2_bagfile_information: \xff\xfe"),
+    _yaml("no-utf8", Danger.SHAPE, "YAML that is invalid UTF-8", lambda: b"rosbag2_bagfile_information: \xff\xfe"),
     _yaml(
         "python",
         Danger.LIE,

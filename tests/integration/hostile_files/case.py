@@ -19,7 +19,7 @@ GOOD = ROOT / "fixtures" / "ultrasound.mcap"
 MIB = 1 << 20
 GIB = 1 << 30
 
-#: What a forged line begins with, and what a terminal would obey.
+#: What a forged line begins with, and what a terminal would execute.
 FORGED = "FORGED verified: all outputs equal"
 ESCAPE = "\x1b]0;owned\x07\x1b[2J"
 NAUGHTY = f"a{ESCAPE}\n{FORGED}\r\u202e"
@@ -44,7 +44,7 @@ class Hostile:
         danger: what it is out for.
         what: the same for people.
         build: makes it in a new folder and gives the path that the verbs get.
-        says: what the first verb of its sort answers, in part; empty for a file that is read like any other.
+        says: part of the output of the first verb of its sort; empty for a file that is read like any other.
     """
 
     name: str
@@ -167,7 +167,7 @@ def gzip_zeros(size: int) -> bytes:
 
 @cache
 def zlib_zeros(size: int) -> bytes:
-    """A zlib stream of zeros in parts that repeat; its checksum is wrong, but nobody should come so far."""
+    """A zlib stream of zeros in parts that repeat; its checksum is wrong, but no reader should get there."""
     packer = zlib.compressobj(9)
     first = packer.compress(bytes(16 * MIB)) + packer.flush(zlib.Z_FULL_FLUSH)
     second = packer.compress(bytes(16 * MIB)) + packer.flush(zlib.Z_FULL_FLUSH)

@@ -1,4 +1,4 @@
-"""Hostile MCAP files of other programs: what they call things, and how they say that their messages are made."""
+"""Hostile MCAP files of other programs: names, and definitions of message types."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _bomb(compression: str, pack: Callable[[int], bytes], size: int) -> Callable
 
 
 def _array(count: int) -> bytes:
-    """A CDR message whose first field is an array of so many elements."""
+    """A CDR message whose first field is an array of ``count`` elements."""
     return b"\0\1\0\0" + struct.pack("<I", count) + b"abcd" * 8
 
 
@@ -114,10 +114,10 @@ CASES: tuple[Hostile, ...] = (
     ),
     _definition(
         "defaults",
-        "with default values without end",
+        "with endless default values",
         lambda: "string a '" + "\\'" * 100_000 + "\nuint8[] b [" + "[" * 5000 + "\n",
     ),
-    _definition("no-utf8", "that is no UTF-8", lambda: b"uint8 \xff\xfe\n"),
+    _definition("no-utf8", "that is invalid UTF-8", lambda: b"uint8 \xff\xfe\n"),
     _definition("same-name-twice", "with one name twice", lambda: "uint8 a\nuint8 a\nfloat64 a\n"),
     _definition("keywords", "with fields that are words of Python", lambda: "uint8 def\nuint8 __class__\nuint8 self\n"),
     _definition("service", "of a service", lambda: "uint8 a\n---\nuint8 b\n"),
@@ -131,7 +131,7 @@ CASES: tuple[Hostile, ...] = (
     _case(
         "encoding-unknown",
         Danger.SHAPE,
-        "encodings that nobody knows, with escape sequences",
+        "unknown encodings, with escape sequences",
         lambda: bag(encoding=f"x{ESCAPE}", schema_encoding=f"y{ESCAPE}"),
     ),
     *(
@@ -170,7 +170,7 @@ CASES: tuple[Hostile, ...] = (
         lambda: bag(data=(b"\0\0\0\0\0\0\0\6hello\0",) * 5),
     ),
     _case("topic-empty", Danger.SHAPE, "a topic without a name", lambda: bag(topic="")),
-    _case("topic-no-utf8", Danger.SHAPE, "a topic that is no UTF-8", lambda: bag(topic=b"/\xff\xfe")),
+    _case("topic-no-utf8", Danger.SHAPE, "a topic that is invalid UTF-8", lambda: bag(topic=b"/\xff\xfe")),
     _case(
         "topic-path",
         Danger.LIE,
@@ -179,7 +179,7 @@ CASES: tuple[Hostile, ...] = (
     ),
     _case("topic-nul", Danger.SHAPE, "a topic with NUL", lambda: bag(topic="/a\0b")),
     _case("topic-long", Danger.TERMINAL, "a topic of 5 MB", lambda: bag(topic="/" + "x" * 5_000_000)),
-    _case("type-odd", Danger.SHAPE, "a type that is no name of a type", lambda: bag(name="String")),
+    _case("type-odd", Danger.SHAPE, "an invalid type name", lambda: bag(name="String")),
     _case("type-path", Danger.LIE, "a type that is a path", lambda: bag(name="../../etc/msg/passwd")),
     _case("topic", Danger.TERMINAL, "escape sequences and a forged line in a topic", lambda: bag(topic=f"/{NAUGHTY}")),
     _case("type", Danger.TERMINAL, "the same in a type", lambda: bag(name=f"lab/msg/{NAUGHTY}")),

@@ -1,4 +1,4 @@
-"""Hostile images: NRRD, MetaImage and NIfTI, whose headers say where the data are and how much there is."""
+"""Hostile images: NRRD, MetaImage and NIfTI, whose headers declare place and size of the data."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ CASES: tuple[Hostile, ...] = (
         "bomb",
         ".mha",
         Danger.BOMB,
-        "MetaImage whose pixels unpack to 2 GiB, as it says",
+        "MetaImage whose pixels decompress to 2 GiB, as declared",
         lambda: mha(zlib_zeros(2 * GIB), "32768 32768 2", packed="True"),
     ),
     _case(
@@ -178,7 +178,7 @@ CASES: tuple[Hostile, ...] = (
         "bomb",
         ".nrrd",
         Danger.BOMB,
-        "NRRD whose pixels unpack to 2 GiB, as it says",
+        "NRRD whose pixels decompress to 2 GiB, as declared",
         lambda: nrrd(gzip_zeros(2 * GIB), "32768 32768 2", encoding="gzip"),
     ),
     _case(
@@ -280,13 +280,13 @@ CASES: tuple[Hostile, ...] = (
     _case("data-short", ".mha", Danger.LIE, "pixels that end too early", lambda: mha(bytes(7))),
     _case("data-short", ".nrrd", Danger.LIE, "pixels that end too early", lambda: nrrd(bytes(7))),
     _case(
-        "packed-garbage", ".mha", Danger.LIE, "packed pixels that are none", lambda: mha(b"garbage" * 9, packed="True")
+        "packed-garbage", ".mha", Danger.LIE, "invalid compressed pixels", lambda: mha(b"garbage" * 9, packed="True")
     ),
     _case(
         "packed-garbage",
         ".nrrd",
         Danger.LIE,
-        "packed pixels that are none",
+        "invalid compressed pixels",
         lambda: nrrd(b"garbage" * 9, encoding="gzip"),
     ),
     _case(
@@ -307,7 +307,7 @@ CASES: tuple[Hostile, ...] = (
         "skip",
         ".nrrd",
         Danger.LIE,
-        "bytes and lines to skip without end",
+        "an endless number of bytes and lines to skip",
         lambda: nrrd(extra=("byte skip: 99999999999999", "line skip: 99999999999")),
     ),
     _case("skip-negative", ".nrrd", Danger.LIE, "bytes to skip below 0", lambda: nrrd(extra=("byte skip: -99999",))),
@@ -315,7 +315,7 @@ CASES: tuple[Hostile, ...] = (
         "header-size",
         ".mha",
         Danger.LIE,
-        "a header size without end",
+        "an endless header size",
         lambda: mha(extra=("HeaderSize = 99999999999999999",)),
     ),
     *_refers("path", "/etc/passwd", "/etc/passwd"),
@@ -327,7 +327,7 @@ CASES: tuple[Hostile, ...] = (
     *_refers("path-folder", "a folder", "."),
     *_refers("path-missing", "a file that is not there", f"x{ESCAPE}.raw"),
     *_refers("path-list", "a list of files", "LIST"),
-    *_refers("path-pattern", "files by a pattern without end", "pixels%03d.raw 0 999999999 1"),
+    *_refers("path-pattern", "files by an endless pattern", "pixels%03d.raw 0 999999999 1"),
     # Wrong shapes
     *(
         _case(
@@ -404,9 +404,19 @@ CASES: tuple[Hostile, ...] = (
         "channels", ".mha", Danger.SHAPE, "2^31 channels", lambda: mha(extra=("ElementNumberOfChannels = 2147483648",))
     ),
     _case("kinds", ".nrrd", Danger.SHAPE, "kinds that are more than axes", lambda: nrrd(kinds="list " * 5000)),
-    _case("no-utf8", ".mha", Danger.SHAPE, "a header that is no UTF-8", lambda: mha(extra=("Comment = \udcff\udcfe",))),
     _case(
-        "no-utf8", ".nrrd", Danger.SHAPE, "a header that is no UTF-8", lambda: nrrd(extra=("content: \udcff\udcfe",))
+        "no-utf8",
+        ".mha",
+        Danger.SHAPE,
+        "a header that is invalid UTF-8",
+        lambda: mha(extra=("Comment = \udcff\udcfe",)),
+    ),
+    _case(
+        "no-utf8",
+        ".nrrd",
+        Danger.SHAPE,
+        "a header that is invalid UTF-8",
+        lambda: nrrd(extra=("content: \udcff\udcfe",)),
     ),
     _case(
         "empty-lines",
@@ -421,7 +431,7 @@ CASES: tuple[Hostile, ...] = (
             (
                 ("dimensions of −1", lambda: nifti((3, -1, 3, 3, 1, 1, 1, 1))),
                 ("99 dimensions", lambda: nifti((99, 4, 3, 3, 1, 1, 1, 1))),
-                ("a data type that nobody knows", lambda: nifti(datatype=9999)),
+                ("an unknown data type", lambda: nifti(datatype=9999)),
                 ("data at 1e30", lambda: nifti(offset=1e30)),
                 ("data at NaN", lambda: nifti(offset=float("nan"))),
                 ("a header of 2^31 − 1 bytes", lambda: nifti(size=(1 << 31) - 1)),

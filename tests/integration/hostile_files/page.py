@@ -1,4 +1,4 @@
-"""The generated part of ``docs/hostile-files.md``: what was counted, the limits, and a row for each file."""
+"""The generated part of ``docs/hostile-files.md``: results, limits, and a row for each file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.integration.hostile_files.table import CASES, FAULTS, Outcome
 
 PAGE = ROOT / "docs" / "hostile-files.md"
 RESULTS = Path(__file__).with_name("results.json")
-#: What stands before the tables on the page.
+#: Mark before the tables of the page.
 MARK = "<!-- from tests/integration/hostile_files -->\n"
 
 _WIDEST = 110
@@ -27,7 +27,7 @@ def results() -> dict[str, Any]:
 
 
 def answers(found: Iterable[Outcome]) -> dict[str, tuple[object, str]]:
-    """Name → exit code and first line of what the first verb of the sort said."""
+    """Name → exit code and first line of the output of the first verb of the sort."""
     first: dict[str, tuple[object, str]] = {}
     for outcome in found:
         text = outcome.answer if outcome.code else ""
@@ -38,7 +38,7 @@ def answers(found: Iterable[Outcome]) -> dict[str, tuple[object, str]]:
 def page(told: Mapping[str, Any]) -> str:
     """The tables of the page."""
     columns = [entry for entry in ("before", "now") if entry in told]
-    lines = ["## What was counted", "", f"| | {' | '.join(str(told[entry]['tree']) for entry in columns)} |"]
+    lines = ["## Results", "", f"| | {' | '.join(str(told[entry]['tree']) for entry in columns)} |"]
     lines.append("| --- |" + " ---: |" * len(columns))
     keys = [
         "files",
@@ -47,18 +47,18 @@ def page(told: Mapping[str, Any]) -> str:
         *(f"{fault}, {what}" for fault in FAULTS for what in ("files", "runs")),
     ]
     lines += [f"| {key} | {' | '.join(f'{told[entry][key]:,}' for entry in columns)} |" for key in keys]
-    lines += ["", "## Limits", "", "| `--limit` | usual value | what it bounds |", "| --- | ---: | --- |"]
+    lines += ["", "## Limits", "", "| `--limit` | default | meaning |", "| --- | ---: | --- |"]
     usual = FileLimits()
     lines += [
         f"| `{each.name}` | {getattr(usual, each.name):,} | {MEANINGS[each.name]} |" for each in fields(FileLimits)
     ]
-    lines += ["", "## Verbs", "", "| sort of file | verbs that it is given to |", "| --- | --- |"]
+    lines += ["", "## Verbs", "", "| sort of file | verbs |", "| --- | --- |"]
     lines += [f"| {sort} | {', '.join(f'`{verb}`' for verb in verbs)} |" for sort, verbs in VERBS.items()]
     lines += [
         "",
         "## Files",
         "",
-        "Answered: by the first verb of its sort; exit code, and the message where it is not 0.",
+        "Result: of the first verb of its sort; exit code, and the message if it is not 0.",
     ]
     for sort in VERBS:
         rows = [case for case in CASES if case.sort == sort]
@@ -66,7 +66,7 @@ def page(told: Mapping[str, Any]) -> str:
             "",
             f"### {sort[0].upper()}{sort[1:]}",
             "",
-            "| file | danger | what is in it | answered |",
+            "| file | danger | content | result |",
             "| --- | --- | --- | --- |",
         ]
         lines += [_row(case, told["answers"].get(case.name, ("?", ""))) for case in rows]
@@ -75,15 +75,20 @@ def page(told: Mapping[str, Any]) -> str:
 
 def _row(case: Hostile, answer: tuple[object, str]) -> str:
     code, text = answer
-    return f"| {case.name} | {case.danger.value} | {_cell(case.what)} | {code}{': ' if text else ''}{_cell(text)} |"
+    return f"| {case.name} | {case.danger.value} | {_cell(case.what)} | {code}{': ' + _quoted(text) if text else ''} |"
 
 
 def _cell(text: str) -> str:
-    """A text of others in a table of Markdown: nothing in it is markup."""
+    """Untrusted text in a table of Markdown: without markup."""
     return "".join(f"\\{char}" if char in "\\|*_<>[]#&" else char for char in text.replace("`", "'"))
 
 
+def _quoted(text: str) -> str:
+    """Output of a program in a table of Markdown."""
+    return "`" + text.replace("`", "'").replace("|", "\\|") + "`"
+
+
 def write(told: Mapping[str, Any]) -> None:
-    """Write the page anew, below its mark."""
+    """Write the page again, below its mark."""
     before = PAGE.read_text("utf-8").partition(MARK)[0]
     PAGE.write_text(before + MARK + page(told), "utf-8")

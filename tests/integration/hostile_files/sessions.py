@@ -1,4 +1,4 @@
-"""Hostile session recordings: files of our own layout that say something else in a place that is trusted."""
+"""Hostile session recordings: files of our own layout with wrong values in trusted places."""
 
 from __future__ import annotations
 
@@ -234,9 +234,9 @@ _WRONG = {
     "a list": "[1, 2]",
     "a number": "17",
     "null": "null",
-    "a text": '"text"',
+    "a string": '"text"',
     "nested 100,000 deep": _DEEP,
-    "no JSON": "{",
+    "invalid JSON": "{",
     "an integer of 5,000 digits": "9" * 5000,
     "another type inside": '{"streams": 5, "links": [1], "base_frame": 7, "to_ros": {"a": 1}, "watch": "x"}',
     "without most settings": '{"base_frame": "world"}',
@@ -277,7 +277,7 @@ CASES: tuple[Hostile, ...] = (
     *(
         _bomb(
             f"chunk-{name}-{size // GIB}g",
-            f"a chunk of {name} that unpacks to {size // GIB} GiB, as it says",
+            f"a chunk of {name} that decompresses to {size // GIB} GiB, as declared",
             changed(with_chunk(packed(name, pack, size))),
         )
         for name, pack, size in (
@@ -411,8 +411,8 @@ CASES: tuple[Hostile, ...] = (
         )
         for number, text in enumerate(("7", "[1, 2]", "{", _DEEP, '["*" , ["a"]]'))
     ),
-    _shape("part-key", "a part whose number is a text", _wrong_fact(layout.PART_KEY, "x" * 100)),
-    _shape("snapshot-key", "a snapshot whose length is a text", _wrong_fact(layout.SNAPSHOT_KEY, NAUGHTY)),
+    _shape("part-key", "a part whose number is a string", _wrong_fact(layout.PART_KEY, "x" * 100)),
+    _shape("snapshot-key", "a snapshot whose length is a string", _wrong_fact(layout.SNAPSHOT_KEY, NAUGHTY)),
     *(
         _shape(
             f"link-{number}",
@@ -452,11 +452,11 @@ CASES: tuple[Hostile, ...] = (
     *(
         _shape(f"definition-{name}", f"a definition {what}", changed(raw_schema(text)))
         for name, what, text in (
-            ("no-utf8", "that is no UTF-8", b"string \xff\xfe data\n"),
+            ("no-utf8", "that is invalid UTF-8", b"string \xff\xfe data\n"),
             ("empty", "that is empty", b""),
             ("recursive", "that names itself", b"std_msgs/String data\n"),
             ("huge-array", "with an array of 2^62 elements", b"string[4611686018427387904] data\n"),
-            ("garbage", "that is none", b"\x00\x01\x02 = = = [[[["),
+            ("garbage", "that is invalid", b"\x00\x01\x02 = = = [[[["),
         )
     ),
     # Terminal
@@ -477,7 +477,7 @@ CASES: tuple[Hostile, ...] = (
     ),
     _terminal(
         "text",
-        "the same in a text",
+        "the same in a string",
         lambda: session(entries=[samples.ros(number, Kind.ROS_OUT, text=NAUGHTY) for number in range(1, 9)]),
     ),
     _terminal(

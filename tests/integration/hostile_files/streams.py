@@ -1,4 +1,4 @@
-"""Hostile captures of packets and of OpenIGTLink streams, configurations, and places that are no files."""
+"""Hostile captures of packets and of OpenIGTLink streams, configurations, and paths that are not files."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ CAPTURES = (
     _capture(
         "ip6-chain",
         Danger.LIE,
-        "IPv6 headers in a chain without end",
+        "an endless chain of IPv6 headers",
         lambda: pcap(struct.pack(">IHBB", 6 << 28, 8000, 0, 64) + bytes(32) + b"\0\0" * 4000),
     ),
     _capture(
@@ -234,7 +234,7 @@ _STREAM_CASES = tuple(
         f"stream-{case.name}".replace(" ", "-").replace("/", "-"),
         "stream",
         Danger.LIE,
-        f"a hostile peer's bytes: {case.what[0].lower()}{case.what[1:]}",
+        f"a hostile peer's bytes: {case.what}",
         file("peer.igtl", partial(_after, case.data)),
     )
     for case in PEERS[::4]
@@ -261,7 +261,7 @@ STREAMS = (
         "stream-device",
         "stream",
         Danger.TERMINAL,
-        "escape sequences in a device name and a text",
+        "escape sequences in a device name and a string",
         file("a.igtl", lambda: raw(b"STRING", b"A\x1b[2J\nFORGED", b"\0\3\0\x0a\x1b[2J\nFORGE") * 3),
     ),
     Hostile(
@@ -299,10 +299,10 @@ CONFIGURATIONS = (
         "an integer of 1,000,000 digits",
         lambda: b"[gateway]\nfault_seed = 0x" + b"f" * 1_000_000,
     ),
-    _toml("no-utf8", Danger.SHAPE, "TOML that is no UTF-8", lambda: b"[gateway]\nbase_frame = '\xff\xfe'"),
+    _toml("no-utf8", Danger.SHAPE, "TOML that is invalid UTF-8", lambda: b"[gateway]\nbase_frame = '\xff\xfe'"),
     _toml("nul", Danger.SHAPE, "TOML with NUL", lambda: b"[gateway]\nbase_frame = 'a\0b'"),
     _toml("empty-key", Danger.SHAPE, "an empty key", lambda: b'"" = 1'),
-    _toml("binary", Danger.SHAPE, "bytes that are no text", lambda: bytes(range(256)) * 100),
+    _toml("binary", Danger.SHAPE, "bytes that are not text", lambda: bytes(range(256)) * 100),
     *(
         _toml(f"shape-{number}", Danger.SHAPE, f"`{text}`", text.encode)
         for number, text in enumerate(
@@ -400,7 +400,7 @@ def _folder(folder: Path) -> Path:
 
 
 PLACES = (
-    Hostile("place-fifo", "place", Danger.LIE, "a FIFO that nobody writes to", _fifo),
+    Hostile("place-fifo", "place", Danger.LIE, "a FIFO without a writer", _fifo),
     Hostile("place-zero", "place", Danger.LIE, "a link to /dev/zero", _linked("/dev/zero")),
     Hostile("place-loop", "place", Danger.LIE, "a link to itself", _linked("link.mcap")),
     Hostile("place-folder", "place", Danger.TERMINAL, "a folder with escape sequences in its name", _folder),

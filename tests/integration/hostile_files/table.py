@@ -56,7 +56,7 @@ class Outcome:
 
 
 def judged(name: str, verb: str, told: dict[str, object]) -> Outcome:
-    """What a worker told of a verb, and what is wrong with it."""
+    """The output of a worker for one verb, and its faults."""
     output, errors, trace = str(told["output"]), str(told["errors"]), str(told["trace"])
     text = output + errors
     faults = []
@@ -184,7 +184,7 @@ def words(verb: str, path: Path, out: Path) -> list[str]:
 
 
 def chosen(sort: str, turn: int, more: int | None) -> Sequence[str]:
-    """The verbs that a file of this sort is given to: all, or the first and ``more`` others by turns."""
+    """The verbs that a file of this sort is given to: all, or the first and ``more`` others, round-robin."""
     first, *others = VERBS[sort]
     if more is None or more >= len(others):
         return (first, *others)
@@ -200,7 +200,7 @@ def outcomes(
         cases: the files.
         tree: the checkout whose command line runs.
         patient: whether the other verbs are tried on a file that made one hang or took all the memory.
-        verbs: the first verb and so many more, others for each file; None: all.
+        verbs: the first verb and this number of others, round-robin; None: all.
     """
     memory = Path("/dev/shm")  # where no verb waits for a disk
     with TemporaryDirectory(prefix="hostile-", dir=memory if memory.is_dir() else None) as name:

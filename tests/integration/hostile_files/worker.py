@@ -34,7 +34,7 @@ def reset() -> None:
 
 
 def ran(arguments: list[str]) -> dict[str, object]:
-    """What became of one verb."""
+    """The result of one verb."""
     from igtl_gateway.cli import main
 
     started, spent = time.monotonic(), time.process_time()
@@ -55,7 +55,7 @@ def ran(arguments: list[str]) -> dict[str, object]:
 
 
 def tidied() -> None:
-    """rerun keeps the threads of a recording stream until it is asked to look for those that nobody holds."""
+    """rerun keeps the threads of a recording stream until it collects unreferenced ones."""
     gc.collect()
     if rerun := sys.modules.get("rerun"):
         rerun.bindings.flush_and_cleanup_orphaned_recordings()
