@@ -125,7 +125,8 @@ HOMES: dict[str, tuple[str, ...]] = {
     "lz4": ("sessionfile.compression", "untrusted.unpack"),
     "pyigtl": ("lab.bench.pyigtl_side",),  # somebody else's peer
     "mcap": ("exchange", "sessionfile"),
-    "nibabel": ("exchange.nifti",),
+    "nibabel": ("exchange.nifti", "lab.simulate.volume"),
+    "matplotlib": ("lab.bench.plot",),
     "pcapng": ("exchange.pcap_file",),
     "numpy": (
         "wire",

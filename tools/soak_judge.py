@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.session.ledger import gaps
+from igtl_gateway_lab.bench.plot import to_svg
 from tools.soak_findings import Check, Found, Sample, Settings
 from tools.soak_guests import MANNERS, MOST_GUESTS
 
@@ -142,46 +143,23 @@ _PANELS: tuple[tuple[str, str, Callable[[Sample], float]], ...] = (
     ("waiting in queues to peers, MB", "#8c564b", lambda sample: float(sample["queued_mb"])),
     ("waiting in the recorder's queue, MB", "#7f7f7f", lambda sample: float(sample["recorder_queued_mb"])),
 )
-_WIDTH, _LEFT, _RIGHT, _PANEL, _GAP, _TOP = 860, 60, 30, 70, 28, 48
-_POINTS = 400
 
 
 def picture(samples: Sequence[Sample], seconds: float, title: str) -> str:
-    """One panel for each figure, over time in minutes; of samples that fall together the least and the largest."""
-    height = _TOP + len(_PANELS) * (_PANEL + _GAP) + 16
-    lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" font-family="sans-serif" '
-        'font-size="11">',
-        f'<rect width="{_WIDTH}" height="{height}" fill="white"/>',
-        f'<text x="10" y="18" font-size="14">{title}</text>',
-    ]
-    for index, (name, colour, of) in enumerate(_PANELS):
-        top = _TOP + index * (_PANEL + _GAP)
-        bottom, values = top + _PANEL, [of(sample) for sample in samples]
-        most = max(*values, 1.0) * 1.05
+    """An SVG with one panel for each figure, over time in minutes."""
+    from matplotlib.figure import Figure
 
-        def x(sample: Sample) -> float:
-            return _LEFT + float(sample["at_s"]) / seconds * (_WIDTH - _LEFT - _RIGHT)
-
-        def y(value: float, bottom: float = bottom, most: float = most) -> float:
-            return bottom - value / most * _PANEL
-
-        lines.append(f'<path d="M{_LEFT} {top} V{bottom} H{_WIDTH - _RIGHT}" stroke="#888888" fill="none"/>')
-        lines.append(f'<text x="{_LEFT}" y="{top - 5}">{name}: {min(values):g} to {max(values):g}</text>')
-        lines.append(f'<text x="{_LEFT - 6}" y="{y(max(values)) + 4:.0f}" text-anchor="end">{max(values):.0f}</text>')
-        lines.append(f'<text x="{_LEFT - 6}" y="{bottom + 4}" text-anchor="end">0</text>')
-        step = max(1, 2 * len(samples) // _POINTS)
-        points = []
-        for begin in range(0, len(samples), step):
-            few = values[begin : begin + step]
-            points += [f"{x(samples[begin]):.1f} {y(value):.1f}" for value in dict.fromkeys((min(few), max(few)))]
-        lines.append(f'<path d="M{" L".join(points)}" stroke="{colour}" fill="none"/>')
-    for part in range(7):
-        at = _LEFT + part / 6 * (_WIDTH - _LEFT - _RIGHT)
-        lines.append(
-            f'<text x="{at:.0f}" y="{height - 8}" text-anchor="middle">{part / 6 * seconds / 60:.3g} min</text>'
-        )
-    return "\n".join([*lines, "</svg>"]) + "\n"
+    figure = Figure((9.0, 1.2 * len(_PANELS)), layout="constrained")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    minutes = [float(sample["at_s"]) / 60 for sample in samples]
+    for axes, (name, colour, of) in zip(figure.subplots(len(_PANELS), sharex=True), _PANELS, strict=True):
+        values = [of(sample) for sample in samples]
+        axes.plot(minutes, values, color=colour, linewidth=0.8)
+        axes.set_title(f"{name}: {min(values):g} to {max(values):g}", loc="left", fontsize=9)
+        axes.set_xlim(0, seconds / 60)
+        axes.set_ylim(0, max(*values, 1.0) * 1.05)
+    axes.set_xlabel("minutes")
+    return to_svg(figure)
 
 
 def words(told: dict[str, Any]) -> list[str]:

