@@ -1,6 +1,6 @@
 """Steps of the host's clock, and what they do to gateway time.
 
-Gateway time is the host's clock (UTC) and never runs backwards.  When the clock is set *forward*, gateway time
+Gateway time is the host's clock (UTC) and never decreases.  When the clock is set *forward*, gateway time
 follows: there is a jump in the log.  When it is set *back* by more than ``STAND_NS``, gateway time goes on without the
 step and is ahead of the clock from then on; by less, it stands until the clock has caught up.  A clock that is set
 forward again first takes away what gateway time is ahead.
@@ -54,7 +54,7 @@ class ClockStep:
 
     @classmethod
     def of(cls, entry: Entry) -> ClockStep | None:
-        """The step that an entry tells of, if it does."""
+        """Return the step that an entry reports; None for other entries."""
         if entry.kind is not Kind.EDGE_NOTE or _MARK not in (data := entry.data()):
             return None
         note = Note.of(data)
@@ -90,7 +90,7 @@ class StreamTimes(Protocol):
 
 
 def without_jump(stream: StreamTimes, step: ClockStep) -> None:
-    """Take a jump out of what was measured of a stream before its note: it is no pause, and no time has passed."""
+    """Take a jump out of what was measured of a stream before its note: no time has passed in it."""
     if not step.jump_ns or not stream.first_ns:
         return
     before_ns = step.at_ns - step.jump_ns

@@ -1,4 +1,4 @@
-"""The Entry: one thing that crossed the gateway's border, or that the gateway has to say.
+"""The Entry: one thing that crossed the gateway's border, or that the gateway reports.
 
 The session is the ordered list of entries.  Inputs (``*_IN``, ``LINK``, edge ``NOTE``) are numbered and
 stamped where they arrive; the outputs that an input causes follow it directly, with the next numbers and

@@ -1,12 +1,12 @@
-"""The loss ledger: what became of every message, by stream and by peer.
+"""The loss ledger: the fate of every message, by stream and by peer.
 
 * Each stream that comes in: ``received = converted + unheard + recorded_only + relayed + the sum of dropped``.
-  (``unheard``: nobody in ROS listened, and nothing is recorded; what was refused is dropped with its reason.)
-* Each peer that has gone: ``sent = delivered to its socket + the sum of dropped``.
+  (``unheard``: no subscriber in ROS, and no recording; rejected messages are dropped, with a reason.)
+* Each peer that has disconnected: ``sent = delivered to its socket + the sum of dropped``.
 * All peers together: what the gateway sent is what their links delivered, dropped, ignored and still have queued, and
   what the links received is what the gateway received.
 
-Whatever is not accounted for is a defect of ours, which ``gaps`` finds.
+A message that is missing in these sums is a defect of the gateway; ``gaps`` finds it.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-#: What became of a message that came in, beside being dropped.
+#: Fates of a received message, except dropped.
 _FATES = ("converted", "unheard", "recorded_only", "relayed")
 
 #: What a link must have counted for the sums over all of them.
 _LINK_COUNTS = frozenset({"sent_messages", "received_messages", "dropped", "ignored"})
 
-#: Section of the ledger with one row for each peer that has gone: ``"link address"``.
+#: Section of the ledger with one row for each peer that has disconnected: ``"link address"``.
 PEERS = "peers"
 
 #: Streams counted one by one in each direction; a peer that invents names adds to ``OTHERS`` beyond that.
@@ -49,7 +49,7 @@ class Ledger:
         self._add(self._dropped, direction, stream, reason, number)
 
     def counter(self, direction: str, stream: str) -> dict[str, int]:
-        """The counts of a stream, for whoever adds to them often: fate → number."""
+        """Return the counts of a stream, for callers that increase them often: fate → number."""
         words = self._counts.get((direction, stream))
         return self._open(self._counts, direction, stream) if words is None else words
 
@@ -70,24 +70,24 @@ class Ledger:
 
     def to_dict(self) -> dict[str, Any]:
         """``{direction: {stream: {fate: n, "dropped": {reason: n}}}}``, sorted."""
-        told: dict[str, Any] = {}
+        recorded: dict[str, Any] = {}
         for direction, stream in sorted({*self._counts, *self._dropped}):
             fates: dict[str, Any] = dict(sorted(self._counts.get((direction, stream), {}).items()))
             if dropped := self._dropped.get((direction, stream)):
                 fates["dropped"] = dict(sorted(dropped.items()))
             if fates:
-                told.setdefault(direction, {})[stream] = fates
-        return told
+                recorded.setdefault(direction, {})[stream] = fates
+        return recorded
 
 
-def gaps(told: Mapping[str, Any]) -> list[str]:
+def gaps(recorded: Mapping[str, Any]) -> list[str]:
     """What does not close in the ledger of a session that is over, one sentence each.
 
     Args:
-        told: as a recording has it: ``{"streams": Ledger.to_dict(), "links": {number: counts}, …}``; what a recording
-            from before there were such counts does not have is not asked for.
+        recorded: the ledger of a recording: ``{"streams": Ledger.to_dict(), "links": {number: counts}, …}``; counts
+            that an old recording does not have are not required.
     """
-    streams = told.get("streams", {})
+    streams = recorded.get("streams", {})
     found = []
     for direction in ("igtl_in", "ros_in"):
         for stream, fates in streams.get(direction, {}).items():
@@ -99,7 +99,7 @@ def gaps(told: Mapping[str, Any]) -> list[str]:
         sent, known = fates.get("sent", 0), fates.get("delivered", 0) + _dropped(fates)
         if sent != known:
             found.append(f"to peer {peer}: sent {sent:,}, accounted for {known:,}")
-    links = told.get("links", {}).values()
+    links = recorded.get("links", {}).values()
     if not links or not all(link.keys() >= _LINK_COUNTS for link in links):
         return found
     sent = sum(fates.get("sent", 0) for fates in streams.get("igtl_out", {}).values())

@@ -55,7 +55,9 @@ class Note:
         except (LookupError, TypeError, RecursionError) as error:
             raise ValueError(f"found no note: {type(error).__name__} {error}") from None
         if not all(type(each) is str for each in texts) or not isinstance(data, dict):
-            raise ValueError(f"found a note with {', '.join(_TEXTS)} and data of other types, expected texts and facts")
+            raise ValueError(
+                f"found a note with {', '.join(_TEXTS)} and data of other types, expected strings and facts"
+            )
         for name, is_right in _FACTS.items():
             if name in data and not is_right(data[name]):
                 raise ValueError(f"found {name!r} of another type or value than it has in notes")
@@ -63,7 +65,7 @@ class Note:
 
     @classmethod
     def of(cls, payload: bytes) -> Note:
-        """The note in the payload of an entry, or one that says that there is none: for entries of a file."""
+        """The note in the payload of an entry, or ``UNREADABLE`` if there is none: for entries of a file."""
         try:
             return cls.unpack(payload)
         except ValueError:
@@ -98,5 +100,5 @@ _FACTS: Mapping[str, Callable[[Any], bool]] = {
     "dropped": _is_count,
     "head": _is_hex,
 }
-#: What stands for the payload of an entry that is no note.
+#: Stands for the payload of an entry that is not a note.
 UNREADABLE = Note(Level.WARN, "unreadable_note", "the payload of this entry is not a note")

@@ -1,8 +1,8 @@
-"""What the stamps of a sender say of its clock: how far it is off, how much that moves, how good the stamps are.
+"""The clock of a sender, estimated from its stamps: offset, drift, and the quality of the stamps.
 
-One-way traffic cannot tell a clock that is ahead from a way that is short: the smallest age (arrival − stamp) that was
-ever seen is the clock's offset *plus* the least latency of the way, and nothing here takes them apart.  What lies
-above that minimum is jitter: queueing, scheduling, the sender's own pause between stamping and sending.
+One-way traffic cannot distinguish a clock that is ahead from a short latency: the smallest observed age
+(arrival − stamp) is the clock's offset *plus* the least latency of the way, and nothing here separates them.  What
+lies above that minimum is jitter: queueing, scheduling, the sender's own pause between stamping and sending.
 Pure: stamps and arrivals are arguments, in UTC nanoseconds.
 """
 
@@ -17,12 +17,12 @@ from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 _STEPS = (NS_PER_S, 100 * NS_PER_MS, 10 * NS_PER_MS, NS_PER_MS)
 #: A stamp so close to a step lies on it: float64 seconds of today are 240 ns apart.
 _ON_STEP_NS = 500
-#: Fewer stamps say nothing about rounding.
+#: Number of stamps from which on rounding can be judged.
 _ENOUGH = 10
 #: Minima are kept of blocks so long: shorter than a clock drifts visibly (100 ppm: 1 ms), long enough to catch a
 #: message that did not wait.
 _BLOCK_NS = 10 * NS_PER_S
-#: The drift is told where the first and the last block are so far apart.
+#: Least distance of the first and the last block from which the drift is estimated.
 _DRIFT_MIN_NS = 60 * NS_PER_S
 #: A stamp further ahead than this is in the future: clocks kept by NTP on one network are closer.
 FUTURE_NS = 100 * NS_PER_MS
@@ -118,7 +118,7 @@ class StampTiming:
 
     @property
     def drift_ppm(self) -> float | None:
-        """How much slower the sender's clock runs than ours, in millionths; None where that cannot be told."""
+        """How much slower the sender's clock runs than ours, in millionths; None if it cannot be determined."""
         if not self._first or not self._last or self._last[0] - self._first[0] < _DRIFT_MIN_NS:
             return None
         return (self._last[1] - self._first[1]) / (self._last[0] - self._first[0]) * 1e6
@@ -163,7 +163,7 @@ class StampTiming:
 
 
 def best(timings: Iterable[StampTiming]) -> StampTiming | None:
-    """Of the streams of one peer, the one that tells most about its clock: with the least age.
+    """Of the streams of one peer, the best one for estimating its clock: with the least age.
 
     All of them are stamped by one clock; what is older only waited longer.  None without any message.
     """

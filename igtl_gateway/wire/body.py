@@ -15,7 +15,7 @@ from igtl_gateway.wire.header import crc64
 class Body(Protocol):
     """The content of a message.
 
-    An empty content is ``Raw``, whatever the type, but for classes with a class variable ``MAY_BE_EMPTY`` that is
+    An empty content is ``Raw``, whatever the type, except of classes with a class variable ``MAY_BE_EMPTY`` that is
     true: lists, and queries that are empty by design.
 
     ``unpack`` may keep views on its argument; ``pack`` is its mirror and gives buffers that are sent one after
@@ -57,7 +57,7 @@ class Raw:
         return {"raw_size": len(self.data), "raw_hex": bytes(self.data[:_SHOWN_BYTES]).hex()}
 
 
-#: Up to so many values are described one by one, more by count and CRC: the keys of the reference corpus.
+#: Up to this number, values are described one by one; more by count and CRC: the keys of the reference corpus.
 _SHOWN_VALUES = 256
 
 

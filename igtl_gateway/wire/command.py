@@ -63,7 +63,7 @@ class Command:
 
     @classmethod
     def of(cls, command_id: int, name: str, text: str) -> Self:
-        """A command with a text, marked US-ASCII where that is true and UTF-8 where not."""
+        """Return a command with a string, marked as US-ASCII if it is, else as UTF-8."""
         return cls(command_id, name, text.encode("utf-8", "surrogateescape"), mib_of(text))
 
     @property

@@ -1,7 +1,7 @@
 """What the messages share that are lists of elements of one fixed size: POINT, TRAJ, TDATA, …
 
 Strategy: the content is looked at as a numpy structured array, so a list of any length is read without a loop
-and without a copy, and what nobody interprets (reserved bytes, text behind a NUL, NaN payloads) stays as it came.
+and without a copy, and uninterpreted bytes (reserved, behind a NUL, payloads of NaN) are kept as received.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Elements:
         return [self._bytes()] if len(self.elements) else []
 
     def _bytes(self) -> memoryview:
-        """Copied only where the array is none of the wire."""
+        """Return the bytes; copied only if the array has another layout."""
         return np.ascontiguousarray(self.elements, self.DTYPE).view(np.uint8).data
 
     def __len__(self) -> int:

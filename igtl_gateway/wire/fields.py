@@ -1,6 +1,6 @@
 """Fixed-width text of OpenIGTLink: zero-padded byte fields ⇄ str, without losing a byte.
 
-Decoding keeps everything but the trailing zeros: bytes that are no UTF-8 become surrogates, and what a
+Decoding keeps everything but the trailing zeros: invalid UTF-8 becomes surrogates, and what a
 sloppy sender left behind the first NUL stays in the string, so that encoding gives the same bytes again.
 ``visible`` is the text as people and programs are meant to read it.
 """

@@ -37,7 +37,7 @@ class Framer:
     ``bytes`` (small) or a read-only ``memoryview`` with storage of its own; neither is ever written to again.
 
     A header that announces a body above ``max_body`` bytes raises MessageTooLarge before anything is reserved;
-    ``rows`` of types (globs) and bytes say what holds for those instead, the first that matches.
+    ``rows`` of types (globs) and bytes set other limits for these types; the first match counts.
     Messages that came whole before that header are returned first: then it is the next call, of any of
     ``buffer``, ``received`` and ``feed``, that raises.  From there on the place of the next header is unknown,
     so every further call raises again.

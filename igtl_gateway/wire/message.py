@@ -54,7 +54,7 @@ class Item:
 
     @classmethod
     def of(cls, key: str, text: str) -> Item:
-        """A pair with a text value, marked UTF-8 only where it has to be."""
+        """Return a pair with a string as value, marked as UTF-8 only if it is not ASCII."""
         return cls(key, text.encode("utf-8", "surrogateescape"), mib_of(text))
 
 
@@ -81,7 +81,7 @@ class MetadataLayout:
     metadata: bytes
 
     def holds(self, metadata: tuple[Item, ...]) -> bool:
-        """Whether it says what ``metadata`` says; it does not where that was replaced since."""
+        """Return whether it has these items; it has not if they were replaced after decoding."""
         return _metadata(memoryview(self.metadata_header), memoryview(self.metadata))[0] == metadata
 
 
@@ -97,7 +97,7 @@ class Message:
         header_version: 1 or 2.  Version 1 carries neither id nor metadata.
         message_id: sender's id of the message (version 2).
         metadata: pairs in wire order (version 2).
-        layout: for messages received: oddities around the content, so that they are encoded as they came.
+        layout: for messages received: oddities around the content, so that they are encoded as received.
     """
 
     type: str
@@ -305,7 +305,7 @@ def _pack_metadata(items: Sequence[Item]) -> tuple[bytes, bytes]:
 def describe(data: Buffer) -> dict[str, Any]:
     """A message as JSON values, with the keys of the reference corpus; never raises for what the body holds.
 
-    What is wrong with it is told under ``"error"``, as what was found and what was expected: a body that cannot be
+    An error is shown under ``"error"``, as what was found and what was expected: a body that cannot be
     decoded, which has no ``"content"``, or a wrong CRC, whose content may be anything.
     Raises TruncatedMessage where not even the header is whole.
     """

@@ -143,7 +143,8 @@ class Cells:
         return [data[start + 1 : start + 1 + data[start]] for start in self.starts().tolist()]
 
 
-#: Up to so many points the cell of all of them is kept for the next message: clouds of a sensor have one size, or few.
+#: Up to this number of points, the cell of all of them is cached for the next message: clouds of a sensor have few
+#: different sizes.
 _SHARED = 1 << 18
 
 

@@ -171,7 +171,7 @@ def unit_text(word: int) -> str:
         factors[at] = (symbol + factors[at][0], 1)
     elif power:
         text = f"10^{power}"
-    # strokes only where they come last, as in J/g/K: nobody can then wonder what is below them
+    # strokes only at the end, as in J/g/K: then it is clear which factors are below them
     below = [exponent < 0 for _, exponent in factors]
     quotient = below == sorted(below) and not all(below)
     for name, exponent in factors:
@@ -184,7 +184,7 @@ def unit_text(word: int) -> str:
 
 
 def parse_unit(text: str) -> int:
-    """The unit word of a text: the inverse of ``unit_text``, and what else is written without ambiguity.
+    """Return the unit word of a string: the inverse of ``unit_text``, and all other unambiguous spellings.
 
     Factors are joined by ``.`` (``·``, ``*``) or divided by ``/``, which goes for the one next factor; each may
     have a prefix, which is raised with it, and an exponent: ``N/mm^2`` are meganewtons per square metre.

@@ -35,7 +35,7 @@ def text_of(data: bytes, encoding: int) -> str:
 
 
 def mib_of(text: str) -> int:
-    """The MIBenum to name for a text that is sent as UTF-8: US-ASCII where that is true."""
+    """Return the MIBenum of a string that is sent as UTF-8: US-ASCII if it is."""
     return US_ASCII if text.isascii() else UTF_8
 
 
@@ -81,7 +81,7 @@ class String:
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """A text, marked US-ASCII where that is true and UTF-8 where not."""
+        """Return a string, marked as US-ASCII if it is, else as UTF-8."""
         return cls(text.encode("utf-8", "surrogateescape"), mib_of(text))
 
     @property
