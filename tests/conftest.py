@@ -47,7 +47,6 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 #: other file has the mark itself.
 SLOW = (
     # the longest first
-    "integration/test_soak.py",
     "integration/test_live_faults.py",
     "review/test_assess.py",
     "integration/test_cli_bridge.py",
@@ -58,7 +57,6 @@ SLOW = (
     "cli/test_review.py",
     "cli/test_exit_codes.py",
     "cli/test_slice.py",
-    "integration/test_hostile_files.py",
     "integration/test_recording_faults.py",
     "integration/test_replay_ros.py",
     "integration/test_rosbag2_folder.py",
@@ -79,6 +77,8 @@ SLOW = (
 
 #: Where several workers take files in turn, these go first: none of them must be left for the end.
 LONGEST = (
+    "integration/test_soak.py",
+    "integration/test_hostile_files.py",
     *SLOW,
     "wire/test_bodies.py",
     "sessionfile/test_salvage.py",

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import main
+from igtl_gateway.review import Material, Review, Thresholds, review_of
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.simulate.star_tissue import PLANTED, STITCHES
@@ -142,7 +143,17 @@ def test_a_session_without_a_cloud_is_a_failure(capsys: pytest.CaptureFixture[st
     assert main(["review", str(tmp_path / "none.mcap")]) == 2
 
 
-def test_a_table_that_cannot_be_written_is_a_failure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_table_that_cannot_be_written_is_a_failure(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reviews: list[Review] = []
+
+    def once(material: Material, limits: Thresholds | None) -> Review:
+        """The second run writes the review of the first one."""
+        reviews.append(reviews[0] if reviews else review_of(material, limits))
+        return reviews[-1]
+
+    monkeypatch.setattr("igtl_gateway.cli.review.review_of", once)
     out = tmp_path / "no-folder" / "out.csv"
     assert main(["review", str(STAR), "--csv", str(out), "--clouds", "2"]) == 1
     there = tmp_path / "there.csv"
