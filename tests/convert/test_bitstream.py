@@ -36,6 +36,7 @@ SPS, PPS, SEI, IDR, SLICE = "00000001 67 42", "000001 68 ce", "000001 06 05", "0
         ("av1", "1200 3210 10", False),
         ("av1", "", False),
         ("av1", "12ffffffffffffffffff", False),
+        ("av1", "128080", False),  # ends within the size
         ("jpeg", "ffd8", False),
     ],
 )

@@ -102,6 +102,15 @@ def test_integers_as_positions() -> None:
     assert sent(cloud(xyz([[1, -2, 3]]), dict.fromkeys("xyz", "i2"))).points.tolist() == [[1000, -2000, 3000]]
 
 
+def test_fields_without_a_name_of_their_own_are_left_out() -> None:
+    """Padding, and a second x that nothing distinguishes from the first."""
+    plain = cloud(xyz(), pad=8)
+    odd = (*plain.fields, PointField("", 12, CODES["f4"], 1), PointField("x", 16, CODES["f4"], 1))
+    content = sent(replace(plain, fields=odd))
+    assert content.points.tolist() == MM
+    assert content.attributes == ()
+
+
 def test_rows_with_padding_and_holes() -> None:
     """An organised cloud, 2 × 2, with a NaN and an infinity; rows end in four foreign bytes."""
     rows = np.array([[[1, 2, 3], [math.nan, 0, 0]], [[4, 5, 6], [0, 0, math.inf]]], "<f4")

@@ -48,6 +48,7 @@ def h265_sps(*tail: tuple[int, int] | str, layers: int = 0) -> bytes:
 PLAIN = (ue(0), ue(2), ue(1), "0")
 
 CASES = {
+    "h264 with a number of more than 31 bits": ("h264", h264_sps("0" * 32 + "1" * 80), None),
     "h264 baseline, 5 × 4 macro blocks": ("h264", h264_sps(ue(0), *PLAIN, ue(4), ue(3), "1", "1", "0"), (80, 64)),
     "h264 cropped": (
         "h264",

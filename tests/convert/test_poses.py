@@ -110,6 +110,13 @@ def test_scale_is_taken_off_with_a_warning(q: tuple[float, float, float, float],
     assert [v for row in matrix for v in row] == pytest.approx([v for row in rotation for v in row], abs=1e-9)
 
 
+def test_a_matrix_that_is_almost_orthonormal_is_projected_without_a_warning() -> None:
+    to = to_ros()
+    message = transform_to_ros(transform([[1.0001, 0, 0], [0, 1, 0], [0, 0, 1]]), to)
+    assert to.warnings == []
+    assert message.rotation == pytest.approx((0, 0, 0, 1), abs=1e-12)
+
+
 @pytest.mark.parametrize(
     "rows",
     [

@@ -32,6 +32,9 @@ def test_cells_too_small_for_a_piece_vanish() -> None:
     content = PolyData(POINTS, polygons=Cells.of([[0], [0, 1], [0, 1, 2]]), lines=Cells.of([[3], [3, 4]]))
     assert surfaces.polydata_to_mesh(content, TO).triangles.tolist() == [[0, 1, 2]]
     assert len(surfaces.polydata_to_lines(content, TO).points) == 2
+    nothing = PolyData(POINTS, polygons=Cells.of([[0], [0, 1]]), lines=Cells.of([[0], [1], []]))
+    assert surfaces.polydata_to_mesh(nothing, TO).triangles.tolist() == []
+    assert len(surfaces.polydata_to_lines(nothing, TO).points) == 0
 
 
 @pytest.mark.parametrize("cells", [[[0, 1, 2, 3]] * 3, [[0, 1, 2, 3], [0, 1, 2, 3, 0], [0]]])
