@@ -294,7 +294,7 @@ class FaultLine(Generic[T]):
             left.append(self._release())
         return left
 
-    def rest(self) -> list[Fate[T]]:
+    def drain(self) -> list[Fate[T]]:
         """No more comes: all that is left, each to leave at its moment."""
         if self._overtaken:
             self._release_held()

@@ -53,7 +53,7 @@ def course(
     """What becomes of messages number 0, 1 … at a steady rate."""
     one = line(faults, seed, name, most_bytes)
     fates = [fate for n in range(count) for fate in one.take(T0_NS + n * STEP_NS, n, text(n))]
-    return fates + one.rest()
+    return fates + one.drain()
 
 
 def sent(fates: list[Fate[int]]) -> list[int]:
@@ -89,8 +89,8 @@ def test_every_message_has_one_fate_at_its_time_and_nothing_is_invented(
         assert due_ns is None or due_ns > now_ns or left
         fates += left
         repeated += again.take(now_ns, number, text(number))
-    fates += one.rest()
-    repeated += again.rest()
+    fates += one.drain()
+    repeated += again.drain()
     assert fates == repeated
     assert sorted(fate.message for fate in fates) == list(range(len(pauses)))
     assert one.due_ns is None
@@ -190,7 +190,7 @@ def test_what_is_held_back_is_bounded_and_the_oldest_goes_early() -> None:
     assert [one.take(T0_NS + n, n, text(n)) for n in range(3)] == [[], [], []]
     (early,) = one.take(T0_NS + 3, 3, text(3))
     assert (early.message, early.late_ns, hits([early])) == (0, 3, {EARLY: 1})
-    assert [fate.message for fate in one.rest()] == [1, 2, 3]
+    assert [fate.message for fate in one.drain()] == [1, 2, 3]
 
 
 def test_all_values_are_read() -> None:

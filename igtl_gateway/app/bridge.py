@@ -152,7 +152,7 @@ class Bridge:
             self.ros = RosEdge(
                 node_name=options.node_name,
                 on_message=self._from_ros,
-                wants=self.wanted,
+                wants=self.subscription_for,
                 on_note=self._on_edge_note,
                 on_listener=self._on_first_subscriber,
             )
@@ -308,10 +308,10 @@ class Bridge:
         recorder = self.recorder.counters() if self.recorder else None
         try:
             streams, watched = self.gateway.ledger.to_dict(), self.gateway.guard.items()
-            told = diagnostics.array(
+            statuses = diagnostics.array(
                 self._clock.utc_ns(), self._clock.monotonic_ns(), streams, watched, peers, recorder
             )
-            self.ros.publish(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, told.pack(), _DIAGNOSTICS)
+            self.ros.publish(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, statuses.pack(), _DIAGNOSTICS)
         except Exception as error:  # a defect of ours must not cost the deadlines that this thread keeps
             self._diagnostics = None
             text = f"{DIAGNOSTICS_TOPIC} ends: {type(error).__name__}: {error}"
@@ -338,7 +338,7 @@ class Bridge:
             if note.code == CUT:
                 self.tcp.disconnect(entry.links, note.text)
 
-    def wanted(self, topic: str, ros_type: str) -> Qos | None:
+    def subscription_for(self, topic: str, ros_type: str) -> Qos | None:
         """How to subscribe to a topic that was found; said once if it was asked for, but cannot be bridged."""
         encoded = self.video is not None and self.video.subscription(topic, ros_type) is not None
         if (topic, ros_type) not in self._seen and self.gateway.lacks_conversion(topic, ros_type) and not encoded:

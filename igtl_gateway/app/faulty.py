@@ -54,7 +54,7 @@ class FaultyFeed:
             else:
                 yield from self._delivered(line.due(entry.stamp_ns))
                 yield entry
-        yield from self._delivered(line.rest())
+        yield from self._delivered(line.drain())
 
     def _delivered(self, fates: list[Fate[Entry]]) -> Iterator[Entry]:
         for fate in fates:
@@ -87,10 +87,10 @@ def with_disconnects(send: Send, disconnect: Callable[[], None]) -> Send:
     """``send``, and the end of the connections where an entry says so."""
 
     def send_and_cut(entry: Entry) -> bool:
-        heard = send(entry)
+        delivered = send(entry)
         if entry.links == DISCONNECT:
             disconnect()
-        return heard
+        return delivered
 
     return send_and_cut
 
@@ -99,13 +99,13 @@ def all_with_disconnects(send_all: SendAll, disconnect: Callable[[], None]) -> S
     """The same of several."""
 
     def send_and_cut(entries: Sequence[Entry]) -> bool:
-        heard, run = True, list[Entry]()
+        delivered, run = True, list[Entry]()
         for entry in entries:
             run.append(entry)
             if entry.links == DISCONNECT:
-                heard = send_all(run) and heard
+                delivered = send_all(run) and delivered
                 disconnect()
                 run = []
-        return (not run or send_all(run)) and heard
+        return (not run or send_all(run)) and delivered
 
     return send_and_cut

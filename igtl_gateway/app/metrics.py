@@ -178,14 +178,14 @@ PREFIX = "igtl_gateway_"
 
 def prometheus(facts: Facts) -> str:
     """The facts in the text format of Prometheus, version 0.0.4."""
-    told = [f"# HELP {PREFIX}info version", f"# TYPE {PREFIX}info gauge"]
-    told.append(f"{PREFIX}info{_labels({'version': facts['version']})} 1")
+    output = [f"# HELP {PREFIX}info version", f"# TYPE {PREFIX}info gauge"]
+    output.append(f"{PREFIX}info{_labels({'version': facts['version']})} 1")
     for metric in METRICS:
         name = PREFIX + metric.name
         lines = [f"{name}{_labels(labels)} {value:.17g}" for labels, value in metric.lines(facts)]
         if lines:
-            told += [f"# HELP {name} {metric.meaning}", f"# TYPE {name} {metric.kind}", *lines]
-    return "\n".join(told) + "\n"
+            output += [f"# HELP {name} {metric.meaning}", f"# TYPE {name} {metric.kind}", *lines]
+    return "\n".join(output) + "\n"
 
 
 def _labels(labels: Mapping[str, str]) -> str:

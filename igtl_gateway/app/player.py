@@ -47,9 +47,9 @@ class PlaybackCounts:
     refused: Counter[tuple[str, str]] = field(default_factory=Counter)  #: not sent: by stream and reason
     _digest: Digest | None = field(default_factory=Digest)
 
-    def add(self, entries: Sequence[Entry], heard: bool) -> None:
+    def add(self, entries: Sequence[Entry], delivered: bool) -> None:
         self.messages += len(entries)
-        self.unheard += 0 if heard else len(entries)
+        self.unheard += 0 if delivered else len(entries)
         self.by_stream.update([entry.channel for entry in entries])
         parts = [part for entry in entries for part in entry.payload]
         size = total_size(parts)
@@ -362,14 +362,14 @@ class Player:
     def _send_entry(self, entry: Entry) -> None:
         sent = self._restamped(entry, self._restamp) if self._restamp else entry
         try:
-            heard = self._send(sent)
+            delivered = self._send(sent)
         except RosError as error:
             self.played.refused[entry.channel, str(error)] += 1
         else:
             if is_tick(entry):
                 self._tick = sent
             else:
-                self._count([sent], heard)
+                self._count([sent], delivered)
         with self._changed:
             now_ns = self._clock.monotonic_ns()
             if self._is_state(entry):
@@ -386,7 +386,7 @@ class Player:
     def _restamped(self, entry: Entry, restamp: Restamper) -> Entry:
         return dataclasses.replace(entry, payload=restamp.payload(entry, self._clock.utc_ns()))
 
-    def _count(self, entries: Sequence[Entry], heard: bool) -> None:
+    def _count(self, entries: Sequence[Entry], delivered: bool) -> None:
         """These were sent, all to one side."""
         side = _SIDES[entries[0].kind]
         if side not in self.sides:
@@ -395,6 +395,6 @@ class Player:
             self.sides[side] = (
                 PlaybackCounts(_digest=Digest() if self.played.digest else None) if self.sides else self.played
             )
-        self.played.add(entries, heard)
+        self.played.add(entries, delivered)
         if len(self.sides) > 1:
-            self.sides[side].add(entries, heard)
+            self.sides[side].add(entries, delivered)

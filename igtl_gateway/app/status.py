@@ -55,13 +55,13 @@ class BridgeStatus:
     def sample(self) -> None:
         """Look at the bridge; of one thread.  Never raises: a bridge must not end because it is watched."""
         try:
-            self.facts = self._look()
+            self.facts = self._take_sample()
             self.failure = ""
         except Exception as error:  # a defect of ours
             self.failure = f"{type(error).__name__}: {error}"
             self.facts = {**self.facts, "failure": self.failure}
 
-    def _look(self) -> dict[str, Any]:
+    def _take_sample(self) -> dict[str, Any]:
         bridge, now_ns = self._bridge, self._clock.monotonic_ns()
         ledger = bridge.ledger()
         entries = {kind.value: self._watcher.counts[kind] for kind in Kind}

@@ -13,7 +13,7 @@ from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.cli import admission, recording, routes
 from igtl_gateway.cli.bridge_output import BridgeOutput, EntryWatch, JsonOutput, TextOutput
 from igtl_gateway.cli.common import load_config, stop_event
-from igtl_gateway.cli.edge_file import completed
+from igtl_gateway.cli.edge_file import with_file_settings
 from igtl_gateway.cli.options import (
     DEFAULT_HOST,
     DEFAULT_PORT,
@@ -172,7 +172,7 @@ def run(options: argparse.Namespace) -> int:
     how = recording.record_options(options)
     if options.duration is not None and not 0 < options.duration < float("inf"):
         raise ConfigError(f"--duration: found {options.duration:g}, expected a number of seconds above 0")
-    options = completed(options, options.config)
+    options = with_file_settings(options, options.config)
     config, bridge_options = _settings(options, how)
     watch = EntryWatch()
     clock = SystemClock()

@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         foreign = one.foreign is not other.foreign
         report = diff(_side(one), _side(other), globs=options.streams, tolerance=tolerance, foreign=foreign)
     if options.json:
-        told = {
+        facts = {
             "one": str(options.one),
             "other": str(options.other),
             "equal": report.equal,
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
             "offset_ns": report.offset_ns,
             "streams": [{**asdict(stream), "equal": stream.equal} for stream in report.streams],
         }
-        print_json(_plain(told))
+        print_json(_json_value(facts))
     else:
         _print(options, report)
     return 0 if report.equal else 1
@@ -76,13 +76,13 @@ def _side(file: SessionFile) -> DiffInput:
     return DiffInput(file.entries(), LeafDecoder(file.definitions, LengthUnits(config.ros_unit, config.igtl_unit)))
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     """JSON has no infinity."""
     match value:
         case dict():
-            return {key: _plain(part) for key, part in value.items()}
+            return {key: _json_value(part) for key, part in value.items()}
         case list():
-            return [_plain(part) for part in value]
+            return [_json_value(part) for part in value]
         case float() if not math.isfinite(value):
             return str(value)
         case _:

@@ -87,7 +87,7 @@ class EdgeFile:
 _FILES = ("tls_cert", "tls_key", "tls_ca")
 
 
-def completed(options: argparse.Namespace, path: Path | None) -> argparse.Namespace:
+def with_file_settings(options: argparse.Namespace, path: Path | None) -> argparse.Namespace:
     """The options with what the command line leaves open: by the file, or as usual.  Raises ConfigError."""
     values = EdgeFile.read(path).values(path.parent) if path else EdgeFile().values(Path())
     given = vars(options)

@@ -51,16 +51,16 @@ def run(options: argparse.Namespace) -> int:
     written = sum(row.taken for row in account.rows)
     if not written:
         reasons = [f"{row.stream}: {row.why}" for row in account.rows if row.why]
-        why = f" ({_some(reasons, 3, '; ')})" if reasons else ""
+        why = f" ({_first_few(reasons, 3, '; ')})" if reasons else ""
         raise GatewayError(
             f"{options.file}: nothing in it goes to {options.to}: see `igtl-gateway info`, and --streams{why}"
         )
     good = all(row.good for row in account.rows)
     if options.json:
-        told = {"file": str(options.file), "to": options.to, "out": str(options.out), "good": good}
+        facts = {"file": str(options.file), "to": options.to, "out": str(options.out), "good": good}
         rows, parts = ([_as_json(row) for row in each] for each in (account.rows, account.parts))
         more = {"files": account.files, "rows": rows, "parts": parts, "others": account.others}
-        print_json({**told, **more, "notes": account.notes})
+        print_json({**facts, **more, "notes": account.notes})
     else:
         _print(account, options)
         print_line(f"{options.out}: {count_text(written, 'message')} in {count_text(account.files, 'file')}")
@@ -78,12 +78,12 @@ def _print(account: ExportAccount, options: argparse.Namespace) -> None:
         print_line(f"{mark} {cell(row.stream, streams)}  {cell(row.type, kinds)} {numbers}  {why}".rstrip())
     if account.others:
         others = count_text(sum(account.others.values()), "message")
-        print_line(f"note: {others} of other types are not for {options.to}: {_some(sorted(account.others), 20)}")
+        print_line(f"note: {others} of other types are not for {options.to}: {_first_few(sorted(account.others), 20)}")
     for note in account.notes:
         print_line(f"note: {note}")
 
 
-def _some(texts: list[str], most: int, separator: str = ", ") -> str:
+def _first_few(texts: list[str], most: int, separator: str = ", ") -> str:
     """The first of some texts, and how many more there are."""
     more = [f"{len(texts) - most:,} more"] if len(texts) > most else []
     return separator.join([*texts[:most], *more])

@@ -87,26 +87,26 @@ def run(options: argparse.Namespace) -> int:
         except (DamagedRecording, WireError, LayoutError) as error:
             failure = str(error)
         finally:
-            writer.close({"import": {"rows": [_told(row) for row in source.rows], "failure": failure}})
+            writer.close({"import": {"rows": [_row_facts(row) for row in source.rows], "failure": failure}})
     good = not failure and all(row.good for row in source.rows)
     notes = source.notes + [
         f"{name}: no definition found: other tools cannot decode its messages" for name in writer.undefined
     ]
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "source": str(options.source),
         "format": source.facts["imported_format"],
         "file": str(options.out),
         "good": good,
         "entries": writer.entries,
         "bytes": options.out.stat().st_size,
-        "rows": [_told(row) for row in source.rows],
+        "rows": [_row_facts(row) for row in source.rows],
         "notes": notes,
         "failure": failure,
     }
     if options.json:
-        print_json(told)
+        print_json(facts)
     else:
-        _print(source, told)
+        _print(source, facts)
     return 0 if good else 1
 
 
@@ -120,7 +120,7 @@ def import_facts(path: Path, source: Source) -> dict[str, str]:
     }
 
 
-def _told(row: ImportedStream) -> dict[str, Any]:
+def _row_facts(row: ImportedStream) -> dict[str, Any]:
     return {
         "stream": row.stream,
         "type": row.type,
@@ -133,7 +133,7 @@ def _told(row: ImportedStream) -> dict[str, Any]:
     }
 
 
-def _print(source: Source, told: dict[str, Any]) -> None:
+def _print(source: Source, facts: dict[str, Any]) -> None:
     print_line(f"{source.title}: {len(source.rows)} rows; found, imported, left out")
     streams = width(row.stream for row in source.rows)
     kinds = width(row.type or row.unit for row in source.rows)
@@ -143,10 +143,10 @@ def _print(source: Source, told: dict[str, Any]) -> None:
         print_line(
             f"{mark} {cell(row.stream, streams)}  {cell(row.type or row.unit, kinds)} {numbers}  {row.why}".rstrip()
         )
-    for note in told["notes"]:
+    for note in facts["notes"]:
         print_line(f"note: {note}")
-    if told["failure"]:
-        print_line(f"FAILED: {told['failure']}")
-    elif not told["good"]:
+    if facts["failure"]:
+        print_line(f"FAILED: {facts['failure']}")
+    elif not facts["good"]:
         print_line("DIFFERENT: the rows marked ! have not all that the source declares")
-    print_line(f"{told['file']}: {count_text(told['entries'], 'entry', 'entries')}, {size_text(told['bytes'])}")
+    print_line(f"{facts['file']}: {count_text(facts['entries'], 'entry', 'entries')}, {size_text(facts['bytes'])}")

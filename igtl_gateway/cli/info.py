@@ -192,25 +192,25 @@ class ContentSummary:
 
     def clock_summaries(self) -> list[dict[str, Any]]:
         """For each peer what the best of its streams tells; ROS is one."""
-        told = []
+        summary = []
         for link, streams in sorted(self.clocks.items()):
             timing = best(streams.values())
             if timing:
                 stream = next(name for name, one in streams.items() if one is timing)
                 peer = self.addresses.get(link, "ROS" if link == 0 else "")
-                told.append({"link": link, "peer": peer, "stream": stream, "text": str(timing)} | timing.to_dict())
-        return told
+                summary.append({"link": link, "peer": peer, "stream": stream, "text": str(timing)} | timing.to_dict())
+        return summary
 
 
 def run(options: argparse.Namespace) -> int:
     try:
         with SessionFile.open(options.file) as file:
             content = ContentSummary.of(file.entries())
-            told = _told(options.file, file, content, file.start_ns, file.end_ns)
-            told["skipped"] = [asdict(skipped) for skipped in file.skipped]
+            summary = _facts(options.file, file, content, file.start_ns, file.end_ns)
+            summary["skipped"] = [asdict(skipped) for skipped in file.skipped]
             if file.parts:
-                told["bytes"] = sum(part.size for part in file.parts)
-                told["parts"] = [_part(part) for part in file.parts]
+                summary["bytes"] = sum(part.size for part in file.parts)
+                summary["parts"] = [_part(part) for part in file.parts]
     except LimitExceeded:
         raise
     except DamagedRecording as error:
@@ -218,9 +218,9 @@ def run(options: argparse.Namespace) -> int:
             raise  # it names the part that is damaged
         return _run_damaged(options, error)
     if options.json:
-        print_json(told)
+        print_json(summary)
     else:
-        _print(told, content.notes, file.start_ns)
+        _print(summary, content.notes, file.start_ns)
     return 0
 
 
@@ -230,12 +230,12 @@ def _run_damaged(options: argparse.Namespace, error: DamagedRecording) -> int:
     with Salvage.open(options.file) as file:
         content = ContentSummary.of(file.entries())
         report = file.report
-        told = _told(options.file, file, content, report.start_ns, report.end_ns) | {"skipped": []}
-    told |= {"being_recorded": True} if growing else {"damaged": {"why": str(error), **asdict(report)}}
+        summary = _facts(options.file, file, content, report.start_ns, report.end_ns) | {"skipped": []}
+    summary |= {"being_recorded": True} if growing else {"damaged": {"why": str(error), **asdict(report)}}
     if options.json:
-        print_json(told)
+        print_json(summary)
         return 0 if growing else 1
-    _print(told, content.notes, report.start_ns)
+    _print(summary, content.notes, report.start_ns)
     if growing:
         return 0
     print_line("  DAMAGED")
@@ -245,7 +245,7 @@ def _run_damaged(options: argparse.Namespace, error: DamagedRecording) -> int:
     return 1
 
 
-def _told(
+def _facts(
     path: Path, file: SessionFile | Salvage, content: ContentSummary, start_ns: int, end_ns: int
 ) -> dict[str, Any]:
     return {
@@ -300,19 +300,19 @@ def _utc(stamp_ns: int) -> str:
     return f"{moment:%Y-%m-%dT%H:%M:%S}.{stamp_ns % NS_PER_S // _NS_PER_MS:03}Z"
 
 
-def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: int) -> None:
-    session = told["session"]
-    kind = "a foreign MCAP file" if told["foreign"] else f"session log version {told['format_version']}"
-    parts = told.get("parts", [])
+def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: int) -> None:
+    session = summary["session"]
+    kind = "a foreign MCAP file" if summary["foreign"] else f"session log version {summary['format_version']}"
+    parts = summary.get("parts", [])
     number = f"{count_text(len(parts), 'part')}, " if parts else ""
-    print_line(f"{told['file']}: {kind}, {number}{size_text(told['bytes'])}")
-    if "being_recorded" in told:
+    print_line(f"{summary['file']}: {kind}, {number}{size_text(summary['bytes'])}")
+    if "being_recorded" in summary:
         print_line("  BEING RECORDED: what is there so far, up to the last flush")
-    if told["entries"]:
-        jumped_s = sum(step["jump_s"] for step in told["clock_steps"])
+    if summary["entries"]:
+        jumped_s = sum(step["jump_s"] for step in summary["clock_steps"])
         jumps = f" ({jumped_s:,.3f} s of them jumps of the clock)" if jumped_s else ""
-        number = count_text(told["entries"], "entry", "entries")
-        print_line(f"  start     {told['start']}, {told['duration_s']:.3f} s{jumps}, {number}")
+        number = count_text(summary["entries"], "entry", "entries")
+        print_line(f"  start     {summary['start']}, {summary['duration_s']:.3f} s{jumps}, {number}")
     else:
         print_line("  no entries")
     made = session.get("igtl_gateway_version")
@@ -338,17 +338,17 @@ def _print(told: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: 
         for part in parts:
             span = f"from {part['start']}, {part['duration_s']:.3f} s" if part["entries"] else "no entries"
             print_line(f"    {cell(part['file'], columns)} {part['entries']:>7,} {size_text(part['bytes']):>9}  {span}")
-    _print_streams(told["streams"])
+    _print_streams(summary["streams"])
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
-        ("clocks", [f"{_peer(clock)} by {clock['stream']}: {clock['text']}" for clock in told["clocks"]]),
-        ("host's clock", [f"{step['at']}  {step['text']}" for step in told["clock_steps"]]),
-        ("problems", [f"{number:>7,}  {code}" for code, number in told["problems"].items()] or ["   none"]),
+        ("clocks", [f"{_peer(clock)} by {clock['stream']}: {clock['text']}" for clock in summary["clocks"]]),
+        ("host's clock", [f"{step['at']}  {step['text']}" for step in summary["clock_steps"]]),
+        ("problems", [f"{number:>7,}  {code}" for code, number in summary["problems"].items()] or ["   none"]),
         ("first of each problem", _firsts(notes, start_ns)),
-        ("losses", [_NOT_YET] if "being_recorded" in told else losses(told["ledger"]) or ["   none"]),
+        ("losses", [_NOT_YET] if "being_recorded" in summary else losses(summary["ledger"]) or ["   none"]),
         (
             "skipped",
-            [f"{each['topic']} ({count_text(each['count'], 'message')}): {each['why']}" for each in told["skipped"]],
+            [f"{each['topic']} ({count_text(each['count'], 'message')}): {each['why']}" for each in summary["skipped"]],
         ),
     ):
         if lines:

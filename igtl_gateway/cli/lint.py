@@ -34,12 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     try:
         with SessionFile.open(options.file) as file:
-            seen = _seen(file, options.config)
+            seen = _observe(file, options.config)
     except DamagedRecording as error:
         if options.file.is_dir():
             raise  # it names the part that is damaged
         with Salvage.open(options.file) as salvage:
-            seen = _seen(salvage, options.config)
+            seen = _observe(salvage, options.config)
         seen.damage = str(error)
     report = DoctorReport.of(seen)
     if options.json:
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     return int(report.failed)
 
 
-def _seen(file: SessionFile | Salvage, config: Path | None) -> Observer:
+def _observe(file: SessionFile | Salvage, config: Path | None) -> Observer:
     seen = Observer(config_to_run(file.session, config))
     for entry in file.entries():
         seen.add(entry)

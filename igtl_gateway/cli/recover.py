@@ -52,11 +52,11 @@ def run(options: argparse.Namespace) -> int:
     if source.is_dir():
         return _run_parts(options)
     output: Path = options.output or source.with_suffix(".recovered.mcap")
-    told, report, _ = _recover(source, output, options)
+    facts, report, _ = _recover(source, output, options)
     if options.json:
-        print_json(told)
+        print_json(facts)
     else:
-        _print(told, report)
+        _print(facts, report)
     return 0 if report.whole else 1
 
 
@@ -75,23 +75,23 @@ def _run_parts(options: argparse.Namespace) -> int:
     written = []
     for part in parts:
         try:
-            told, report, copy = _recover(part, output / part.name, options)
+            facts, report, copy = _recover(part, output / part.name, options)
         except UnsupportedRecording as error:
-            told = {"file": str(part), "whole": False, "why": str(error)}
+            facts = {"file": str(part), "whole": False, "why": str(error)}
             if not options.json:
                 print_line(f"LOST {error}")
         else:
             written.append(copy)
             if not options.json:
-                _print(told, report)
-        everything.append(told)
+                _print(facts, report)
+        everything.append(facts)
     # in order of time, as they were recorded: part_10 comes before part_9 by name
     written.sort(key=lambda part: (part.start_ns or _NEVER, part.path.name))
     try:
         write_side_file(output, written)
     except OSError as error:
         raise RecordingError(f"cannot write {output / SIDE_FILE}: {os_error_text(error)}") from error
-    whole = all(told["whole"] for told in everything)
+    whole = all(facts["whole"] for facts in everything)
     if options.json:
         print_json({"file": str(source), "output": str(output), "whole": whole, "parts": everything})
     else:
@@ -120,8 +120,8 @@ def _recover(
             if "recovered" in ledger:
                 facts["earlier"] = ledger["recovered"]
             part = writer.close({**ledger, "recovered": facts})
-        told = {"file": str(source), "output": str(output), "output_bytes": part.size, **facts}
-        return told, file.report, part
+        facts = {"file": str(source), "output": str(output), "output_bytes": part.size, **facts}
+        return facts, file.report, part
 
 
 def _copy(file: Salvage, writer: CopyWriter, *, progress: bool) -> None:
@@ -156,10 +156,10 @@ def _facts(file: Salvage) -> dict[str, Any]:
     }
 
 
-def _print(told: dict[str, Any], report: SalvageReport) -> None:
-    print_line(f"{told['file']}: {count_text(report.messages, 'message')} read of {size_text(report.size)}")
+def _print(facts: dict[str, Any], report: SalvageReport) -> None:
+    print_line(f"{facts['file']}: {count_text(report.messages, 'message')} read of {size_text(report.size)}")
     print_losses(report)
-    print_line(f"{told['output']}: written, closed and with its index, {size_text(told['output_bytes'])}")
+    print_line(f"{facts['output']}: written, closed and with its index, {size_text(facts['output_bytes'])}")
     if report.whole:
         print_line("whole: nothing that was recorded is lost")
 
@@ -168,7 +168,7 @@ def print_losses(report: SalvageReport) -> None:
     """What is lost, in words; nothing where nothing is."""
     start_ns = min((each for each in (report.start_ns, *(loss.start_ns for loss in report.lost)) if each), default=0)
     for loss in report.lost[:_SHOWN]:
-        print_line(f"  LOST {_words(loss, start_ns)}")
+        print_line(f"  LOST {_loss_text(loss, start_ns)}")
     more = max(0, len(report.lost) - _SHOWN) + report.more_lost
     if more:
         print_line(f"  LOST in {count_text(more, 'more place')}")
@@ -191,7 +191,7 @@ _NAMES = {
 }
 
 
-def _words(loss: Loss, start_ns: int) -> str:
+def _loss_text(loss: Loss, start_ns: int) -> str:
     """Name, time and place of a loss."""
     times = [f"{(each - start_ns) / NS_PER_S:.3f} s" for each in (loss.start_ns, loss.end_ns) if each]
     match times:

@@ -181,16 +181,16 @@ def run(options: argparse.Namespace) -> int:
         start_ns, end_ns = _part(options, file)
         config = with_sends(config_to_run(file.session, options.config), options.send)
         how = plan_replay(file, options.to, options.through_gateway)
-        _tell(options, f"{options.file}: {how.why}")
+        _print_status(options, f"{options.file}: {how.why}")
         pace = SessionTimeline(clock_steps_of(file))
-        side = open_sides(options, file, how, stop, stack, lambda text: _tell(options, text))
+        side = open_sides(options, file, how, stop, stack, lambda text: _print_status(options, text))
         if side is None:
-            _tell(options, "stopped before the replay began")
+            _print_status(options, "stopped before the replay began")
             return 1
 
         account = ReplayAccount.of(file, how)
         faults = Faults.parse(options.fault)
-        faulty = FaultyFeed(faults, options.seed, lambda fate: _tell_fault(options, fate)) if faults else None
+        faulty = FaultyFeed(faults, options.seed, lambda fate: _print_fault(options, fate)) if faults else None
         role = "client" if options.connect and not options.listen else "server"
 
         def feed(from_ns: int | None) -> Any:
@@ -212,7 +212,7 @@ def run(options: argparse.Namespace) -> int:
             span=(start_ns or file.start_ns, file.end_ns if end_ns is None else end_ns),
             start_ns=start_ns,
             restamp=_restamper(options, file),
-            on_jump=lambda jump: _tell_jump(options, file, jump),
+            on_jump=lambda jump: _print_jump(options, file, jump),
             send_all=side.send_all,
             digest=not options.no_digest,
             pace=pace,
@@ -282,7 +282,9 @@ def _restamper(options: argparse.Namespace, file: SessionFile) -> Restamper | No
     if options.restamp == "keep":
         return None
     return Restamper(
-        options.restamp, lambda name: _tell(options, f"! stamps of {name} stay: not known here"), file.definitions
+        options.restamp,
+        lambda name: _print_status(options, f"! stamps of {name} stay: not known here"),
+        file.definitions,
     )
 
 
@@ -294,12 +296,12 @@ def _controls(
     def obey(command: str) -> None:
         if command == PAUSE:
             player.toggle()
-            _tell(options, f"paused at {_at(file, player.position_ns)}" if player.paused else "goes on")
+            _print_status(options, f"paused at {_at(file, player.position_ns)}" if player.paused else "goes on")
         elif command == NEXT:
             player.step()
         elif command in (FASTER, SLOWER) and (rate := player.rate):
             player.set_rate(rate * (_FASTER if command == FASTER else _SLOWER))
-            _tell(options, f"rate {player.rate:.3g}")
+            _print_status(options, f"rate {player.rate:.3g}")
         elif command == QUIT:
             stop.set()
 
@@ -307,35 +309,35 @@ def _controls(
 
     def offer(edge: RosEdge) -> None:
         if reason := services.serve(edge):
-            _tell(options, f"! no services to pause, step or seek: {reason}")
+            _print_status(options, f"! no services to pause, step or seek: {reason}")
 
     if side.ros:
         # beside the replay: the first time their types are compiled
         Thread(target=offer, args=(side.ros,), name="igtl-services", daemon=True).start()
         stack.callback(services.close)
     if can_read_keys():
-        _tell(options, HELP)
+        _print_status(options, HELP)
         stack.enter_context(keyboard(obey))
     elif options.step and not side.ros:
         # waits for each message, so that the end of the lines does not come before
         read_lines(lambda: player.burst(1), stop.set)
 
 
-def _tell(options: argparse.Namespace, text: str) -> None:
+def _print_status(options: argparse.Namespace, text: str) -> None:
     # also called by the edges' threads: whether there still is a reader, the report finds out in ours
     with suppress(BrokenPipeError):
         print_line(text, error=options.json, flush=True)
 
 
-def _tell_jump(options: argparse.Namespace, file: SessionFile, jump: Jump) -> None:
+def _print_jump(options: argparse.Namespace, file: SessionFile, jump: Jump) -> None:
     to_ns = file.start_ns if jump.to_ns is None else jump.to_ns
     if options.json:
         print_json({"event": "jump", "why": jump.why, "from_ns": jump.from_ns, "to_ns": to_ns})
     else:
-        _tell(options, f"= jump ({jump.why}): from {_at(file, jump.from_ns)} to {_at(file, to_ns)}")
+        _print_status(options, f"= jump ({jump.why}): from {_at(file, jump.from_ns)} to {_at(file, to_ns)}")
 
 
-def _tell_fault(options: argparse.Namespace, fate: Fate[Entry]) -> None:
+def _print_fault(options: argparse.Namespace, fate: Fate[Entry]) -> None:
     if options.json:
         entry = fate.message
         print_json({"event": "fault", "stream": entry.channel, "entry": entry.seq, "faults": fate.reportable})
@@ -374,7 +376,7 @@ def _report(
             stopped=not complete,
         )
     if options.json:
-        told: dict[str, Any] = {
+        result: dict[str, Any] = {
             "file": str(options.file),
             "complete": complete,
             "messages": played.messages - failed,
@@ -390,13 +392,13 @@ def _report(
             "account": facts,
         }
         if options.to == "both":
-            told["sides"] = {
+            result["sides"] = {
                 name: {"messages": part.messages, "bytes": part.bytes, "sha256": part.digest}
                 for name, part in sorted(player.sides.items())
             }
         if faulty:
-            told["faults"] = {"fault": options.fault, "seed": options.seed, "counts": faulty.counts}
-        print_json(told)
+            result["faults"] = {"fault": options.fault, "seed": options.seed, "counts": faulty.counts}
+        print_json(result)
         return
     sent = count_text(played.messages - failed, "message")
     print_line(f"{'sent' if complete else 'stopped after'} {sent}, {size_text(played.bytes)}")

@@ -118,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
     if options.csv:
         _write_csv(options.csv, review, options.overwrite)
     if options.json:
-        print_json(_told(options.file, review))
+        print_json(_facts(options.file, review))
     else:
         _print(options.file, review, start_ns)
     return 1 if review.last.wrong else 0
@@ -139,7 +139,7 @@ def _limits(options: argparse.Namespace) -> Thresholds:
 # -- for programs --------------------------------------------------------------------------------------------------
 
 
-def _told(path: Path, review: Review) -> dict[str, Any]:
+def _facts(path: Path, review: Review) -> dict[str, Any]:
     cloud = review.cloud
     return {
         "file": str(path),
@@ -158,21 +158,21 @@ def _told(path: Path, review: Review) -> dict[str, Any]:
         },
         "tool": review.tool,
         "thresholds": asdict(review.thresholds),
-        "plans": [_plain(asdict(plan)) for plan in review.plans],
-        "changes": [_plain(asdict(change)) for change in review.changes],
+        "plans": [_json_value(asdict(plan)) for plan in review.plans],
+        "changes": [_json_value(asdict(change)) for change in review.changes],
         "notes": review.notes,
     }
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     """Levels as words; micrometres are enough."""
     match value:
         case Level():
             return value.value
         case dict():
-            return {key: _plain(part) if key != "position" else part for key, part in value.items()}
+            return {key: _json_value(part) if key != "position" else part for key, part in value.items()}
         case list() | tuple():
-            return [_plain(part) for part in value]
+            return [_json_value(part) for part in value]
         case float():
             return round(value, 4)
         case _:

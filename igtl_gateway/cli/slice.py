@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
         )
         _write(file, part, window, options)
         if options.json:
-            print_json({"file": str(options.out), "bytes": options.out.stat().st_size, **_told(part.report)})
+            print_json({"file": str(options.out), "bytes": options.out.stat().st_size, **_facts(part.report)})
         else:
             _print(options.out, part.report)
     return 0
@@ -108,7 +108,7 @@ def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argpars
         raise
 
 
-def _told(report: SliceReport) -> dict[str, object]:
+def _facts(report: SliceReport) -> dict[str, object]:
     return {
         "prologue": report.prologue,
         "depth": report.depth.value,

@@ -29,7 +29,7 @@ def print_line(*lines: str, error: bool = False, flush: bool = False, colour: st
     ``colour`` holds the parameters of the escape sequence SGR (``"1;31"``), for a terminal; the indent has none.
     """
     for line in lines or ("",):
-        text = _shown(line)
+        text = _printable_line(line)
         if colour:
             bare = text.lstrip()
             text = f"{text[: len(text) - len(bare)]}\x1b[{colour}m{bare}\x1b[0m"
@@ -56,7 +56,7 @@ def print_json(value: Any) -> None:
 
 def live_line(text: str, error: bool = False) -> None:
     """Replace the last line of a terminal by this one, without a line end; :func:`clear_live_line` takes it away."""
-    _write(f"{_CLEAR}{_shown(text)[: shutil.get_terminal_size().columns - 1]}", error)
+    _write(f"{_CLEAR}{_printable_line(text)[: shutil.get_terminal_size().columns - 1]}", error)
     _flush(error)
 
 
@@ -77,7 +77,7 @@ def width(texts: Iterable[str], title: str = "") -> int:
 
 def cell(text: str, columns: int = 0) -> str:
     """A text of others as it stands in a column of a table."""
-    return _shown(text).ljust(columns)
+    return _printable_line(text).ljust(columns)
 
 
 class Parser(argparse.ArgumentParser):
@@ -113,7 +113,7 @@ def discard_outputs() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _shown(line: str) -> str:
+def _printable_line(line: str) -> str:
     more = len(line) - LONGEST_LINE
     return printable(line) if more <= 0 else f"{printable(line[:LONGEST_LINE])} … and {more:,} more characters"
 

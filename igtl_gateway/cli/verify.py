@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         decoder = LeafDecoder(file.definitions, LengthUnits(config.ros_unit, config.igtl_unit))
         losses = DeclaredLosses.of(file.session, file.ledger)
         report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "file": str(options.file),
         "good": report.good,
         "recorded_by": recorded_by,
@@ -62,9 +62,9 @@ def run(options: argparse.Namespace) -> int:
         "config": str(options.config) if options.config else "recorded",
     }
     if options.json:
-        print_json({**told, **asdict(report)})
+        print_json({**facts, **asdict(report)})
     else:
-        _print(told, report, options.all)
+        _print(facts, report, options.all)
     return 0 if report.good else 1
 
 
@@ -79,10 +79,10 @@ def _config(options: argparse.Namespace, file: SessionFile, recorded_by: str) ->
         ) from None
 
 
-def _print(told: dict[str, Any], report: VerifyReport, everything: bool) -> None:
-    versions = f"recorded by igtl-gateway {told['recorded_by'] or '(unknown)'}, verified by {told['verified_by']}"
-    configuration = "the recorded configuration" if told["config"] == "recorded" else told["config"]
-    print_line(f"{told['file']}: {versions} with {configuration}")
+def _print(facts: dict[str, Any], report: VerifyReport, everything: bool) -> None:
+    versions = f"recorded by igtl-gateway {facts['recorded_by'] or '(unknown)'}, verified by {facts['verified_by']}"
+    configuration = "the recorded configuration" if facts["config"] == "recorded" else facts["config"]
+    print_line(f"{facts['file']}: {versions} with {configuration}")
     print_line(
         f"  {count_text(report.inputs, 'input')} fed to the gateway, {count_text(report.outputs, 'output')} compared"
     )

@@ -87,20 +87,20 @@ def run(options: argparse.Namespace) -> int:
         out = options.save or folder / "session.rrd"
         with written(options.screenshot) if options.screenshot else nullcontext() as picture:
             with written(out) as partial:
-                drawn, told = _draw(options, partial, stop.is_set)
-            told["seconds"] = round((clock.monotonic_ns() - started_ns) / NS_PER_S, 3)
-            told["bytes"] = out.stat().st_size
+                drawn, facts = _draw(options, partial, stop.is_set)
+            facts["seconds"] = round((clock.monotonic_ns() - started_ns) / NS_PER_S, 3)
+            facts["bytes"] = out.stat().st_size
             if options.json:
-                print_json(told)
+                print_json(facts)
             else:
-                _print(options, drawn, told)
-            if told["damage"]:
-                print_line(f"igtl-gateway view: what comes first is drawn: {told['damage']}", error=True)
+                _print(options, drawn, facts)
+            if facts["damage"]:
+                print_line(f"igtl-gateway view: what comes first is drawn: {facts['damage']}", error=True)
             if picture:
-                return max(_picture(options, out, picture, drawn), bool(told["damage"]))
+                return max(_picture(options, out, picture, drawn), bool(facts["damage"]))
         if not options.save:
             _show(options, out, stop.wait)
-    return int(bool(told["damage"]))
+    return int(bool(facts["damage"]))
 
 
 @contextmanager
@@ -144,7 +144,7 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
             recording, config.base_frame, Options(colour_by=options.colour_by, plain=bool(options.screenshot))
         )
         material = None if options.no_review else Material()
-        damage = _take(file, config, view, material, stopped)
+        damage = _draw_entries(file, config, view, material, stopped)
         if material:
             _review(material, view)
         view.finish()
@@ -153,27 +153,27 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
         stream.close(recording, out)
     except OSError as error:
         raise write_error(options.save or out, error) from None
-    told = view.told
+    facts = view.counts
     return view, {
         "file": str(options.file),
         "out": str(options.save or options.screenshot or ""),
         "blueprint": name,
         "reviewed": view.seen.reviewed,
         "seconds_of_session": view.seen.seconds,
-        "messages": sum(told.messages.values()),
+        "messages": sum(facts.messages.values()),
         "topics": [
             {"topic": shown.topic, "type": shown.ros_type, "picture": shown.what.value, "messages": shown.count}
             for shown in view.seen.shown.values()
         ],
-        "without_picture": dict(sorted(told.without_picture.items())),
-        "refused": dict(sorted(told.refused.items())),
+        "without_picture": dict(sorted(facts.without_picture.items())),
+        "refused": dict(sorted(facts.refused.items())),
         "damage": damage,
-        "without_time": dict(sorted(told.timeless.items())),
+        "without_time": dict(sorted(facts.timeless.items())),
         "without_field": bool(options.colour_by) and options.colour_by not in view.seen.fields,
     }
 
 
-def _take(file: SessionFile, config: Config, view: SessionView, material: Material | None, stopped: Any) -> str:
+def _draw_entries(file: SessionFile, config: Config, view: SessionView, material: Material | None, stopped: Any) -> str:
     """Draw all entries up to the first that cannot be read; why it cannot, or ""."""
     progress = _Progress(file.entry_count)
     try:
@@ -234,26 +234,26 @@ class _Progress:
             clear_live_line(error=True)
 
 
-def _print(options: argparse.Namespace, view: SessionView, told: dict[str, Any]) -> None:
+def _print(options: argparse.Namespace, view: SessionView, facts: dict[str, Any]) -> None:
     columns = width(shown.topic for shown in view.seen.shown.values())
     for shown in view.seen.shown.values():
-        note = "not drawn" if shown.ros_type in view.told.without_picture else shown.what.value
+        note = "not drawn" if shown.ros_type in view.counts.without_picture else shown.what.value
         print_line(f"  {cell(shown.topic, columns)} {shown.count:>8,}  {note:<10} {shown.ros_type}")
-    for topic, number in told["refused"].items():
+    for topic, number in facts["refused"].items():
         print_line(f"? {topic}: {count_text(number, 'message')} could not be shown, the log says why")
-    for line, number in told["without_time"].items():
+    for line, number in facts["without_time"].items():
         print_line(
             f"? {count_text(number, 'entry', 'entries')} not on the time line {line}: stamps before 1970 or after 2116"
         )
-    if told["without_field"]:
+    if facts["without_field"]:
         fields = ", ".join(sorted(view.seen.fields)) or "none"
         print_line(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")
     print_line(
-        f"{options.file}: {count_text(told['messages'], 'message')} drawn in {told['seconds']:.1f} s, "
-        f"blueprint {told['blueprint']}" + (", suture plan reviewed" if told["reviewed"] else "")
+        f"{options.file}: {count_text(facts['messages'], 'message')} drawn in {facts['seconds']:.1f} s, "
+        f"blueprint {facts['blueprint']}" + (", suture plan reviewed" if facts["reviewed"] else "")
     )
     if options.save:
-        print_line(f"{options.save}: {size_text(told['bytes'])}; `rerun {options.save}` shows it")
+        print_line(f"{options.save}: {size_text(facts['bytes'])}; `rerun {options.save}` shows it")
 
 
 def _picture(options: argparse.Namespace, recording: Path, out: Path, view: SessionView) -> int:

@@ -113,18 +113,18 @@ def cloud_to_polydata(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessa
     positions, kept = _finite_positions(columns, to)
     count = len(positions)
     attributes = []
-    told = set(_XYZ)
+    known = set(_XYZ)
     colours = _colours(columns)
     if colours is not None:
         name, components = (RGBA_NAME, 4) if columns.is_packed("rgba") else (RGB_NAME, 3)
         attributes.append(Attribute.of(SCALAR, name, _unit_range(colours[kept][:, :components])))
-        told |= {name for name in _COLOURS if columns.is_packed(name)}
+        known |= {name for name in _COLOURS if columns.is_packed(name)}
     if all(columns.is_single(name) for name in _NORMALS):
         normals = np.stack([columns[name][kept] for name in _NORMALS], axis=1)
         attributes.append(Attribute.of(NORMAL, "Normals", normals))
-        told |= set(_NORMALS)
+        known |= set(_NORMALS)
     for name in columns.fields:
-        if name in told:
+        if name in known:
             continue
         values = columns[name]
         width = values.shape[1] if values.ndim > 1 else 1

@@ -67,11 +67,11 @@ def reply_to_ros(content: wire.Command, to: ToRosContext) -> CommandReply:
     """Success unless metadata or content say otherwise; a status that nobody knows is no success."""
     text = visible(content.text)
     attributes = _plus_reply_attributes(text)
-    told = _first(to.metadata, (STATUS,)) or attributes.get(STATUS, "")
-    status = _STATUS_OF.get(told.strip().upper(), CommandReply.FAIL if told.strip() else CommandReply.SUCCESS)
-    if told.strip() and told.strip().upper() not in _STATUS_OF:
+    reply = _first(to.metadata, (STATUS,)) or attributes.get(STATUS, "")
+    status = _STATUS_OF.get(reply.strip().upper(), CommandReply.FAIL if reply.strip() else CommandReply.SUCCESS)
+    if reply.strip() and reply.strip().upper() not in _STATUS_OF:
         expected = ", ".join(_STATUS_OF)
-        to.warnings.append(("unknown_status", f"found Status {told!r} of a reply, expected one of {expected}: failed"))
+        to.warnings.append(("unknown_status", f"found Status {reply!r} of a reply, expected one of {expected}: failed"))
     why = ""
     if status != CommandReply.SUCCESS:
         why = _first(to.metadata, _MESSAGE_KEYS) or attributes.get("Message", "")
@@ -91,11 +91,11 @@ def reply_to_ros(content: wire.Command, to: ToRosContext) -> CommandReply:
 
 def reply_to_igtl(message: CommandReply, to: ToIgtlContext) -> ConvertedMessage:
     """Status and error message as metadata; they replace what the message itself has under these keys."""
-    told = {STATUS: _TOLD_STATUS.get(message.status, "FAIL")}
+    reply = {STATUS: _TOLD_STATUS.get(message.status, "FAIL")}
     if message.status != CommandReply.SUCCESS:
-        told[ERROR_MESSAGE] = message.error_message
-    others = tuple(item for item in message.metadata if item.key not in told)
-    ours = tuple(MetadataItem(key, 0, value) for key, value in told.items())
+        reply[ERROR_MESSAGE] = message.error_message
+    others = tuple(item for item in message.metadata if item.key not in reply)
+    ours = tuple(MetadataItem(key, 0, value) for key, value in reply.items())
     return _outgoing(message, others + ours, _REPLY_TYPE, to)
 
 

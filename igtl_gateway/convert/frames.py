@@ -86,11 +86,11 @@ class FrameTree:
     def update(self, message: TFMessage, static: bool) -> None:
         """Take the transforms of a message of /tf, or of /tf_static.  What cannot be used is counted."""
         for transform in message.transforms:
-            reason = self._take(transform, static or transform.header.stamp_ns == 0)
+            reason = self._add_sample(transform, static or transform.header.stamp_ns == 0)
             if reason:
                 self.refused[reason] += 1
 
-    def _take(self, transform: FrameTransform, static: bool) -> str:
+    def _add_sample(self, transform: FrameTransform, static: bool) -> str:
         """Add one sample; "" or why not."""
         parent, child = frame_id(transform.header.frame_id), frame_id(transform.child_frame_id)
         if not parent or not child:
@@ -102,7 +102,7 @@ class FrameTree:
         if edge is None or edge.parent != parent:
             if edge is None and len(self._edges) >= self._max_frames:
                 return TOO_MANY_FRAMES
-            if self._lies_in(parent, child):
+            if self._is_below(parent, child):
                 return CYCLE
             self._chains.clear()
         if edge is None or edge.parent != parent or edge.static != static:
@@ -132,7 +132,7 @@ class FrameTree:
             del stamps[:surplus], poses[:surplus]
             self._samples -= surplus
 
-    def _lies_in(self, frame: str, ancestor: str) -> bool:
+    def _is_below(self, frame: str, ancestor: str) -> bool:
         """Whether ``frame`` is ``ancestor`` or hangs below it."""
         while frame != ancestor:
             edge = self._edges.get(frame)
@@ -153,14 +153,14 @@ class FrameTree:
         return self._chains[key]
 
     def _find_chain(self, target: str, base: str) -> Chain | None:
-        up, down = self._way_up(target), self._way_up(base)
+        up, down = self._path_to_root(target), self._path_to_root(base)
         steps_down = {frame: step for step, frame in enumerate(down)}
         for step, frame in enumerate(up):
             if frame in steps_down:
                 return tuple(up[:step]), tuple(down[: steps_down[frame]])
         return None
 
-    def _way_up(self, frame: str) -> list[str]:
+    def _path_to_root(self, frame: str) -> list[str]:
         """The frame, its parent, and so on to the root."""
         way = [frame]
         while edge := self._edges.get(way[-1]):

@@ -38,10 +38,10 @@ _U32 = 1 << 32
 
 def query_to_ros(content: Body, to: ToRosContext) -> Query:
     """Intervals in whole milliseconds, rounded up: nobody gets more than was asked for."""
-    told = split_query(to.igtl_type)
-    if told is None:
+    parts = split_query(to.igtl_type)
+    if parts is None:
         raise ConversionError(f"query: found type {visible(to.igtl_type)!r}, expected GET_, STT_, STP_ or RTS_")
-    prefix, base = told
+    prefix, base = parts
     resolution, coordinate_name, codec, status = 0, "", "", 0
     match content:
         case StartTracking():
@@ -83,8 +83,8 @@ def query_to_igtl(message: Query, to: ToIgtlContext) -> ConvertedMessage:
     carried, make = _CONTENTS[codec]
     for field in _FIELDS:
         if field not in carried and getattr(message, field):
-            told = f"{field} {getattr(message, field)!r} has no place in {igtl_type} and is left out"
-            to.warnings.append(("field_left_out", told))
+            parts = f"{field} {getattr(message, field)!r} has no place in {igtl_type} and is left out"
+            to.warnings.append(("field_left_out", parts))
     return ConvertedMessage(
         make(message, to),
         message.header.stamp_ns,
@@ -97,9 +97,9 @@ def query_to_igtl(message: Query, to: ToIgtlContext) -> ConvertedMessage:
 
 
 def _split(query: str) -> tuple[str, str]:
-    told = split_query(query)
-    assert told is not None, query
-    return told
+    parts = split_query(query)
+    assert parts is not None, query
+    return parts
 
 
 def _start_tracking(message: Query, to: ToIgtlContext) -> Body:

@@ -95,7 +95,7 @@ def both_servers(seen: Observer) -> Iterator[RuleMatch]:
     """Whoever has our own port may be a gateway that runs already, unless it says something."""
     if seen.intent and seen.intent.role == "server" and not _of_role(seen, "server"):
         for peer in _of_role(seen, "client"):
-            if _stranger(peer) is None and (peer.messages or "listen_failed" not in seen.said):
+            if _stranger(peer) is None and (peer.messages or "listen_failed" not in seen.noted):
                 text = f"no client connects to {seen.intent.place}, but {peer.name} is a server: both sides are servers"
                 yield RuleMatch(seen.intent.place, text)
 
@@ -105,33 +105,33 @@ _OF_TLS = re.compile(r"TLS|certificate|cipher")
 
 
 def no_listener(seen: Observer) -> Iterator[RuleMatch]:
-    said = seen.said.get("connect_failed")
-    if said and not seen.peers and (seen.intent is None or seen.intent.role == "client") and not any(no_tls(seen)):
-        data = said.first.data
+    noted = seen.noted.get("connect_failed")
+    if noted and not seen.peers and (seen.intent is None or seen.intent.role == "client") and not any(no_tls(seen)):
+        data = noted.first.data
         yield RuleMatch(str(data.get("peer", "")), f"no server at {data.get('peer')}: {data.get('reason')}")
 
 
 def no_tls(seen: Observer) -> Iterator[RuleMatch]:
-    said = seen.said.get("connect_failed")
-    if said and not seen.peers and _OF_TLS.search(reason := str(said.first.data.get("reason"))):
-        peer = str(said.first.data.get("peer", ""))
+    noted = seen.noted.get("connect_failed")
+    if noted and not seen.peers and _OF_TLS.search(reason := str(noted.first.data.get("reason"))):
+        peer = str(noted.first.data.get("peer", ""))
         yield RuleMatch(peer, f"{peer} accepts connections, but the TLS handshake fails: {reason}")
 
 
 def port_taken(seen: Observer) -> Iterator[RuleMatch]:
-    if (said := seen.said.get("listen_failed")) and not any(both_servers(seen)):
-        yield RuleMatch(said.first.stream, said.first.text)
+    if (noted := seen.noted.get("listen_failed")) and not any(both_servers(seen)):
+        yield RuleMatch(noted.first.stream, noted.first.text)
 
 
 def nobody_connects(seen: Observer) -> Iterator[RuleMatch]:
     waited = seen.intent and seen.intent.role == "server" and not seen.peers
-    if seen.intent and waited and seen.said.keys().isdisjoint(("listen_failed", "refused")):
+    if seen.intent and waited and seen.noted.keys().isdisjoint(("listen_failed", "refused")):
         yield RuleMatch(seen.intent.place, f"no client connected to {seen.intent.place}")
 
 
 def refused(seen: Observer) -> Iterator[RuleMatch]:
-    if said := seen.said.get("refused"):
-        yield RuleMatch(str(said.first.data.get("peer", "")), said.first.text, {"count": said.count})
+    if noted := seen.noted.get("refused"):
+        yield RuleMatch(str(noted.first.data.get("peer", "")), noted.first.text, {"count": noted.count})
 
 
 def silent(seen: Observer) -> Iterator[RuleMatch]:
@@ -150,12 +150,12 @@ def leaves(seen: Observer) -> Iterator[RuleMatch]:
     for peer in seen.peers.values():
         if not peer.down_ns or not peer.reason.startswith(("closed by the peer", "receiving failed")):
             continue
-        for version, told_ns in peer.told.items():
-            after_ns = peer.down_ns - told_ns
-            if not peer.heard[version] and 0 <= after_ns <= AT_ONCE_NS:
+        for version, sent_ns in peer.first_sent_ns.items():
+            after_ns = peer.down_ns - sent_ns
+            if not peer.received_versions[version] and 0 <= after_ns <= AT_ONCE_NS:
                 text = f"{peer.name} disconnected {ms(after_ns)} after its first message of header version {version}"
-                if peer.heard:
-                    text += f"; it sends version {min(peer.heard)}"
+                if peer.received_versions:
+                    text += f"; it sends version {min(peer.received_versions)}"
                 host = peer.address.rpartition(":")[0]
                 gone.setdefault((host, version), []).append(RuleMatch(peer.name, text, {"version": version}))
     for hits in gone.values():
@@ -166,20 +166,20 @@ def leaves(seen: Observer) -> Iterator[RuleMatch]:
 def cut(seen: Observer) -> Iterator[RuleMatch]:
     for peer in seen.peers.values():
         if peer.head and is_openigtlink(peer.head) and peer.head_why != "too_large":
-            said = seen.said[peer.head_why]
-            yield RuleMatch(peer.name, said.first.text, {"head": peer.head.hex()})
+            noted = seen.noted[peer.head_why]
+            yield RuleMatch(peer.name, noted.first.text, {"head": peer.head.hex()})
 
 
 def too_large(seen: Observer) -> Iterator[RuleMatch]:
     for peer in seen.peers.values():
         if peer.head_why == "too_large" and is_openigtlink(peer.head):
-            yield RuleMatch(peer.name, seen.said["too_large"].first.text, {"head": peer.head.hex()})
+            yield RuleMatch(peer.name, seen.noted["too_large"].first.text, {"head": peer.head.hex()})
 
 
 def slow(seen: Observer) -> Iterator[RuleMatch]:
     for code in ("queue_full", "queue_drop"):
-        if said := seen.said.get(code):
-            yield RuleMatch(str(said.first.data.get("peer", "")), said.first.text)
+        if noted := seen.noted.get(code):
+            yield RuleMatch(str(noted.first.data.get("peer", "")), noted.first.text)
             return
 
 
@@ -216,8 +216,10 @@ def wrong_versions(stream: ObservedStream) -> list[int]:
 
 def mixed_versions(seen: Observer) -> Iterator[RuleMatch]:
     for peer in seen.peers.values():
-        if len([version for version in peer.heard if version in HEADER_VERSIONS]) > 1:
-            counts = ", ".join(f"{count} of version {version}" for version, count in sorted(peer.heard.items()))
+        if len([version for version in peer.received_versions if version in HEADER_VERSIONS]) > 1:
+            counts = ", ".join(
+                f"{count} of version {version}" for version, count in sorted(peer.received_versions.items())
+            )
             yield RuleMatch(peer.name, f"messages of both header versions: {counts}")
 
 
@@ -350,16 +352,16 @@ def qos_clash(seen: Observer) -> Iterator[RuleMatch]:
     for clash in seen.graph.clashes() if seen.graph else ():
         text = f"no messages from {clash.publisher} to {clash.subscriber}: {clash.why}"
         yield RuleMatch(clash.topic, text, {"publisher": clash.publisher, "subscriber": clash.subscriber})
-    if said := seen.said.get("ros_incompatible_qos"):
-        yield RuleMatch(said.first.stream, said.first.text, {"count": said.count})
+    if noted := seen.noted.get("ros_incompatible_qos"):
+        yield RuleMatch(noted.first.stream, noted.first.text, {"count": noted.count})
 
 
 def unconverted(seen: Observer) -> Iterator[RuleMatch]:
     for topic, kind in sorted(seen.graph.unconverted.items()) if seen.graph else ():
         yield RuleMatch(topic, f"{topic} is configured to be sent to OpenIGTLink, but {kind} has no conversion")
-    said = seen.said.get("no_conversion")
-    if said and said.first.stream.startswith("/"):
-        yield RuleMatch(said.first.stream, said.first.text, {"count": said.count})
+    noted = seen.noted.get("no_conversion")
+    if noted and noted.first.stream.startswith("/"):
+        yield RuleMatch(noted.first.stream, noted.first.text, {"count": noted.count})
 
 
 def no_subscriber(seen: Observer) -> Iterator[RuleMatch]:
@@ -374,8 +376,8 @@ def nothing_out(seen: Observer) -> Iterator[RuleMatch]:
 
 def ros_refused(seen: Observer) -> Iterator[RuleMatch]:
     for code in ("ros_unknown_type", "ros_refused"):
-        if said := seen.said.get(code):
-            yield RuleMatch(said.first.stream, said.first.text, {"count": said.count})
+        if noted := seen.noted.get(code):
+            yield RuleMatch(noted.first.stream, noted.first.text, {"count": noted.count})
 
 
 # ── the recording ─────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -412,7 +414,7 @@ _TOLD = frozenset({
 def other_notes(seen: Observer) -> Iterator[RuleMatch]:
     streams = seen.streams.values()
     explained = {one.name for one in streams if one.not_finite or one.not_orthonormal or one.mirrored}
-    for code, said in seen.said.items():
-        if code not in _TOLD and said.first.level >= Level.WARN and said.first.stream not in explained:
-            where = visible(said.first.stream) or code
-            yield RuleMatch(where, f"{said.first.text} ({code})", {"code": code, "count": said.count})
+    for code, noted in seen.noted.items():
+        if code not in _TOLD and noted.first.level >= Level.WARN and noted.first.stream not in explained:
+            where = visible(noted.first.stream) or code
+            yield RuleMatch(where, f"{noted.first.text} ({code})", {"code": code, "count": noted.count})

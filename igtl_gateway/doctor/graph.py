@@ -82,8 +82,8 @@ class Graph:
 
     def without_subscriber(self) -> list[str]:
         """Topics that the gateway has something for and nobody subscribes to."""
-        heard = {one.topic for one in self.endpoints if not one.publishes}
-        return sorted(topic for topic in self.offers if topic not in heard)
+        subscribed = {one.topic for one in self.endpoints if not one.publishes}
+        return sorted(topic for topic in self.offers if topic not in subscribed)
 
 
 def _offer(topic: str, kind: str) -> PublishedTopic | None:

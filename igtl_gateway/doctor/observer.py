@@ -179,8 +179,8 @@ class ObservedPeer:
     reason: str = ""
     messages: int = 0
     received_bytes: int = 0
-    heard: Counter[int] = field(default_factory=Counter)
-    told: dict[int, int] = field(default_factory=dict)
+    received_versions: Counter[int] = field(default_factory=Counter)
+    first_sent_ns: dict[int, int] = field(default_factory=dict)
     sent: int = 0
     head: bytes = b""
     head_why: str = ""
@@ -225,7 +225,7 @@ class Observer:
         self.crowded = False
         self.published: dict[str, str] = {}
         self.ros_topics: dict[str, str] = {}
-        self.said: dict[str, NoteCount] = {}
+        self.noted: dict[str, NoteCount] = {}
         self.graph: Graph | None = None
         self.damage = ""
         self.losses: dict[str, int] = {}
@@ -281,8 +281,8 @@ class Observer:
 
     def _noted(self, entry: Entry) -> None:
         note = Note.of(entry.data())
-        said = self.said.setdefault(note.code, NoteCount(0, note))
-        said.count += 1
+        noted = self.noted.setdefault(note.code, NoteCount(0, note))
+        noted.count += 1
         if step := ClockStep.of(entry):
             self._ahead_ns = step.ahead_ns
             for stream in self.streams.values():
@@ -301,7 +301,7 @@ class Observer:
         for number in entry.links:
             peer = self.peer(number)
             peer.sent += 1
-            peer.told.setdefault(version, entry.stamp_ns)
+            peer.first_sent_ns.setdefault(version, entry.stamp_ns)
 
     def _received(self, entry: Entry) -> None:
         data = entry.data()
@@ -313,7 +313,7 @@ class Observer:
             peer.head = peer.head or data[:HEADER_SIZE]
             return
         peer.messages += 1
-        peer.heard[header.version] += 1
+        peer.received_versions[header.version] += 1
         stream = self._stream(number, header)
         if stream is None:
             return

@@ -58,7 +58,9 @@ class DoctorReport:
                     "role": peer.role,
                     "connected": bool(peer.up_ns and not peer.down_ns),
                     "messages": peer.messages,
-                    "header_versions": {str(version): count for version, count in sorted(peer.heard.items())},
+                    "header_versions": {
+                        str(version): count for version, count in sorted(peer.received_versions.items())
+                    },
                     "reason": peer.reason,
                 }
                 for peer in seen.peers.values()
@@ -70,9 +72,9 @@ class DoctorReport:
         """For people."""
         for peer in self.seen.peers.values():
             side = "client" if peer.role == "server" else "server"
-            versions = ", ".join(f"header version {version}" for version in sorted(peer.heard))
-            said = f"{peer.messages:,} message{'' if peer.messages == 1 else 's'}"
-            yield f"  {peer.name}: {side}; {said}{', ' if versions else ''}{versions}"
+            versions = ", ".join(f"header version {version}" for version in sorted(peer.received_versions))
+            text = f"{peer.messages:,} message{'' if peer.messages == 1 else 's'}"
+            yield f"  {peer.name}: {side}; {text}{', ' if versions else ''}{versions}"
         width = max((len(stream.name) for stream in self.seen.streams.values()), default=0)
         for stream in self.seen.streams.values():
             rate = f"{stream.rate_hz:,.1f} Hz" if stream.rate_hz else ""

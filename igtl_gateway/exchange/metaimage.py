@@ -77,7 +77,7 @@ def read_metaimage(path: Path, stream: BinaryIO) -> ImageFile:
         ZLIB if _flag(fields, "CompressedData") else RAW,
         data,
         offset,
-        _place(fields, spatial, where, notes),
+        _placement(fields, spatial, where, notes),
     )
     if len(spatial) == 4 and not header.frames:
         raster = replace(raster, times_s=_times(fields, spatial, raster.frames, where))
@@ -152,7 +152,7 @@ def _data(path: Path, fields: dict[str, str], end: int, where: str) -> tuple[Pat
         raise UnsupportedRecording(f"{where}: ElementDataFile: found {name[:60]!r}, expected one file for all slices")
     if skip < -1:
         raise DamagedRecording(f"{where}: HeaderSize: found {skip}, expected -1 or more")
-    return files.beside(path, name), skip
+    return files.sibling_file(path, name), skip
 
 
 def _floats(fields: dict[str, str], keys: tuple[str, ...], count: int, where: str) -> list[float]:
@@ -164,7 +164,7 @@ def _floats(fields: dict[str, str], keys: tuple[str, ...], count: int, where: st
     return values
 
 
-def _place(fields: dict[str, str], roles: list[str], where: str, notes: list[str]) -> ImagePlacement | None:
+def _placement(fields: dict[str, str], roles: list[str], where: str, notes: list[str]) -> ImagePlacement | None:
     """Where the image lies; None where no field says so.
 
     A slice in a file of three axes, the last one time, has three coordinates in each row: it lies in space.

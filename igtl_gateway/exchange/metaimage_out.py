@@ -78,7 +78,7 @@ def metaimage_header(
         f"ElementType = {MET_NAMES[SCALARS[image.scalar_type]] if image else 'MET_UCHAR'}",
         f"Offset = {_words([*origin, 0.0][:dims])}",
         f"TransformMatrix = {_words([value for row in matrix for value in row])}",
-        f"UltrasoundImageOrientation = {_known(known, 'UltrasoundImageOrientation', ORIENTATIONS, 'MF')}",
+        f"UltrasoundImageOrientation = {_source_value(known, 'UltrasoundImageOrientation', ORIENTATIONS, 'MF')}",
         f"UltrasoundImageType = {_type(known, components)}",
         epoch,
     ]
@@ -87,11 +87,11 @@ def metaimage_header(
 def _type(known: Mapping[str, str], components: int) -> str:
     """The type of the source, where it fits the number of components."""
     default = "RGB_COLOR" if components == 3 else "BRIGHTNESS"
-    found = _known(known, "UltrasoundImageType", IMAGE_TYPES, default)
+    found = _source_value(known, "UltrasoundImageType", IMAGE_TYPES, default)
     return found if (found == "RGB_COLOR") == (components == 3) else default
 
 
-def _known(header: Mapping[str, str], key: str, good: tuple[str, ...], default: str) -> str:
+def _source_value(header: Mapping[str, str], key: str, good: tuple[str, ...], default: str) -> str:
     """A value of the source's header, MetaImage's or NRRD's name of it, that PLUS knows."""
     nrrd = {
         "UltrasoundImageOrientation": "ultrasound image orientation",
@@ -104,10 +104,10 @@ def _known(header: Mapping[str, str], key: str, good: tuple[str, ...], default: 
 def _source_header(session: Mapping[str, str]) -> dict[str, str]:
     """The header of the sequence that the session was imported from, if it was one."""
     try:
-        told = json.loads(session.get("sequence_header", "{}"))
+        header = json.loads(session.get("sequence_header", "{}"))
     except (ValueError, RecursionError):
         return {}
-    return {str(key): str(value) for key, value in told.items()} if isinstance(told, dict) else {}
+    return {str(key): str(value) for key, value in header.items()} if isinstance(header, dict) else {}
 
 
 def _scaled(vector: Vector, factor: float) -> Vector:

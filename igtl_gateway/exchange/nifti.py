@@ -77,7 +77,7 @@ def read_nifti(path: Path, stream: BinaryIO) -> ImageFile:
         ZLIB if packed else RAW,
         path,
         0 if packed else int(offset),
-        _place(header, roles.count(SPACE), where, notes),
+        _placement(header, roles.count(SPACE), where, notes),
         int(offset) if packed else 0,
         _times(header, roles, shape),
     )
@@ -129,7 +129,7 @@ def _dtype(header: Any, where: str) -> tuple[int, str]:
 
 
 @np.errstate(all="ignore")  # what is not finite is refused below; numpy would print a warning as well
-def _place(header: Any, axes: int, where: str, notes: list[str]) -> ImagePlacement:
+def _placement(header: Any, axes: int, where: str, notes: list[str]) -> ImagePlacement:
     scale = _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
     codes = {name: int(header[f"{name}_code"]) for name in ("sform", "qform")}
     if codes["sform"] > 0:

@@ -88,7 +88,7 @@ def read_nrrd(path: Path, stream: BinaryIO) -> ImageFile:
         _packing(fields, where),
         data,
         offset,
-        _place(fields, roles, vectors, where, notes),
+        _placement(fields, roles, vectors, where, notes),
         skip,
         _times(fields, roles, sizes, vectors, where, notes),
     )
@@ -182,20 +182,20 @@ def _data(path: Path, fields: dict[str, str], end: int, where: str) -> tuple[Pat
         raise UnsupportedRecording(f"{where}: byte skip: found {skip}, expected 0 or more, or -1 for raw pixels")
     if name.upper().startswith("LIST") or "%" in name:
         raise UnsupportedRecording(f"{where}: data file: found {name[:60]!r}, expected one file for all pixels")
-    data, start = (files.beside(path, name.removeprefix("./")), 0) if name else (path, end)
+    data, start = (files.sibling_file(path, name.removeprefix("./")), 0) if name else (path, end)
     if packed:
         return data, start, skip
     return data, -1 if skip < 0 else start + skip, 0
 
 
-def _place(
+def _placement(
     fields: dict[str, str], roles: list[str], vectors: list[list[float] | None], where: str, notes: list[str]
 ) -> ImagePlacement | None:
     spaces = [axis for axis, role in enumerate(roles) if role == SPACE]
     directions = [vector for axis in spaces if (vector := vectors[axis]) is not None]
     space = _space(fields, where, notes)
     if not directions:
-        return _plain_place(fields, spaces, len(roles), where, notes)
+        return _undirected_placement(fields, spaces, len(roles), where, notes)
     if len(directions) != len(spaces):
         raise DamagedRecording(f"{where}: space directions: found none for an axis of space, expected a vector")
     dims = {len(vector) for vector in directions}
@@ -229,7 +229,7 @@ def _space(fields: dict[str, str], where: str, notes: list[str]) -> str:
     return "LPS"
 
 
-def _plain_place(
+def _undirected_placement(
     fields: dict[str, str], spaces: list[int], count: int, where: str, notes: list[str]
 ) -> ImagePlacement | None:
     """Of ``spacings`` and ``axis mins``, which know no directions."""

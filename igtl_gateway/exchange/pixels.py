@@ -40,12 +40,12 @@ def read_frames(raster: Raster, notes: list[str]) -> Iterator[bytes]:
             for index in range(raster.frames):
                 deadline.check(raster.where)
                 yield _ordered(raster, pieces.read(raster.frame_bytes, f"frame {index}"), index, framed=False)
-            pieces.tell_rest(notes)
+            pieces.note_rest(notes)
             return
         total = raster.frame_bytes * raster.frames
         limits.check_limit("memory", total, f"{raster.where}: bytes of all frames, which are not one after the other")
         data = pieces.read(total, "all frames")
-        pieces.tell_rest(notes)
+        pieces.note_rest(notes)
         for index in range(raster.frames):
             deadline.check(raster.where)
             yield _ordered(raster, data, index, framed=True)
@@ -108,7 +108,7 @@ class _Pieces:
         data = bytearray()
         with library_errors_as_damage(self._raster.data):
             while len(data) < size:
-                part = self._some(size - len(data))
+                part = self._read_some(size - len(data))
                 if not part:
                     raise DamagedRecording(
                         f"{self._raster.where}: {what}: found {len(data)} bytes of pixels, expected {size}"
@@ -123,16 +123,16 @@ class _Pieces:
             self.read(part, "bytes before the pixels")
             size -= part
 
-    def tell_rest(self, notes: list[str]) -> None:
+    def note_rest(self, notes: list[str]) -> None:
         """Note that there is more than the header says."""
         try:
-            more = self._some(1)
+            more = self._read_some(1)
         except (OSError, ValueError, EOFError, zlib.error):
             more = b"?"
         if more.strip():
             notes.append("there is more behind the last pixel that the header announces: it is not read")
 
-    def _some(self, missing: int) -> bytes:
+    def _read_some(self, missing: int) -> bytes:
         """Between 1 and ``missing`` bytes; none at the end."""
         if self._unpacker is None:
             return self._stream.read(min(missing, _READ))

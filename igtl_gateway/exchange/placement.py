@@ -51,8 +51,8 @@ class ImagePlacement:
         axes have no length or lie in one plane.
         """
         signs = SIGNS[space]
-        turned = [_turned(axis, signs) for axis in axes]
-        first = _turned(origin, signs)
+        turned = [_change_space(axis, signs) for axis in axes]
+        first = _change_space(origin, signs)
         numbers = [value for vector in (*turned, first) for value in vector]
         if not all(math.isfinite(value) and abs(value) < _FLOAT32_MAX for value in numbers):
             raise DamagedRecording(f"{where}: found axes {turned} and origin {first}, expected finite millimetres")
@@ -73,7 +73,7 @@ class ImagePlacement:
         if not all(map(math.isfinite, matrix)):
             return None
         signs = SIGNS["LPS" if image.coordinate == LPS else "RAS"]
-        i, j, k, centre = (_turned(matrix[start : start + 3], signs) for start in (0, 3, 6, 9))
+        i, j, k, centre = (_change_space(matrix[start : start + 3], signs) for start in (0, 3, 6, 9))
         if image.dimensions[2] == 1 and is_degenerate((i, j, k)):
             k = normal(i, j) or k
         if is_degenerate((i, j, k)):
@@ -90,15 +90,15 @@ class ImagePlacement:
     def in_space(self, space: str) -> tuple[tuple[Vector, Vector, Vector], Vector]:
         """Axes and origin in ``space``: the inverse of ``of_file``."""
         signs = SIGNS[space]
-        i, j, k = (_turned(axis, signs) for axis in self.axes)
-        return (i, j, k), _turned(self.origin, signs)
+        i, j, k = (_change_space(axis, signs) for axis in self.axes)
+        return (i, j, k), _change_space(self.origin, signs)
 
 
 def has_own_normal(image: Image) -> bool:
     """Whether the third axis of an IMAGE with a place is its own, rather than the normal of its slice."""
     place = ImagePlacement.of_image(image)
     signs = SIGNS["LPS" if image.coordinate == LPS else "RAS"]
-    return place is not None and place.axes[2] == _turned(image.wire_matrix[6:9], signs)
+    return place is not None and place.axes[2] == _change_space(image.wire_matrix[6:9], signs)
 
 
 def normal(i: Vector, j: Vector) -> Vector | None:
@@ -120,7 +120,7 @@ def is_degenerate(axes: Sequence[Vector]) -> bool:
     return abs(x * k[0] + y * k[1] + z * k[2]) < _FLAT
 
 
-def _turned(vector: Sequence[float], signs: Vector) -> Vector:
+def _change_space(vector: Sequence[float], signs: Vector) -> Vector:
     """Another space's coordinates; a missing third one is 0.  Adding 0.0 leaves no negative zero."""
     x, y, z = (*vector, 0.0)[:3]
     return x * signs[0] + 0.0, y * signs[1] + 0.0, z * signs[2] + 0.0

@@ -88,17 +88,17 @@ def check_axes(roles: list[str], sizes: list[int], where: str) -> tuple[Axis, ..
     axes = tuple(Axis(role, size) for role, size in zip(roles, sizes, strict=True))
     spaces = [axis.size for axis in axes if axis.role == SPACE]
     if any(size < 0 for size in sizes):
-        raise DamagedRecording(f"{where}: found sizes {_shown(sizes)}, expected none below 0")
+        raise DamagedRecording(f"{where}: found sizes {_sizes_text(sizes)}, expected none below 0")
     if not 2 <= len(spaces) <= 3 or roles.count(FRAME) > 1:
         raise UnsupportedRecording(
             f"{where}: found axes {', '.join(roles)}, expected 2 or 3 of space and at most one of time"
         )
     if max(spaces) > _MAX_SIZE:
-        raise UnsupportedRecording(f"{where}: found sizes {_shown(spaces)}, expected at most {_MAX_SIZE} (IMAGE)")
+        raise UnsupportedRecording(f"{where}: found sizes {_sizes_text(spaces)}, expected at most {_MAX_SIZE} (IMAGE)")
     components = math.prod(axis.size for axis in axes if axis.role == COMPONENT)
     if not 1 <= components <= _MAX_COMPONENTS:
         raise UnsupportedRecording(
-            f"{where}: found {_shown([components])} values per pixel, expected 1 … {_MAX_COMPONENTS} (IMAGE)"
+            f"{where}: found {_sizes_text([components])} values per pixel, expected 1 … {_MAX_COMPONENTS} (IMAGE)"
         )
     return axes
 
@@ -137,5 +137,5 @@ def check_room(raster: Raster, packed: int) -> None:
         limits.check_limit("ratio", total, f"{raster.where}: {packed} packed bytes, unpacked", allowed)
 
 
-def _shown(sizes: list[int]) -> str:
+def _sizes_text(sizes: list[int]) -> str:
     return " ".join(str(size)[:24] for size in sizes[:8])

@@ -113,10 +113,10 @@ class Rosbag2(NonRosSource):
                 self.notes.append(f"{METADATA} does not name {key[0]} ({stored[key]} stored)")
             elif row.declared != stored[key]:
                 self.notes.append(f"{METADATA} declares {row.declared} of {key[0]}, {stored[key]} are stored")
-            said, found = metadata.formats.get(key, ""), formats.get(key, "")
-            if said and found and said != found:
+            declared, found = metadata.formats.get(key, ""), formats.get(key, "")
+            if declared and found and declared != found:
                 self.notes.append(
-                    f"{METADATA} says that {key[0]} is serialized as {said!r}, its storage {found!r}: "
+                    f"{METADATA} says that {key[0]} is serialized as {declared!r}, its storage {found!r}: "
                     + ("left out" if key in skipped else f"read as {found!r}")
                 )
         self.rows = list(self._rows.values())

@@ -87,18 +87,18 @@ def storage_files(folder: Path, metadata: BagMetadata) -> list[Path]:
     names = [PurePosixPath(name).name for name in metadata.names]
     if len(set(names)) < len(names):
         raise DamagedRecording(f"{folder / METADATA}: found a file twice, expected each once")
-    if missing := [name for name in names if not name or not _is_there(folder / name)]:
+    if missing := [name for name in names if not name or not _exists(folder / name)]:
         more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
         raise DamagedRecording(f"{folder}: found no {', '.join(missing[:5])}{more}, which {METADATA} names")
     if names:
-        return [files.beside(folder / METADATA, name) for name in names]
+        return [files.sibling_file(folder / METADATA, name) for name in names]
     found = sorted((file for file in folder.iterdir() if file.name.endswith(_SUFFIXES)), key=_natural)
     if not found:
         raise UnsupportedRecording(f"{folder}: found no .mcap or .db3 file in it, expected a rosbag2 recording")
     return found
 
 
-def _is_there(path: Path) -> bool:
+def _exists(path: Path) -> bool:
     try:
         return path.exists() or path.is_symlink()
     except (OSError, ValueError):  # a name that no file can have

@@ -89,7 +89,7 @@ class SqliteStorage:
         for setting in ("trusted_schema=OFF", "query_only=ON", "cell_size_check=ON", "mmap_size=0"):
             base.execute(f"PRAGMA {setting}")
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(limits.current_limits().memory, max(self._size, 1 << 16)))
-        base.set_progress_handler(self._is_over, _EVERY)
+        base.set_progress_handler(self._exceeds_work, _EVERY)
         base.set_authorizer(_authorized)
         self._check_tables()
         columns = self._columns("topics")
@@ -158,7 +158,7 @@ class SqliteStorage:
             rows.append(row)
         return rows
 
-    def _is_over(self) -> int:
+    def _exceeds_work(self) -> int:
         """Whether a query does more than a file of this size can need."""
         self._steps += _EVERY
         return int(self._steps > self._allowed)

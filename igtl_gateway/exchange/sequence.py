@@ -99,7 +99,7 @@ class Sequence(NonRosSource):
         self.rows = [*self._transform_rows.values(), self._image_row]
         self._matrix = raster.place.wire_matrix(raster.size, str(path)) if raster.place else Image.IDENTITY
         self._stampless, self._tracked = 0, tracked
-        self._tell()
+        self._note_differences()
 
     def _numbered(self, imported: ImageFile) -> dict[int, dict[str, str]]:
         """Fields of the frames by index; numbers of what was cut from a sequence need not begin at 0."""
@@ -129,7 +129,7 @@ class Sequence(NonRosSource):
                 self.notes.append(f"{name}: cut to {device}, a device name has at most 20 bytes")
         return dict(sorted(rows.items()))
 
-    def _tell(self) -> None:
+    def _note_differences(self) -> None:
         """Notes on what does not come over as it stands."""
         raster = self._raster
         extra = {name for fields in self._frames.values() for name in fields} - {_TIMESTAMP, *_IMAGE_STATUS}
@@ -140,7 +140,7 @@ class Sequence(NonRosSource):
             self.notes.append(f"{raster.frames} frames declared, fields of {len(self._frames)} of them")
         if not self._tracked and raster.frames > 1 and not raster.times_s:
             self.notes.append("the frames have no times: they are a nanosecond apart")
-        if (orientation := _turned(self._fields)) and raster.frame_bytes:
+        if (orientation := _source_orientation(self._fields)) and raster.frame_bytes:
             self.notes.append(
                 f"ultrasound images stay {orientation[:20]}, as in the file; PLUS turns them as it reads them"
             )
@@ -196,9 +196,9 @@ class Sequence(NonRosSource):
                 yield peer_item(time_ns, _LINK, join(encode(Message("TRANSFORM", device, content, ticks))))
             elif name not in invalid:
                 invalid.add(name)
-                told = f"{name} is {status} from frame {index} on"
+                text = f"{name} is {status} from frame {index} on"
                 data: dict[str, object] = {"status": status, "transform": name}
-                yield note_item(time_ns, TRANSFORM_STATUS, told, stream=f"TRANSFORM/{device}", data=data)
+                yield note_item(time_ns, TRANSFORM_STATUS, text, stream=f"TRANSFORM/{device}", data=data)
 
     def _time_ns(self, index: int, before_ns: int) -> int:
         """When a frame was taken; a frame without a stamp is as late as the one before."""
@@ -244,7 +244,7 @@ def _transform_status(fields: dict[str, str], name: str) -> str:
     return fields.get(f"{name}TransformStatus", OK).upper()
 
 
-def _turned(fields: dict[str, str]) -> str:
+def _source_orientation(fields: dict[str, str]) -> str:
     """The orientation of ultrasound images in the file, where PLUS turns them as it reads them; else ``""``."""
     values = {key.lower().replace(" ", ""): value.upper() for key, value in fields.items()}
     orientation = values.get("ultrasoundimageorientation", "XX")

@@ -153,27 +153,27 @@ class SequenceFrames:
             one.done()
 
     def _frame(self, time_ns: int, tracked: dict[str, _Tracked], image: Image | None) -> SequenceFrame:
-        told = {}
+        result = {}
         for stream, one in tracked.items():
             valid = one.valid and time_ns - one.time_ns <= MAX_AGE_NS
-            told[self.names[stream]] = (one.matrix, valid)
+            result[self.names[stream]] = (one.matrix, valid)
             if valid and one.row and not one.held:
                 one.row.taken += 1
                 one.held = True
             elif one.valid and not valid:
                 one.why = f"older than {MAX_AGE_NS // NS_PER_S} s at the next image"
-        return SequenceFrame(time_ns, told, image)
+        return SequenceFrame(time_ns, result, image)
 
     def found(self) -> SequenceSurvey:
         """Go through all frames once."""
-        told = SequenceSurvey(valid=dict.fromkeys(self.names.values(), 0))
+        result = SequenceSurvey(valid=dict.fromkeys(self.names.values(), 0))
         for frame in self.frames(ExportAccount()):
-            told.frames += 1
+            result.frames += 1
             for name, (_, valid) in frame.transforms.items():
-                told.valid[name] += valid
+                result.valid[name] += valid
             if frame.image:
-                told.matrices.add((frame.image.coordinate, frame.image.wire_matrix))
-        return told
+                result.matrices.add((frame.image.coordinate, frame.image.wire_matrix))
+        return result
 
     def _unlike(self, image: Image) -> str:
         """Why an image cannot be a frame of this sequence; ``""`` if it can."""

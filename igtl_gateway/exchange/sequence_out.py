@@ -44,7 +44,7 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ex
     first, moving = sequence.first, len(found.matrices) > 1
     place = ImagePlacement.of_image(first) if first and not moving else None
     epoch = f"{EPOCH_FIELD} = {epoch_ns}"
-    with out.open("xb") as stream, _whole(out):
+    with out.open("xb") as stream, _removed_on_error(out):
         text = "\n".join(metaimage_header(first, place, found.frames, recording.session, epoch)) + "\n"
         size_at = text.index(SIZE_KEY) + len(SIZE_KEY)
         stream.write(text.encode("ascii", "replace"))
@@ -73,7 +73,7 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ex
 
 
 @contextmanager
-def _whole(path: Path) -> Iterator[None]:
+def _removed_on_error(path: Path) -> Iterator[None]:
     """Around the writing of a file: half a sequence is none."""
     try:
         yield

@@ -130,7 +130,7 @@ class GuardedStream:
 
     # -- watchers -----------------------------------------------------------------------------------------------
 
-    def observe(self, now_ns: int, told_ns: int, place: Place | None = None) -> list[Remark]:
+    def observe(self, now_ns: int, stamp_ns: int, place: Place | None = None) -> list[Remark]:
         """Check a message; return the new remarks about its stream.
 
         Args:
@@ -140,7 +140,7 @@ class GuardedStream:
         """
         if not self._watch:
             return []
-        odd = self._find_oddities(now_ns, told_ns, place)
+        odd = self._find_oddities(now_ns, stamp_ns, place)
         findings: list[Remark] = []
         for code in odd:
             if code in self.episodes:
@@ -148,32 +148,32 @@ class GuardedStream:
                 self.episodes[code][2] += 1
             else:
                 self.episodes[code] = [now_ns, now_ns, 1]
-                findings.append((Level.WARN, code, f"{self.stream}: {self._describe(code, now_ns, told_ns, place)}"))
-        self.last_ns = told_ns
+                findings.append((Level.WARN, code, f"{self.stream}: {self._describe(code, now_ns, stamp_ns, place)}"))
+        self.last_ns = stamp_ns
         if now_ns >= self._due_ns:
             for code in self._end_episodes(now_ns):
                 since_ns, last_ns, number = self.episodes.pop(code)
                 seen = f"{_WORDS[code]}, {number:,} times in {_seconds(last_ns - since_ns)}, are over"
                 findings.append((Level.INFO, CALM, f"{self.stream}: {seen}"))
-            self.timing.add(told_ns if told_ns != now_ns else 0, now_ns - self.ahead_ns)
-            self._still = self._still + 1 if told_ns == self._seen_ns else 0
-            self._seen_ns = told_ns
+            self.timing.add(stamp_ns if stamp_ns != now_ns else 0, now_ns - self.ahead_ns)
+            self._still = self._still + 1 if stamp_ns == self._seen_ns else 0
+            self._seen_ns = stamp_ns
             self._place = place
             self.arrived_ns = now_ns
             self._due_ns = now_ns + LOOK_NS
             self.look_ns = 0 if self._max_age_ns else self._due_ns
         return findings
 
-    def passes_quickly(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
+    def passes_quickly(self, now_ns: int, stamp_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
         """``is_unremarkable`` for the fast path: most messages pass after two comparisons."""
-        if (told_ns < self.last_ns or now_ns >= self.look_ns) and not self.is_unremarkable(
-            now_ns, told_ns, data, numbers, at
+        if (stamp_ns < self.last_ns or now_ns >= self.look_ns) and not self.is_unremarkable(
+            now_ns, stamp_ns, data, numbers, at
         ):
             return False
-        self.last_ns = told_ns
+        self.last_ns = stamp_ns
         return True
 
-    def is_unremarkable(self, now_ns: int, told_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
+    def is_unremarkable(self, now_ns: int, stamp_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
         """Return whether a message may pass without a remark: then it is checked, else nothing changes.
 
         Args:
@@ -181,8 +181,8 @@ class GuardedStream:
             data, numbers, at: the message, and format (None: not a pose) and offset of its translation.
         """
         if self._max_age_ns:
-            unknown = told_ns == now_ns and not self._unknown_said
-            if self.stale or unknown or now_ns - self.ahead_ns - told_ns > self._max_age_ns:
+            unknown = stamp_ns == now_ns and not self._unknown_said
+            if self.stale or unknown or now_ns - self.ahead_ns - stamp_ns > self._max_age_ns:
                 return False
         if not self._watch:
             return True
@@ -193,19 +193,19 @@ class GuardedStream:
                 place = x, y, z
             if self._end_episodes(now_ns):
                 return False
-        if any(code not in self.episodes for code in self._find_oddities(now_ns, told_ns, place)):
+        if any(code not in self.episodes for code in self._find_oddities(now_ns, stamp_ns, place)):
             return False
-        self.observe(now_ns, told_ns, place)
+        self.observe(now_ns, stamp_ns, place)
         return True
 
-    def _find_oddities(self, now_ns: int, told_ns: int, place: Place | None) -> list[str]:
+    def _find_oddities(self, now_ns: int, stamp_ns: int, place: Place | None) -> list[str]:
         """Return the codes of the oddities of a message."""
-        odd = [BACKWARDS] if told_ns < self.last_ns else []
+        odd = [BACKWARDS] if stamp_ns < self.last_ns else []
         if now_ns < self._due_ns:
             return odd
-        if told_ns != now_ns and told_ns - now_ns + self.ahead_ns > FUTURE_NS:
+        if stamp_ns != now_ns and stamp_ns - now_ns + self.ahead_ns > FUTURE_NS:
             odd.append(FUTURE)
-        if told_ns == self._seen_ns and self._still + 1 >= STILL_LOOKS:
+        if stamp_ns == self._seen_ns and self._still + 1 >= STILL_LOOKS:
             odd.append(STILL)
         if self._place and place and is_unit_jump(self._place, place):
             odd.append(JUMP)
@@ -214,11 +214,13 @@ class GuardedStream:
     def _end_episodes(self, now_ns: int) -> list[str]:
         return [code for code, (_, last_ns, _) in self.episodes.items() if now_ns - last_ns > EPISODE_NS]
 
-    def _describe(self, code: str, now_ns: int, told_ns: int, place: Place | None) -> str:
+    def _describe(self, code: str, now_ns: int, stamp_ns: int, place: Place | None) -> str:
         if code == BACKWARDS:
-            return f"its stamps run backwards, by {_seconds(self.last_ns - told_ns)}"
+            return f"its stamps run backwards, by {_seconds(self.last_ns - stamp_ns)}"
         if code == FUTURE:
-            return f"its stamps are in the future, by {_seconds(told_ns - now_ns + self.ahead_ns)}: are the clocks set?"
+            return (
+                f"its stamps are in the future, by {_seconds(stamp_ns - now_ns + self.ahead_ns)}: are the clocks set?"
+            )
         if code == STILL:
             return f"its stamps stand still while messages come ({STILL_LOOKS} looks): is the source frozen?"
         before, after = (math.hypot(*one) if one else 0.0 for one in (self._place, place))

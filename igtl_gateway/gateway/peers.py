@@ -82,16 +82,16 @@ class Peer:
         """Return whether a message of a stream is due, and start the next interval; always True without a request."""
         if not self.is_due(igtl_type, device, now_ns):
             return False
-        if wish := self.stream_request(igtl_type, device):
-            wish.sent_ns[device] = now_ns
+        if request := self.stream_request(igtl_type, device):
+            request.sent_ns[device] = now_ns
         return True
 
     def is_due(self, igtl_type: str, device: str, now_ns: int) -> bool:
         """Return whether a message of a stream is due, without starting the next interval."""
-        wish = self.stream_request(igtl_type, device)
-        if wish is None:
+        request = self.stream_request(igtl_type, device)
+        if request is None:
             return True
-        return wish.wanted and now_ns - wish.sent_ns.get(device, -wish.interval_ns) >= wish.interval_ns
+        return request.wanted and now_ns - request.sent_ns.get(device, -request.interval_ns) >= request.interval_ns
 
     def start_stream(self, igtl_type: str, device: str, interval_ns: int, frame: str) -> bool:
         """Start a stream (STT_); return False if the peer has too many."""

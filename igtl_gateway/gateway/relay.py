@@ -54,7 +54,7 @@ class RelayGateway:
         self._partners: dict[int, int] = {}
         self._servers: set[int] = set()  # links to the server
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)
-        self._said: set[tuple[str, str, int]] = set()
+        self._noted: set[tuple[str, str, int]] = set()
         self._faults = RelayFaults.parse(config.faults)
         self._lines: dict[int, FaultLine[Entry]] = {}  # link → fault line of the messages to it
         self._cut: set[int] = set()  # links that are being closed
@@ -94,21 +94,21 @@ class RelayGateway:
         return True
 
     def _on_link(self, entry: Entry) -> list[Output]:
-        told = Note.of(entry.data())
+        link_note = Note.of(entry.data())
         link = entry.links[0]
-        if told.code == LINK_UP and isinstance(partner := told.data.get(PARTNER), int):
+        if link_note.code == LINK_UP and isinstance(partner := link_note.data.get(PARTNER), int):
             self._partners |= {link: partner, partner: link}
             self._servers.add(link)
-        elif told.code == LINK_DOWN:
+        elif link_note.code == LINK_DOWN:
             partner = self._partners.pop(link, 0)
             self._partners.pop(partner, None)
             self._servers.discard(link)
             self._cut.discard(link)
-            self._said = {said for said in self._said if said[2] != link}
+            self._noted = {subject for subject in self._noted if subject[2] != link}
             if line := self._lines.pop(link, None):
                 self._drop_waiting(line, LINK_DOWN)
             if line := self._lines.get(partner):  # its last messages are still in the line
-                return self._forward(partner, line.rest())
+                return self._forward(partner, line.drain())
         return []
 
     def _relay(self, entry: Entry) -> list[Output]:
@@ -118,10 +118,10 @@ class RelayGateway:
         if partner is None:
             self.ledger.drop(_IN, entry.channel, "no_partner")
             text = "message not relayed: the other side has gone"
-            return self._once(entry, "no_partner", text)
+            return self._warn_once(entry, "no_partner", text)
         if (denied := self._denied(entry)) is not None:
             self.ledger.drop(_IN, entry.channel, "denied")
-            return self._once(entry, "denied", denied)
+            return self._warn_once(entry, "denied", denied)
         if partner in self._cut:
             self.ledger.drop(_IN, entry.channel, CUT)
             return []
@@ -141,7 +141,7 @@ class RelayGateway:
             decode(entry.payload[0], check_crc=self.config.check_crc)
         except WireError as error:
             # damaged bytes are forwarded: each kind is reported once, and the recording has all of them
-            return [sent, *self._once(entry, error.code, f"relayed as it is: {error}")]
+            return [sent, *self._warn_once(entry, error.code, f"relayed as it is: {error}")]
         return [sent]
 
     def _forward(self, link: int, fates: list[Fate[Entry]]) -> list[Output]:
@@ -169,7 +169,7 @@ class RelayGateway:
 
     def _drop_waiting(self, line: FaultLine[Entry], reason: str) -> None:
         """Count the messages that are still in a line as dropped."""
-        for fate in line.rest():
+        for fate in line.drain():
             self.ledger.drop(_IN, fate.message.channel, reason)
 
     def _denied(self, entry: Entry) -> str | None:
@@ -186,10 +186,10 @@ class RelayGateway:
             return f"a BIND that cannot be looked into is denied ({setting}): {error}"
         return f"BIND with {denied} inside is denied ({setting})" if denied else None
 
-    def _once(self, entry: Entry, code: str, text: str) -> list[Output]:
+    def _warn_once(self, entry: Entry, code: str, text: str) -> list[Output]:
         """Return a warning, unless this stream of the link already had it."""
-        said = (code, entry.channel, entry.links[0])
-        if said in self._said:
+        subject = (code, entry.channel, entry.links[0])
+        if subject in self._noted:
             return []
-        self._said.add(said)
+        self._noted.add(subject)
         return [note_output(Level.WARN, code, text, entry.channel, entry.links)]

@@ -81,7 +81,7 @@ def _start(options: RecordOptions) -> tuple[subprocess.Popen[bytes], Connection,
     """The process, our end of the pipe, and the queue to it.  Raises OSError."""
     handle = shared_memory(options.queue_bytes, LARGEST_BYTES)
     try:
-        queue = _putter(mmap.mmap(handle, 0), options)
+        queue = _queue_writer(mmap.mmap(handle, 0), options)
         ours, theirs = Pipe()
         with theirs:
             child = subprocess.Popen(
@@ -107,7 +107,7 @@ def in_thread(settings: WorkerSettings, clock: Clock) -> WorkerHost:
     """A thread of this process, with its clock."""
     ours, theirs = Pipe()
     place = memory(settings.options.queue_bytes, LARGEST_BYTES)
-    getter, queue = QueueReader(place), _putter(place, settings.options)
+    getter, queue = QueueReader(place), _queue_writer(place, settings.options)
 
     def run() -> None:
         with theirs:
@@ -123,7 +123,7 @@ def in_thread(settings: WorkerSettings, clock: Clock) -> WorkerHost:
     return WorkerHost(ours, queue, wait)
 
 
-def _putter(place: mmap.mmap, options: RecordOptions) -> QueueWriter:
+def _queue_writer(place: mmap.mmap, options: RecordOptions) -> QueueWriter:
     return QueueWriter(place, options.queue_entries, options.queue_bytes)
 
 

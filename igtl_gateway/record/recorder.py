@@ -193,37 +193,37 @@ class Recorder:
     def _listen(self) -> None:
         """Answer the worker's questions and forward its messages, until its end."""
         if self._place.warning:
-            self._take("note", [Note(Level.WARN, THREAD, self._place.warning)])
+            self._on_message("note", [Note(Level.WARN, THREAD, self._place.warning)])
         while not self._ended:
             try:
-                topic, *told = self._pipe.recv()
+                topic, *values = self._pipe.recv()
             except (EOFError, OSError):
                 self._on_worker_death()
                 return
-            self._take(topic, told)
+            self._on_message(topic, values)
         self._place.wait()
-        self._end()
+        self._on_worker_end()
 
-    def _take(self, topic: str, told: list[Any]) -> None:
+    def _on_message(self, topic: str, values: list[Any]) -> None:
         match topic:
             case "note":
                 try:
-                    self._on_note(*told)
+                    self._on_note(*values)
                 except Exception as error:  # a defect elsewhere must not end the recording silently
                     self._command("fail", f"recording to {self._path} failed: {type(error).__name__}: {error}")
             case "state":
-                self._state = told[0]
+                self._state = values[0]
             case "qos":
-                self._send(self._qos(*told))
+                self._send(self._qos(*values))
             case "drops":
                 with self._lock:
                     dropped = dict(self._dropped)
                 self._send(dropped)
             case "snapshot":
-                self._end_snapshot(*told)
+                self._end_snapshot(*values)
             case "closed":
                 with self._lock:
-                    self._state, self._summary = told
+                    self._state, self._summary = values
                     self._ended = True
 
     def _qos(self, topic: str, ros_type: str) -> Any:
@@ -237,31 +237,31 @@ class Recorder:
         """The worker ended without a message: it was killed."""
         failure = f"recording to {self._path} failed: the recorder's process has ended: {self._place.wait()}"
         with self._lock:
-            told = self._state
+            values = self._state
             if self.options.snapshot_s:
                 lost, _ = self._queue.waiting
             else:  # entries that it took and did not report may be in the file, or not
-                accounted = told.written_entries + sum(told.dropped.values()) + sum(told.left_out.values())
+                accounted = values.written_entries + sum(values.dropped.values()) + sum(values.left_out.values())
                 lost = self._queue.entries_put - accounted
             self._dropped["(with the recorder's process)"] += lost
-            self._state = replace(told, failure=failure)
+            self._state = replace(values, failure=failure)
             self._ended = True
-        self._end()
+        self._on_worker_end()
         then = "the bridge stops" if self.options.stop_on_failure else "the bridge goes on without recording"
         self._on_note(Note(Level.ERROR, FAILED, f"{failure}; {then}; igtl-gateway recover repairs the file"))
 
     def _summary_of_lost(self) -> RecordingSummary:
         """As far as this end knows."""
-        told = self.counters()
+        values = self.counters()
         files = (self._path,) if self._path.is_file() else ()
         return RecordingSummary(
             self._path,
             sum(path.stat().st_size for path in files),
-            told["written_entries"],
-            told["dropped"],
-            told["left_out"],
+            values["written_entries"],
+            values["dropped"],
+            values["left_out"],
             files,
-            told["failure"],
+            values["failure"],
         )
 
     def _end_snapshot(self, number: int, path: Path | None, why: str) -> None:
@@ -272,7 +272,7 @@ class Recorder:
         elif done:
             done.set_exception(RecordingError(why))
 
-    def _end(self) -> None:
+    def _on_worker_end(self) -> None:
         """There is no worker any more."""
         with self._lock:
             waiting = list(self._snapshots)

@@ -40,8 +40,8 @@ class Selection:
 
     def facts(self) -> dict[str, str]:
         """The items of the session metadata; none where everything is recorded."""
-        told = {layout.INCLUDE_KEY: self.include, layout.EXCLUDE_KEY: self.exclude}
-        return {key: json.dumps(globs) for key, globs in told.items() if globs}
+        facts = {layout.INCLUDE_KEY: self.include, layout.EXCLUDE_KEY: self.exclude}
+        return {key: json.dumps(globs) for key, globs in facts.items() if globs}
 
     def __contains__(self, entry: Entry) -> bool:
         names = [entry.channel]
@@ -69,8 +69,8 @@ class StateInputRule:
 
     def by_input(self, entry: Entry) -> bool:
         """Whether the input itself shows it."""
-        told = entry.kind is Kind.LINK or entry.type in self.types or entry.channel in self.topics
-        return told or ClockStep.of(entry) is not None
+        facts = entry.kind is Kind.LINK or entry.type in self.types or entry.channel in self.topics
+        return facts or ClockStep.of(entry) is not None
 
     def by_output(self, entry: Entry) -> bool:
         """Whether an output shows it of its cause."""
@@ -101,7 +101,7 @@ class SelectionFilter:
             return (entry,)
         if entry.kind.is_input:
             self._drop_held()
-            self._open = self._wanted(entry)
+            self._open = self._is_selected(entry)
         elif not self._open and (self._rule.by_output(entry) or self._rule.mixes(entry)):
             self._open = True
             held, self._held = self._held, []
@@ -122,7 +122,7 @@ class SelectionFilter:
             self.left_out[entry.channel if known else OTHERS] += 1
         self._held.clear()
 
-    def _wanted(self, entry: Entry) -> bool:
+    def _is_selected(self, entry: Entry) -> bool:
         if entry.kind in _ALWAYS or self._rule.by_input(entry) or self._rule.mixes(entry):
             return True
         if self.paused:

@@ -192,7 +192,7 @@ class QueueWriter(_QueueEnd):
                 except struct.error:  # beyond 64 bits
                     stream = _ENTRY
                 if stream == _ENTRY:
-                    taken = self._add_words(_ENTRY, _words(entry), payload, size)
+                    taken = self._add_fields(_ENTRY, _fields_of(entry), payload, size)
         finally:
             if not taken:
                 counters[_REFUSED] += 1
@@ -208,8 +208,8 @@ class QueueWriter(_QueueEnd):
         When all numbers are taken both ends start again: each set of peers that gets a message is a stream, and peers
         come and go.
         """
-        _, _, kind, channel, type_name, links, _ = _words(entry)
-        if not self._add_words(_STREAM, (kind, channel, type_name, links)):
+        _, _, kind, channel, type_name, links, _ = _fields_of(entry)
+        if not self._add_fields(_STREAM, (kind, channel, type_name, links)):
             return _ENTRY
         if len(self._streams) == _MAX_STREAMS:
             self._streams.clear()
@@ -219,7 +219,7 @@ class QueueWriter(_QueueEnd):
 
     def command(self, name: str, *words: Any) -> bool:
         """Add a command, whatever waits already; False if even the room for commands is taken."""
-        return self._add_words(_COMMAND, (name, *words))
+        return self._add_fields(_COMMAND, (name, *words))
 
     def signal(self) -> bool:
         """Ask for the getter's attention; False if it was asked already, and has not looked since."""
@@ -228,9 +228,9 @@ class QueueWriter(_QueueEnd):
         self._counters[_BELL] = 1
         return True
 
-    def _add_words(self, what: int, words: tuple[Any, ...], payload: Sequence[Buffer] = (), size: int = 0) -> bool:
-        told = marshal.dumps(words, _MARSHAL)
-        return self._add(what, size, (len(told), 0, 0), (told, *payload), len(told) + size)
+    def _add_fields(self, what: int, words: tuple[Any, ...], payload: Sequence[Buffer] = (), size: int = 0) -> bool:
+        encoded = marshal.dumps(words, _MARSHAL)
+        return self._add(what, size, (len(encoded), 0, 0), (encoded, *payload), len(encoded) + size)
 
     def _add(self, what: int, size: int, numbers: tuple[int, int, int], parts: Sequence[Buffer], length: int) -> bool:
         """Add a record with these bytes, ``length`` of them together; False if there is no room."""
@@ -292,7 +292,7 @@ def _flat(part: Buffer) -> Buffer:
     return view if view.format == "B" and view.ndim == 1 else view.tobytes()
 
 
-def _words(entry: Entry) -> tuple[int, int, int, str, str, tuple[int, ...], int]:
+def _fields_of(entry: Entry) -> tuple[int, int, int, str, str, tuple[int, ...], int]:
     """All except the payload.  Values that only behave like numbers or strings become such: marshal needs it."""
     return (
         index(entry.seq),

@@ -265,37 +265,37 @@ class LeafDecoder:
         yield "crc_ok", right
 
     def _content(self, content: Any) -> Iterator[_Leaf]:
-        told = describe_content(content)
+        values = describe_content(content)
         match content:
             case Transform(wire_matrix):
-                told["matrix"] = _of_matrix(wire_matrix, self._igtl_mm)
+                values["matrix"] = _of_matrix(wire_matrix, self._igtl_mm)
             case Position():
-                told = {"pose": self._igtl_pose(told.pop("position", ()), told.pop("quaternion", ())), **told}
+                values = {"pose": self._igtl_pose(values.pop("position", ()), values.pop("quaternion", ())), **values}
             case Elements():
-                told["elements"] = [
-                    self._element(one, row) for one, row in zip(told["elements"], content.elements, strict=True)
+                values["elements"] = [
+                    self._element(one, row) for one, row in zip(values["elements"], content.elements, strict=True)
                 ]
             case Image(wire_matrix=wire_matrix):
-                told["wire_matrix"] = _of_image_matrix(wire_matrix, self._igtl_mm)
-                told["spacing"] = _spacing(wire_matrix)
+                values["wire_matrix"] = _of_image_matrix(wire_matrix, self._igtl_mm)
+                values["spacing"] = _spacing(wire_matrix)
                 pixels = content.array
-                told["data"] = ElementArray(pixels.reshape(-1, max(1, pixels.shape[-1])), "pixels")
-                del told["data_crc64"]
+                values["data"] = ElementArray(pixels.reshape(-1, max(1, pixels.shape[-1])), "pixels")
+                del values["data_crc64"]
             case PolyData(points=points):
-                told["points"] = ElementArray(points.reshape(-1, 3), "points", self._igtl_mm)
-        yield from flattened(told, "content")
+                values["points"] = ElementArray(points.reshape(-1, 3), "points", self._igtl_mm)
+        yield from flattened(values, "content")
 
-    def _element(self, told: dict[str, Any], row: Any) -> dict[str, Any]:
+    def _element(self, values: dict[str, Any], row: Any) -> dict[str, Any]:
         """Return an element of a list, such as a tool or a landmark, with its pose as one value."""
-        told = dict(told)
-        if "matrix" in told:
-            told["matrix"] = _of_matrix(row["matrix"].tolist(), self._igtl_mm)
-        if "quaternion" in told:
-            told["position"] = self._igtl_pose(told["position"], told.pop("quaternion"))
+        values = dict(values)
+        if "matrix" in values:
+            values["matrix"] = _of_matrix(row["matrix"].tolist(), self._igtl_mm)
+        if "quaternion" in values:
+            values["position"] = self._igtl_pose(values["position"], values.pop("quaternion"))
         for name in ("position", "entry", "target"):
-            if isinstance(told.get(name), list | tuple):
-                told[name] = self._igtl_pose(told[name], ())
-        return told
+            if isinstance(values.get(name), list | tuple):
+                values[name] = self._igtl_pose(values[name], ())
+        return values
 
     def _igtl_pose(self, position: Sequence[float], quaternion: Sequence[float]) -> PoseValue:
         return _pose_value(position, quaternion, self._igtl_mm)

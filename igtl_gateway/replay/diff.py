@@ -56,7 +56,7 @@ class DiffLocation:
         measure = f" ({self.delta.measure})" if self.delta.measure else ""
         return (
             f"message {self.index} (entries {self.seq}, {self.other_seq}): {self.delta.field} "
-            f"is {_shown(self.delta.one)} and {_shown(self.delta.other)}{measure}"
+            f"is {_value_text(self.delta.one)} and {_value_text(self.delta.other)}{measure}"
         )
 
 
@@ -252,7 +252,7 @@ class _WaitingMessages:
 
 @dataclass(slots=True)
 class _StreamPairing:
-    told: StreamDiff
+    diff: StreamDiff
     one: _WaitingMessages = field(default_factory=_WaitingMessages)
     other: _WaitingMessages = field(default_factory=_WaitingMessages)
     times: _Times = field(default_factory=_Times)
@@ -275,10 +275,10 @@ class _Pairing:
         if stream is None:
             stream = self._streams[key] = _StreamPairing(StreamDiff(*key))
         if first:
-            stream.told.messages += 1
+            stream.diff.messages += 1
             stream.one.push(entry)
         else:
-            stream.told.other_messages += 1
+            stream.diff.other_messages += 1
             stream.other.push(entry)
         self._pair_waiting(stream, lambda: stream.one.full or stream.other.full)
 
@@ -288,15 +288,15 @@ class _Pairing:
             self._pair_waiting(stream, lambda: True)
         offset_ns = self._commonest_offset()
         for stream in self._streams.values():
-            told = stream.told
+            diff_so_far = stream.diff
             wrong = [offset for offset in stream.offsets if abs(offset - offset_ns) > STAMP_NS]
-            told.restamped = sum(stream.offsets[offset] for offset in wrong)
-            if wrong and told.first is None:
+            diff_so_far.restamped = sum(stream.offsets[offset] for offset in wrong)
+            if wrong and diff_so_far.first is None:
                 first = min(wrong, key=lambda offset: stream.first_at[offset].index)
-                told.first = stream.first_at[first]
-                told.first.delta.differ("stamp", f"{offset_ns:+,} ns later, commonly", f"{first:+,} ns here")
-            told.offset_ns, told.jitter_ns = stream.times.mean, stream.times.deviation
-        streams = [stream.told for _, stream in sorted(self._streams.items())]
+                diff_so_far.first = stream.first_at[first]
+                diff_so_far.first.delta.differ("stamp", f"{offset_ns:+,} ns later, commonly", f"{first:+,} ns here")
+            diff_so_far.offset_ns, diff_so_far.jitter_ns = stream.times.mean, stream.times.deviation
+        streams = [stream.diff for _, stream in sorted(self._streams.items())]
         return DiffReport(streams, offset_ns, self._all.mean)
 
     def _commonest_offset(self) -> int:
@@ -329,30 +329,30 @@ class _Pairing:
     def _missing(self, stream: _StreamPairing) -> None:
         entry = stream.one.pop()
         stream.index += 1
-        stream.told.missing += 1
-        stream.told.first_missing = stream.told.first_missing or entry.seq
+        stream.diff.missing += 1
+        stream.diff.first_missing = stream.diff.first_missing or entry.seq
 
     def _extra(self, stream: _StreamPairing) -> None:
         entry = stream.other.pop()
-        stream.told.extra += 1
-        stream.told.first_extra = stream.told.first_extra or entry.seq
+        stream.diff.extra += 1
+        stream.diff.first_extra = stream.diff.first_extra or entry.seq
 
     def _pair(self, stream: _StreamPairing) -> None:
         one, other = stream.one.pop(), stream.other.pop()
         stream.index += 1
         stream.times.add(other.stamp_ns - one.stamp_ns)
         self._all.add(other.stamp_ns - one.stamp_ns)
-        told, delta = stream.told, self._delta(one, other)
+        diff_so_far, delta = stream.diff, self._delta(one, other)
         place = DiffLocation(stream.index, one.seq, other.seq, delta)
         if delta.field:
-            told.different += 1
-            told.first = told.first or place
+            diff_so_far.different += 1
+            diff_so_far.first = diff_so_far.first or place
         elif delta.mm or delta.deg:
-            told.within += 1
-        if delta.mm > told.mm:
-            told.mm, told.mm_at = delta.mm, stream.index
-        if delta.deg > told.deg:
-            told.deg, told.deg_at = delta.deg, stream.index
+            diff_so_far.within += 1
+        if delta.mm > diff_so_far.mm:
+            diff_so_far.mm, diff_so_far.mm_at = delta.mm, stream.index
+        if delta.deg > diff_so_far.deg:
+            diff_so_far.deg, diff_so_far.deg_at = delta.deg, stream.index
         for offset in set(delta.stamps_ns):
             # a stream with this many offsets has no constant one
             known = offset in stream.offsets or len(stream.offsets) < _MAX_OFFSETS
@@ -390,6 +390,6 @@ def _together(one: _WaitingMessages, other: _WaitingMessages) -> tuple[int, int]
     return None if at is None else (0, at)
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 100 else f"{text[:80]}… ({len(text)} characters)"

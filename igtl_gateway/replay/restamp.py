@@ -38,7 +38,7 @@ class Restamper:
         self._mode = mode
         self._places = StampPlaces(definitions)
         self._on_unknown = on_unknown
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._shift_ns: int | None = None
 
     def begin(self, recorded_ns: int | None, now_ns: int) -> None:
@@ -65,8 +65,8 @@ class Restamper:
         data = entry.data()
         places = self._places.of(entry.type, data)
         if places is None:
-            if entry.type not in self._told:
-                self._told.add(entry.type)
+            if entry.type not in self._reported:
+                self._reported.add(entry.type)
                 self._on_unknown(entry.type)
             return data
         new = bytearray(data)

@@ -168,12 +168,12 @@ class Slice:
                 continue
             # more outputs can be computed than recorded: later entries move, as in a live session
             moved = replace(cause, seq=seq, stamp_ns=max(cause.stamp_ns, stamp_ns + 1))
-            said = session.recorded(moved)
-            outputs = said
-            extent = 1 + len(said)
+            computed = session.recorded(moved)
+            outputs = computed
+            extent = 1 + len(computed)
             if inside:
                 recorded = [_moved(entry, cause, moved) for entry in group.outputs]
-                differing = _differing(recorded, said, moved.seq)
+                differing = _differing(recorded, computed, moved.seq)
                 report.differing += differing
                 if differing and rewrite:
                     report.computed += 1
@@ -215,9 +215,9 @@ def _moved(entry: Entry, cause: Entry, moved: Entry) -> Entry:
     )
 
 
-def _differing(recorded: Sequence[Entry], said: Sequence[Entry], cause: int) -> int:
+def _differing(recorded: Sequence[Entry], computed: Sequence[Entry], cause: int) -> int:
     """Return the number of outputs of a group that differ from the computed ones."""
-    now = {entry.seq: entry for entry in said}
+    now = {entry.seq: entry for entry in computed}
     differing = 0
     for entry in recorded:
         other = now.pop(entry.seq, None)

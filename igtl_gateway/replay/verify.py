@@ -74,7 +74,7 @@ class Difference:
     def __str__(self) -> str:
         return (
             f"entry {self.seq} (caused by entry {self.cause}), {self.stream}: {self.field} "
-            f"was {_shown(self.recorded)}, is now {_shown(self.computed)}"
+            f"was {_value_text(self.recorded)}, is now {_value_text(self.computed)}"
             + (f" ({self.measure})" if self.measure else "")
         )
 
@@ -225,7 +225,7 @@ class _Verifier:
         """Return the report, at the end of the recording."""
         while self._expected:
             expected = self._expected.popleft()
-            if self._losses.uncounted or self._take_from(_name(expected)):
+            if self._losses.uncounted or self._use_declared_loss(_name(expected)):
                 self._report.lost += 1
             else:
                 self._differ(expected, "nothing", _kind(expected))
@@ -239,7 +239,7 @@ class _Verifier:
         while self._expected and self._last < self._expected[0].seq < seq:
             expected = self._expected.popleft()
             numbers -= 1
-            if self._losses.uncounted or self._take_from(_name(expected)):
+            if self._losses.uncounted or self._use_declared_loss(_name(expected)):
                 self._report.lost += 1
             else:
                 self._differ(expected, "nothing", _kind(expected))
@@ -262,7 +262,7 @@ class _Verifier:
             else:
                 self._differ(expected, "nothing", _kind(expected))
 
-    def _take_from(self, stream: str) -> bool:
+    def _use_declared_loss(self, stream: str) -> bool:
         """Use one declared loss of this stream; return False if there is none left."""
         stream = stream if self._left_of.get(stream) else _OTHERS
         if self._left <= 0 or not self._left_of.get(stream):
@@ -338,14 +338,14 @@ def _first_field(recorded: Entry, computed: Entry) -> tuple[str, Any, Any]:
 
 def _fields(entry: Entry, data: Buffer) -> Iterator[tuple[str, Any]]:
     if entry.kind is Kind.IGTL_OUT:
-        told = describe(data)
-        if told.get("error", {}).get("code") == ChecksumMismatch.code:
-            del told["error"]  # `crc` has the reason
+        description = describe(data)
+        if description.get("error", {}).get("code") == ChecksumMismatch.code:
+            del description["error"]  # `crc` has the reason
         # errors, sizes and CRC depend on the content: report the cause first
         for derived in ("error", "crc", "crc_ok", "body_size", "content_size"):
-            if derived in told:
-                told[derived] = told.pop(derived)
-        return flattened(told, "")
+            if derived in description:
+                description[derived] = description.pop(derived)
+        return flattened(description, "")
     message = _MESSAGES.get(entry.type)
     return flattened(message.unpack(data), "") if message else iter(())
 
@@ -358,6 +358,6 @@ def _kind(entry: Entry) -> str:
     return f"{entry.kind.value} of {entry.size} bytes"
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 120 else f"{text[:100]}… ({len(text)} characters)"

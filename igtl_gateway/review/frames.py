@@ -96,11 +96,11 @@ class FramePoses:
 
     def connected(self, one: str, other: str) -> bool:
         """Whether the pose of one frame in the other can be told."""
-        return self._way_up(frame_id(one))[-1] == self._way_up(frame_id(other))[-1]
+        return self._path_to_root(frame_id(one))[-1] == self._path_to_root(frame_id(other))[-1]
 
     def above(self, frame: str) -> set[str]:
         """The frame and those that it hangs on."""
-        return set(self._way_up(frame_id(frame)))
+        return set(self._path_to_root(frame_id(frame)))
 
     def path(self, child: str, base: str) -> FramePath:
         """The origin of ``child`` in ``base`` at each of its samples.  Both must be connected."""
@@ -115,7 +115,7 @@ class FramePoses:
         frame, base = frame_id(frame), frame_id(base)
         if frame == base:
             return points
-        up, down = self._way_up(frame), self._way_up(base)
+        up, down = self._path_to_root(frame), self._path_to_root(base)
         common = next((step for step in up if step in down), None)
         if common is None:
             raise ConversionError(f"found frames {frame!r} and {base!r} unconnected, expected a transform between them")
@@ -144,7 +144,7 @@ class FramePoses:
         pose[:, 3:] /= np.sqrt((pose[:, 3:] ** 2).sum(axis=1))[:, None]
         return pose
 
-    def _way_up(self, frame: str) -> list[str]:
+    def _path_to_root(self, frame: str) -> list[str]:
         way = [frame]
         while (edge := self._edges.get(way[-1])) and len(way) < _LONGEST_CHAIN and edge.parent not in way:
             way.append(edge.parent)

@@ -152,9 +152,9 @@ def _robust(design: Design, places: Array, z: Array, scale: float | None) -> tup
     all_heard = np.ones(len(z), np.bool_)
     starts = []
     for silent in _SILENT:
-        heard = square >= silent**2
-        if np.count_nonzero(heard) >= _MIN_POINTS:
-            start = _iterated(design, z, heard.astype(np.float64), heard, None, _FIRST_ROUNDS)
+        counted = square >= silent**2
+        if np.count_nonzero(counted) >= _MIN_POINTS:
+            start = _iterated(design, z, counted.astype(np.float64), counted, None, _FIRST_ROUNDS)
             if start is not None:
                 starts.append(start)
     if not starts:
@@ -169,16 +169,16 @@ def _robust(design: Design, places: Array, z: Array, scale: float | None) -> tup
 
 
 def _iterated(
-    design: Design, z: Array, weights: Array, heard: Array, scale: float | None, rounds: int
+    design: Design, z: Array, weights: Array, counted: Array, scale: float | None, rounds: int
 ) -> tuple[Array, Array] | None:
-    """Some rounds of reweighting, by ``scale`` or what the points show; who is not ``heard`` stays without weight."""
+    """Some rounds of reweighting, by ``scale`` or what the points show; who is not ``counted`` stays without weight."""
     coefficients = None
     for _ in range(rounds):
         coefficients = design.solve(z, weights)
         if coefficients is None:
             return None
         residuals = z - design.values(coefficients)
-        weights = _weights(residuals, scale or _scatter(residuals[heard])) * heard
+        weights = _weights(residuals, scale or _scatter(residuals[counted])) * counted
     return None if coefficients is None else (coefficients, weights)
 
 

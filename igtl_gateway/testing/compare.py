@@ -77,12 +77,12 @@ def assert_session_equal(
     """
     rules = _Rules(ignore, ignore_fields, Tolerance(tolerance_mm, tolerance_deg))
     one, other = _side(expected, rules), _side(found, rules)
-    told: list[str] = []
+    differences: list[str] = []
     for stream in sorted(one.streams.keys() | other.streams.keys(), key=lambda stream: (stream[0].value, stream[1])):
-        told += _differences(stream, one, other, rules)
-    if told:
-        more = f"\n  … and {len(told) - MAX_TOLD} more" if len(told) > MAX_TOLD else ""
-        lines = "".join(f"\n  {line}" for line in told[:MAX_TOLD])
+        differences += _differences(stream, one, other, rules)
+    if differences:
+        more = f"\n  … and {len(differences) - MAX_TOLD} more" if len(differences) > MAX_TOLD else ""
+        lines = "".join(f"\n  {line}" for line in differences[:MAX_TOLD])
         raise AssertionError(f"sessions differ ({one.name} was expected, {other.name} found):{lines}{more}")
 
 
@@ -120,9 +120,9 @@ def _differences(stream: _Stream, one: _Side, other: _Side, rules: _Rules) -> li
     """What differs in a stream, a line each."""
     name = f"{_KINDS[stream[0]]} {stream[1]}"
     expected, found = one.streams.get(stream, []), other.streams.get(stream, [])
-    told = []
+    differences = []
     if len(expected) != len(found):
-        told.append(f"{name}: {len(expected)} messages expected, {len(found)} found")
+        differences.append(f"{name}: {len(expected)} messages expected, {len(found)} found")
     for number, (left, right) in enumerate(zip(expected, found, strict=False), start=1):
         if left.type == right.type and left.data() == right.data():
             continue
@@ -132,8 +132,8 @@ def _differences(stream: _Stream, one: _Side, other: _Side, rules: _Rules) -> li
         if difference is None:
             difference = _first_byte(left.data(), right.data())
         if difference:
-            told.append(f"{name}, message {number} of {len(expected)}: {difference}")
-    return told
+            differences.append(f"{name}, message {number} of {len(expected)}: {difference}")
+    return differences
 
 
 def _leaves(side: _Side, entry: Entry, rules: _Rules) -> Iterator[tuple[str, Any]]:
@@ -151,7 +151,7 @@ def _difference(one: Iterator[tuple[str, Any]], other: Iterator[tuple[str, Any]]
         return None
     if delta.field:
         measure = f" ({delta.measure})" if delta.measure else ""
-        return f"{delta.field}: {_shown(delta.one)} expected, {_shown(delta.other)} found{measure}"
+        return f"{delta.field}: {_value_text(delta.one)} expected, {_value_text(delta.other)} found{measure}"
     late_ns = next((ns for ns in delta.stamps_ns if ns), 0)
     if late_ns:
         return f"stamp: found {late_ns:,} ns later than expected"
@@ -164,6 +164,6 @@ def _first_byte(one: bytes, other: bytes) -> str:
     return f"byte {at}: {one[at : at + 8].hex(' ') or 'end'} expected, {other[at : at + 8].hex(' ') or 'end'} found"
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:70]}… ({len(text)} characters)"

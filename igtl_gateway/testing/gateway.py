@@ -92,8 +92,8 @@ class Outputs:
 
     def notes(self, code: str = "**") -> list[Note]:
         """What the gateway had to say, such as ``"bad_crc"``."""
-        told = (Note.unpack(entry.data()) for entry in self.entries if entry.kind is Kind.NOTE)
-        return [note for note in told if matches(code, note.code)]
+        notes = (Note.unpack(entry.data()) for entry in self.entries if entry.kind is Kind.NOTE)
+        return [note for note in notes if matches(code, note.code)]
 
 
 class ManualGateway:

@@ -103,15 +103,15 @@ class MessageDecoder:
 
     def store(self, ros_type: str) -> Typestore:
         """The store that knows the type.  Raises DamagedRecording."""
-        return self._known(ros_type)[0]
+        return self._find_store(ros_type)[0]
 
     def decode(self, ros_type: str, data: bytes) -> Any:
         """A message.  Raises DamagedRecording; SerdeError where the bytes are none of the type."""
-        store, elements = self._known(ros_type)
+        store, elements = self._find_store(ros_type)
         elements.check(data)
         return store.deserialize_cdr(data, ros_type)
 
-    def _known(self, ros_type: str) -> tuple[Typestore, ElementCounter]:
+    def _find_store(self, ros_type: str) -> tuple[Typestore, ElementCounter]:
         if ros_type not in self._stores:
             try:
                 self._stores[ros_type] = self._load(ros_type)

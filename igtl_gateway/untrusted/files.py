@@ -83,7 +83,7 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
-def beside(path: Path, name: str) -> Path:
+def sibling_file(path: Path, name: str) -> Path:
     """The file ``name`` that the file ``path`` refers to: a plain name in the same folder, no link out of it.
 
     Raises DamagedRecording, or UnsupportedRecording where there is no such ordinary file.
@@ -114,15 +114,15 @@ def obstacle(path: Path, error: OSError | ValueError | None = None) -> str:
         return f"{folder} is {above}, expected a folder"
     if error is None:
         return ""
-    said = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    text = (error.strerror if isinstance(error, OSError) else None) or str(error)
     number = error.errno if isinstance(error, OSError) else None
     if number == errno.ENOENT:  # of a folder that is there: of the kernel's own, such as /proc
-        return f"no file can be created in {folder} ({said})"
+        return f"no file can be created in {folder} ({text})"
     if number == errno.ENAMETOOLONG:
-        return f"{said}: {len(bytes(Path(path.name)))} bytes"
+        return f"{text}: {len(bytes(Path(path.name)))} bytes"
     if number in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return f"{said}, in the folder {folder}"
-    return said
+        return f"{text}, in the folder {folder}"
+    return text
 
 
 def is_same(path: Path, other: Path) -> bool:

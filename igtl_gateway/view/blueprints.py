@@ -301,16 +301,16 @@ def _grid(parts: list[Part]) -> Part:
 
 def _row(*parts: tuple[Part, int]) -> Part:
     """Arrange views side by side, each with its share of the width."""
-    there, shares = _there(parts)
+    there, shares = _non_empty(parts)
     return _tabs(there) if len(there) < 2 else rrb.Horizontal(*there, column_shares=shares)
 
 
 def _column(*parts: tuple[Part, int]) -> Part:
     """Arrange views one above the other, each with its share of the height."""
-    there, shares = _there(parts)
+    there, shares = _non_empty(parts)
     return _tabs(there) if len(there) < 2 else rrb.Vertical(*there, row_shares=shares)
 
 
-def _there(parts: tuple[tuple[Part, int], ...]) -> tuple[list[Part], list[int]]:
+def _non_empty(parts: tuple[tuple[Part, int], ...]) -> tuple[list[Part], list[int]]:
     there = [(part, share) for part, share in parts if part is not None]
     return [part for part, _ in there], [share for _, share in there]

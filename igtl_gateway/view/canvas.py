@@ -24,7 +24,7 @@ TRAIL_NS, _STEP_NS, _DRAW_NS = 5_000 * NS_PER_MS, 20 * NS_PER_MS, 100 * NS_PER_M
 _SAMPLE, _MANY = 2000, 500
 #: Coordinates beyond this distance, in metres, are invalid and do not count for the eye of a view.
 _FAR_M = 1e6
-#: Maximum number of lines that a topic can log by ``once``.
+#: Maximum number of lines that a topic can log by ``text_once``.
 _ONCES = 20
 
 
@@ -80,10 +80,10 @@ class Canvas:
 
     def frame(self, frame_id: str) -> str:
         """Return the frame to draw in; the base frame of the session if the message names none."""
-        self.shown.frame = self.pen.letters(frame_id.lstrip("/")) or self._seen.base_frame
+        self.shown.frame = self.pen.displayable(frame_id.lstrip("/")) or self._seen.base_frame
         return self.shown.frame
 
-    def what(self, what: EntityKind) -> None:
+    def set_kind(self, what: EntityKind) -> None:
         """Set the kind of the topic if this is its first message."""
         if not self.shown.count:
             self.shown.what = what
@@ -92,7 +92,7 @@ class Canvas:
         """Log a row of the topic, or of the entity ``child`` below it; 3-D contents are in ``frame``."""
         path = self._path(child)
         if frame:
-            self.pen.stand(path, frame)
+            self.pen.set_default_frame(path, frame)
         where: tuple[Any, ...] = (rr.CoordinateFrame(frame),) if frame else ()
         self.pen.log(path, *where, *archetypes)
         self.rows += not child
@@ -110,11 +110,11 @@ class Canvas:
         """Write a line to the log of the session."""
         self.pen.text(LOG, f"{self.shown.topic}: {text}", level, colour)
 
-    def once(self, text: str, about: str = "") -> None:
+    def text_once(self, text: str, about: str = "") -> None:
         """Write a line to the log of the session, once for each ``about`` (default: the text)."""
-        said = self.memory.setdefault("said", set())
-        if (about or text) not in said and len(said) < _ONCES:
-            said.add(about or text)
+        written = self.memory.setdefault("said", set())
+        if (about or text) not in written and len(written) < _ONCES:
+            written.add(about or text)
             self.text(text)
 
     def tool(self, pose: Xyz, frame: str, child: str = "", *, labelled: bool = True) -> None:
@@ -127,7 +127,7 @@ class Canvas:
             labelled: label the axes with the path of the entity, for frames without a name.
         """
         path = self._path(child)
-        self.pen.stand(path, frame)
+        self.pen.set_default_frame(path, frame)
         self.pen.pose(path, Pose(frame, f"/{path}" if labelled else "", pose[:3], pose[3:], self.options.axis_m))
         self.rows += not child
         if self.options.trails and self.pen.stamp_ns:
@@ -145,7 +145,7 @@ class Canvas:
         (a, b, c), (d, e, f) = low.tolist(), high.tolist()
         self.shown.low, self.shown.high = (a, b, c), (d, e, f)
 
-    def reach(self, place: Xyz) -> None:
+    def extend_box(self, place: Xyz) -> None:
         """Extend the bounding box by one position: faster than ``box`` for streams of poses."""
         low, high = self.shown.low, self.shown.high
         x, y, z = place
@@ -162,28 +162,28 @@ class Canvas:
 
         Each frame has one entity.  If several topics publish a frame, the first of them counts.
         """
-        child = self.pen.letters(child.lstrip("/"))
+        child = self.pen.displayable(child.lstrip("/"))
         owner = self.pen.owners.setdefault(child, self.shown.path)
         if not child or child == frame or owner != self.shown.path:
             return
         path = self._seen.frames.get(child)
         if path is None:
-            path = self._seen.frames[child] = self.pen.claim(f"{FRAMES}/{escape_path_part(child)}")
+            path = self._seen.frames[child] = self.pen.unique_path(f"{FRAMES}/{escape_path_part(child)}")
         self._seen.parents[child] = frame
         self._seen.places[child] = tuple(pose)
-        told = Pose(frame, child, pose[:3], pose[3:], self.options.axis_m)
+        pose_drawn = Pose(frame, child, pose[:3], pose[3:], self.options.axis_m)
         if static:
-            self.pen.static_pose(path, told)
+            self.pen.static_pose(path, pose_drawn)
         else:
-            self.pen.stand(path, child)
-            self.pen.begin(path, told)
-            self.pen.pose(path, told)
+            self.pen.set_default_frame(path, child)
+            self.pen.begin(path, pose_drawn)
+            self.pen.pose(path, pose_drawn)
 
     def _path(self, child: str) -> str:
         """Return the path of the topic's entity, or of the entity ``child`` below it."""
         path = self._paths.get(child)
         if path is None:
-            path = self._paths[child] = self.pen.claim(f"{self.shown.path}/{child}")
+            path = self._paths[child] = self.pen.unique_path(f"{self.shown.path}/{child}")
         return path
 
     def _trail(self, child: str, frame: str, place: Xyz) -> None:

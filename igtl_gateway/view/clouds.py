@@ -45,7 +45,7 @@ def draw_cloud(message: PointCloud2, canvas: Canvas) -> None:
     if not message.is_dense or not np.isfinite(places.sum(dtype=np.float64)):
         kept = np.isfinite(places).all(axis=1)
         places = places[kept]
-    words = _words(fields, canvas)
+    words = _point_colours(fields, canvas)
     canvas.shown.coloured = words is not None
     canvas.box(places)
     if canvas.shown.scale and not canvas.memory.get("legend") and canvas.shown.low and canvas.shown.high:
@@ -56,7 +56,7 @@ def draw_cloud(message: PointCloud2, canvas: Canvas) -> None:
         canvas.memory["legend"] = True
     few = len(places) <= _FEW
     if few:
-        canvas.what(EntityKind.POINTS)
+        canvas.set_kind(EntityKind.POINTS)
     radius = canvas.memory.get("radius")
     if radius is None and len(places):
         radius = canvas.memory["radius"] = point_size(places) if few else _radius(message, places)
@@ -113,7 +113,7 @@ def draw_point_list(message: PointList, canvas: Canvas) -> None:
         places,
         colors=np.array([colours.octet_colour(point.rgba, canvas.colour) for point in points], np.uint32),
         radii=[point.diameter / 2 or size for point in points],
-        labels=[canvas.pen.letters(point.name) for point in points],
+        labels=[canvas.pen.displayable(point.name) for point in points],
         show_labels=len(points) <= _READABLE,
     )
     canvas.log(shown, frame=frame)
@@ -129,7 +129,7 @@ def point_size(places: Array) -> float:
     return min(POINT_M, 0.2 * near) if near > 0 else POINT_M
 
 
-def _words(fields: dict[str, Array], canvas: Canvas) -> Array | None:
+def _point_colours(fields: dict[str, Array], canvas: Canvas) -> Array | None:
     """Return the colour of each point; None for a cloud without colours."""
     wanted = canvas.options.colour_by
     if wanted in fields and wanted not in ("rgb", "rgba"):

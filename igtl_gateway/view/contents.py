@@ -154,7 +154,7 @@ class SessionContents:
             passed.add(frame)
         return frame
 
-    def way_to_root(self, frame: str) -> list[tuple[float, ...]]:
+    def path_to_root(self, frame: str) -> list[tuple[float, ...]]:
         """Return the poses of ``frame`` in its parent, of the parent in its parent, and so on to the root."""
         steps, passed = [], {frame}
         while frame in self.places and (parent := self.parents.get(frame)) is not None:

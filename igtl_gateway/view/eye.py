@@ -49,7 +49,7 @@ def eye_of(seen: SessionContents, tree: list[ShownTopic], frame: str, *, camera:
     corners = _corners(seen, tree, frame)
     if not corners:
         return None
-    way, up = _look(seen, tree, frame, camera)
+    way, up = _view_direction(seen, tree, frame, camera)
     axes = (_unit(_cross(up, way)), _unit(_cross(way, _cross(up, way))), way)  # right, up, towards the eye
     places = [[_dot(corner, axis) for axis in axes] for corner in corners]
     middle = [(min(along) + max(along)) / 2 for along in zip(*places, strict=True)]
@@ -65,7 +65,7 @@ def eye_of(seen: SessionContents, tree: list[ShownTopic], frame: str, *, camera:
     return Eye(_xyz(at + distance * step for at, step in zip(target, way, strict=True)), target, up)
 
 
-def _look(seen: SessionContents, tree: list[ShownTopic], frame: str, camera: bool) -> tuple[Xyz, Xyz]:
+def _view_direction(seen: SessionContents, tree: list[ShownTopic], frame: str, camera: bool) -> tuple[Xyz, Xyz]:
     """Return the direction from the subject to the eye and the up direction, unit vectors."""
     if camera:
         return _unit(_FROM_CAMERA), (0.0, -1.0, 0.0)
@@ -93,19 +93,19 @@ def _corners(seen: SessionContents, tree: list[ShownTopic], frame: str) -> list[
 def _moved(seen: SessionContents, source: str, target: str, point: Sequence[float], *, turn_only: bool = False) -> Xyz:
     """Transform a point (or a direction) between two frames of one tree, by the latest poses."""
     x, y, z = point
-    for place in seen.way_to_root(source):
-        x, y, z = _turned((x, y, z), place[3:])
+    for place in seen.path_to_root(source):
+        x, y, z = _rotated((x, y, z), place[3:])
         if not turn_only:
             x, y, z = x + place[0], y + place[1], z + place[2]
-    for place in reversed(seen.way_to_root(target)):
+    for place in reversed(seen.path_to_root(target)):
         if not turn_only:
             x, y, z = x - place[0], y - place[1], z - place[2]
         qx, qy, qz, qw = place[3:]
-        x, y, z = _turned((x, y, z), (-qx, -qy, -qz, qw))
+        x, y, z = _rotated((x, y, z), (-qx, -qy, -qz, qw))
     return x, y, z
 
 
-def _turned(point: Xyz, quaternion: Sequence[float]) -> Xyz:
+def _rotated(point: Xyz, quaternion: Sequence[float]) -> Xyz:
     length = math.hypot(*quaternion) or 1.0
     x, y, z, w = (part / length for part in quaternion)
     across = _cross((x, y, z), point)

@@ -162,8 +162,8 @@ class LiveWindow:
         self._view.close()
         if not closed:
             self._recording.disconnect()  # before the viewer exits, or rerun logs an error
-        told = [self._view.failure] if self._view.failure and not closed else []
+        messages = [self._view.failure] if self._view.failure and not closed else []
         if self._view.dropped:
-            told.append(f"{self._view.dropped:,} entries were dropped: the viewer was too slow")
+            messages.append(f"{self._view.dropped:,} entries were dropped: the viewer was too slow")
         self._viewer.close()
-        return "; ".join(told)
+        return "; ".join(messages)

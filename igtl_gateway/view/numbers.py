@@ -65,7 +65,7 @@ def draw_array(message: NdArray, canvas: Canvas) -> None:
     dtype = np.dtype(("<" if not message.is_bigendian else ">") + code[1:])
     values = np.frombuffer(message.data, dtype)
     if dtype.kind == "c":
-        canvas.once("complex numbers are drawn by their magnitude")
+        canvas.text_once("complex numbers are drawn by their magnitude")
         values = np.abs(values)
     _array(values, message.size.tolist(), canvas)
 
@@ -74,13 +74,13 @@ def _array(values: npt.NDArray[Any], sizes: Sequence[int], canvas: Canvas) -> No
     flat = values.astype(values.dtype.newbyteorder("="), copy=False)
     long = [size for size in sizes if size > 1]
     if len(long) > 1 and math.prod(sizes) == len(flat):
-        canvas.what(EntityKind.TENSOR)
+        canvas.set_kind(EntityKind.TENSOR)
         canvas.log(rr.Tensor(flat.reshape(sizes)))
     elif 0 < len(flat) <= _CURVES:
-        canvas.what(EntityKind.PLOT)
+        canvas.set_kind(EntityKind.PLOT)
         _curves(canvas, flat.astype(np.float64).tolist())
     elif len(flat):
-        canvas.what(EntityKind.BARS)
+        canvas.set_kind(EntityKind.BARS)
         canvas.log(rr.BarChart(flat))
 
 
@@ -94,7 +94,7 @@ def _curves(canvas: Canvas, values: Sequence[float], names: Sequence[str] = (), 
         canvas.memory[f"names {child}"] = names
         shades = [SERIES[place % len(SERIES)] for place in range(len(names))]
         canvas.static(
-            rr.SeriesLines(names=[canvas.pen.letters(name) for name in names], colors=np.array(shades, np.uint32)),
+            rr.SeriesLines(names=[canvas.pen.displayable(name) for name in names], colors=np.array(shades, np.uint32)),
             child,
         )
     canvas.numbers(values, child)

@@ -77,12 +77,12 @@ class Pen:
         self.number = self.stamp_ns = self.source_ns = 0
         self.owners: dict[str, str] = {}  # frame → topic that publishes its pose
         self.cameras: set[str] = set()  # frames with a pinhole
-        self._told: tuple[int, int, int] | None = None
+        self._times_set: tuple[int, int, int] | None = None
         self._waiting: dict[tuple[str, str], _Column] = {}
         self._paths: set[str] = set()
         self._placed: set[str] = set()
 
-    def claim(self, path: str) -> str:
+    def unique_path(self, path: str) -> str:
         """Return ``path`` for a new entity, or ``<path>_2`` and so on if it is taken.
 
         Raises ConversionError above the maximum number of entities: a sender that invents names must not exhaust
@@ -96,7 +96,7 @@ class Pen:
         self._paths.add(free)
         return free
 
-    def stand(self, path: str, frame: str) -> None:
+    def set_default_frame(self, path: str, frame: str) -> None:
         """On the first call, log statically that the entity is in ``frame``; its rows replace that later.
 
         A view reports an error for an entity that no transform connects with the frame of the view, even before its
@@ -146,9 +146,9 @@ class Pen:
     def text(self, path: str, text: str, level: str, colour: int | None = None) -> None:
         """Write a line to a log."""
         # rerun gives a line without a colour that of the previous line
-        self.log(path, rr.TextLog(self.letters(text), level=level, color=INFO if colour is None else colour))
+        self.log(path, rr.TextLog(self.displayable(text), level=level, color=INFO if colour is None else colour))
 
-    def letters(self, text: str) -> str:
+    def displayable(self, text: str) -> str:
         """Return the text; a ``plain`` pen escapes the characters that a headless viewer cannot draw."""
         text = valid(text)
         return _STRANGE.sub(lambda found: found[0].encode("unicode_escape").decode(), text) if self._plain else text
@@ -164,10 +164,10 @@ class Pen:
                 self._send(key, column)
 
     def _set_time(self) -> None:
-        told = (self.number, self.stamp_ns, self.source_ns)
-        if told == self._told:
+        times = (self.number, self.stamp_ns, self.source_ns)
+        if times == self._times_set:
             return
-        self._told = told
+        self._times_set = times
         self.recording.set_time(ENTRY, sequence=self.number)
         for line, time_ns in ((GATEWAY_TIME, self.stamp_ns), (SENDER_TIME, self.source_ns)):
             if time_ns:

@@ -85,7 +85,7 @@ def image_archetype(message: Image, canvas: Canvas) -> rr.Image:
             # OpenCV's names do not state the order; the gateway uses RGB for them, as OpenIGTLink does
             return image_of_pixels(_eight_bits(pixels), _MODELS[channels])
         if channels > 1:
-            canvas.once(f"{message.encoding} is drawn by its first component")
+            canvas.text_once(f"{message.encoding} is drawn by its first component")
         return grey(pixels[..., 0])
     raise ConversionError(f"{message.TYPE}: found encoding {message.encoding!r}, expected one that can be drawn")
 
@@ -172,7 +172,7 @@ def draw_camera(message: CameraInfo, canvas: Canvas) -> None:
             f"{message.TYPE}: found focal lengths {message.k[0]:g} and {message.k[4]:g}, expected others"
         )
     if canvas.pen.owners.setdefault(f"{frame}/image", canvas.shown.path) != canvas.shown.path:
-        canvas.once(f"frame {frame} already has a camera")
+        canvas.text_once(f"frame {frame} already has a camera")
         return
     pinhole = rr.Pinhole(
         image_from_camera=matrix,

@@ -48,10 +48,10 @@ def draw_tf(message: TFMessage, canvas: Canvas) -> None:
 
 def _tool(pose: Sequence[float], frame: str, canvas: Canvas, child: str = "", child_frame: str = "") -> None:
     if not _is_pose(pose):
-        canvas.once(f"{child or 'tool'}: found {tuple(pose)}, expected a pose", f"place {child}")
+        canvas.text_once(f"{child or 'tool'}: found {tuple(pose)}, expected a pose", f"place {child}")
         return
     canvas.tool(pose, frame, child, labelled=not child_frame)
-    canvas.reach(pose[:3])
+    canvas.extend_box(pose[:3])
     if child_frame:
         canvas.link(child_frame, frame, pose)
 

@@ -48,7 +48,8 @@ def draw_review(review: Review, pen: Pen) -> dict[str, str]:
         pen.log(REVIEW_DISTANCE, _by_distance(cloud.positions, plan))
         pen.log(_NAMES, _names(plan))
         pen.log(
-            REVIEW_TABLE, rr.TextDocument(pen.letters(_table(review, plan, number, red_mm)), media_type="text/markdown")
+            REVIEW_TABLE,
+            rr.TextDocument(pen.displayable(_table(review, plan, number, red_mm)), media_type="text/markdown"),
         )
     return {cloud: f"{name} {low:g} … {high:g} {unit}" for cloud, (name, low, high, unit) in scales.items()}
 

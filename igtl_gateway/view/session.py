@@ -107,7 +107,7 @@ class SessionView:
 
     def __init__(self, recording: rr.RecordingStream, base_frame: str = "igtl", options: Options | None = None) -> None:
         self.seen = SessionContents(base_frame)
-        self.told = DrawnCounts()
+        self.counts = DrawnCounts()
         self._options = options or Options()
         self._pen = Pen(recording, plain=self._options.plain)
         self._topics: dict[tuple[str, str], _DrawnTopic] = {}
@@ -163,20 +163,20 @@ class SessionView:
         try:
             topic = self._topics.get((entry.channel, entry.type)) or self._add_topic(entry)
         except ConversionError:  # too many topics
-            self.told.refused[entry.channel] += 1
+            self.counts.refused[entry.channel] += 1
             return
         canvas, picture = topic.canvas, topic.picture
         shown = canvas.shown
         rows = canvas.rows
         summary: dict[str, Any] = {"bytes": entry.size}
         if picture is None:
-            self.told.without_picture[entry.type] += 1
+            self.counts.without_picture[entry.type] += 1
         else:
             try:
                 picture.draw(picture.message.unpack(entry.data()), canvas)
             except (ConversionError, ValueError) as error:
-                self.told.refused[entry.channel] += 1
-                summary["error"] = self._pen.letters(str(error))
+                self.counts.refused[entry.channel] += 1
+                summary["error"] = self._pen.displayable(str(error))
                 self._pen.text(LOG, f"{entry.channel}: cannot be drawn: {error}", "WARN", WARN)
         if canvas.rows == rows:  # nothing at the path of the topic: add a row, so that rows and messages agree
             self._pen.fields(shown.path, **summary)
@@ -184,7 +184,7 @@ class SessionView:
         shown.first_ns = shown.first_ns or self._pen.stamp_ns
         shown.last_ns = self._pen.stamp_ns or shown.last_ns
         shown.count += 1
-        self.told.messages[entry.channel] += 1
+        self.counts.messages[entry.channel] += 1
         if entry.kind is Kind.ROS_OUT and picture and picture.fullness:
             self._compare(_Sibling(entry.channel.rpartition("/")[0], picture.fullness, shown))
 
@@ -195,7 +195,7 @@ class SessionView:
         if path.partition("/")[0] in _RESERVED:
             path = f"topics/{path}"
         shown = ShownTopic(
-            self._pen.claim(path),
+            self._pen.unique_path(path),
             entry.channel,
             entry.type,
             picture.what if picture else EntityKind.DATA,
@@ -224,10 +224,10 @@ class SessionView:
         """Count stamps outside the time lines, and log the first of them."""
         for line, time_ns, unset in ((GATEWAY_TIME, entry.stamp_ns, False), (SENDER_TIME, entry.source_ns, True)):
             if timeless(time_ns) and (time_ns or not unset):
-                if not self.told.timeless[line]:
+                if not self.counts.timeless[line]:
                     text = f"entry {entry.seq}: found the stamp {time_ns}, expected 1 to {LAST_NS}: not on {line}"
                     self._pen.text(LOG, text, "WARN", WARN)
-                self.told.timeless[line] += 1
+                self.counts.timeless[line] += 1
 
     def _note(self, entry: Entry) -> None:
         note = Note.of(entry.data())
@@ -242,7 +242,9 @@ class SessionView:
             self._drop(sum(dropped.values()) if isinstance(dropped, dict) else dropped, text, in_log=False)
 
     def _drop(self, number: int, text: str, *, in_log: bool = True) -> None:
-        self._pen.log(DROPS, rr.TextLog(self._pen.letters(text), level="WARN", color=WARN), rr.Scalars([float(number)]))
+        self._pen.log(
+            DROPS, rr.TextLog(self._pen.displayable(text), level="WARN", color=WARN), rr.Scalars([float(number)])
+        )
         if in_log:
             self._pen.text(LOG, text, "WARN", WARN)
 

@@ -102,11 +102,11 @@ class HeadlessViewer:
             raise ViewerError(f"{recording}: no such file, expected a rerun recording (.rrd)")
         self._process = _start(recording, size)
         self.pid = self._process.pid
-        self._words = _Words(self._process)
+        self._words = _ViewerOutput(self._process)
         try:
             self._client = self._connect()
             self.first_ns, self.last_ns = self._load(recording)
-            self._bare()
+            self._hide_panels()
         except BaseException:
             self.close()
             raise
@@ -146,7 +146,7 @@ class HeadlessViewer:
         if not self._words.ready.wait(START_S):
             raise ViewerError(f"the viewer was not ready in {START_S:g} s; its last log lines: {self._words.last()}")
         if self._words.port is None:
-            raise self._death()
+            raise self._exit_error()
         from rerun.experimental import ViewerClient
 
         for _ in range(HELLOS):
@@ -156,7 +156,7 @@ class HeadlessViewer:
                 client.get_state()
                 return client
             if self._words.ended.wait(STEP_S):
-                raise self._death()
+                raise self._exit_error()
         raise ViewerError(f"the viewer did not answer; its last log lines: {self._words.last()}")
 
     def _load(self, recording: Path) -> tuple[int, int]:
@@ -173,7 +173,7 @@ class HeadlessViewer:
             step.wait(STEP_S)
         raise ViewerError(f"{recording}: found no data after {STEPS * STEP_S:g} s, expected a recording")
 
-    def _bare(self) -> None:
+    def _hide_panels(self) -> None:
         """Hide the panels; the rest of the blueprint stays."""
         blueprint = self._ask("get_blueprint")
         panels = {f"/{panel}": {"PanelBlueprint": {"state": state}} for panel, state in _PANELS.items()}
@@ -184,10 +184,10 @@ class HeadlessViewer:
             return getattr(self._client, what)(*arguments, **options)
         except (RuntimeError, OSError, ValueError) as error:
             if self._words.ended.wait(GRACE_S):
-                raise self._death() from error
+                raise self._exit_error() from error
             raise ViewerError(f"the viewer did not do {what}: {error}") from error
 
-    def _death(self) -> ViewerError:
+    def _exit_error(self) -> ViewerError:
         if _NO_DRIVER.search(self._words.text):
             return ViewerError(
                 "found no usable Vulkan driver, expected that of a graphics card, or a software driver: "
@@ -201,7 +201,7 @@ class HeadlessViewer:
         return ViewerError(f"the viewer exited unexpectedly; its last log lines: {self._words.last()}")
 
 
-class _Words:
+class _ViewerOutput:
     """Reads the log of the viewer, so that the viewer never blocks on a full pipe, and keeps the last lines."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:

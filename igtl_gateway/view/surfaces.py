@@ -89,16 +89,16 @@ def draw_polydata(message: PolyData, canvas: Canvas) -> None:
     segments = surfaces.polydata_to_lines(content, to).points if lines else np.empty((0, 3))  # type: ignore[arg-type]
     strips = rr.LineStrips3D(segments.reshape(-1, 2, 3), colors=[canvas.colour], radii=[LINE_M])
     if faces:
-        canvas.what(EntityKind.MESH)
+        canvas.set_kind(EntityKind.MESH)
         mesh = surfaces.polydata_to_mesh(content, to)  # type: ignore[arg-type]
         canvas.log(shaded_mesh(mesh.vertices, mesh.triangles, colours.BONE, words), frame=frame)
         if lines:
             canvas.log(strips, child="lines", frame=frame)
     elif lines:
-        canvas.what(EntityKind.LINES)
+        canvas.set_kind(EntityKind.LINES)
         canvas.log(strips, frame=frame)
     else:
-        canvas.what(EntityKind.CLOUD)
+        canvas.set_kind(EntityKind.CLOUD)
         colour: Any = [canvas.colour] if words is None else words
         canvas.log(rr.Points3D(message.points, colors=colour, radii=[rr.Radius.ui_points(2.0)]), frame=frame)
 
@@ -127,7 +127,7 @@ def draw_trajectories(message: TrajectoryList, canvas: Canvas) -> None:
         strips,
         colors=np.array([colours.octet_colour(each.rgba, canvas.colour) for each in listed], np.uint32),
         radii=[each.diameter / 2 or LINE_M for each in listed],
-        labels=[canvas.pen.letters(each.name) for each in listed],
+        labels=[canvas.pen.displayable(each.name) for each in listed],
     )
     canvas.log(lines, frame=frame)
 
@@ -142,7 +142,7 @@ def draw_path(message: Path, canvas: Canvas) -> None:
 
 def draw_marker(message: Marker, canvas: Canvas) -> None:
     """visualization_msgs/Marker: the first marker of the topic at its path, others below it."""
-    canvas.what(_WHAT.get(message.type, EntityKind.MARKERS))
+    canvas.set_kind(_WHAT.get(message.type, EntityKind.MARKERS))
     key = (message.ns, message.id)
     first = canvas.memory.setdefault("first", key)
     _draw(message, canvas, "" if key == first else f"{escape_path_part(message.ns)}/{message.id}")
@@ -163,7 +163,7 @@ def _draw(marker: Marker, canvas: Canvas, child: str) -> None:
     elif make := _SHAPES.get(marker.type):
         canvas.log(make(marker, canvas), child=child, frame=frame)
     else:
-        canvas.once(f"markers of type {marker.type} are not drawn")
+        canvas.text_once(f"markers of type {marker.type} are not drawn")
 
 
 def posed(points: Array, marker: Marker) -> Array:
@@ -256,7 +256,9 @@ def _solid(marker: Marker, canvas: Canvas) -> Any:
 def _text(marker: Marker, canvas: Canvas) -> rr.Points3D:
     canvas.box(np.array([marker.position]))
     colour = [colours.marker_colour(marker.color)]
-    return rr.Points3D([marker.position], labels=[canvas.pen.letters(marker.text)], colors=colour, radii=[POINT_M / 2])
+    return rr.Points3D(
+        [marker.position], labels=[canvas.pen.displayable(marker.text)], colors=colour, radii=[POINT_M / 2]
+    )
 
 
 _FULL = rr.components.FillMode.Solid

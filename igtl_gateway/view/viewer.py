@@ -42,7 +42,7 @@ class Viewer:
         self._reader.start()
         if not self._ready.wait(_START_S) or not all(self._found):
             self.close()
-            raise ViewerError(f"the viewer did not start; its last log lines: {self._last_words()}")
+            raise ViewerError(f"the viewer did not start; its last log lines: {self._exit_reason()}")
 
     @classmethod
     def window(cls, recording: Path | None = None) -> Self:
@@ -84,14 +84,14 @@ class Viewer:
             for line in lines:
                 self._text = (self._text + line)[-_WORDS:]
                 for place, pattern in enumerate(self._expected):
-                    if said := pattern.search(line):
-                        self._found[place] = said[1]
+                    if found := pattern.search(line):
+                        self._found[place] = found[1]
                 if all(self._found):
                     self._ready.set()
         self._ended.set()
         self._ready.set()
 
-    def _last_words(self) -> str:
+    def _exit_reason(self) -> str:
         lines = [line.strip() for line in self._text.splitlines() if line.strip()]
         return " | ".join(lines[-3:]) or "none"
 

@@ -38,13 +38,13 @@ def draw_volume(message: Volume, canvas: Canvas) -> None:
     canvas.box(corners)
     canvas.shown.width, canvas.shown.height = message.size[0], message.size[1]
     if len(voxels) == 1:
-        canvas.what(EntityKind.PLANE)
+        canvas.set_kind(EntityKind.PLANE)
         x, y, z, u, v, w = message.direction[:6]
         canvas.shown.right, canvas.shown.up = (x, y, z), (-u, -v, -w)
         canvas.log(_picture(voxels[0]))
         canvas.log(_plane(message, voxels, 2, 0, None), child="plane", frame=frame)
         return
-    canvas.what(EntityKind.VOLUME)
+    canvas.set_kind(EntityKind.VOLUME)
     canvas.log(rr.Tensor(voxels[..., 0] if voxels.shape[3] == 1 else voxels, dim_names=_dimensions(voxels)))
     window = None if voxels.shape[3] in _COLOUR else span(_sample(voxels))
     middle = len(voxels) // 2

@@ -21,24 +21,24 @@ _REPLIES = {1: "success", 2: "failed", 3: "no reply in time", 4: "no peer"}
 
 def draw_string(message: String, canvas: Canvas) -> None:
     """std_msgs/String: the text unchanged."""
-    _say(canvas, message.data)
+    _log_text(canvas, message.data)
 
 
 def draw_status(message: DiagnosticStatus, canvas: Canvas) -> None:
     """diagnostic_msgs/DiagnosticStatus."""
     level, colour = _LEVELS[min(message.level, len(_LEVELS) - 1)]
-    _say(canvas, f"{message.name} {message.message}".strip(), level, colour)
+    _log_text(canvas, f"{message.name} {message.message}".strip(), level, colour)
 
 
 def draw_log(message: Log, canvas: Canvas) -> None:
     """rcl_interfaces/Log: levels are 10 (debug), 20, 30, 40, 50 (fatal)."""
     level, colour = _LEVELS[(message.level >= _ROS_WARN) + (message.level >= _ROS_ERROR)]
-    _say(canvas, f"{message.name}: {message.msg}", level, colour)
+    _log_text(canvas, f"{message.name}: {message.msg}", level, colour)
 
 
 def draw_command(message: igtl_msgs.Command, canvas: Canvas) -> None:
     """igtl_msgs/Command."""
-    _say(canvas, f"command {message.id} {message.name!r}: {message.content}")
+    _log_text(canvas, f"command {message.id} {message.name!r}: {message.content}")
 
 
 def draw_reply(message: igtl_msgs.CommandReply, canvas: Canvas) -> None:
@@ -46,13 +46,13 @@ def draw_reply(message: igtl_msgs.CommandReply, canvas: Canvas) -> None:
     good = message.status == message.SUCCESS
     outcome = _REPLIES.get(message.status, str(message.status))
     text = f"reply to {message.id} {message.name!r}: {outcome} {message.error_message} {message.content}".strip()
-    _say(canvas, text, *(_LEVELS[0] if good else _LEVELS[1]))
+    _log_text(canvas, text, *(_LEVELS[0] if good else _LEVELS[1]))
 
 
 def draw_query(message: igtl_msgs.Query, canvas: Canvas) -> None:
     """igtl_msgs/Query."""
     kind = _QUERIES.get(message.kind, str(message.kind))
-    _say(canvas, f"{kind} {message.type} {message.device_name}".strip())
+    _log_text(canvas, f"{kind} {message.type} {message.device_name}".strip())
 
 
 def draw_metadata(message: igtl_msgs.Metadata, canvas: Canvas) -> None:
@@ -98,7 +98,7 @@ def draw_videos(message: igtl_msgs.VideoMetaList, canvas: Canvas) -> None:
 
 def draw_raw(message: igtl_msgs.RawMessage, canvas: Canvas) -> None:
     """igtl_msgs/RawMessage: bytes of a type without a conversion."""
-    _say(canvas, f"{message.type} {message.device_name}: {memoryview(message.data).nbytes} bytes")
+    _log_text(canvas, f"{message.type} {message.device_name}: {memoryview(message.data).nbytes} bytes")
 
 
 def _size(size: Sequence[int]) -> str:
@@ -108,12 +108,12 @@ def _size(size: Sequence[int]) -> str:
 def _list(canvas: Canvas, title: str, items: Sequence[str]) -> None:
     items = items or ("none",)
     document = f"**{title}**\n\n" + "\n".join(f"- {item}" for item in items)
-    canvas.log(rr.TextDocument(canvas.pen.letters(document), media_type="text/markdown"))
+    canvas.log(rr.TextDocument(canvas.pen.displayable(document), media_type="text/markdown"))
     canvas.text(_line(f"{title}: {', '.join(items)}"))
 
 
-def _say(canvas: Canvas, text: str, level: str = "INFO", colour: int | None = None) -> None:
-    canvas.log(rr.TextDocument(canvas.pen.letters(text)))
+def _log_text(canvas: Canvas, text: str, level: str = "INFO", colour: int | None = None) -> None:
+    canvas.log(rr.TextDocument(canvas.pen.displayable(text)))
     canvas.text(_line(text), level, colour)
 
 

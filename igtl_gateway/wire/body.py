@@ -61,12 +61,12 @@ class Raw:
 _SHOWN_VALUES = 256
 
 
-def shown_crc(data: Buffer) -> str:
+def describe_crc(data: Buffer) -> str:
     """CRC-64 of bytes, for ``describe``."""
     return f"{crc64(data):016x}"
 
 
-def shown_values(values: npt.NDArray[Any]) -> list[Any] | dict[str, Any]:
+def describe_values(values: npt.NDArray[Any]) -> list[Any] | dict[str, Any]:
     """A one-dimensional array for ``describe``: its values, or count and CRC of many; complex ones are two each.
 
     The CRC is that of the values as big-endian numbers: equal for equal values, whatever their byte order.
@@ -75,6 +75,6 @@ def shown_values(values: npt.NDArray[Any]) -> list[Any] | dict[str, Any]:
     if big.dtype.kind == "c":
         big = big.view(">f8")
     if len(big) > _SHOWN_VALUES:
-        return {"count": len(big), "crc64": shown_crc(big.view(np.uint8).data)}
+        return {"count": len(big), "crc64": describe_crc(big.view(np.uint8).data)}
     shown: list[Any] = big.tolist()
     return shown

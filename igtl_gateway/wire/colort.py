@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
-from igtl_gateway.wire.body import shown_values
+from igtl_gateway.wire.body import describe_values
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 
 #: Type of the index → entries of the table.
@@ -78,5 +78,5 @@ class ColorTable:
         return {
             "index_type": self.index_type,
             "map_type": self.map_type,
-            "table": shown_values(self.array.reshape(-1)),
+            "table": describe_values(self.array.reshape(-1)),
         }

@@ -85,6 +85,6 @@ class Elements:
         return {"elements": [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]}
 
 
-def show_matrix(wire_matrix: list[float]) -> list[list[float]]:
+def describe_matrix(wire_matrix: list[float]) -> list[list[float]]:
     """Twelve numbers in wire order as the rows of a 4 × 4 matrix."""
     return Transform(tuple(wire_matrix)).rows

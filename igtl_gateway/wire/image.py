@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
-from igtl_gateway.wire.body import shown_crc, shown_values
+from igtl_gateway.wire.body import describe_crc, describe_values
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 from igtl_gateway.wire.transform import pack_floats, unpack_floats
 
@@ -174,8 +174,8 @@ class Image:
             "subvol_offset": list(self.subvol_offset),
             "subvol_size": list(self.sub_size),
             "data_size": memoryview(self.pixels).nbytes,
-            "data": shown_values(self.array.reshape(-1)),
-            "data_crc64": shown_crc(self.pixels),
+            "data": describe_values(self.array.reshape(-1)),
+            "data_crc64": describe_crc(self.pixels),
         }
 
 

@@ -60,7 +60,7 @@ VIDEO_META_DTYPE = np.dtype(
 )
 
 
-def _show_ticks(ticks: int) -> dict[str, int]:
+def _describe_ticks(ticks: int) -> dict[str, int]:
     return {"sec": ticks >> 32, "nanosec": fraction_to_ns(ticks & 0xFFFFFFFF)}
 
 
@@ -85,7 +85,7 @@ class ImageMetaList(Elements):
         scalar_type="as in IMAGE",
         reserved="0",
     )
-    SHOWN: ClassVar[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {"ticks": ("timestamp", _show_ticks)}
+    SHOWN: ClassVar[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {"ticks": ("timestamp", _describe_ticks)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import ConversionError, MalformedBody, TruncatedMessage
-from igtl_gateway.wire.body import shown_values
+from igtl_gateway.wire.body import describe_values
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 
 #: Scalar type of the wire → numpy type, big-endian as the data always are; 13 is complex, two float64.
@@ -100,4 +100,4 @@ class NdArray:
             ) from None
 
     def describe(self) -> dict[str, Any]:
-        return {"scalar_type": self.scalar_type, "size": list(self.size), "data": shown_values(self.flat)}
+        return {"scalar_type": self.scalar_type, "size": list(self.size), "data": describe_values(self.flat)}

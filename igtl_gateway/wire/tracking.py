@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from igtl_gateway.wire.elements import Elements, show_matrix
+from igtl_gateway.wire.elements import Elements, describe_matrix
 from igtl_gateway.wire.layout import Layout, of_dtype
 
 #: What a tool is: the tracker itself, a tool with six degrees of freedom, with three (its tip), with five.
@@ -47,7 +47,7 @@ class TrackingData(Elements):
         reserved="0",
         matrix="as in TRANSFORM; translation in millimetres",
     )
-    SHOWN: ClassVar[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {"matrix": ("matrix", show_matrix)}
+    SHOWN: ClassVar[Mapping[str, tuple[str, Callable[[Any], Any]]]] = {"matrix": ("matrix", describe_matrix)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

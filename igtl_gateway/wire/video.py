@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import TruncatedMessage
-from igtl_gateway.wire.body import shown_crc
+from igtl_gateway.wire.body import describe_crc
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.image import LITTLE_ENDIAN, RAS, Image, Triple
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
@@ -130,7 +130,7 @@ class Video:
             "subvol_offset": list(self.subvol_offset),
             "subvol_size": list(self.sub_size),
             "data_size": memoryview(self.data).nbytes,
-            "data_crc64": shown_crc(self.data),
+            "data_crc64": describe_crc(self.data),
         }
 
 

@@ -61,7 +61,7 @@ def test_a_topic_that_was_asked_for_but_cannot_be_converted_is_said_once() -> No
         ("/elsewhere", "sensor_msgs/msg/LaserScan"),
         ("/igtl/out/a", "std_msgs/msg/String"),
     ):
-        wanted = bridge.wanted(topic, ros_type)
+        wanted = bridge.subscription_for(topic, ros_type)
         assert (wanted is not None) == (topic == "/igtl/out/a")
     notes = [Note.unpack(entry.data()) for entry in seen]
     assert [(note.code, note.stream) for note in notes] == [("no_conversion", "/scan"), ("no_conversion", "/text")]

@@ -9,7 +9,7 @@ import pytest
 
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.admission import peer_address
-from igtl_gateway.cli.edge_file import completed
+from igtl_gateway.cli.edge_file import with_file_settings
 from igtl_gateway.cli.options import add_addresses, add_allow
 from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
@@ -56,12 +56,12 @@ def test_files_for_no_address_are_a_mistake() -> None:
 
 
 def test_limits_and_their_defaults(capsys: pytest.CaptureFixture[str]) -> None:
-    assert admission.limits(completed(parsed(), None)) == PeerLimits()
+    assert admission.limits(with_file_settings(parsed(), None)) == PeerLimits()
     words = "--max-body STRING=4 --max-body GET_*=0.5 --max-body-mib 1 --max-messages 9 --idle-s 60 --stall-s 1"
     words += " --min-rate-kib 2"
     bodies = (("STRING", 4 << 20), ("GET_*", 1 << 19))
     own = PeerLimits(idle_s=60, stall_s=1, min_rate=2048, max_body=1 << 20, bodies=bodies, messages_per_s=9)
-    assert admission.limits(completed(parsed(*words.split()), None)) == own
+    assert admission.limits(with_file_settings(parsed(*words.split()), None)) == own
     for wrong in ("STRING", "STRING=", "=4", "STRING=-1", "STRING=nan", "STRING=inf"):
         with pytest.raises(SystemExit):
             parsed("--max-body", wrong)

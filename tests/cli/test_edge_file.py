@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import admission, edge_file
-from igtl_gateway.cli.edge_file import completed
+from igtl_gateway.cli.edge_file import with_file_settings
 from igtl_gateway.cli.options import addresses
 from igtl_gateway.config import Config
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
@@ -29,7 +29,7 @@ def test_every_option_has_its_setting_and_the_other_way_round(path: Path) -> Non
     """The table in the module's own words is one that is accepted, and names all."""
     told = edge_file.__doc__ or ""
     path.write_text(re.sub("(?m)^    ", "", told[told.index("    [igtl]") : told.index("Each has")]))
-    found = completed(parsed(), path)
+    found = with_file_settings(parsed(), path)
     assert addresses(found) == ((("127.0.0.1", 18944), ("0.0.0.0", 18945)), (("192.168.7.4", 18944),))
     ours, servers = admission.secured(found, *addresses(found))
     assert (ours, servers) == (frozenset({("127.0.0.1", 18944), ("0.0.0.0", 18945)}), frozenset())
@@ -42,7 +42,7 @@ def test_every_option_has_its_setting_and_the_other_way_round(path: Path) -> Non
 
 def test_the_command_line_goes_before_the_file_setting_by_setting(path: Path) -> None:
     path.write_text('[igtl]\nlisten = [":1", ":2"]\nallow = ["10.0.0.0/8"]\nidle_s = 60\nstall_s = 5\ntls = true\n')
-    found = completed(parsed("--listen", ":3", "--connect", ":4", "--idle-s", "0"), path)
+    found = with_file_settings(parsed("--listen", ":3", "--connect", ":4", "--idle-s", "0"), path)
     assert addresses(found) == ((("127.0.0.1", 3),), (("127.0.0.1", 4),))
     assert (found.allow, found.idle_s, found.stall_s, found.tls) == (["10.0.0.0/8"], 0.0, 5.0, True)
 
@@ -69,13 +69,13 @@ def test_the_session_does_not_know_of_it(path: Path) -> None:
 def test_what_is_wrong_is_named_with_its_place(path: Path, text: str, words: str) -> None:
     path.write_text(text)
     with pytest.raises(ConfigError) as error:
-        completed(parsed(), path)
+        with_file_settings(parsed(), path)
         Config.from_toml(path)
     assert str(error.value).startswith(f"{path}: {words}")
 
 
 def test_the_example_is_one() -> None:
-    found = completed(parsed(), EXAMPLE)
+    found = with_file_settings(parsed(), EXAMPLE)
     assert Config.from_toml(EXAMPLE).deny_in and found.allow and admission.limits(found) != PeerLimits()
     admission.secured(found, *addresses(found))
 

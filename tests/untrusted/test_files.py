@@ -10,7 +10,7 @@ import pytest
 
 from igtl_gateway.errors import DamagedRecording, LimitExceeded, UnsupportedRecording
 from igtl_gateway.untrusted import files, limits
-from igtl_gateway.untrusted.files import beside, open_file, read_bytes
+from igtl_gateway.untrusted.files import open_file, read_bytes, sibling_file
 from igtl_gateway.untrusted.limits import FileLimits
 
 
@@ -49,17 +49,17 @@ def test_a_small_file_that_is_large_is_refused(tmp_path: Path) -> None:
 def test_a_reference_stays_in_the_folder(tmp_path: Path, name: str) -> None:
     (tmp_path / "out").symlink_to("/etc/passwd")
     with pytest.raises(DamagedRecording, match="reference"):
-        beside(tmp_path / "a.mhd", name)
+        sibling_file(tmp_path / "a.mhd", name)
 
 
 def test_a_reference_to_a_file_beside(tmp_path: Path) -> None:
     (tmp_path / "a.raw").touch()
     (tmp_path / "b.raw").symlink_to(tmp_path / "a.raw")
     os.mkfifo(tmp_path / "pipe")
-    assert beside(tmp_path / "a.mhd", "a.raw") == tmp_path / "a.raw"
-    assert beside(tmp_path / "a.mhd", "b.raw") == tmp_path / "b.raw"
+    assert sibling_file(tmp_path / "a.mhd", "a.raw") == tmp_path / "a.raw"
+    assert sibling_file(tmp_path / "a.mhd", "b.raw") == tmp_path / "b.raw"
     with pytest.raises(UnsupportedRecording, match="FIFO"):
-        beside(tmp_path / "a.mhd", "pipe")
+        sibling_file(tmp_path / "a.mhd", "pipe")
 
 
 def test_holes_of_a_sparse_file_cost_nothing(tmp_path: Path) -> None:

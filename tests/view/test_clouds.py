@@ -112,7 +112,7 @@ def test_the_box_is_that_of_most_points(draw: Draw) -> None:
 )
 def test_a_cloud_that_is_none_costs_itself(broken: PointCloud2, draw: Draw) -> None:
     drawn = draw(broken, cloud(points(1)))
-    assert (drawn.count("topic"), drawn.view.told.refused) == (2, {"/topic": 1})
+    assert (drawn.count("topic"), drawn.view.counts.refused) == (2, {"/topic": 1})
 
 
 def test_an_empty_cloud_is_a_row(draw: Draw) -> None:

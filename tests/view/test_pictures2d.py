@@ -126,7 +126,7 @@ def test_of_two_channels_the_first_is_shown_and_said(draw: Draw) -> None:
     "message", [Image(HEADER, 2, 2, "mono8", 0, 2, b"abc"), Image(HEADER, 1, 1, "hsv9", 0, 1, b"a")]
 )
 def test_what_is_no_picture_is_refused(message: Image, draw: Draw) -> None:
-    assert draw(message).view.told.refused == {"/topic": 1}
+    assert draw(message).view.counts.refused == {"/topic": 1}
 
 
 def test_jpeg_and_png_go_in_as_they_are(draw: Draw) -> None:
@@ -144,7 +144,7 @@ def test_video_starts_with_a_key_frame(draw: Draw) -> None:
     frames = [CompressedImage(HEADER, "h264", data) for data in (H264_DELTA, H264_KEY, H264_DELTA)]
     drawn = draw(*frames)
     rows = drawn.rows("topic")
-    assert drawn.view.told.refused == {"/topic": 1}
+    assert drawn.view.counts.refused == {"/topic": 1}
     assert [bytes(row["VideoStream:sample"][0]) for row in rows[1:]] == [H264_KEY, H264_DELTA]
     assert [row["VideoStream:is_keyframe"] for row in rows[1:]] == [[True], [False]]
 

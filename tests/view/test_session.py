@@ -58,14 +58,14 @@ def test_a_type_without_picture_is_said_once_and_counts(draw: Draw) -> None:
     drawn = draw(Odd(), Odd(), Odd())
     assert len(drawn.rows("topic")) == 3
     assert [line for line in drawn.log() if "not drawn" in line] == ["not drawn: /topic (odd_msgs/msg/Odd)"]
-    assert drawn.view.told.without_picture == {"odd_msgs/msg/Odd": 3}
+    assert drawn.view.counts.without_picture == {"odd_msgs/msg/Odd": 3}
 
 
 def test_a_message_that_cannot_be_read_costs_itself(draw: Draw) -> None:
     broken = Entry(2, START_NS + 2 * STEP_NS, Kind.ROS_IN, "/text", String.TYPE, (b"\0\1\0\0\xff\0\0\0",))
     drawn = draw(entries=[text(1, START_NS), broken, text(3, START_NS + 3 * STEP_NS)])
     assert len(drawn.rows("text")) == 3
-    assert drawn.view.told.refused == {"/text": 1}
+    assert drawn.view.counts.refused == {"/text": 1}
     assert sum("/text: cannot be drawn" in line for line in drawn.log()) == 1
 
 
@@ -112,7 +112,7 @@ def test_no_bytes_whatever_end_the_drawing(strict: str, draw: Draw, monkeypatch:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     drawn = draw(entries=entries)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # kB
-    assert sum(drawn.view.told.refused.values()) > 500  # it was worth trying
+    assert sum(drawn.view.counts.refused.values()) > 500  # it was worth trying
     shown = drawn.view.seen.shown.values()
     assert {each.topic: drawn.count(each.path) for each in shown} == expected
     for name in NAMES:
@@ -125,8 +125,8 @@ def test_names_without_end_cost_themselves(draw: Draw, monkeypatch: pytest.Monke
     frames = [TransformStamped(Header(0, "base"), f"tool {number}", (0.0, 0.0, 0.0), turn) for number in range(40)]
     drawn = draw(*frames, *((f"/text/{number}", String("x")) for number in range(10)))
     assert drawn.count("topic") == 40
-    assert 10 < drawn.view.told.refused["/topic"] < 15
-    assert sum(drawn.view.told.refused.values()) > 20
+    assert 10 < drawn.view.counts.refused["/topic"] < 15
+    assert sum(drawn.view.counts.refused.values()) > 20
     assert sum(path.startswith("frames/") for path in drawn.batches) < 30
 
 
@@ -191,8 +191,8 @@ def test_a_stamp_that_no_time_line_takes_costs_its_place_there(odd_ns: int, draw
         assert [row["entry"] for row in drawn.rows(path)] == numbers
         assert [row.get("gateway_time", odd_ns) for row in drawn.rows(path)] == times
     assert [row.get("sender_time", odd_ns) for row in drawn.rows("tool")] == times[::-1]
-    assert drawn.view.told.timeless == {"gateway_time": 4} | ({"sender_time": 2} if odd_ns else {})
-    assert sum(f"found the stamp {odd_ns}" in line for line in drawn.log()) == len(drawn.view.told.timeless)
+    assert drawn.view.counts.timeless == {"gateway_time": 4} | ({"sender_time": 2} if odd_ns else {})
+    assert sum(f"found the stamp {odd_ns}" in line for line in drawn.log()) == len(drawn.view.counts.timeless)
     assert drawn.view.seen.seconds == 2.0
 
 

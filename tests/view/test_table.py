@@ -38,5 +38,5 @@ def test_a_recording_read_back_holds_every_message(fixture: str, draw: Draw) -> 
     seen = drawn.view.seen
     assert {shown.topic: drawn.count(shown.path) for shown in seen.shown.values()} == expected
     assert {shown.topic: shown.count for shown in seen.shown.values()} == expected
-    assert not drawn.view.told.refused
-    assert not drawn.view.told.without_picture
+    assert not drawn.view.counts.refused
+    assert not drawn.view.counts.without_picture

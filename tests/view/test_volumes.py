@@ -99,7 +99,7 @@ def test_a_volume_without_its_voxels_costs_itself(draw: Draw) -> None:
     whole = volume(np.zeros((1, 2, 2, 1), np.uint8))
     cut = Volume(HEADER, (9, 9, 9), 3, 1, False, 1, IDENTITY, SPACING, ORIGIN, b"xx")
     drawn = draw(whole, cut)
-    assert (drawn.count("topic"), drawn.view.told.refused) == (2, {"/topic": 1})
+    assert (drawn.count("topic"), drawn.view.counts.refused) == (2, {"/topic": 1})
 
 
 @pytest.mark.parametrize(

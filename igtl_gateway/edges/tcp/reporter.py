@@ -65,7 +65,7 @@ class Reporter:
 
     def note_error(self, exc: Exception) -> None:
         """Note an unexpected exception of our own code that concerns no single link."""
-        self.note_rate_limited(f"internal error {_place(exc)}", lambda count: error_note(exc, count=count))
+        self.note_rate_limited(f"internal error {_code_location(exc)}", lambda count: error_note(exc, count=count))
 
     def _note_repeated(self, fact: str, repeated: _RepeatedFact) -> None:
         if repeated.count == repeated.noted:
@@ -79,12 +79,12 @@ class Reporter:
 def error_note(exc: Exception, **data: object) -> Note:
     """The note of an unexpected exception of our own code: what, and where in the code."""
     _log.debug("unexpected exception in the I/O thread", exc_info=exc)
-    cause, place = f"{type(exc).__name__}: {exc}", _place(exc)
+    cause, place = f"{type(exc).__name__}: {exc}", _code_location(exc)
     text = f"unexpected error in the gateway's own code: {cause} ({place})"
     return Note(Level.ERROR, "internal_error", text, data={"error": cause, "place": place} | data)
 
 
-def _place(exc: Exception) -> str:
+def _code_location(exc: Exception) -> str:
     """File, line and function that raised."""
     frames = traceback.extract_tb(exc.__traceback__)
     if not frames:

@@ -89,7 +89,7 @@ def start_stream(message: Message, igtl_type: str, peer: Peer, known: Known) -> 
     if query_name("STT", igtl_type) not in QUERIES or (frame and not known(frame)):
         return ERROR
     if igtl_type in TRACKING:
-        wanted = {key for key, wish in peer.stream_requests.items() if key[0] in TRACKING and wish.wanted}
+        wanted = {key for key, request in peer.stream_requests.items() if key[0] in TRACKING and request.wanted}
         if len(wanted | {(igtl_type, device)}) > MAX_TRACKED:
             return ERROR
     return OK if peer.start_stream(igtl_type, device, _interval_ns(content), frame) else ERROR

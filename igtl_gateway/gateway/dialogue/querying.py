@@ -48,7 +48,7 @@ class Queries:
         prefix, igtl_type = query
         if prefix in ("GET", "STT") and self._denied.type(igtl_type):
             text = f"{message.type} refused: {igtl_type} is sent to nobody (deny_out)"
-            finding = _once(entry, Level.WARN, "denied", text, visible(message.type), peer)
+            finding = _noted_once(entry, Level.WARN, "denied", text, visible(message.type), peer)
             return [finding, *self.deny(entry, peer, message, prefix, igtl_type)]
         answer = _ANSWERS.get(prefix)
         # escaped bytes make a name longer: the reply must fit the header
@@ -74,7 +74,7 @@ class Queries:
         return [
             *items,
             *self._delivery.to(entry, [peer], [refusal]),
-            _once(entry, Level.INFO, "query_unanswered", text, entry.channel, peer),
+            _noted_once(entry, Level.INFO, "query_unanswered", text, entry.channel, peer),
         ]
 
     def _start(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
@@ -98,5 +98,5 @@ class Queries:
 _ANSWERS: dict[str, _Answer] = {"GET": Queries._get, "STT": Queries._start, "STP": Queries._stop}
 
 
-def _once(entry: Entry, level: Level, code: str, text: str, subject: str, peer: Peer) -> Finding:
+def _noted_once(entry: Entry, level: Level, code: str, text: str, subject: str, peer: Peer) -> Finding:
     return Finding(level, code, text, entry.channel, entry.links, subject=subject, by=peer.link)

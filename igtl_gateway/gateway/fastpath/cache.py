@@ -113,14 +113,14 @@ class FastPath:
         key = (entry.links[0], bytes(entry.payload[0][NAMES]))
         if entry.type in compile_to_ros.TYPES and not self._frames_go_out and self._may_compile(key):
             assembler = self._volumes.get(origin.to.device_name)
-            self._keep(self.to_ros, key, compile_to_ros.compile_to_ros(entry, origin, self._common, assembler))
+            self._store(self.to_ros, key, compile_to_ros.compile_to_ros(entry, origin, self._common, assembler))
 
     def _learn_to_igtl(self, entry: Entry, origin: IgtlOrigin) -> None:
         key = (entry.channel, entry.type)
         if entry.type in compile_to_igtl.TYPES and self._may_compile(key):
             peers = tuple(self._peers.all())
             compiled = compile_to_igtl.compile_to_igtl(entry, origin, self._common, self._latest, peers)
-            self._keep(self.to_igtl, key, compiled)
+            self._store(self.to_igtl, key, compiled)
 
     def _may_compile(self, key: ToRosKey | ToIgtlKey) -> bool:
         """Return whether a stream is not compiled and may be."""
@@ -129,7 +129,7 @@ class FastPath:
         times = self._compiled.get(key)
         return times < MAX_COMPILED if times is not None else len(self._compiled) < MAX_STREAMS
 
-    def _keep(self, streams: dict[Any, Any], key: ToRosKey | ToIgtlKey, compiled: object | None) -> None:
+    def _store(self, streams: dict[Any, Any], key: ToRosKey | ToIgtlKey, compiled: object | None) -> None:
         """Store a compiled stream; None: this stream cannot be compiled."""
         self._compiled[key] = self._compiled.get(key, 0) + 1 if compiled else MAX_COMPILED
         if compiled:

@@ -80,8 +80,8 @@ class Delivery:
             return self.to(entry, peers, (out,), asked=False)
         by_frame: dict[str, list[Peer]] = {}
         for peer in peers:
-            wish = peer.stream_request(out.igtl_type, out.device)
-            frame = wish.frame if wish else ""
+            request = peer.stream_request(out.igtl_type, out.device)
+            frame = request.frame if request else ""
             by_frame.setdefault("" if frame == out.frame_id else frame, []).append(peer)
         items: list[Item] = []
         for frame, members in by_frame.items():

@@ -40,7 +40,7 @@ class _FramesSent:
     versions: tuple[int, ...] = ()
     last: OutboundMessage | None = None
     oldest_ns: int = 0
-    told: tuple[tuple[int, Pose], ...] = ()
+    sent: tuple[tuple[int, Pose], ...] = ()
 
 
 class TfOut:
@@ -91,12 +91,12 @@ class TfOut:
         known = [(frame, place) for frame, place in found if place is not None]
         if one.row.max_age_s:
             known = [(frame, place) for frame, place in known if not (place[0] and is_stale(one.row, frame, place[0]))]
-        told = tuple(place for _, place in known)
-        if not known or told == one.told:
+        sent = tuple(place for _, place in known)
+        if not known or sent == one.sent:
             return None
-        one.told = told
-        one.oldest_ns = min((ns for ns, _ in told if ns), default=0)
-        one.last = self._outbound(one, {frame: pose for frame, (_, pose) in known}, max(ns for ns, _ in told), now_ns)
+        one.sent = sent
+        one.oldest_ns = min((ns for ns, _ in sent if ns), default=0)
+        one.last = self._outbound(one, {frame: pose for frame, (_, pose) in known}, max(ns for ns, _ in sent), now_ns)
         return one.last
 
     def _outbound(self, one: _FramesSent, poses: dict[str, Pose], stamp_ns: int, now_ns: int) -> OutboundMessage:

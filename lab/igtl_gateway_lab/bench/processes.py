@@ -131,7 +131,7 @@ class Program:
             except Empty:
                 raise BenchError(f"{self._name}: found no {name!r} within {timeout_s:g} s") from None
             if event is None:
-                raise BenchError(f"{self._name}: {self._last_words(name)}")
+                raise BenchError(f"{self._name}: {self._exit_reason(name)}")
             if event.get("event") == name:
                 return event
             if seen:
@@ -163,12 +163,12 @@ class Program:
         except subprocess.TimeoutExpired:
             raise BenchError(f"{self._name}: did not end within {timeout_s:g} s") from None
         if code:
-            raise BenchError(f"{self._name}: {self._last_words('end')}")
+            raise BenchError(f"{self._name}: {self._exit_reason('end')}")
 
     def check(self) -> None:
         """Raises BenchError, with its last words, if it has ended."""
         if self._process.poll() is not None:
-            raise BenchError(f"{self._name}: {self._last_words('its part')}")
+            raise BenchError(f"{self._name}: {self._exit_reason('its part')}")
 
     def _close_input(self) -> None:
         try:
@@ -177,7 +177,7 @@ class Program:
         except BrokenPipeError:
             pass  # it has gone before
 
-    def _last_words(self, awaited: str) -> str:
+    def _exit_reason(self, awaited: str) -> str:
         self._threads[1].join()
         code = self._process.wait()
         said = [line for line in self._words if line.strip()]

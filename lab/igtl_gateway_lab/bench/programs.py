@@ -50,7 +50,7 @@ class BenchTransport(Protocol):
     def open(self) -> None:
         """Connect, and be there for who looks for us."""
 
-    def found(self) -> None:
+    def wait_for_peers(self) -> None:
         """Wait for the others."""
 
     def sender(self, part: JobStream) -> Send:
@@ -97,7 +97,7 @@ class IgtlTransport:
             print_event({"event": "listening", "host": host, "port": port})
             return server.accept()[0]
 
-    def found(self) -> None:
+    def wait_for_peers(self) -> None:
         """A connection is all."""
 
     def sender(self, part: JobStream) -> Send:
@@ -148,7 +148,7 @@ def run(job: Job) -> None:
     side.open()
     orders = _StdinCommands(heard, side)
     try:
-        side.found()
+        side.wait_for_peers()
         print_event({"event": "ready"})
         sent = _send(job, side, orders)
         orders.ended.wait()

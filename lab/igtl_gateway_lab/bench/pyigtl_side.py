@@ -40,11 +40,11 @@ class PyigtlTransport:
         while not self._client.is_connected():
             self._ended.wait(_LOOK_S)
         for part in self._job.hears:
-            thread = threading.Thread(target=self._hear, args=(part,), name="igtl-bench-pyigtl", daemon=True)
+            thread = threading.Thread(target=self._receive, args=(part,), name="igtl-bench-pyigtl", daemon=True)
             self._threads.append(thread)
             thread.start()
 
-    def found(self) -> None:
+    def wait_for_peers(self) -> None:
         """A connection is all."""
 
     def sender(self, part: JobStream) -> Send:
@@ -66,7 +66,7 @@ class PyigtlTransport:
             thread.join()
         self._client.stop()
 
-    def _hear(self, part: JobStream) -> None:
+    def _receive(self, part: JobStream) -> None:
         heard = self._heard[part.key]
         while not self._ended.is_set():
             message = self._client.wait_for_message(part.device, timeout=_LOOK_S)

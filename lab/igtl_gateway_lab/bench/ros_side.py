@@ -62,7 +62,7 @@ class RosTransport:
                 kind = payload(part.stream.kind)
                 join(part.topic, kind.ros_type, Qos(queue_depth(kind.size)))
 
-    def found(self) -> None:
+    def wait_for_peers(self) -> None:
         for part in self._job.sends:
             if not self._node.wait_for_subscribers(part.topic, 1, _FOUND_S):
                 raise GatewayError(f"{part.topic}: nobody subscribed within {_FOUND_S:g} s")

@@ -130,7 +130,7 @@ def run(options: argparse.Namespace) -> int:
         for name, sweep in SWEEPS.items():
             print_line(f"{f'--sweep {name}':<15} {sweep.text}")
         return 0
-    groups, works = _asked(options)
+    groups, works = _selected(options)
     if importlib.util.find_spec("rclpy") is None:
         raise Unavailable(missing("rclpy"))
     # a measurement must neither hear nor disturb other robots
@@ -141,10 +141,10 @@ def run(options: argparse.Namespace) -> int:
     ticks = _ticks()
     rows: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="igtl-gateway-bench-") as folder:
-        runner = Runner(Path(folder), clock, _tell)
+        runner = Runner(Path(folder), clock, _print_status)
         for group in groups:
             rows += merge_rounds([_measured(runner, group) for _ in range(options.rounds)])
-        workshop = WorkContext(Path(folder), clock, _tell)
+        workshop = WorkContext(Path(folder), clock, _print_status)
         for name in works:
             rows += merge_rounds([WORKS[name].run(workshop) for _ in range(options.rounds)])
     rows = [with_verdict(row) for row in rows]
@@ -158,7 +158,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"rows": rows, **({"fits": lines} if lines else {}), "ambient": ambient})
     else:
-        print_line(*_table(rows), *_fitted(lines), "", *_words(ambient))
+        print_line(*_table(rows), *_fitted(lines), "", *_ambient_text(ambient))
     return 0
 
 
@@ -175,7 +175,7 @@ def _measured(runner: Runner, group: _Group) -> list[Row]:
     return with_costs([row | group.marks for plan in group.plans for row in runner.measure(plan)])
 
 
-def _asked(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
+def _selected(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
     """What is to be measured: passages of messages, and other work.  Raises ConfigError."""
     names = list(dict.fromkeys([*options.case, *(TABLE_1 if options.table1 else ())]))
     if unknown := [name for name in names if name not in CASES and name not in WORKS]:
@@ -232,7 +232,7 @@ def _with_peers(plan: BenchPlan) -> list[BenchPlan]:
     """The same with each peer that is there; of the others it is said why not."""
     reasons = {peer: lacks(peer, plan.case) for peer in PEERS}
     for reason in filter(None, reasons.values()):
-        _tell(f"left out: {reason}")
+        _print_status(f"left out: {reason}")
     return [replace(plan, peer=peer) for peer, reason in reasons.items() if not reason]
 
 
@@ -361,7 +361,7 @@ def _stolen_percent(before: list[int], after: list[int]) -> float | None:
     return round(100 * spent[7] / busy, 1) if busy else None
 
 
-def _words(ambient: dict[str, Any]) -> list[str]:
+def _ambient_text(ambient: dict[str, Any]) -> list[str]:
     packages = ", ".join(f"{name} {version}" for name, version in ambient["packages"].items())
     return [
         f"load {ambient['load'][0]} before, {ambient['load_after'][0]} after, on {ambient['cores']} cores"
@@ -370,5 +370,5 @@ def _words(ambient: dict[str, Any]) -> list[str]:
     ]
 
 
-def _tell(line: str) -> None:
+def _print_status(line: str) -> None:
     print_line(line, error=True, flush=True)

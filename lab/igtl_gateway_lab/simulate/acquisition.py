@@ -134,16 +134,16 @@ class AcquisitionRobot:
             said += heapq.heappop(self._plans)[2](now_ns)
         return said
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        assert isinstance(heard, RosReceived)
-        match heard.type:
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        assert isinstance(received, RosReceived)
+        match received.type:
             case String.TYPE:
-                return self._order(now_ns, String.unpack(heard.cdr).data)
+                return self._order(now_ns, String.unpack(received.cdr).data)
             case PointStamped.TYPE if self._ready:
-                return self._move(now_ns, PointStamped.unpack(heard.cdr))
+                return self._move(now_ns, PointStamped.unpack(received.cdr))
             case RosCommand.TYPE if self._ready:
-                return self._acquire(now_ns, RosCommand.unpack(heard.cdr))
-        self._told.append(f"refused {heard.topic}: not initialised")
+                return self._acquire(now_ns, RosCommand.unpack(received.cdr))
+        self._told.append(f"refused {received.topic}: not initialised")
         return ()
 
     def report(self) -> ActorReport:
@@ -183,7 +183,7 @@ class AcquisitionRobot:
             smooth = part * part * (3 - 2 * part)
             x, y, z = (round(a + (b - a) * smooth, 4) for a, b in zip(start, end, strict=True))
             self._position = (x, y, z)
-            pose = self._say("ProbeToBase/transform", self._pose(now_ns))
+            pose = self._publish("ProbeToBase/transform", self._pose(now_ns))
             return [pose, self._status("AT TARGET")] if part >= 1 else [pose]
 
         return step
@@ -201,7 +201,7 @@ class AcquisitionRobot:
     def _image(self, now_ns: int) -> list[Sent]:
         pixels = probe_image(self._position)
         image = Image(Header(now_ns, "probe"), HEIGHT, WIDTH, "mono8", 0, WIDTH, pixels.tobytes())
-        return [self._say("ProbeToBase/transform", self._pose(now_ns)), self._say("Probe/image", image)]
+        return [self._publish("ProbeToBase/transform", self._pose(now_ns)), self._publish("Probe/image", image)]
 
     def _pose(self, now_ns: int) -> TransformStamped:
         x, y, z = (value / 1000 for value in self._position)
@@ -209,9 +209,9 @@ class AcquisitionRobot:
 
     def _status(self, text: str) -> Sent:
         self._told.append(text.lower())
-        return self._say("Robot/string", String(text))
+        return self._publish("Robot/string", String(text))
 
-    def _say(self, stream: str, message: RosMessage) -> Sent:
+    def _publish(self, stream: str, message: RosMessage) -> Sent:
         return RosSent(_TOPIC[stream], message)
 
 
@@ -270,32 +270,32 @@ class AcquisitionPlanner:
             case _:
                 return [self._text(now_ns, "SHUT DOWN")]
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        assert isinstance(heard, Message)
-        content = heard.content
-        match self._step, heard.type:
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        assert isinstance(received, Message)
+        content = received.content
+        match self._step, received.type:
             case _, "TRANSFORM" if isinstance(content, Transform):
                 self._poses += 1
-                self._pose = (heard.ticks, content.wire_matrix[9:])
+                self._pose = (received.ticks, content.wire_matrix[9:])
                 self._give_up_ns = now_ns + _GIVE_UP_NS
                 self._judge(now_ns)
-            case 1, "STRING" if _says(heard, "INITIALIZED"):
+            case 1, "STRING" if _has_text(received, "INITIALIZED"):
                 self._line(1, "robot initialised")
                 self._due_ns = now_ns + _THINK_NS
-            case 2, "STRING" if _says(heard, "MOVING"):
+            case 2, "STRING" if _has_text(received, "MOVING"):
                 self._line(2, f"target ({', '.join(f'{value:.2f}' for value in LESION_MM)}) mm taken, robot moves")
                 self._next(now_ns)
-            case 3, "STRING" if _says(heard, "AT TARGET"):
+            case 3, "STRING" if _has_text(received, "AT TARGET"):
                 self._late_ns = now_ns + _LATE_NS
                 self._judge(now_ns)
             case 4, "RTS_COMMAND" if isinstance(content, Command) and content.command_id == _COMMAND_ID:
                 self._line(4, "command Acquire taken")
                 self._next(now_ns)
             case 5, "IMAGE" if isinstance(content, WireImage):
-                self._image = (heard.ticks, content)
+                self._image = (received.ticks, content)
                 self._late_ns = now_ns + _LATE_NS
                 self._judge(now_ns)
-            case 6, "STRING" if _says(heard, "SHUT DOWN"):
+            case 6, "STRING" if _has_text(received, "SHUT DOWN"):
                 self._line(6, "robot shut down")
                 self._step = _LAST_STEP
         return ()
@@ -363,5 +363,5 @@ _AWAITED = {
 }
 
 
-def _says(heard: Message, text: str) -> bool:
-    return isinstance(heard.content, WireString) and heard.content.text == text
+def _has_text(received: Message, text: str) -> bool:
+    return isinstance(received.content, WireString) and received.content.text == text

@@ -110,7 +110,7 @@ class Actor(Protocol):
     def act(self, now_ns: int) -> Iterable[Sent]:
         """What it says now that it is due."""
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
         """What it answers to a message."""
 
     @property

@@ -183,8 +183,8 @@ class BrainPlanner:
         """The next round."""
         return self._send(now_ns)
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        match heard:
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        match received:
             case Message(type="STRING", device_name="Ready") if self._round == 0:
                 self._due_ns = now_ns
             case Message(type="STRING", device_name="Verdict", content=String() as text):
@@ -283,13 +283,13 @@ class Model:
         self._due_ns = now_ns + _AGAIN_NS
         return (RosSent(_READY, RosString("ready")),)
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        assert isinstance(heard, RosReceived)
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        assert isinstance(received, RosReceived)
         self._due_ns = None
-        if heard.topic == _CAPTION:
-            self._caption = Caption.unpack(RosString.unpack(heard.cdr).data)
+        if received.topic == _CAPTION:
+            self._caption = Caption.unpack(RosString.unpack(received.cdr).data)
         else:
-            self._mesh = now_ns, Mesh.unpack(heard.cdr), len(heard.cdr)
+            self._mesh = now_ns, Mesh.unpack(received.cdr), len(received.cdr)
         if self._caption is None or self._mesh is None:
             return ()
         caption, (arrived_ns, mesh, self._size) = self._caption, self._mesh

@@ -185,9 +185,9 @@ class _Dummy:
         dummies = Dummies.of(self.sends, self._number)
         self._number += 1
         self._last_ns = now_ns
-        return [self._say(kind, dummies, now_ns) for kind in KINDS]
+        return [self._message(kind, dummies, now_ns) for kind in KINDS]
 
-    def _say(self, kind: str, dummies: Dummies, now_ns: int) -> Sent:
+    def _message(self, kind: str, dummies: Dummies, now_ns: int) -> Sent:
         raise NotImplementedError
 
     def _take(self, now_ns: int, kind: str, found: Array | str) -> None:
@@ -202,7 +202,7 @@ class _Dummy:
         lines = [f"sent {self._number} rounds of {', '.join(_WIRE_TYPES[kind] for kind in KINDS)}"]
         for kind in KINDS:
             lines.append(
-                f"{_WIRE_TYPES[kind]:<10} {self.receives + kind:<16} {self._counts[kind]:>3}  {self._told(kind)}"
+                f"{_WIRE_TYPES[kind]:<10} {self.receives + kind:<16} {self._counts[kind]:>3}  {self._summary(kind)}"
             )
         complete = all(count == self._rounds for count in self._counts.values())
         worst = max(self._worst.values())
@@ -213,7 +213,7 @@ class _Dummy:
         }
         return ActorReport(complete and worst <= _TOLERANCE_MM, tuple(lines), facts)
 
-    def _told(self, kind: str) -> str:
+    def _summary(self, kind: str) -> str:
         if not self._counts[kind]:
             return "nothing came"
         off_mm = self._worst[kind]
@@ -246,7 +246,7 @@ class DummyNode(_Dummy):
             self.says[f"/igtl/out/{_NODE}{kind}/{last}"] = Publishes(ros_type)
         self._kinds = dict(zip(self.hears, _ROS_KINDS, strict=True))
 
-    def _say(self, kind: str, dummies: Dummies, now_ns: int) -> Sent:
+    def _message(self, kind: str, dummies: Dummies, now_ns: int) -> Sent:
         topic = f"/igtl/out/{_NODE}{kind}/{_ROS_KINDS[kind][0]}"
         header = Header(now_ns, "test")
         match kind:
@@ -263,10 +263,10 @@ class DummyNode(_Dummy):
             case _:
                 return RosSent(topic, Mesh(TRIANGLES, dummies.model / 1000))
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        assert isinstance(heard, RosReceived)
-        kind = self._kinds[heard.topic]
-        self._take(now_ns, kind, _OF_ROS[kind](heard.cdr))
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        assert isinstance(received, RosReceived)
+        kind = self._kinds[received.topic]
+        self._take(now_ns, kind, _OF_ROS[kind](received.cdr))
         return ()
 
 
@@ -277,15 +277,15 @@ class DummyServer(_Dummy):
     side = ActorProtocol.IGTL
     sends, receives = _SERVER, _NODE
 
-    def _say(self, kind: str, dummies: Dummies, now_ns: int) -> Sent:
+    def _message(self, kind: str, dummies: Dummies, now_ns: int) -> Sent:
         content = _WIRE[kind](dummies)
         return Message(_WIRE_TYPES[kind], _SERVER + kind, content, ns_to_ticks(now_ns))
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        assert isinstance(heard, Message)
-        kind = heard.device_name.removeprefix(_NODE)
-        if kind in KINDS and heard.type == _WIRE_TYPES[kind]:
-            self._take(now_ns, kind, _of_wire(kind, heard.content))
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        assert isinstance(received, Message)
+        kind = received.device_name.removeprefix(_NODE)
+        if kind in KINDS and received.type == _WIRE_TYPES[kind]:
+            self._take(now_ns, kind, _of_wire(kind, received.content))
         return ()
 
 

@@ -126,19 +126,19 @@ class LegoPlanner:
             if self._result:
                 yield self._message("STRING", terms.SAYS, String.of(self._result), now_ns)
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Message]:
-        if not isinstance(heard, Message):
+    def receive(self, now_ns: int, received: Received) -> Iterable[Message]:
+        if not isinstance(received, Message):
             return
-        match heard.device_name, heard.content:
+        match received.device_name, received.content:
             case terms.PEN_DEVICE, Transform() as pose if not self._registration:
-                self._pen_ns.append(ticks_to_ns(heard.ticks))
+                self._pen_ns.append(ticks_to_ns(received.ticks))
                 self._pen.append(pose.wire_matrix[9:])
             case terms.INK_DEVICE, PolyData() as ink:
                 pairs = [pair for line in ink.lines.lists() for pair in pairwise(line)]
                 self._segments = np.asarray(ink.points, np.float64)[np.array(pairs, np.int64).reshape(-1, 2)]
                 yield from self._measured(now_ns)
             case terms.STATUS_DEVICE, String() as words:
-                yield from self._on_words(words.text, now_ns)
+                yield from self._on_text(words.text, now_ns)
 
     def report(self) -> ActorReport:
         facts: dict[str, Any] = {"volume": self._volume.source, "stops": self._stops}
@@ -189,7 +189,7 @@ class LegoPlanner:
 
     # -- What the robot says ------------------------------------------------------------------------------------------
 
-    def _on_words(self, text: str, now_ns: int) -> Iterator[Message]:
+    def _on_text(self, text: str, now_ns: int) -> Iterator[Message]:
         word, _, rest = text.partition(" ")
         number = int(first) if (first := rest.split(" ")[0]).isdecimal() else 0
         if word == terms.TOUCHED_ALL and not self._registration:

@@ -60,7 +60,7 @@ class LegoRobot:
     side = ActorProtocol.ROS
 
     def __init__(self, pace: float = 1.0, seed: int = SEED) -> None:
-        self.hears = {topic: message.TYPE for topic, (message, _) in self._ears().items()}
+        self.hears = {topic: message.TYPE for topic, (message, _) in self._handlers().items()}
         self.says = {
             terms.JOINTS_TOPIC: Publishes(JointState.TYPE),
             terms.PEN_TOPIC: Publishes(TransformStamped.TYPE),
@@ -113,10 +113,10 @@ class LegoRobot:
             self._words.append(self._then.format(segments=len(self._world.ink)))
         self._ticks += 1
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[RosSent]:
-        if isinstance(heard, RosReceived) and heard.topic in self.hears:
-            message, answer = self._ears()[heard.topic]
-            answer(message.unpack(heard.cdr))
+    def receive(self, now_ns: int, received: Received) -> Iterable[RosSent]:
+        if isinstance(received, RosReceived) and received.topic in self.hears:
+            message, answer = self._handlers()[received.topic]
+            answer(message.unpack(received.cdr))
         yield from self._spoken()
 
     def report(self) -> ActorReport:
@@ -136,14 +136,14 @@ class LegoRobot:
 
     # -- What it hears ------------------------------------------------------------------------------------------------
 
-    def _ears(self) -> dict[str, tuple[type[RosMessage], Callable[..., None]]]:
+    def _handlers(self) -> dict[str, tuple[type[RosMessage], Callable[..., None]]]:
         """Topic → class of the message, and what is done with it."""
         return {
             terms.topic_of(terms.VOLUME, "volume"): (VolumeMessage, self._on_volume),
             terms.topic_of(terms.LANDMARKS, "landmarks"): (PointList, self._on_landmarks),
             terms.topic_of(terms.REGISTRATION, "transform"): (TransformStamped, self._on_registration),
             terms.topic_of(terms.POINTS, "landmarks"): (PointList, self._on_points),
-            terms.topic_of(terms.SAYS, "string"): (String, self._on_words),
+            terms.topic_of(terms.SAYS, "string"): (String, self._on_text),
         }
 
     def _on_volume(self, message: VolumeMessage) -> None:
@@ -192,7 +192,7 @@ class LegoRobot:
         self._program = self._drawing(lines)
         self._then = terms.DRAWN + " {segments} segments"
 
-    def _on_words(self, message: String) -> None:
+    def _on_text(self, message: String) -> None:
         if message.data.startswith(terms.RESULT) and not self._done:
             self._words.append(terms.FINISHED)
             self._done = True

@@ -108,7 +108,7 @@ class _OfflineStage:
             if arrival_ns is not None and arrival_ns <= next_ns:
                 yield from heapq.heappop(self._coming)[2]()
             elif actor and due_ns is not None and due_ns <= next_ns:
-                self._say(actor, actor.act(next_ns))
+                self._send_from(actor, actor.act(next_ns))
             else:
                 yield from self._input(Kind.EDGE_NOTE, Note(Level.INFO, TICK, "a deadline has come").pack())
 
@@ -122,7 +122,7 @@ class _OfflineStage:
         self._serial += 1
         heapq.heappush(self._coming, (self._now_ns + travel_ns, self._serial, arrive))
 
-    def _say(self, actor: Actor, words: Iterable[Sent]) -> None:
+    def _send_from(self, actor: Actor, words: Iterable[Sent]) -> None:
         """Put on its way what an actor says now."""
         for said in words:
             if isinstance(said, RosSent):
@@ -142,14 +142,18 @@ class _OfflineStage:
             self._send(ROS_NS, lambda: self._input(Kind.ROS_IN, cdr, topic, ros_type, source_ns=sent_ns))
         self._to_ros(RosReceived(topic, ros_type, cdr), besides=actor)
 
-    def _to_ros(self, heard: RosReceived, besides: Actor | None = None) -> None:
+    def _to_ros(self, received: RosReceived, besides: Actor | None = None) -> None:
         for actor in self._actors:
-            if actor is not besides and actor.side is ActorProtocol.ROS and actor.hears.get(heard.topic) == heard.type:
-                self._send(ROS_NS, self._hearing(actor, heard))
+            if (
+                actor is not besides
+                and actor.side is ActorProtocol.ROS
+                and actor.hears.get(received.topic) == received.type
+            ):
+                self._send(ROS_NS, self._deliver(actor, received))
 
-    def _hearing(self, actor: Actor, heard: Received) -> Callable[[], Iterable[Entry]]:
+    def _deliver(self, actor: Actor, received: Received) -> Callable[[], Iterable[Entry]]:
         def arrive() -> Iterable[Entry]:
-            self._say(actor, actor.receive(self._now_ns, heard))
+            self._send_from(actor, actor.receive(self._now_ns, received))
             return ()
 
         return arrive
@@ -167,7 +171,7 @@ class _OfflineStage:
                 self._to_ros(RosReceived(entry.channel, entry.type, entry.data()))
             elif entry.kind is Kind.IGTL_OUT:
                 for one in entry.links:
-                    self._send(IGTL_NS, self._hearing(self._links[one], decode(entry.data())))
+                    self._send(IGTL_NS, self._deliver(self._links[one], decode(entry.data())))
         return entries
 
 

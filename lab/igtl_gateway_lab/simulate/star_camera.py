@@ -99,7 +99,7 @@ class View:
     rgb: Array
 
 
-def see(camera: Camera, markers: Array, wet_spot: Array) -> View:
+def render_view(camera: Camera, markers: Array, wet_spot: Array) -> View:
     """Look at the scene: depth, shading, texture, glue dots and the wet spot."""
     rays = camera.rays()
     depth = cast(rays)

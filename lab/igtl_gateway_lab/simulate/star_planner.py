@@ -64,17 +64,17 @@ class SuturePlanner:
     def act(self, now_ns: int) -> Iterable[Sent]:
         return self._agenda.act(now_ns)
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
         if not self._heard:  # the session begins; until then a planner that was started alone waits
             self._heard = True
             self._agenda.add(now_ns + self._duration_ns, self._end)
-        if not isinstance(heard, Message) or self._approved:
+        if not isinstance(received, Message) or self._approved:
             return ()
-        match heard.content:
-            case Points() if heard.device_name == topics.POINTS_DEVICE:
-                self._hear_plan(now_ns, heard)
-            case PolyData() if heard.device_name == topics.CLOUD_DEVICE:
-                self._hear_cloud(now_ns, heard)
+        match received.content:
+            case Points() if received.device_name == topics.POINTS_DEVICE:
+                self._on_plan(now_ns, received)
+            case PolyData() if received.device_name == topics.CLOUD_DEVICE:
+                self._on_cloud(now_ns, received)
             case _:
                 pass
         return ()
@@ -94,7 +94,7 @@ class SuturePlanner:
             self._approved, lines, {"clouds": self._clouds, "moved_mm": moved, "approved": self._approved}
         )
 
-    def _hear_plan(self, now_ns: int, plan: Message) -> None:
+    def _on_plan(self, now_ns: int, plan: Message) -> None:
         if self._wanted is None:
             self._plan = plan
             return
@@ -103,7 +103,7 @@ class SuturePlanner:
             self._wanted = None
             self._agenda.add(now_ns + _APPROVING_NS, self._approve)
 
-    def _hear_cloud(self, now_ns: int, cloud: Message) -> None:
+    def _on_cloud(self, now_ns: int, cloud: Message) -> None:
         if self._plan is None or cloud.ticks <= self._plan.ticks or not isinstance(cloud.content, PolyData):
             return
         plan, self._plan = _positions(self._plan), None

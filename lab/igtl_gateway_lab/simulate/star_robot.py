@@ -47,9 +47,9 @@ class SutureRobot:
         self.hears = {topic: topics.TYPES[topic] for topic in (topics.CLOUD, topics.CORRECTED, topics.SAID)}
         self.says = {topic: Publishes(topics.TYPES[topic], topic in _LATCHED) for topic in (topics.TOOL, *_LATCHED)}
         self._hearing: dict[str, Callable[[int, RosReceived], Iterable[Sent]]] = {
-            topics.CLOUD: self._hear_cloud,
-            topics.CORRECTED: self._hear_correction,
-            topics.SAID: self._hear_text,
+            topics.CLOUD: self._on_cloud,
+            topics.CORRECTED: self._on_correction,
+            topics.SAID: self._on_text,
         }
         self._duration_ns = duration_ns
         self._scene = StarScene(seed)
@@ -79,8 +79,12 @@ class SutureRobot:
     def act(self, now_ns: int) -> Iterable[Sent]:
         return self._agenda.act(now_ns)
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        return self._hearing[heard.topic](now_ns, heard) if isinstance(heard, RosReceived) and not self._over else ()
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        return (
+            self._hearing[received.topic](now_ns, received)
+            if isinstance(received, RosReceived) and not self._over
+            else ()
+        )
 
     @property
     def done(self) -> bool:
@@ -91,7 +95,7 @@ class SutureRobot:
             return ActorReport(False, ("no cloud came, so there was no plan",), {"planned": 0})
         first, last = (self._wrong_mm(plan) for plan in (self._measured, self._plan))
         moved = {str(number): round(1000 * by_m, 2) for number, by_m in sorted(self._moved.items())}
-        beside_mm = self._beside_mm()
+        beside_mm = self._lateral_errors_mm()
         facts = {
             "planned": STITCHES,
             "planted_mm": first,
@@ -103,8 +107,8 @@ class SutureRobot:
         }
         executed = f"executed: {len(beside_mm)} of {STITCHES} stitches"
         lines = (
-            f"plan: {STITCHES} stitches from the first cloud; planted at a wrong depth: {_told(first)}",
-            f"moved by the planner: {_told(moved)}; still wrong: {_told(last)}",
+            f"plan: {STITCHES} stitches from the first cloud; planted at a wrong depth: {_lengths_text(first)}",
+            f"moved by the planner: {_lengths_text(moved)}; still wrong: {_lengths_text(last)}",
             f"{executed}, at most {max(beside_mm):.2f} mm beside the plan" if beside_mm else executed,
             "the plan was approved" if facts["approved"] else "the plan was not approved, so the arm did not move",
         )
@@ -112,16 +116,16 @@ class SutureRobot:
 
     # -- what it hears ------------------------------------------------------------------------------------------
 
-    def _hear_cloud(self, now_ns: int, heard: RosReceived) -> Iterable[Sent]:
+    def _on_cloud(self, now_ns: int, received: RosReceived) -> Iterable[Sent]:
         if self._measured is None:
-            self._measured = self._plan = lifted(self._scene.plan, topics.positions(heard.cdr))
+            self._measured = self._plan = lifted(self._scene.plan, topics.positions(received.cdr))
             text = f"plan: {STITCHES} stitches from the first cloud"
             self._agenda.add(now_ns + DRAWING_NS, lambda at_ns: self._publish_plan(at_ns, text))
         return ()
 
-    def _hear_correction(self, now_ns: int, heard: RosReceived) -> Iterable[Sent]:
+    def _on_correction(self, now_ns: int, received: RosReceived) -> Iterable[Sent]:
         """Entry points, then exit points, in the order of the plan; refused once the arm moves."""
-        points = topics.positions(heard.cdr)[0].astype(np.float64)
+        points = topics.positions(received.cdr)[0].astype(np.float64)
         if self._plan is None or self._begun_s < NEVER_S:
             reason = "there is none yet" if self._plan is None else "the arm is at work"
             return [RosSent(topics.STATUS, String(f"plan: correction refused, {reason}"))]
@@ -142,8 +146,8 @@ class SutureRobot:
         self._agenda.add(now_ns + 2 * NS_PER_MS, lambda at_ns: self._publish_plan(at_ns, text))
         return ()
 
-    def _hear_text(self, now_ns: int, heard: RosReceived) -> Iterable[Sent]:
-        if not String.unpack(heard.cdr).data.startswith(topics.APPROVAL):
+    def _on_text(self, now_ns: int, received: RosReceived) -> Iterable[Sent]:
+        if not String.unpack(received.cdr).data.startswith(topics.APPROVAL):
             return ()
         if self._plan is None or self._begun_s < NEVER_S:
             return ()
@@ -153,13 +157,13 @@ class SutureRobot:
         for number in range(STITCHES):
             name = f"stitch {number + 1}/{STITCHES}"
             for offset_s, phase in ((0.0, "approach"), (APPROACH_S, "drive"), (APPROACH_S + DRIVE_S, "pull")):
-                self._foresee(begin_ns, number * CYCLE_S + offset_s, f"{name}: {phase}")
-        self._foresee(begin_ns, STITCHES * CYCLE_S, "session: all stitches placed")
+                self._schedule_text(begin_ns, number * CYCLE_S + offset_s, f"{name}: {phase}")
+        self._schedule_text(begin_ns, STITCHES * CYCLE_S, "session: all stitches placed")
         return [RosSent(topics.STATUS, String("plan: approved, the arm begins"))]
 
     # -- what it does -------------------------------------------------------------------------------------------
 
-    def _foresee(self, begin_ns: int, after_s: float, text: str) -> None:
+    def _schedule_text(self, begin_ns: int, after_s: float, text: str) -> None:
         """Say something when the work has gone on for so long."""
         self._agenda.add(self._start_ns + begin_ns + round(after_s * NS_PER_S), _status(text))
 
@@ -207,7 +211,7 @@ class SutureRobot:
                 found[str(number)] = round(by_mm, 2)
         return found
 
-    def _beside_mm(self) -> list[float]:
+    def _lateral_errors_mm(self) -> list[float]:
         """For each stitch that was driven through, how far from its planned ends the needle went in and out."""
         assert self._plan is not None
         found = []
@@ -226,7 +230,7 @@ def _status(text: str) -> Callable[[int], Iterable[Sent]]:
     return lambda _now_ns: (RosSent(topics.STATUS, String(text)),)
 
 
-def _told(millimetres: dict[str, float]) -> str:
+def _lengths_text(millimetres: dict[str, float]) -> str:
     return ", ".join(f"stitch {number} ({value:.1f} mm)" for number, value in millimetres.items()) or "none"
 
 

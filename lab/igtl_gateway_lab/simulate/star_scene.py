@@ -33,7 +33,7 @@ from igtl_gateway_lab.simulate.star_camera import (
     depth_shot,
     draw_tool,
     glare,
-    see,
+    render_view,
     seven_bits,
     shine,
 )
@@ -130,7 +130,7 @@ class StarScene:
 @cache
 def _undisturbed(camera: Camera) -> View:
     """The same for all seeds, and the slow part: kept, and so not to be written to."""
-    view = see(camera, true_markers(), true_plan().exit[WET_STITCH])
+    view = render_view(camera, true_markers(), true_plan().exit[WET_STITCH])
     for array in vars(view).values():
         array.flags.writeable = False
     return view

@@ -96,9 +96,9 @@ class Sensors:
     def act(self, now_ns: int) -> Iterable[Sent]:
         return self._agenda.act(now_ns)
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        if isinstance(heard, RosReceived):
-            self._poses.append(TransformStamped.unpack(heard.cdr))
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        if isinstance(received, RosReceived):
+            self._poses.append(TransformStamped.unpack(received.cdr))
         return ()
 
     @property

@@ -139,11 +139,11 @@ class _Tester:
         if self._sent == self._to_send:
             self._gave_up = True
             return []
-        said = self._say(self._sent, now_ns)
+        said = self._message(self._sent, now_ns)
         self._sent, self._sent_ns = self._sent + 1, now_ns
         return [said]
 
-    def _say(self, number: int, now_ns: int) -> Sent:
+    def _message(self, number: int, now_ns: int) -> Sent:
         raise NotImplementedError
 
     def _take(self, now_ns: int, seen: _TestMessage) -> None:
@@ -196,13 +196,13 @@ class TestServer(_Tester):
     hears: dict[str, str] = {}  # noqa: RUF012  # as an actor's attributes are
     says: dict[str, Publishes] = {}  # noqa: RUF012
 
-    def _say(self, number: int, now_ns: int) -> Sent:
+    def _message(self, number: int, now_ns: int) -> Sent:
         content = self._form.igtl(number, self._load.length, now_ns)
         return Message(self._load.type, IGTL_NAME, content, ns_to_ticks(now_ns))
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        if isinstance(heard, Message) and (heard.type, heard.device_name) == (self._load.type, ROS_NAME):
-            self._take(now_ns, self._form.of_igtl(heard, self._load.length))
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        if isinstance(received, Message) and (received.type, received.device_name) == (self._load.type, ROS_NAME):
+            self._take(now_ns, self._form.of_igtl(received, self._load.length))
         return ()
 
 
@@ -218,12 +218,12 @@ class TestNode(_Tester):
         self.hears = {self._form.hears: self._form.ros_type} if to_hear else {}
         self.says = {self._form.sends: Publishes(self._form.ros_type)} if to_send else {}
 
-    def _say(self, number: int, now_ns: int) -> Sent:
+    def _message(self, number: int, now_ns: int) -> Sent:
         return RosSent(self._form.sends, self._form.ros(number, self._load.length, now_ns))
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        if isinstance(heard, RosReceived) and heard.topic == self._form.hears:
-            self._take(now_ns, self._form.of_ros(heard.cdr, self._load.length))
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        if isinstance(received, RosReceived) and received.topic == self._form.hears:
+            self._take(now_ns, self._form.of_ros(received.cdr, self._load.length))
         return ()
 
 

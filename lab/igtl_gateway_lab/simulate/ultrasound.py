@@ -139,7 +139,7 @@ class Scanner:
 
     def _shot(self, number: int) -> Iterable[Sent]:
         ticks = ns_to_ticks(self._start_ns + number * FRAME_NS)
-        look = self._hand.look(number)
+        look = self._hand.moment(number)
         if number not in self._hidden:
             yield Message("TRANSFORM", "ReferenceToTracker", Transform.from_rows(look.reference_to_tracker.rows), ticks)
         yield Message("TRANSFORM", "ProbeToTracker", Transform.from_rows(look.probe_to_tracker.rows), ticks)
@@ -150,20 +150,20 @@ class Scanner:
         matrix = tuple(float(value) for axis in (across, down, beside, middle) for value in axis)
         yield Message("IMAGE", "Image_Probe", Image((WIDTH, HEIGHT, 1), 3, pixels.data, wire_matrix=matrix), ticks)
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        match heard:
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        match received:
             case Message(type="STRING", device_name="Request") if self._due_ns is None and not self._sent:
                 self._start_ns = now_ns
                 self._due_ns = now_ns + _DELAY_NS
             case Message(type="TRANSFORM", device_name="NeedleToReference", content=Transform() as needle):
-                self._needle_ticks = heard.ticks
+                self._needle_ticks = received.ticks
                 place = np.array([needle.wire_matrix[9:]])
                 self._needle_off = float(off_middle(place)[0])
             case Message(
                 type="POLYDATA", device_name="BoneSurface" | "VesselWall" as name, content=PolyData() as shape
             ):
                 off = (off_bone if name == "BoneSurface" else off_wall)(shape.points.astype(np.float64))
-                self._shapes[name] = _Shape(heard.ticks, len(off), rms(off) if len(off) else math.inf)
+                self._shapes[name] = _Shape(received.ticks, len(off), rms(off) if len(off) else math.inf)
             case Message(type="STATUS", device_name="Navigator", content=Status() as status):
                 self._status = status
         if self.done:
@@ -290,18 +290,18 @@ class Navigator:
         self._due_ns = now_ns + _AGAIN_NS
         return (RosSent(_REQUEST, RosString("StartSweep")),)
 
-    def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
-        assert isinstance(heard, RosReceived)
+    def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
+        assert isinstance(received, RosReceived)
         if self._announced is None:
             self._due_ns = None  # the sweep is under way
-        if heard.topic == _SWEEP:
-            return self._finished(now_ns, RosString.unpack(heard.cdr).data)
-        if heard.topic == _PICTURE:
-            picture = Volume.unpack(heard.cdr)
+        if received.topic == _SWEEP:
+            return self._finished(now_ns, RosString.unpack(received.cdr).data)
+        if received.topic == _PICTURE:
+            picture = Volume.unpack(received.cdr)
             self._found[picture.header.stamp_ns] = _found_in(picture)
         else:
-            pose = TransformStamped.unpack(heard.cdr)
-            poses = self._probe if heard.topic == _PROBE else self._reference
+            pose = TransformStamped.unpack(received.cdr)
+            poses = self._probe if received.topic == _PROBE else self._reference
             poses[pose.header.stamp_ns] = _rigid(pose)
         if self._complete and not self._answer:
             return self._answered(now_ns)

@@ -45,7 +45,7 @@ _ARM_TO_TRACKER = (0.96, 0.25, 0.05, 0.09, -208.6, -115.5, -992.7)
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class SweepMoment:
     """A moment of the sweep.
 
     Attributes:
@@ -68,7 +68,7 @@ class Hand:
         self._breath = noise.normal(16, 6)
         self._seen = noise.normal(frames, 2, 3)
 
-    def look(self, frame: int) -> Look:
+    def moment(self, frame: int) -> SweepMoment:
         """What there is to see at picture ``frame``."""
         part = frame / max(self._frames - 1, 1)
         dx, dy, dz, rx, ry, rz = _wander(self._shake, part)
@@ -84,7 +84,7 @@ class Hand:
             Rigid(pose.rotation, pose.translation + TRACKING_MM * error)
             for pose, error in zip((probe, reference), self._seen[frame], strict=True)
         ]
-        return Look(image, seen[0], seen[1])
+        return SweepMoment(image, seen[0], seen[1])
 
 
 def _wander(values: Array, part: float) -> list[float]:

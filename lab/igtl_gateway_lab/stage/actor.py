@@ -167,12 +167,12 @@ class ActorProgram:
         """What came next; nothing if the actor is due before."""
         left_ns = None if due_ns is None else max(0, due_ns - self._clock.utc_ns())
         try:
-            heard = self._heard.get(timeout=None if left_ns is None else left_ns / NS_PER_S)
+            received = self._heard.get(timeout=None if left_ns is None else left_ns / NS_PER_S)
         except Empty:
             return
-        if heard is not None:
-            self._received[_stream(heard)] += 1
-            self._send(self._actor.receive(self._clock.utc_ns(), heard))
+        if received is not None:
+            self._received[_stream(received)] += 1
+            self._send(self._actor.receive(self._clock.utc_ns(), received))
 
     def _send(self, words: Any) -> None:
         for said in words:

@@ -58,9 +58,9 @@ def test_what_is_lost_swapped_or_changed_is_counted() -> None:
                 case 3:
                     return []
                 case 5:
-                    return [self._say(6, now_ns)]
+                    return [self._message(6, now_ns)]
                 case 6:
-                    return [self._say(5, now_ns)]
+                    return [self._message(5, now_ns)]
                 case 8:
                     pose = said[0].message
                     assert isinstance(pose, TransformStamped)

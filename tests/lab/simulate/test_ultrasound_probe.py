@@ -24,7 +24,7 @@ def test_what_the_tracker_sees_leads_to_the_picture() -> None:
     hand = Hand(20)
     off = []
     for frame in range(20):
-        look = hand.look(frame)
+        look = hand.moment(frame)
         seen = compose_rigid(look.reference_to_tracker.inverse(), compose_rigid(look.probe_to_tracker, IMAGE_TO_PROBE))
         np.testing.assert_allclose(seen.rotation, look.image_to_reference.rotation, atol=1e-12)
         off.append(seen.translation - look.image_to_reference.translation)
@@ -34,7 +34,7 @@ def test_what_the_tracker_sees_leads_to_the_picture() -> None:
 
 def test_the_sweep_goes_along_the_arm_with_the_beam_into_it() -> None:
     hand = Hand(50)
-    places = [hand.look(frame).image_to_reference for frame in range(50)]
+    places = [hand.moment(frame).image_to_reference for frame in range(50)]
     along = np.array([place.translation[1] for place in places])
     assert abs(along[0]) < 2 and abs(along[-1] - LENGTH_MM) < 2
     assert (np.diff(along) > 0.5).all(), "no slice twice"
@@ -44,7 +44,7 @@ def test_the_sweep_goes_along_the_arm_with_the_beam_into_it() -> None:
 
 def test_a_hand_shakes_and_an_arm_breathes() -> None:
     hand = Hand(50)
-    turns = np.array([hand.look(frame).image_to_reference.rotation[1, 1] for frame in range(50)])
+    turns = np.array([hand.moment(frame).image_to_reference.rotation[1, 1] for frame in range(50)])
     assert np.ptp(turns) > 0.02
-    arm = np.array([hand.look(frame).reference_to_tracker.translation for frame in range(50)])
+    arm = np.array([hand.moment(frame).reference_to_tracker.translation for frame in range(50)])
     assert (np.ptp(arm, axis=0) > 1).all()
