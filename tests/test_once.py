@@ -17,6 +17,11 @@ def test_only_the_first_call_with_a_key_is_true() -> None:
     assert once.first("a")
 
 
+def test_from_the_bound_on_nothing_is_reported() -> None:
+    once = Once(most=2)
+    assert [once.first(number) for number in (0, 1, 1, 2)] == [True, True, False, False]
+
+
 def test_of_several_threads_one_is_the_first() -> None:
     once, barrier, firsts = Once(), threading.Barrier(8), list[int]()
 

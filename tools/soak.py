@@ -40,7 +40,8 @@ from igtl_gateway_lab.bench import programs
 from igtl_gateway_lab.bench.cases import Direction, payload
 from igtl_gateway_lab.bench.figures import Transmission, latency
 from igtl_gateway_lab.bench.jobs import Job, JobStream
-from igtl_gateway_lab.bench.processes import BenchError, Event, Program, ours
+from igtl_gateway_lab.bench.processes import BenchError, Program
+from igtl_gateway_lab.programs import Event, ours
 from tools.soak_findings import Found, Sample, Settings, say
 from tools.soak_guests import Guests
 from tools.soak_judge import BACK, PROCESSES, judge, picture, report, spare, words
@@ -120,7 +121,7 @@ def soak(settings: Settings) -> Found:
         for _, program in steady:
             program.end()
         found.passages = _passages(settings, steady)
-        bridge.interrupt(120)
+        bridge.interrupt_and_wait(120)
         found.stopped = bridge.wait_for("stopped", 60, lambda event: _note(found, event))
         say("the bridge has stopped; verifying what is left")
         verifier.close()

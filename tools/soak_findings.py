@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway_lab.bench.processes import Event
+from igtl_gateway_lab.programs import Event
 
 #: How a bridge and its recorder were at one moment, see ``soak_watch.take``.
 Sample = dict[str, Any]

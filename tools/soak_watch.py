@@ -11,7 +11,7 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway_lab.bench.processes import ours
+from igtl_gateway_lab.programs import ours
 from tools.soak_findings import Found, Sample, Settings, say
 
 _VERIFY_S = 3600.0

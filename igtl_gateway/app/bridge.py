@@ -33,6 +33,7 @@ from igtl_gateway.gateway import CUT, LINKS_TOPIC, LISTENED, Session, make_core
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, PERIOD_NS, Diagnostics, PeerFacts
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.globs import matches
+from igtl_gateway.once import Once
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
@@ -124,7 +125,7 @@ class Bridge:
         self.recorder: Recorder | None = None
         self.summary: RecordingSummary | None = None
         self._clock = clock
-        self._seen: set[tuple[str, str]] = set()  # topics that were said to lack a conversion
+        self._noted = Once()  # topics without a conversion
         self._stopping = threading.Event()
         self._timer = threading.Thread(target=self._tick, name="igtl-timer", daemon=True)
         self.commands: CommandService | None = None
@@ -341,8 +342,8 @@ class Bridge:
     def subscription_for(self, topic: str, ros_type: str) -> Qos | None:
         """How to subscribe to a topic that was found; said once if it was asked for, but cannot be bridged."""
         encoded = self.video is not None and self.video.subscription(topic, ros_type) is not None
-        if (topic, ros_type) not in self._seen and self.gateway.lacks_conversion(topic, ros_type) and not encoded:
-            self._seen.add((topic, ros_type))
+        lacks = self.gateway.lacks_conversion(topic, ros_type) and not encoded
+        if lacks and self._noted.first(topic, ros_type):
             text = f"{topic} is not sent to OpenIGTLink: nothing converts {ros_type}"
             self.hub.note(Note(Level.WARN, "no_conversion", text, topic))
         return self._subscription(topic, ros_type)

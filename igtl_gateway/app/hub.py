@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.clock import Clock
 from igtl_gateway.gateway import TICK, Session
+from igtl_gateway.once import Once
 from igtl_gateway.session.clocksteps import LEAST_NS, ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
@@ -46,7 +47,7 @@ class Hub:
         self._sinks = tuple(sinks)
         self._lock = threading.Lock()
         self._owner = 0
-        self._complained: set[Sink] = set()
+        self._noted = Once()  # sinks that have failed
         # inputs that a sink brought while the lock was ours: they follow the entries being handed on
         self._waiting: deque[_Input] = deque()
         self._check_clock()
@@ -147,8 +148,7 @@ class Hub:
 
     def _note_sink_failure(self, sink: Sink, error: Exception) -> None:
         """Note that a sink raised; once, for it will again, and be it over this note."""
-        if sink not in self._complained:
-            self._complained.add(sink)
+        if self._noted.first(sink):
             text = f"{getattr(sink, '__qualname__', sink)} failed: {type(error).__name__}: {error}"
             note = Note(Level.ERROR, "internal_error", text)
             self._waiting.append((Kind.EDGE_NOTE, note.pack(), "", "", (), 0))

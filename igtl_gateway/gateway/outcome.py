@@ -13,6 +13,7 @@ from typing import Any
 
 from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.peers import Peers
+from igtl_gateway.once import Once
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.session.note import Level
@@ -96,7 +97,7 @@ class Bookkeeper:
     def __init__(self, peers: Peers) -> None:
         self.ledger = Ledger()
         self._peers = peers
-        self._noted: dict[int, set[tuple[str, str]]] = {}  # link → codes and subjects
+        self._noted: dict[int, Once] = {}  # link → codes and subjects
 
     def settle(self, entry: Entry, outcome: Outcome) -> list[Output]:
         """Count everything; return the outputs and the notes in their order."""
@@ -149,11 +150,10 @@ class Bookkeeper:
             self._peers[link].sent += 1
 
     def _is_new(self, link: int, code: str, subject: str) -> bool:
-        noted = self._noted.setdefault(link, set())
-        if (code, subject) in noted or len(noted) >= MAX_NOTED:
-            return False
-        noted.add((code, subject))
-        return True
+        noted = self._noted.get(link)
+        if noted is None:
+            noted = self._noted[link] = Once(MAX_NOTED)
+        return noted.first(code, subject)
 
 
 def warning_findings(warnings: Iterable[tuple[str, str]], entry: Entry) -> list[Item]:

@@ -26,6 +26,7 @@ from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.stamps import moved
 from igtl_gateway.gateway.to_ros.subscribers import Ask
+from igtl_gateway.once import Once
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.session.entry import Entry, Kind
@@ -54,7 +55,7 @@ class RelayGateway:
         self._partners: dict[int, int] = {}
         self._servers: set[int] = set()  # links to the server
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)
-        self._noted: set[tuple[str, str, int]] = set()
+        self._noted: dict[int, Once] = {}  # link → codes and streams
         self._faults = RelayFaults.parse(config.faults)
         self._lines: dict[int, FaultLine[Entry]] = {}  # link → fault line of the messages to it
         self._cut: set[int] = set()  # links that are being closed
@@ -104,7 +105,7 @@ class RelayGateway:
             self._partners.pop(partner, None)
             self._servers.discard(link)
             self._cut.discard(link)
-            self._noted = {subject for subject in self._noted if subject[2] != link}
+            self._noted.pop(link, None)
             if line := self._lines.pop(link, None):
                 self._drop_waiting(line, LINK_DOWN)
             if line := self._lines.get(partner):  # its last messages are still in the line
@@ -188,8 +189,6 @@ class RelayGateway:
 
     def _warn_once(self, entry: Entry, code: str, text: str) -> list[Output]:
         """Return a warning, unless this stream of the link already had it."""
-        subject = (code, entry.channel, entry.links[0])
-        if subject in self._noted:
+        if not self._noted.setdefault(entry.links[0], Once()).first(code, entry.channel):
             return []
-        self._noted.add(subject)
         return [note_output(Level.WARN, code, text, entry.channel, entry.links)]

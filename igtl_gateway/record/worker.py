@@ -21,6 +21,7 @@ from typing import Any
 
 from igtl_gateway.clock import Clock
 from igtl_gateway.errors import DiskRefused, RecordingError
+from igtl_gateway.once import Once
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.parts import PartsWriter
@@ -204,7 +205,7 @@ class _RecorderWorker:
         self._gone = False
         self._ledger: dict[str, Any] | None = None  # from the moment on at which the recording is to end
         self._told_ns: int | None = None
-        self._told_undefined: set[str] = set()
+        self._noted = Once()  # types without a definition
         self._told_refused: set[str] = set()
         self._told_state = WorkerState()
         self._left_out_before = 0  # of the pause that is on
@@ -424,8 +425,7 @@ class _RecorderWorker:
         finally:
             if not written:
                 self._count_drop(entry)
-        if writer.undefined and entry.type in writer.undefined and entry.type not in self._told_undefined:
-            self._told_undefined.add(entry.type)
+        if writer.undefined and entry.type in writer.undefined and self._noted.first(entry.type):
             text = f"no definition of {entry.type} found: {entry.channel} is recorded, but other tools cannot decode it"
             self._note(Note(Level.WARN, UNDEFINED, text, entry.channel))
 

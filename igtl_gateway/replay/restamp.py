@@ -13,6 +13,7 @@ from typing import Literal
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.gateway.stamps import restamped
+from igtl_gateway.once import Once
 from igtl_gateway.replay.stamp_places import StampPlaces
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.stamp import ns_to_ros, ros_to_ns
@@ -38,7 +39,7 @@ class Restamper:
         self._mode = mode
         self._places = StampPlaces(definitions)
         self._on_unknown = on_unknown
-        self._reported: set[str] = set()
+        self._reported = Once()
         self._shift_ns: int | None = None
 
     def begin(self, recorded_ns: int | None, now_ns: int) -> None:
@@ -65,8 +66,7 @@ class Restamper:
         data = entry.data()
         places = self._places.of(entry.type, data)
         if places is None:
-            if entry.type not in self._reported:
-                self._reported.add(entry.type)
+            if self._reported.first(entry.type):
                 self._on_unknown(entry.type)
             return data
         new = bytearray(data)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from igtl_gateway.once import Once
 from igtl_gateway.view.colours import SERIES
 from igtl_gateway.view.contents import FRAMES, LOG, EntityKind, SessionContents, ShownTopic, escape_path_part
 from igtl_gateway.view.pen import Pen, Pose, Xyz
@@ -69,6 +70,7 @@ class Canvas:
         self.options = options
         self.rows = 0
         self.memory: dict[str, Any] = {}
+        self._once = Once(_ONCES)
         self.colour = SERIES[number % len(SERIES)]
         self._seen = seen
         self._trails: dict[str, _Trail] = {}
@@ -112,9 +114,7 @@ class Canvas:
 
     def text_once(self, text: str, about: str = "") -> None:
         """Write a line to the log of the session, once for each ``about`` (default: the text)."""
-        written = self.memory.setdefault("said", set())
-        if (about or text) not in written and len(written) < _ONCES:
-            written.add(about or text)
+        if self._once.first(about or text):
             self.text(text)
 
     def tool(self, pose: Xyz, frame: str, child: str = "", *, labelled: bool = True) -> None:

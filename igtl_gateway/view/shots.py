@@ -8,20 +8,16 @@ warnings of the views, for people to read and for tests to assert on.
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
-import subprocess
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event
 from typing import Any, Self
 
 from igtl_gateway.errors import ViewerError
-from igtl_gateway.extras import missing
+from igtl_gateway.view.process import ViewerProcess
 
 TIME_LINE = "gateway_time"
 SIZE = (1600, 1000)
@@ -37,7 +33,6 @@ _NO_DRIVER = re.compile(r"No graphics adapter|Failed to get render context|Faile
 #: A headless viewer has one font and exits at a character that is not in it (policy of egui_kittest).
 _NO_LETTER = re.compile(r"No glyph for (\S+ \(U\+[0-9A-F]+\))")
 _LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
-_SAID = 20_000  #: number of characters of the viewer's last log lines that are kept
 
 #: A screenshot shows the views and the time, no other panels.
 _PANELS = {"top_panel": "Hidden", "blueprint_panel": "Hidden", "selection_panel": "Hidden"}
@@ -102,7 +97,6 @@ class HeadlessViewer:
             raise ViewerError(f"{recording}: no such file, expected a rerun recording (.rrd)")
         self._process = _start(recording, size)
         self.pid = self._process.pid
-        self._words = _ViewerOutput(self._process)
         try:
             self._client = self._connect()
             self.first_ns, self.last_ns = self._load(recording)
@@ -119,8 +113,7 @@ class HeadlessViewer:
 
     def close(self) -> None:
         """Stop the viewer and wait until it has exited.  A second call does nothing."""
-        end_viewer(self._process)
-        self._words.join()
+        self._process.close()
 
     def at(self, part: float) -> int:
         """Return the gateway time at a fraction 0 … 1 of the recording."""
@@ -143,21 +136,23 @@ class HeadlessViewer:
         return Shot(time_ns, png, tuple(complaints))
 
     def _connect(self) -> Any:
-        if not self._words.ready.wait(START_S):
-            raise ViewerError(f"the viewer was not ready in {START_S:g} s; its last log lines: {self._words.last()}")
-        if self._words.port is None:
+        if not self._process.ready.wait(START_S):
+            raise ViewerError(
+                f"the viewer was not ready in {START_S:g} s; its last log lines: {self._process.last_lines()}"
+            )
+        if not self._process.found[0]:
             raise self._exit_error()
         from rerun.experimental import ViewerClient
 
         for _ in range(HELLOS):
             # the viewer reports that it listens slightly too early, and answers only when it draws
             with suppress(RuntimeError, OSError):
-                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{self._words.port}/proxy")
+                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{self._process.found[0]}/proxy")
                 client.get_state()
                 return client
-            if self._words.ended.wait(STEP_S):
+            if self._process.ended.wait(STEP_S):
                 raise self._exit_error()
-        raise ViewerError(f"the viewer did not answer; its last log lines: {self._words.last()}")
+        raise ViewerError(f"the viewer did not answer; its last log lines: {self._process.last_lines()}")
 
     def _load(self, recording: Path) -> tuple[int, int]:
         step = Event()
@@ -183,100 +178,30 @@ class HeadlessViewer:
         try:
             return getattr(self._client, what)(*arguments, **options)
         except (RuntimeError, OSError, ValueError) as error:
-            if self._words.ended.wait(GRACE_S):
+            if self._process.ended.wait(GRACE_S):
                 raise self._exit_error() from error
             raise ViewerError(f"the viewer did not do {what}: {error}") from error
 
     def _exit_error(self) -> ViewerError:
-        if _NO_DRIVER.search(self._words.text):
+        if _NO_DRIVER.search(self._process.text):
             return ViewerError(
                 "found no usable Vulkan driver, expected that of a graphics card, or a software driver: "
                 "sudo apt-get install -y --no-install-recommends mesa-vulkan-drivers"
             )
-        if letter := _NO_LETTER.search(self._words.text):
+        if letter := _NO_LETTER.search(self._process.text):
             return ViewerError(
                 f"found the character {letter[1]} in the session: a headless viewer has no font for it and exits; "
                 "a viewer with a window draws a box"
             )
-        return ViewerError(f"the viewer exited unexpectedly; its last log lines: {self._words.last()}")
+        return ViewerError(f"the viewer exited unexpectedly; its last log lines: {self._process.last_lines()}")
 
 
-class _ViewerOutput:
-    """Reads the log of the viewer, so that the viewer never blocks on a full pipe, and keeps the last lines."""
-
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self.ready = Event()  #: the viewer listens, or has exited
-        self.ended = Event()
-        self.port: int | None = None
-        self.text = ""
-        self._process = process
-        self._thread = Thread(target=self._read, name="viewer's words", daemon=True)
-        self._thread.start()
-
-    def _read(self) -> None:
-        assert self._process.stderr is not None
-        with self._process.stderr as lines:
-            for line in lines:
-                self.text = (self.text + line)[-_SAID:]
-                if found := _LISTENS.search(line):
-                    self.port = int(found[1])
-                    self.ready.set()
-        self.ended.set()
-        self.ready.set()
-
-    def last(self) -> str:
-        lines = [line.strip() for line in self.text.splitlines() if line.strip()]
-        return " | ".join(lines[-3:]) or "none"
-
-    def join(self) -> None:
-        self._thread.join()
-
-
-def viewer_binary() -> Path:
-    """Return the binary of the viewer: ``rerun`` on the path is a Python wrapper that leaves it running at its exit.
-
-    Raises ViewerError if it is not installed.
-    """
-    spec = find_spec("rerun_cli")
-    if spec is not None and spec.origin is not None:
-        path = Path(spec.origin).with_name("rerun")
-        if path.is_file():
-            return path
-    raise ViewerError(missing("rerun"))
-
-
-def _start(recording: Path, size: tuple[int, int]) -> subprocess.Popen[str]:
+def _start(recording: Path, size: tuple[int, int]) -> ViewerProcess:
     width, height = size
     arguments = [str(recording), "--headless", "--bind", "127.0.0.1", "--port", "auto"]
     # messages of other levels also appear in the screenshot; the port is needed
-    return start_viewer([*arguments, "--window-size", f"{width}x{height}"], "error,re_grpc_server=info")
-
-
-def start_viewer(arguments: Sequence[str], log: str) -> subprocess.Popen[str]:
-    """Start the viewer as a process that ends with this one; ``log`` is the value of RUST_LOG."""
-    command = [str(viewer_binary()), *arguments]
-    if guard := shutil.which("setpriv"):  # the kernel stops the viewer if this process is killed
-        command = [guard, "--pdeathsig", "TERM", "--", *command]
-    return subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-        env={**os.environ, "RERUN_ANALYTICS": "0", "NO_COLOR": "1", "RUST_LOG": log},
-        start_new_session=True,  # Ctrl-C at the terminal reaches this process only, which stops the viewer
-    )
-
-
-def end_viewer(process: subprocess.Popen[str]) -> None:
-    """Stop a viewer, and wait until it has exited."""
-    process.terminate()
-    try:
-        process.wait(5)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+    log = "error,re_grpc_server=info"
+    return ViewerProcess([*arguments, "--window-size", f"{width}x{height}"], log, [_LISTENS])
 
 
 def _datetime64(time_ns: int) -> Any:

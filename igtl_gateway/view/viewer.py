@@ -5,21 +5,19 @@ from __future__ import annotations
 import os
 import re
 import sys
-import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Self
 from urllib.parse import quote
 
 from igtl_gateway.errors import ViewerError
-from igtl_gateway.view.shots import end_viewer, start_viewer
+from igtl_gateway.view.process import ViewerProcess
 
 HOST = "127.0.0.1"
 _LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
 _HOSTS = re.compile(r"Hosting a web-viewer at http://127\.0\.0\.1:(\d+)")
 _LOG = "error,re_grpc_server=info,re_sdk::web_viewer=info"
 _START_S = 30.0
-_WORDS = 4000
 _LIVE_MEMORY = "25%"  # of the machine: in a long session the window drops the oldest data
 
 
@@ -32,17 +30,11 @@ class Viewer:
 
     def __init__(self, arguments: Sequence[str], expected: Sequence[re.Pattern[str]]) -> None:
         self.url = ""
-        self._expected = tuple(expected)
-        self._found: list[str] = [""] * len(self._expected)
-        self._text = ""
-        self._ready = threading.Event()
-        self._ended = threading.Event()
-        self._process = start_viewer(arguments, _LOG)
-        self._reader = threading.Thread(target=self._read, name="igtl-viewer", daemon=True)
-        self._reader.start()
-        if not self._ready.wait(_START_S) or not all(self._found):
+        self._process = ViewerProcess(arguments, _LOG, expected)
+        self._found = self._process.found
+        if not self._process.ready.wait(_START_S) or not all(self._found):
             self.close()
-            raise ViewerError(f"the viewer did not start; its last log lines: {self._exit_reason()}")
+            raise ViewerError(f"the viewer did not start; its last log lines: {self._process.last_lines()}")
 
     @classmethod
     def window(cls, recording: Path | None = None) -> Self:
@@ -71,29 +63,11 @@ class Viewer:
     @property
     def ended(self) -> bool:
         """Whether the viewer has exited; cheap to read."""
-        return self._ended.is_set()
+        return self._process.ended.is_set()
 
     def close(self) -> None:
         """Stop the viewer; a second call does nothing."""
-        end_viewer(self._process)
-        self._reader.join()
-
-    def _read(self) -> None:
-        assert self._process.stderr is not None
-        with self._process.stderr as lines:
-            for line in lines:
-                self._text = (self._text + line)[-_WORDS:]
-                for place, pattern in enumerate(self._expected):
-                    if found := pattern.search(line):
-                        self._found[place] = found[1]
-                if all(self._found):
-                    self._ready.set()
-        self._ended.set()
-        self._ready.set()
-
-    def _exit_reason(self) -> str:
-        lines = [line.strip() for line in self._text.splitlines() if line.strip()]
-        return " | ".join(lines[-3:]) or "none"
+        self._process.close()
 
 
 def check_screen(environment: Mapping[str, str]) -> None:

@@ -33,7 +33,7 @@ def drawn(gateway: Program, out: Path) -> Iterator[None]:
     command = [tool(), *words, "--nonblocking", "--rate", str(_RATE_HZ), "--duration", str(_AT_MOST_S)]
     with Program(_TOOL, command) as watcher:
         yield
-        watcher.interrupt(_END_S)
+        watcher.interrupt_and_wait(_END_S)
     if not out.is_file():
         raise BenchError(f"{_TOOL}: wrote no {out}")
     # its title is how it was called

@@ -17,9 +17,10 @@ from igtl_gateway_lab.bench.cases import FLOOD, BenchStream, Case, Direction, pa
 from igtl_gateway_lab.bench.figures import Transmission, latency, lateness, ratio
 from igtl_gateway_lab.bench.jobs import Job, JobStream
 from igtl_gateway_lab.bench.peers import LIBRARY, PEERS, Library, command, times_of
-from igtl_gateway_lab.bench.processes import BenchError, Program, Usage, ours
+from igtl_gateway_lab.bench.processes import BenchError, Program, Usage
 from igtl_gateway_lab.bench.stalled import NAMES, STALLED, Stall
 from igtl_gateway_lab.bench.window import window
+from igtl_gateway_lab.programs import ours
 
 #: Messages before those that count: so many seconds' worth, but not more.
 _WARM_S, _WARM_MOST, _WARM_FLOOD = 0.5, 200, 20
@@ -166,7 +167,7 @@ class Runner:
         with Program("gateway", ours(*words)) as program:
             gateway = _Gateway(program, Stall())
             yield gateway
-            program.interrupt()
+            program.interrupt_and_wait()
             told = program.wait_for("stopped", _START_S, gateway.stall.note)
             if plan.record:
                 gateway.recorded["recorder_dropped"] = told["recording"]["dropped"]

@@ -8,7 +8,8 @@ from typing import Any
 
 from igtl_gateway_lab.bench.cases import BenchStream, Direction, payload
 from igtl_gateway_lab.bench.figures import Transmission, latency
-from igtl_gateway_lab.bench.processes import Event, Program
+from igtl_gateway_lab.bench.processes import Program
+from igtl_gateway_lab.programs import Event
 
 #: Client numbers of the two.
 OTHER, STALLED = 0, 1

@@ -22,8 +22,9 @@ from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.bench.cases import CASES, BenchStream, Direction, payload
 from igtl_gateway_lab.bench.jobs import Job, JobStream
-from igtl_gateway_lab.bench.processes import Program, Usage, ours
+from igtl_gateway_lab.bench.processes import Program, Usage
 from igtl_gateway_lab.bench.runner import Row
+from igtl_gateway_lab.programs import ours
 
 _STARTS = 5
 _START_S = 120.0
@@ -69,7 +70,7 @@ def start_up(shop: WorkContext) -> list[Row]:
             gateway.wait_for("started", _START_S)
             waits.append((shop.clock.monotonic_ns() - begun_ns) / NS_PER_S)
             memory = Usage.of(gateway.pid).rss_mb
-            gateway.interrupt()
+            gateway.interrupt_and_wait()
     waits.sort()
     median = waits[len(waits) // 2]
     return [
@@ -247,7 +248,7 @@ def _replayed(shop: WorkContext, path: Path, stream: BenchStream, count: int) ->
         words = ["replay", str(path), "--to", "igtl", "--connect", to, "--as-fast-as-possible", "--no-digest", "--json"]
         player = stack.enter_context(Program("replay", ours(*words)))
         peer.wait_for("ready", _START_S)
-        player.gone(_PATIENCE_S)
+        player.wait_ended(_PATIENCE_S)
         last = -1
         while True:
             peer.order("count")
@@ -270,4 +271,4 @@ def _replayed(shop: WorkContext, path: Path, stream: BenchStream, count: int) ->
 
 def _until_end(name: str, words: Sequence[str]) -> None:
     with Program(name, ours(*words)) as program:
-        program.gone(_PATIENCE_S)
+        program.wait_ended(_PATIENCE_S)

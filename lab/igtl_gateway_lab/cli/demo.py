@@ -9,16 +9,12 @@ from __future__ import annotations
 import argparse
 import hashlib
 import importlib.util
-import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.options import default
@@ -27,6 +23,7 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.errors import ConfigError, GatewayError, Unavailable
 from igtl_gateway.extras import missing
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway_lab.programs import Event, EventProgram
 
 EXAMPLES = """\
   # record to a temporary directory
@@ -34,7 +31,7 @@ EXAMPLES = """\
   # write the recording to out/demo.mcap
   igtl-gateway demo --keep out"""
 
-_PATIENCE_S = 60.0
+_TIMEOUT_S = 60.0
 
 
 class DemoError(GatewayError):
@@ -93,11 +90,10 @@ def _title(number: int, text: str) -> None:
 
 
 def _traffic(recording: Path, seconds: float) -> dict[str, dict[str, Any]]:
-    """Run the three programs; what the node and the client say at the end."""
+    """Run the three programs; return the summaries of the node and the client."""
     command = ["bridge", "--listen", "127.0.0.1:0", "--record", str(recording), "--overwrite", "--json"]
     with _program("igtl_gateway", *command) as bridge:
-        started = _event(bridge, "started")
-        port = started["listen"][0]["port"]
+        port = _event(bridge, "started")["listen"][0]["port"]
         print_line(f"bridge: OpenIGTLink server on 127.0.0.1:{port}, ROS 2 node /igtl_gateway", flush=True)
         with _program("igtl_gateway_lab.demo.ros_node") as node:
             _event(node, "ready")
@@ -105,46 +101,38 @@ def _traffic(recording: Path, seconds: float) -> dict[str, dict[str, Any]]:
             with _program("igtl_gateway_lab.demo.igtl_client", str(port), str(seconds)) as client:
                 _event(client, "ready")
                 print_line(f"OpenIGTLink client (pyigtl): sends and listens for {seconds:g} s", flush=True)
-                client_said = _event(client, "summary")
-            _close_input(node)
-            node_said = _event(node, "summary")
-        bridge.send_signal(signal.SIGINT)
-        stopped = _event(bridge, "stopped")
-        recorded = stopped["recording"]
+                client_summary = _event(client, "summary")
+                client.wait_ended(_TIMEOUT_S)
+            node.close_input()
+            node_summary = _event(node, "summary")
+            node.wait_ended(_TIMEOUT_S)
+        bridge.interrupt()
+        recorded = _event(bridge, "stopped")["recording"]
         entries = count_text(recorded["entries"], "entry", "entries")
         print_line(f"bridge: stopped, {entries} recorded, {recorded['dropped']} lost")
-    return {"ROS 2 node (rclpy)": node_said, "OpenIGTLink client (pyigtl)": client_said}
+        bridge.wait_ended(_TIMEOUT_S)
+    return {"ROS 2 node (rclpy)": node_summary, "OpenIGTLink client (pyigtl)": client_summary}
 
 
-@contextmanager
-def _program(module: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A Python program beside us, ended with us."""
-    command = [sys.executable, "-m", module, *arguments]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            yield process
-            if process.wait(_PATIENCE_S):
-                raise DemoError(f"{module} ended with exit code {process.returncode}")
-        finally:
-            process.kill()
+class _Program(EventProgram):
+    """A program of the demo."""
+
+    error = DemoError
 
 
-def _event(program: subprocess.Popen[str], name: str) -> dict[str, Any]:
-    """The next line of a program that tells this event."""
-    output: IO[str] = program.stdout  # type: ignore[assignment]  # a pipe, see _program
-    for line in output:
-        told: dict[str, Any] = json.loads(line)
-        if told["event"] == name:
-            return told
-        if told.get("level") in ("WARN", "ERROR"):
-            print_line(f"  {told['text']}")
-    raise DemoError(f"{program.args!r} ended before it said {name!r}")
+def _program(module: str, *arguments: str) -> _Program:
+    """Start a Python module as a program."""
+    return _Program(module, [sys.executable, "-m", module, *arguments])
 
 
-def _close_input(program: subprocess.Popen[str]) -> None:
-    """Tell a program that it is time to end."""
-    if program.stdin:
-        program.stdin.close()
+def _event(program: _Program, name: str) -> Event:
+    """The next event of this name; warnings before it are printed."""
+    return program.wait_for(name, _TIMEOUT_S, _print_warning)
+
+
+def _print_warning(event: Event) -> None:
+    if event.get("level") in ("WARN", "ERROR"):
+        print_line(f"  {event['text']}")
 
 
 def _gateway(*arguments: str) -> None:

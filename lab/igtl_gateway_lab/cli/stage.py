@@ -23,10 +23,11 @@ from igtl_gateway.extras import missing
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.replay.verify import VerifyReport as Verification
 from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway_lab.programs import Event
 from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, ActorReport
 from igtl_gateway_lab.simulate.scenario import SYNTHETIC, Scenario
 from igtl_gateway_lab.stage.actor import ActorProgram, IgtlEndpoint
-from igtl_gateway_lab.stage.live import Event, Stage, StageEnd, StageOutcome, StagePlan
+from igtl_gateway_lab.stage.live import Stage, StageEnd, StageOutcome, StagePlan
 
 #: Option → field of ``Load``.
 LOAD_OPTIONS = {"type": "type", "size": "size", "rate": "rate_hz", "count": "count", "sender": "sender"}

@@ -7,21 +7,18 @@ killed takes them with it: actors end when their standard input does, and on Lin
 
 from __future__ import annotations
 
-import ctypes
-import json
-import signal
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from queue import Empty, SimpleQueue
-from typing import IO, Any
 
+from igtl_gateway.child import Child
 from igtl_gateway.clock import Clock
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway_lab.programs import Event, parse_event
 from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, ActorReport
 
 _LOOK_S = 0.2  # how soon a Ctrl-C or a time-out is seen
@@ -29,7 +26,6 @@ _END_S = 15.0  # for a program to end that was told to
 _BRIDGE = "bridge"
 
 Address = tuple[str, int]
-Event = dict[str, Any]
 
 
 class StageError(GatewayError):
@@ -132,7 +128,8 @@ class Stage:
         self._stop = stop
         self._tell = tell
         self._events: SimpleQueue[tuple[str, Event | None]] = SimpleQueue()
-        self._programs: dict[str, _Program] = {}
+        self._programs: dict[str, Child] = {}
+        self._ended: set[str] = set()
         self._deadline_ns = clock.monotonic_ns() + round(plan.start_s * NS_PER_S)
         self._state: dict[str, set[str]] = {"ready": set(), "done": set()}
         self._waiting: dict[str, str] = {}
@@ -209,12 +206,12 @@ class Stage:
         if self._failed:
             raise StageError(self._failed)
 
-    def _drain(self, programs: dict[str, _Program]) -> None:
+    def _drain(self, programs: dict[str, Child]) -> None:
         """Take all that these programs still tell, until their ends."""
         deadline_ns = self._clock.monotonic_ns() + round(_END_S * NS_PER_S)
-        while not all(program.ended for program in programs.values()):
+        while not self._ended.issuperset(programs):
             if self._clock.monotonic_ns() > deadline_ns:
-                stuck = ", ".join(name for name, program in programs.items() if not program.ended)
+                stuck = ", ".join(name for name in programs if name not in self._ended)
                 self._failed = self._failed or f"{stuck}: did not end within {_END_S:g} s"
                 return
             self._take(_LOOK_S)
@@ -234,7 +231,7 @@ class Stage:
     # -- programs and what they tell ------------------------------------------------------------------------------
 
     def _run(self, name: str, command: Sequence[str]) -> None:
-        self._programs[name] = _Program(name, command, self._events)
+        self._programs[name] = start_program(name, command, self._events)
 
     def _take(self, timeout_s: float) -> None:
         """The next event, if one comes in time."""
@@ -243,10 +240,9 @@ class Stage:
         except Empty:
             return
         if event is None:
-            program = self._programs[name]
-            program.ended = True
+            self._ended.add(name)
             if not (name in self._reports or (name == _BRIDGE and self._recording is not None)):
-                self._failed = self._failed or f"{name}: {program.exit_reason()}"
+                self._failed = self._failed or f"{name}: {exit_reason(self._programs[name])}"
             return
         match event.get("event"):
             case "started":
@@ -278,95 +274,22 @@ class Stage:
         return ActorResult(actor.side, actor.name in self._state["done"], report, told["sent"], told["received"])
 
 
-class _Program:
-    """A process whose JSON lines are put into a queue; ``None`` at its end."""
+def start_program(name: str, command: Sequence[str], events: SimpleQueue[tuple[str, Event | None]]) -> Child:
+    """Start a program whose events are put into a queue, with its name; ``None`` at its end."""
 
-    def __init__(self, name: str, command: Sequence[str], events: SimpleQueue[tuple[str, Event | None]]) -> None:
-        self.ended = False
-        self._name = name
-        self._events = events
-        self._said: list[str] = []
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            errors="replace",
-            start_new_session=True,
-            preexec_fn=_die_with_parent if sys.platform == "linux" else None,  # noqa: PLW1509  # one call of the kernel
-        )
-        self._threads = [
-            threading.Thread(target=read, args=(stream,), name=f"igtl-{name}", daemon=True)
-            for read, stream in ((self._read_events, self._process.stdout), (self._read_stderr, self._process.stderr))
-        ]
-        for thread in self._threads:
-            thread.start()
+    def on_line(line: str) -> None:
+        if (event := parse_event(line)) is not None:
+            events.put((name, event))
 
-    def write(self, text: str) -> None:
-        """To its standard input; nothing where it has gone."""
-        pipe: IO[str] = self._process.stdin  # type: ignore[assignment]  # a pipe, see above
-        try:
-            pipe.write(text)
-            pipe.flush()
-        except (BrokenPipeError, ValueError):
-            pass  # its end is an event
-
-    def close_input(self) -> None:
-        """Tell it to end."""
-        try:
-            if self._process.stdin:
-                self._process.stdin.close()
-        except BrokenPipeError:
-            pass  # its end is an event
-
-    def interrupt(self) -> None:
-        """Tell it to end, as Ctrl-C would."""
-        self._process.send_signal(signal.SIGINT)
-
-    def kill(self) -> None:
-        """End it by all means."""
-        if self._process.poll() is None:
-            self._process.kill()
-        self._process.wait()
-        for thread in self._threads:
-            thread.join()
-        self.close_input()
-
-    def exit_reason(self) -> str:
-        """Why it ended."""
-        self._threads[1].join()
-        code = self._process.wait()
-        said = [line for line in self._said if line.strip()]
-        if not said:
-            return f"ended unexpectedly with exit code {code}"
-        return said[-1].partition(": ")[2] if said[-1].startswith("igtl-gateway ") else said[-1]
-
-    def _read_events(self, stream: IO[str]) -> None:
-        with stream:
-            for line in stream:
-                try:
-                    event = json.loads(line)
-                except ValueError:
-                    continue  # a library that prints
-                if isinstance(event, dict):
-                    self._events.put((self._name, event))
-        self._events.put((self._name, None))
-
-    def _read_stderr(self, stream: IO[str]) -> None:
-        with stream:
-            self._said.extend(line.rstrip("\n") for line in stream)
+    return Child(name, command, on_line=on_line, on_end=lambda: events.put((name, None)))
 
 
-def _die_with_parent() -> None:
-    """In a program before it begins: be interrupted when the thread that started it ends, in whatever way."""
-    # ignored where a shell without job control has put us into the background; what we start would ignore it, too
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
-
-
-_LIBC = ctypes.CDLL(None)
-_PR_SET_PDEATHSIG = 1
+def exit_reason(program: Child) -> str:
+    """Return why a program has ended: the last line of its standard error, without our own prefix."""
+    line = program.exit_reason()
+    if not line:
+        return f"ended unexpectedly with exit code {program.wait()}"
+    return line.partition(": ")[2] if line.startswith("igtl-gateway ") else line
 
 
 def _text(address: Address) -> str:

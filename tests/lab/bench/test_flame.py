@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway_lab.bench import flame
-from igtl_gateway_lab.bench.processes import BenchError, Program, ours
+from igtl_gateway_lab.bench.processes import BenchError, Program
+from igtl_gateway_lab.programs import ours
 
 
 def test_a_tool_that_draws_nothing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,8 @@ import os
 
 import pytest
 
-from igtl_gateway_lab.bench.processes import BenchError, Program, Usage, ours
+from igtl_gateway_lab.bench.processes import BenchError, Program, Usage
+from igtl_gateway_lab.programs import ours
 
 
 def test_one_that_ends_early_is_quoted() -> None:
@@ -14,7 +15,7 @@ def test_one_that_ends_early_is_quoted() -> None:
         with pytest.raises(BenchError, match=r"verifier: igtl-gateway verify: .*no-such-file"):
             program.wait_for("ready", 60.0)
         with pytest.raises(BenchError, match="no-such-file"):
-            program.gone()
+            program.wait_ended()
 
 
 def test_one_that_says_nothing() -> None:

@@ -14,8 +14,9 @@ from typing import Any
 import pytest
 
 from igtl_gateway.clock import SystemClock
+from igtl_gateway_lab.programs import Event
 from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, Sent
-from igtl_gateway_lab.stage.live import Event, Stage, StageEnd, StageError, StagePlan
+from igtl_gateway_lab.stage.live import Stage, StageEnd, StageError, StagePlan
 
 LIMIT_S = 20.0
 
@@ -166,7 +167,7 @@ def test_nothing_is_left_of_one_that_does_not_end(monkeypatch: pytest.MonkeyPatc
 
     def watch(timeout_s: float) -> None:
         take(timeout_s)
-        pids.extend(program._process.pid for program in stage._programs.values())
+        pids.extend(program.pid for program in stage._programs.values())
 
     monkeypatch.setattr(stage, "_take", watch)
     with pytest.raises(StageError, match=r"robot: did not end within 0\.3 s"):
@@ -196,11 +197,11 @@ KILLED = """
 import os, signal, sys
 signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in the background of a shell without job control
 from queue import SimpleQueue
-from igtl_gateway_lab.stage.live import _Program
+from igtl_gateway_lab.stage.live import start_program
 
 deaf = "import json, os, threading; print(json.dumps({'pid': os.getpid()}), flush=True); threading.Event().wait()"
 events = SimpleQueue()
-program = _Program("deaf", [sys.executable, "-c", deaf], events)
+program = start_program("deaf", [sys.executable, "-c", deaf], events)
 print(events.get()[1]["pid"], flush=True)
 os._exit(9)
 """
