@@ -1,6 +1,6 @@
 """Exact pins of everything that the extras install, read off the environment that runs this.
 
-    .venv/bin/python tools/constraints.py > constraints.txt     write the pins anew
+    .venv/bin/python tools/constraints.py > constraints.txt     write the pins again
     .venv/bin/python tools/constraints.py --check               is everything here pinned as it is installed?
 
 Strategy: walk the requirements from our own package with all extras and take the version that is installed.
@@ -28,7 +28,7 @@ HEADER = """\
 
 
 def installed_pins(project: Requirement) -> dict[str, str]:
-    """Name → installed version of all that ``project`` needs here, directly or not, but for itself and its laboratory.
+    """Name → installed version of all direct and indirect requirements of ``project`` except its own parts.
 
     What a marker excludes is not needed; what is needed but absent is left out (ROS 2 where it has no wheels).
     """

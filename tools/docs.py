@@ -1,6 +1,6 @@
 """docs/conversions.md, doctor.md, messages.md and verbs.md, from the tables that the program itself works with.
 
-    .venv/bin/python tools/docs.py             write them anew
+    .venv/bin/python tools/docs.py             write them again
     .venv/bin/python tools/docs.py --check     are they current?
 
 Strategy: facts come from the tables (layouts and registry of the wire, conversions, profiles, definitions) and from the
@@ -108,7 +108,7 @@ def paragraphs(thing: Any) -> list[str]:
 
 
 def attributes(thing: Any) -> dict[str, str]:
-    """What the docstring of a class says of its attributes."""
+    """The attributes in the docstring of a class, with their descriptions."""
     told: dict[str, str] = {}
     names: list[str] = []
     for line in (inspect.getdoc(thing) or "").partition("Attributes:")[2].splitlines():
@@ -148,7 +148,7 @@ def protocol_of(kind: type[Body]) -> str:
 
 
 def layout(rows: Layout, meanings: dict[str, str]) -> str:
-    """A layout as a table; what it does not say of a field itself is in ``meanings``."""
+    """A layout as a table; ``meanings`` has descriptions of fields without one."""
     lines = []
     offset: int | None = 0
     for row in rows:

@@ -1,7 +1,7 @@
 """The golden recordings of fixtures/, made again by the commands that fixtures/README.md names.
 
-``make fixtures`` writes them anew; ``--check`` compares what the commands make today with what is committed, record by
-record, before compression: the files themselves are equal where zstandard has the version of ``constraints.txt``.
+``make fixtures`` writes them again; ``--check`` compares the output of the commands with the committed files, record by
+record, before compression: the files themselves are equal if zstandard has the version of ``constraints.txt``.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from igtl_gateway.cli import main as igtl_gateway
 ROOT = Path(__file__).parents[1]
 FIXTURES = ROOT / "fixtures"
 _COMMAND = re.compile(r"^ {4}((?:\w+=\S+ )*)igtl-gateway (.* --out fixtures/(\S+)\.mcap .*)$", re.MULTILINE)
-#: What a recording consists of; all other records say where these are in the file.
+#: The content of a recording; all other records contain positions in the file.
 _CONTENT = (Header, Schema, Channel, Message, Metadata, Attachment)
 
 
@@ -51,7 +51,7 @@ def recipes() -> list[Recipe]:
 
 
 def make(recipe: Recipe, folder: Path) -> Path:
-    """Run a command with another folder for ``fixtures``.  Raises SystemExit with what it says, if it fails."""
+    """Run a command with another folder for ``fixtures``.  Raises SystemExit with its output, if it fails."""
     path = folder / f"{recipe.name}.mcap"
     words = [word.replace(f"fixtures/{recipe.name}.mcap", str(path)) for word in recipe.words]
     before = dict(os.environ)
@@ -93,7 +93,7 @@ def _records(path: Path) -> Iterator[Any]:
 
 
 def _shown(old: str, new: str) -> str:
-    """Both texts from shortly before their first difference on."""
+    """Both strings, starting shortly before their first difference."""
     same = next((at for at, (a, b) in enumerate(zip(old, new, strict=False)) if a != b), min(len(old), len(new)))
     kind, start = new.partition("(")[0], max(0, same - 60)
     return f"{kind}: was …{old[start : same + 60]}…, is now …{new[start : same + 60]}…"

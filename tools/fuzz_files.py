@@ -45,7 +45,7 @@ from tools.import_mutations import Case
 
 #: Of one case: seconds of the processor, and megabytes beyond those of the process before it (300 with the libraries).
 CPU_S, GROWTH_MB = 5.0, 200
-#: So long a case may take, in seconds of the processor, and of the clock: on a busy machine these are many more.
+#: Timeouts of a case, in seconds of CPU time and of elapsed time, which is much longer on a busy machine.
 _HANG_S, _WAIT_S = 20, 600
 #: Cases that are read between two looks at the memory.
 _BATCH = 50
@@ -96,7 +96,7 @@ _MCAP_VERBS = (
 
 
 def read_mcap(path: Path, rng: Random) -> str:
-    """A recording: all its entries, or what can be saved of it, or what a verb says of it."""
+    """A recording: all its entries, or its recovery, or the output of a verb."""
     chance = rng.random()
     if chance < 0.4:
         with SessionFile.open(path) as file:
@@ -114,7 +114,7 @@ def read_mcap(path: Path, rng: Random) -> str:
 
 
 def verb(path: Path, words: str) -> str:
-    """What a verb says of a file.  Raises Broken where it prints what it must not."""
+    """The output of a verb for a file.  Raises Broken if it contains anything forbidden."""
     out, err = io.StringIO(), io.StringIO()
     given = [str(path) if word == "F" else word.replace("O", str(path.parent / "O"), 1) if word[0] == "O" else word
              for word in words.split()]  # fmt: skip
@@ -191,7 +191,7 @@ class Fuzzer:
         self._resident_mb = _peak_mb()
 
     def batch(self, folder: Path, size: int = _BATCH) -> None:
-        """Read so many cases."""
+        """Read ``size`` cases."""
         began = time.monotonic()
         _reset_peak()
         for case in islice(self._cases, size):
@@ -260,7 +260,7 @@ def _peak_mb() -> float:
 def run(
     seed: int, goes_on: Callable[[int], bool], readers: tuple[str, ...] = tuple(READERS), out: Path | None = None
 ) -> dict[str, Report]:
-    """Batches of each reader in turn, while ``goes_on`` (given the number of all cases so far) says so."""
+    """Batches of each reader, round-robin, while ``goes_on`` (called with the number of cases so far) returns True."""
     fuzzers = {name: Fuzzer(READERS[name], seed, out) for name in readers}
     memory = Path("/dev/shm")
     before = [(number, signal.signal(number, _hangs)) for number in (signal.SIGALRM, signal.SIGPROF)]

@@ -1,16 +1,15 @@
 """Mutation fuzzing of framer and gateway: ``python -m tools.fuzz_gateway --messages 5000000 --seed 1``.
 
-Strategy: what the edges would bring, bent, and everything that comes out of it judged.  A *stage* is one session
-(`Session(Gateway(Config))`) with its links: each link has a framer that is fed with pieces of a stream of messages, as
-a socket would; ROS messages, ticks, links that come and go and notes of the edges come between.  Two stages take
-turns: an old one that lives as long as the run, in which nothing may grow, and a young one, which is renewed with the
-next of ``CONFIGS`` and whose beginning is then played again: with and without the fast path, it must give the same to
+Strategy: mutate the inputs that the edges would deliver, and check all outputs.  A *stage* is one session
+(`Session(Gateway(Config))`) with its links.  Each link has a framer that receives pieces of a byte stream, as
+from a socket; between them are ROS messages, ticks, link events and notes of the edges.  Two stages alternate: an old
+one, which exists for the complete run and must not grow, and a young one, which is replaced with the next of
+``CONFIGS``.  The beginning of a young stage is replayed with and without the fast path; the outputs must be equal to
 the last bit.
 
-What is bent: the messages of both corpora, the ROS messages of ``fixtures/every-type.mcap``, poses, texts and clouds
-with their numbers and stamps (the fast path), and what the gateway itself has just sent (so that replies find who
-waits for them).  The sequence depends on the seed only.  What breaks a rule is written to a file, to be played with
-``--repeat``.
+Mutated are the messages of both corpora, the ROS messages of ``fixtures/every-type.mcap``, poses, strings and clouds
+with their numbers and stamps (for the fast path), and the latest outputs of the gateway (so that replies match open
+requests).  The seed determines the sequence.  If a check fails, the inputs are written to a file for ``--repeat``.
 """
 
 from __future__ import annotations
@@ -83,13 +82,13 @@ PEERS = tuple(f"10.0.0.{number}:{4_000 + number}" for number in range(4))
 #: The framer of the fuzz: corpus messages are below 8 KiB, so that whatever announces more has been bent.
 MAX_BODY = 1 << 20
 
-#: A young stage is renewed after so many messages; so many inputs of its beginning are played again.
+#: Messages after which a young stage is replaced; inputs at its beginning that are replayed.
 YOUNG, AGAIN = 20_000, 400
 
 #: Processor time in which everything has to be done that one round of about 16 messages leads to.
 HANG_S = 10.0
 
-#: One in so many inputs has its outputs read again; the others are counted.
+#: The outputs of one in this number of inputs are decoded; the others are counted.
 SAMPLE = 16
 
 #: Messages between two looks at the memory of the process.
@@ -121,14 +120,14 @@ def _rows() -> tuple[ToIgtlRow, ...]:
 
 _EVERYTHING = tuple(sorted({f"+{row.kind}" for row in TO_ROS if row.role is Role.ON_REQUEST}))
 _AGED = (ToIgtlRow(topic="/igtl/out/P*", max_age_s=2.0, stamp="receive"), ToIgtlRow(max_age_s=1.0))
-#: Nobody asks for streams: what goes out takes the fast path.
+#: Without stream requests, so that outgoing messages use the fast path.
 _NO_QUERIES = ("STT_*", "STP_*", "GET_*")
 _META = ToIgtlRow(topic="/igtl/out/T*", metadata=(("owner", "1111111111111111111"),), device="A name of more than 20")
 
 #: Of the stage that lives as long as the run.
 OLD_CONFIG = Config(watch=True, to_igtl=_rows())
 
-#: Those of the young ones, one after the other; the second value: which topics are heard, None for all (recorded).
+#: Configurations of the young stages; the second value: topics with a subscriber, None for all (recorded).
 CONFIGS: tuple[tuple[Config, frozenset[str] | None], ...] = (
     (Config(watch=True, to_igtl=_rows(), to_ros=(ToRosRow(kinds=_EVERYTHING),)), None),
     (Config(check_crc=False, max_streams=400, command_timeout_s=0.5, deny_in=_NO_QUERIES), None),
@@ -197,11 +196,11 @@ def express_seeds() -> list[bytes]:
 
 
 def ros_express_seeds(ros: Sequence[tuple[str, bytes]]) -> list[tuple[str, bytes]]:
-    """The same from ROS: poses as they were recorded, texts, clouds of x, y and z."""
+    """The same from ROS: recorded poses, strings, clouds of x, y and z."""
     found = [(ros_type, cdr) for ros_type, cdr in ros if ros_type in (TransformStamped.TYPE, PoseStamped.TYPE)]
     cloud = polydata_to_cloud(_CLOUD, ToRosContext("d", T0_NS, "frame", ""))
     picture = RosImage(RosHeader(T0_NS, "camera"), 3, 4, "bgr8", 0, 12, bytes(range(36)))
-    bulk = (cloud, picture, replace(picture, encoding="mono8", step=4, data=bytes(12)), RosString("a text"))
+    bulk = (cloud, picture, replace(picture, encoding="mono8", step=4, data=bytes(12)), RosString("hello"))
     return [*found, *[(message.TYPE, message.pack()) for message in bulk] * 3]
 
 
@@ -260,7 +259,7 @@ _NUMBERS = (0.0, -0.0, 1e-320, 1.0, -1.0, 1e39, 1e308, float("inf"), float("-inf
 
 
 def bent_cdr(rng: Random, data: bytes, other: bytes) -> bytes:
-    """A ROS message with damage: counts and lengths of texts and sequences first of all."""
+    """A damaged ROS message; mostly in counts and lengths of strings and sequences."""
     damaged = bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 4))):
         size = len(damaged)
@@ -355,7 +354,7 @@ class Stage:
         self.quiet = "STT_*" in self.gateway.config.deny_in
         self.now_ns = T0_NS
         self.links: dict[int, Link] = {}
-        self.gone = Link(Framer(1))  # sums over the links that have gone
+        self.gone = Link(Framer(1))  # sums over the closed links
         self.last_link = 0
         self.first: list[Input] | None = [] if number >= 0 else None
         self.told = hashlib.blake2b()
@@ -469,7 +468,7 @@ class Stage:
             self.stream(number, [self.seeds.hello])
 
     def go(self, number: int) -> None:
-        """A peer goes, and its link says what became of what was sent to it."""
+        """A peer disconnects, and its link reports the fate of the messages to it."""
         link = self.links[number]
         counts = {"sent_messages": link.sent, "dropped": {"all": link.dropped} if link.dropped else {}}
         self.bring(Kind.LINK, Note(Level.INFO, LINK_DOWN, "down", "", counts).pack(), links=(number,))
@@ -642,11 +641,11 @@ class Stage:
             again = played(self.number, self.first, what)
             if again != self.told.hexdigest():
                 self.recent = deque(self.first)
-                raise Broken(f"played again {what}, the session says something else")
+                raise Broken(f"replayed {what}, the outputs of the session differ")
 
 
 def add_fates(fates: Counter[str], gateway: Gateway) -> None:
-    """What became of the messages that came in, by the ledger of a session."""
+    """The fates of incoming messages, from the ledger of a session."""
     for direction in ("igtl_in", "ros_in"):
         for row in gateway.ledger.to_dict().get(direction, {}).values():
             for fate, number in row.items():
@@ -774,7 +773,7 @@ def _arm(seconds: float) -> None:
 
 
 def run(seed: int, messages: int, say: Callable[[str], None] = lambda line: None, every_s: float = 60.0) -> Figures:
-    """Stages in turn until so many bent messages were sent, one breaks something, or Ctrl-C ends it between rounds."""
+    """Run stages until ``messages`` mutated messages were sent, a check fails, or Ctrl-C ends it between rounds."""
     figures, rng = Figures(), Random(seed)
     seeds = Seeds.load()
     began, cpu = time.monotonic(), time.process_time()
@@ -854,20 +853,20 @@ def report(figures: Figures) -> str:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return "\n".join(
         (
-            f"bent messages: {figures.bent:,}; as they are: {figures.whole:,}; {figures.seconds:,.0f} s, "
-            f"{rate:,.0f}/s, processor {figures.cpu_s:,.0f} s",
+            f"mutated messages: {figures.bent:,}; unchanged: {figures.whole:,}; {figures.seconds:,.0f} s, "
+            f"{rate:,.0f}/s, CPU {figures.cpu_s:,.0f} s",
             f"inputs of the gateway: {table(figures.inputs)}; by the fast path: {figures.planned:,}",
             f"outputs: {table(figures.outputs)}",
             f"fates: {table(figures.fates)}",
             f"notes: {table(figures.notes)}",
-            f"streams that lost their step: {figures.lost_step:,}; young sessions: {figures.stages + 1:,}",
+            f"streams that lost synchronisation: {figures.lost_step:,}; young sessions: {figures.stages + 1:,}",
             "slowest inputs: " + "; ".join(f"{took * 1e3:.1f} ms ({what})" for took, what in figures.slow),
-            f"bytes in {figures.bytes_in:,}, out {figures.bytes_out:,}; most of one input: "
+            f"bytes in {figures.bytes_in:,}, out {figures.bytes_out:,}; largest output of one input: "
             f"{figures.most[0]:,} bytes of {figures.most[1]:,} ({figures.most[2]})",
-            f"worst for each byte: x{figures.worst[0]:,.0f}, {figures.worst[1]:,} bytes of {figures.worst[2]:,} "
+            f"largest output per byte: x{figures.worst[0]:,.0f}, {figures.worst[1]:,} bytes of {figures.worst[2]:,} "
             f"({figures.worst[3]})",
             f"memory: peak {peak:.0f} MiB; last two thirds: {growth(resident_mib):+.2f} MiB and {growth(blocks):+,.0f} "
-            "blocks for each million messages",
+            "blocks per million messages",
         )
     )
 
@@ -882,7 +881,7 @@ def write_culprit(path: Path, culprit: tuple[int, list[Input]]) -> None:
 
 
 def repeat(path: Path) -> list[str]:
-    """Play what was written to a new session; the errors that notes tell."""
+    """Play written inputs in a new session; return the errors in its notes."""
     first, *lines = path.read_text("utf-8", "surrogateescape").splitlines()
     session, _ = opened(json.loads(first))
     inputs = []
@@ -902,8 +901,10 @@ def repeat(path: Path) -> list[str]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--messages", type=int, default=100_000, help="how many bent messages (%(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="another seed, other messages (%(default)s)")
+    parser.add_argument(
+        "--messages", type=int, default=100_000, help="number of mutated messages (default: %(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="seed of the mutations (default: %(default)s)")
     parser.add_argument(
         "--out", type=Path, default=Path("fuzz-broken.jsonl"), help="where a culprit goes (%(default)s)"
     )

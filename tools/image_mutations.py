@@ -72,7 +72,7 @@ def _numbers(bend: Bend, text: str) -> str:
 
 
 def _bent(bend: Bend, fields: Fields) -> Fields:
-    """Some fields are left out, doubled, swapped or say something else."""
+    """Omit, duplicate, swap or change some fields."""
     kept = [(bend.text(key), bend.text(value)) for key, value in fields if not bend.hit(0.5)]
     if bend.hit() and kept:
         kept.insert(bend.rng.randrange(len(kept)), bend.rng.choice(kept))
@@ -287,7 +287,7 @@ def _base() -> tuple[str, ...]:
 
 
 def toml(rng: Random) -> bytes:
-    """A configuration in which some lines say something else."""
+    """A configuration in which some lines are changed."""
     lines = list(_base())
     for _ in range(rng.choice((1, 1, 2, 3, 8))):
         at = rng.randrange(len(lines))

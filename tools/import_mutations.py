@@ -35,7 +35,7 @@ from igtl_gateway.wire.transform import Transform
 #: Numbers at the edges of what fields and programs can hold.
 EDGES = (0, 1, 2, 12, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x10000, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**62,
          2**63 - 1, 2**64 - 1)  # fmt: skip
-#: Texts that break parsers, paths and terminals.
+#: Strings that break parsers, paths and terminals.
 TEXTS = (
     "", " ", "\0", "\n", "\x1b[2J", "\x1b]0;x\x07", "\u202e", "../../etc/passwd", "/", ".", "None", "class", "a" * 300,
     "std_msgs/msg/String", "a/b/c/d", "a/msg/A", "'", '"""', "{}", "%s", "-1", "1e999", "nan", "\ud800", "é", "cdr",
@@ -82,7 +82,7 @@ class Bend:
         return self.rng.random() < self._rate * factor
 
     def number(self, value: int, bits: int = 32) -> int:
-        """An unsigned number of so many bits."""
+        """An unsigned number of ``bits`` bits."""
         if self.hit():
             value = self.rng.choice((*EDGES, value + 1, value - 1, value * 2, value ^ (1 << self.rng.randrange(bits))))
         return value % (1 << bits)
@@ -94,12 +94,12 @@ class Bend:
         return value
 
     def coded(self, value: str) -> bytes:
-        """A text as bytes, which may be no UTF-8."""
+        """A string as bytes, possibly invalid UTF-8."""
         data = self.text(value).encode("utf-8", "surrogatepass")
         return data + b"\xff\xfe" if self.hit(0.3) else data
 
     def utf8(self, value: str) -> str:
-        """A text that can be stored as UTF-8."""
+        """A string that can be stored as UTF-8."""
         return self.text(value).encode("utf-8", "replace").decode()
 
     def odd(self, value: object, others: Sequence[object]) -> object:

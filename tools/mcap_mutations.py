@@ -1,8 +1,8 @@
 """Mutants of MCAP files for fuzzing: damage that gets past checksums, lengths and indexes.
 
-Small sound files (sessions of ours, one of them a part with a prologue, and files of other programs) are taken apart
-into records, bent in one to three places, and assembled again with right offsets and checksums around the damage, so
-that what is damaged is read.  Some are bent once more as bytes.  The sequence depends on the seed only.
+Small valid files (our own sessions, one of them a part with a prologue, and files of other programs) are split into
+records, mutated in one to three places, and assembled again with valid offsets and checksums around the damage, so
+that readers reach it.  Some are mutated again as bytes.  The seed determines the sequence.
 
 :func:`cases` is the interface: names and bytes, without end.
 """
@@ -36,7 +36,7 @@ _Bend = Callable[[Parts, Random], None]
 #: Numbers at the edges of what fields and programs can hold.
 EDGES = (0, 1, 2, 7, 0x7F, 0xFF, 0xFFFF, 10**9, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 10**18, 2**62, 2**63 - 1, 2**63,
          2**64 - 1)  # fmt: skip
-#: Texts that terminals, parsers and file systems stumble over.
+#: Strings that cause trouble in terminals, parsers and file systems.
 TEXTS = (b"", b"\x1b[2J\x1b]0;x\x07", b"a\nb: forged line\r", b"\xff\xfe", b"../../etc/passwd", b"\0", b"x" * 5_000,
          "\u202egnp.exe".encode(), b"%s%n{}", b"std_msgs/msg/String", b"/tf", b"-" * 300)  # fmt: skip
 #: JSON values of every other type, depth and size.
@@ -273,7 +273,7 @@ def _bent_text(_text: str, chance: Random) -> str:
 
 
 def bent_json(text: str, chance: Random) -> str:
-    """JSON with another value at one place; text that is none is replaced."""
+    """JSON with another value at one place; invalid JSON is replaced."""
     try:
         value = json.loads(text)
     except ValueError:

@@ -1,21 +1,21 @@
-"""The soak: a bridge that records, under the mixed load, while peers come and go.
+"""Soak test: a recording bridge under the mixed load, while peers connect and disconnect.
 
     python -m tools.soak --seconds 3600 --folder /tmp/soak
 
-Strategy: the programs of ``igtl-gateway bench`` are the steady peers: a node that sends, a node that hears, a client
-that does both; every message has a number, so losses are known end to end.  Beside them guests (``soak_guest.py``)
-come at random moments, listen, talk, read slowly or not at all, and leave politely, by RST, in mid-message or by
-kill −9, as the seed says; a further ROS node has endpoints that come and go, and is ended and killed itself.  Every few
-seconds memory, threads and file descriptors of the bridge and of its recorder are taken, with queues and counts from
-``--metrics``.  The recording is split; each part is verified when it is complete, and deleted when it is as it should
-be.
+Strategy: the programs of ``igtl-gateway bench`` are the permanent peers: a node that sends, a node that receives, and a
+client that does both; every message has a number, so losses are detected end to end.  Meanwhile short-lived peers
+(``soak_guest.py``) connect at random times.  They read, send, read slowly or not at all, and disconnect in an orderly
+way, with RST, inside a message or by SIGKILL; the seed determines all of it.  A further ROS node creates and removes
+endpoints, and is stopped and killed itself.  Every few seconds the test reads memory, threads and file descriptors of
+the bridge and of its recorder, and queues and counts from ``--metrics``.  The recording is split; each complete part is
+verified, and deleted if it verifies.
 
-In the end the guests leave, threads and descriptors have to come back to what they were before the first came, the
-bridge is interrupted, and judged: see ``judge``.  The exit code is 1 if anything is not as it should be.  Ctrl-C ends a
-soak before its time, and it is judged as it is.
+At the end the short-lived peers disconnect, threads and descriptors must return to their initial numbers, the
+bridge is interrupted, and the checks run: see ``judge``.  The exit code is 1 if a check fails.  Ctrl-C ends the test
+early, and the checks run as well.
 
-Pictures and clouds have the sizes of the mixed load, but content that compresses: two thirds of what an hour records,
-460 GB, would be noise.
+Images and clouds have the sizes of the mixed load, but compressible content: otherwise two thirds of the 460 GB of an
+hour would be noise.
 """
 
 from __future__ import annotations
@@ -113,9 +113,9 @@ def soak(settings: Settings) -> Found:
             _watch(settings, found, bridge, url, begun, guests, steady, rest)
             guests.close()
             sent = {one.name: program.wait_for("sent", 120)["messages"] for one, program in steady if one.sends}
-            say(f"sent {sent}; guests have left")
+            say(f"sent {sent}; short-lived peers have disconnected")
         except KeyboardInterrupt:
-            say("interrupted: what was until now is judged")
+            say("interrupted: the checks use the data so far")
             guests.close()
         found.end = _calm(found, bridge, url, begun, rest)
         for _, program in steady:
@@ -129,7 +129,7 @@ def soak(settings: Settings) -> Found:
 
 
 def _meet(steady: Sequence[tuple[Job, Program]]) -> None:
-    """Wait until every steady listener has heard every stream."""
+    """Wait until every permanent receiver has received every stream."""
     for _, program in steady:
         program.wait_for("ready", _START_S)
     for one, program in steady:
@@ -142,7 +142,8 @@ def _meet(steady: Sequence[tuple[Job, Program]]) -> None:
 
 
 def _baseline(bridge: Program, url: str, rest: threading.Event) -> Sample:
-    """How it is before the first guest: the most of a few looks, as between two parts the recorder has a file less."""
+    """The state before the first short-lived peer: the maximum of a few samples, because between two parts the recorder
+    has a file less."""
     looks = []
     for _ in range(_LOOKS):
         looks.append(take(bridge.pid, url))
@@ -198,13 +199,13 @@ def _line(sample: Sample, found: Found, used: int) -> str:
         f"{sample['at_s']:6.0f} s  RSS {gateway['rss_mb']:.0f} + {recorder['rss_mb']:.0f} MB  threads "
         f"{gateway['threads']} + {recorder['threads']}  fds {gateway['fds']} + {recorder['fds']}  peers "
         f"{sample['peers']}  queued {sample['queued_mb']:.0f} + {sample['recorder_queued_mb']:.0f} MB  not recorded "
-        f"{sample['recorder_dropped']}  guests so far {sum(found.guests.values())}  parts verified "
-        f"{len(found.parts)}, {used / 1e9:.2f} GB there  load {sample['load']:.1f}"
+        f"{sample['recorder_dropped']}  short-lived peers so far {sum(found.guests.values())}  parts verified "
+        f"{len(found.parts)}, {used / 1e9:.2f} GB on disk  load {sample['load']:.1f}"
     )
 
 
 def _calm(found: Found, bridge: Program, url: str, begun: float, rest: threading.Event) -> Sample:
-    """Wait until threads and descriptors are what they were before the first guest, and queues empty."""
+    """Wait until threads and descriptors have their initial numbers, and queues are empty."""
     deadline = time.monotonic() + _CALM_S
     while True:
         sample = take(bridge.pid, url) | {"at_s": round(time.monotonic() - begun, 2)}
@@ -248,16 +249,20 @@ def main(arguments: Sequence[str]) -> int:
     if arguments and arguments[0] == "--program":
         return programs.main(arguments[1:])
     parser = argparse.ArgumentParser(description="A bridge that records, for long, while peers come and go.")
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long (%(default)g)")
-    parser.add_argument("--seed", type=int, default=1, help="of the guests (%(default)s)")
-    parser.add_argument("--folder", type=Path, required=True, help="for the recording, samples and reports; may exist")
-    parser.add_argument("--scale", type=float, default=1.0, help="times the rates of the mixed load (%(default)g)")
+    parser.add_argument("--seconds", type=float, default=60.0, help="duration (default: %(default)g)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the short-lived peers (default: %(default)s)")
+    parser.add_argument("--folder", type=Path, required=True, help="directory for the recording, samples and reports")
+    parser.add_argument(
+        "--scale", type=float, default=1.0, help="factor for the rates of the mixed load (default: %(default)g)"
+    )
     parser.add_argument("--part-s", type=float, help="seconds of each part of the recording (a sixtieth, at least 5)")
     parser.add_argument("--sample-s", type=float, help="seconds between samples (one or five)")
     parser.add_argument(
-        "--guest-s", type=float, default=4.0, help="a guest comes so often, on the average (%(default)g)"
+        "--guest-s", type=float, default=4.0, help="mean interval between short-lived peers (default: %(default)g)"
     )
-    parser.add_argument("--growth-mb", type=float, default=20.0, help="what flat may grow by (%(default)g)")
+    parser.add_argument(
+        "--growth-mb", type=float, default=20.0, help="accepted growth of memory (default: %(default)g)"
+    )
     parser.add_argument("--disk-gb", type=float, default=35.0, help="at most so large (%(default)g)")
     parser.add_argument("--keep", action="store_true", help="keep the parts that verify")
     options = parser.parse_args(arguments)
@@ -277,7 +282,7 @@ def main(arguments: Sequence[str]) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)  # in the background of a shell, too
     settings.folder.mkdir(parents=True, exist_ok=True)
-    # neither hear nor disturb other robots
+    # neither receive from other robots nor disturb them
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     try:

@@ -1,4 +1,4 @@
-"""What a soak is told, and what it finds."""
+"""Settings and results of a soak test."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Settings:
 
     @property
     def most_stay_s(self) -> float:
-        """How long a guest stays at most; in a short run not so long that queues grow beyond those of its beginning."""
+        """Longest stay of a short-lived peer; less in a short run, so that queues stay below their initial length."""
         return min(self.seconds / 8, 30.0)
 
 

@@ -1,14 +1,14 @@
-"""A guest of the soak, in a process of its own: comes, behaves well or badly for a while, and leaves in some way.
+"""A short-lived peer of the soak test, in its own process: it connects, behaves well or badly, and disconnects.
 
     python tools/soak_guest.py igtl PORT FOLDER SEED MANNER LEAVE SECONDS     an OpenIGTLink client; needs no package
     python tools/soak_guest.py ros SEED                                       a ROS 2 node whose endpoints come and go
 
 Manners of a client: ``listen`` reads everything, ``talk`` sends too, ``slow`` reads 64 kB ten times a second, ``deaf``
-nothing.  It leaves ``politely``, by ``reset`` (RST), in the ``middle`` of a picture that it sends, or is ``killed`` by
-whoever started it; until then it goes on.  What it sends was prepared in FOLDER: ``small`` is one small message,
-``picture`` one picture.
+nothing.  It leaves ``politely``, by ``reset`` (RST), in the ``middle`` of an image that it sends, or is ``killed`` by
+the program that started it; until then it continues.  FOLDER has its messages: ``small`` is one small message,
+``picture`` one image.
 
-Everything that a client does by chance depends on its seed.
+The seed determines all random behaviour of a client.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from igtl_gateway.wire.header import DEVICE_NAME, DEVICE_NAME_SIZE, TICKS_AT
 _EPOCH_S = 1_000_000_000
 _SLOW_BYTES, _SLOW_S = 64 << 10, 0.1
 _TALK_S = 0.02
-#: A guest whose host has gone ends by itself.
+#: A peer whose parent process has ended exits after this time.
 _FOREVER_S = 60.0
 _DEVICES = 8
 
@@ -134,7 +134,7 @@ def main(arguments: Sequence[str]) -> int:
             try:
                 client(int(port), Path(folder), int(seed), manner, leave, float(seconds))
             except OSError:
-                return 0  # the gateway closed it: that is told by the gateway
+                return 0  # the gateway closed it, and reports it
             return 0
         case ["ros", seed]:
             node(int(seed))

@@ -1,4 +1,4 @@
-"""Brings guests (``soak_guest``) in and out, as a seed says."""
+"""Starts and stops short-lived peers (``soak_guest``), as determined by a seed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tools.soak_load import PICTURE
 
 _GUEST = Path(__file__).with_name("soak_guest.py")
 
-#: What a guest does, and how it leaves, as often as it stands here.
+#: Behaviour of a short-lived peer, and how it disconnects, weighted by repetition.
 MANNERS = ("listen", "listen", "listen", "talk", "talk", "talk", "talk", "slow", "slow", "deaf")
 _LEAVES = ("politely", "reset", "killed", "middle")
 MOST_GUESTS = 3
@@ -94,7 +94,7 @@ class Guests:
         self._here.append((process, time.monotonic() + stay if leave == "killed" else float("inf")))
 
     def _look(self, now: float) -> None:
-        """Kill whose time has come, forget who has gone; the same for the node."""
+        """Kill processes at their time, and forget ended ones; the same for the node."""
         for process, until in self._here:
             if now >= until:
                 process.kill()

@@ -1,4 +1,4 @@
-"""Whether what a soak found is as it should be: the judgement, and what is told of it."""
+"""The checks of a soak test, and their report."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _LAST = 0.95
 #: The workers of rclpy's executor, each of which is started when it is first needed, and then stays.
 WORKERS = 8
 PROCESSES = ("gateway", "recorder")
-_MEMORY = {"rss_mb": "memory (RSS)", "anon_mb": "memory of its own", "shared_mb": "memory shared with others"}
+_MEMORY = {"rss_mb": "memory (RSS)", "anon_mb": "private memory", "shared_mb": "shared memory"}
 
 
 def trend(at_s: Sequence[float], values: Sequence[float], windows: int = 50) -> float:
     """How much a robust line grows from the first to the last time.
 
-    The line goes through the least value of each of so many windows of time (a queue that is filled for a while, and
-    emptied again, is no growth), by Theil and Sen: its slope is the median of the slopes between all pairs.
+    The line goes through the minima of windows of time (a queue that is filled and emptied again is not growth), by
+    Theil and Sen: its slope is the median of the slopes between all pairs.
     """
     times, found = np.asarray(at_s, float), np.asarray(values, float)
     edges = np.linspace(times[0], times[-1], windows + 1)
@@ -69,17 +69,17 @@ def judge(settings: Settings, found: Found) -> list[Check]:
             check(
                 f"{what} of the {who} are flat, and return",
                 after <= before + more and line <= more + MOST_GUESTS,
-                f"{before} before the first guest, at most {most}, {after} when all had left; the line grows by "
-                f"{line:+.2f}" + (f"; {more} more are no growth" if more else ""),
+                f"{before} before the first short-lived peer, at most {most}, {after} after the last one; the line "
+                f"grows by {line:+.2f}" + (f"; {more} more are accepted" if more else ""),
             )
     told = found.stopped["ledger"]
     open_ends = [*gaps(told), *told.get("gaps", ())]
-    check("the ledger closes", not open_ends, "; ".join(open_ends) or "by stream, by peer and in sum")
+    check("the ledger closes", not open_ends, "; ".join(open_ends) or "by stream, by peer and in total")
     recorded, entries = found.stopped["recording"], sum(found.stopped["counts"].values())
     check(
         "the recording is complete",
         not recorded["failure"] and not recorded["dropped"] and recorded["entries"] == entries,
-        f"{recorded['entries']:,} of {entries:,} entries, {recorded['dropped']:,} lost by the recorder"
+        f"{recorded['entries']:,} of {entries:,} entries, {recorded['dropped']:,} dropped by the recorder"
         + (f": {recorded['failure']}" if recorded["failure"] else ""),
     )
     good = [part for part in found.parts if part["good"] and not part["code"]]
@@ -98,13 +98,13 @@ def judge(settings: Settings, found: Found) -> list[Check]:
     )
     manners = {name.split(",")[0] for name in found.guests}
     expected = {*MANNERS, "ROS node"}
-    check("guests of all manners came", manners >= expected, f"{sum(found.guests.values()):,} guests")
-    check("nothing else failed", not found.failures, "; ".join(found.failures) or "nothing")
+    check("short-lived peers of all kinds connected", manners >= expected, f"{sum(found.guests.values()):,}")
+    check("no other failure", not found.failures, "; ".join(found.failures) or "none")
     return checks
 
 
 def spare(who: str, what: str) -> int:
-    """How much more there may be than before the first guest."""
+    """Accepted growth over the number before the first short-lived peer."""
     return {("gateway", "threads"): WORKERS, ("recorder", "fds"): _PARTS}.get((who, what), 0)
 
 

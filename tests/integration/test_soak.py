@@ -128,8 +128,8 @@ def _stopped(*path: str, value: Any) -> Callable[[Found], None]:
     ("change", "name"),
     [
         (_leak("gateway", "rss_mb", 0.05), "memory (RSS) of the gateway is flat"),
-        (_leak("gateway", "anon_mb", 0.05), "memory of its own of the gateway is flat"),
-        (_leak("recorder", "shared_mb", 0.05), "memory shared with others of the recorder is flat"),
+        (_leak("gateway", "anon_mb", 0.05), "private memory of the gateway is flat"),
+        (_leak("recorder", "shared_mb", 0.05), "shared memory of the recorder is flat"),
         (_leak("recorder", "fds", 0.01), "fds of the recorder are flat, and return"),
         (_at_end("gateway", "fds", 1), "fds of the gateway are flat, and return"),
         (_at_end("gateway", "threads", soak_judge.WORKERS + 1), "threads of the gateway are flat, and return"),
@@ -141,8 +141,8 @@ def _stopped(*path: str, value: Any) -> Callable[[Found], None]:
         (lambda found: found.parts[0].update(good=False), "the recording verifies"),
         (lambda found: found.parts[0].update(inputs=3), "the recording verifies"),
         (lambda found: found.passages[0].update(last=0.64), "every stream arrives to the end"),
-        (lambda found: found.guests.pop("deaf, reset"), "guests of all manners came"),
-        (lambda found: found.failures.append("the ROS node did not leave"), "nothing else failed"),
+        (lambda found: found.guests.pop("deaf, reset"), "short-lived peers of all kinds connected"),
+        (lambda found: found.failures.append("the ROS node did not leave"), "no other failure"),
     ],
 )
 def test_what_is_not_is_named(change: Callable[[Found], object], name: str) -> None:
