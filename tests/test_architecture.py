@@ -182,6 +182,7 @@ UNMIRRORED = (
     "test_defects.py",  # docs/defects.md
     "test_docs.py",  # tools/docs.py
     "test_examples.py",  # examples/
+    "test_packaging.py",  # pyproject.toml, lab/pyproject.toml
     "test_fixtures.py",  # what the recordings in fixtures/ promise
     "test_fuzz_files.py",  # tools/fuzz_files.py
     "test_gateway_fuzz.py",

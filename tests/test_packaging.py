@@ -1,0 +1,44 @@
+"""The wheels: the gateway's has nothing of the laboratory, and the laboratory's adds its verbs."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway import __version__
+from igtl_gateway.cli.verbs import GROUP, LABORATORY, Verb
+from igtl_gateway_lab import __version__ as lab_version
+
+ROOT = Path(__file__).parents[1]
+
+
+def configuration(folder: Path) -> dict[str, Any]:
+    return tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))
+
+
+def test_the_wheel_of_the_gateway_has_no_file_of_the_laboratory() -> None:
+    build = configuration(ROOT)["tool"]["hatch"]["build"]["targets"]
+    assert build["wheel"]["only-include"] == ["igtl_gateway", "ros2"]
+    assert all(source.startswith("ros2/") for source in build["wheel"]["sources"])
+    assert "force-include" not in build["wheel"]
+    assert "lab" in build["sdist"]["exclude"]
+    for verb in LABORATORY:
+        assert not (ROOT / "igtl_gateway" / verb).exists()
+        assert not (ROOT / "igtl_gateway" / "cli" / f"{verb}.py").exists()
+
+
+def test_the_gateway_needs_its_laboratory_only_for_an_extra() -> None:
+    project = configuration(ROOT)["project"]
+    assert not any("lab" in need for need in project["dependencies"])
+    assert project["optional-dependencies"]["lab"] == ["igtl-gateway-lab"]
+
+
+def test_the_laboratory_adds_its_verbs_and_needs_the_gateway() -> None:
+    project = configuration(ROOT / "lab")["project"]
+    entries = project["entry-points"][GROUP]
+    assert tuple(entries) == LABORATORY
+    assert all(isinstance(EntryPoint(name, value, GROUP).load(), Verb) for name, value in entries.items())
+    assert "igtl-gateway" in project["dependencies"]
+    assert lab_version == __version__
