@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from io import BufferedReader, FileIO
+import errno
+import os
+from io import BufferedReader, BytesIO, FileIO
 from pathlib import Path
 from typing import Any
 
@@ -42,3 +44,17 @@ class _Counted(FileIO):
         size = super().readinto(buffer)
         self._total.count += size or 0
         return size
+
+
+class RefusingStream(BytesIO):
+    """A file on a disk that refuses to read beyond an offset (EIO)."""
+
+    def __init__(self, data: bytes, refuses_from: int) -> None:
+        super().__init__(data)
+        self.refuses_from = refuses_from
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        end = len(self.getbuffer()) if size is None or size < 0 else self.tell() + size
+        if end > self.refuses_from:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return super().read(size)

@@ -13,6 +13,7 @@ from igtl_gateway.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.sessionfile.contents import Index
 from igtl_gateway.sessionfile.index import read_index
 from igtl_gateway.untrusted import limits
+from tests.files import RefusingStream
 from tools import mcap_build as build
 from tools.mcap_build import Assembly, Chunk, Record
 
@@ -148,3 +149,16 @@ def test_too_many_of_a_sort_are_refused() -> None:
         pytest.raises(LimitExceeded, match="count=20"),
     ):
         index_of(made.finish())
+
+
+def test_a_pass_over_the_file_must_find_as_many_messages_as_the_summary_has() -> None:
+    made = bag(*DEFINITIONS, *messages(5, 6))
+    found = build.statistics(3, 1, 1, 0, 0, 0, 5, 6, {1: 3})
+    made.summary = [each for each in made.summary if each[0] not in (build.STATISTICS, build.CHANNEL)]
+    with pytest.raises(DamagedRecording, match="found 2 messages, expected 3"):
+        index_of(replace(made, summary=[*made.summary, (build.STATISTICS, found)]).finish())
+
+
+def test_a_disk_that_refuses_to_read() -> None:
+    with pytest.raises(DamagedRecording, match=r"bag\.mcap: cannot be read: Input/output error"):
+        read_index(PATH, RefusingStream(TWO_CHUNKS.finish(), 8))

@@ -89,10 +89,17 @@ def test_payload_is_a_view() -> None:
     [
         (Entry(1, 1, Kind.IGTL_IN, "probe", "IMAGE"), "'probe'"),
         (Entry(1, 1, Kind.IGTL_IN, "A/b", "A", links=(-1,)), "igtl_in"),
+        (Entry(1, 1, Kind.NOTE, payload=(Note(Level.INFO, "a", "b").pack(),), links=(1 << 40,)), "note"),
         (Entry(1, 1, Kind.NOTE, "/topic"), "/topic"),
         (Entry(1, 1, Kind.ROS_IN, "/a", "std_msgs/msg/String", links=(1,)), r"\(1,\)"),
     ],
-    ids=["channel without its type", "link out of range", "note with a channel", "ROS with links"],
+    ids=[
+        "channel without its type",
+        "link out of range",
+        "link of a note out of range",
+        "note with a channel",
+        "ROS with links",
+    ],
 )
 def test_what_the_format_cannot_hold_is_refused(entry: Entry, words: str) -> None:
     with pytest.raises(LayoutError, match=words):

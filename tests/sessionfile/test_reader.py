@@ -6,6 +6,7 @@ import gc
 import random
 import tracemalloc
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
 
@@ -20,8 +21,11 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
-from tests.files import write_anew
+from tests.files import RefusingStream, write_anew
 from tests.record import samples
+from tests.sessionfile.test_index import DEFINITIONS, bag, messages
+from tools import mcap_build as build
+from tools.mcap_build import Chunk
 
 STRING = "std_msgs/msg/String"
 
@@ -411,3 +415,35 @@ def test_the_ledger_must_be_json(tmp_path: Path) -> None:
     _bag(tmp_path / "a", metadata)
     with pytest.raises(DamagedRecording, match="ledger"):
         SessionFile.open(tmp_path / "a")
+
+
+def test_a_disk_that_refuses_to_read(sound: tuple[bytes, list[Entry]]) -> None:
+    data, entries = sound
+    stream = RefusingStream(data, len(data) + 1)
+    with SessionFile(Path("session.mcap"), stream) as file:
+        assert file.entry_count == len(entries)
+        stream.refuses_from = 100
+        with pytest.raises(DamagedRecording, match=r"session\.mcap: cannot be read: Input/output error"):
+            list(file.entries())
+
+
+OTHER = (build.MESSAGE, build.message(2, 0, 6, 6, b""))
+
+
+def test_a_message_of_a_channel_that_is_not_there_is_refused() -> None:
+    """Whether the index counts it, or it is found when the entries are read."""
+    made = bag(Chunk((*DEFINITIONS, *messages(5), OTHER)))
+    with pytest.raises(DamagedRecording, match="found messages of channel 2, of which there is no record"):
+        SessionFile(Path("bag.mcap"), BytesIO(made.finish()))
+    hidden = build.statistics(2, 1, 1, 0, 0, 1, 5, 6, {1: 2})
+    summary = [(opcode, hidden if opcode == build.STATISTICS else content) for opcode, content in made.summary]
+    data = build.finish(made.data, summary)
+    with SessionFile(Path("bag.mcap"), BytesIO(data)) as file:
+        with pytest.raises(DamagedRecording, match="found a message of channel 2, of which there is no record"):
+            list(file.entries())
+
+
+def test_a_channel_of_a_schema_that_is_not_there_is_refused() -> None:
+    lost = (build.CHANNEL, build.channel(2, 7, "/lost", "cdr"))
+    with pytest.raises(DamagedRecording, match="channel /lost: found schema 7, which is not there"):
+        SessionFile(Path("bag.mcap"), BytesIO(bag(Chunk((*DEFINITIONS, lost, *messages(5)))).finish()))

@@ -14,7 +14,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from igtl_gateway.errors import UnsupportedRecording
+from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout, salvage_report
 from igtl_gateway.sessionfile.compression import Compression
@@ -22,8 +22,11 @@ from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.salvage import Salvage
 from igtl_gateway.sessionfile.salvage_report import SalvageReport
 from igtl_gateway.sessionfile.writer import SessionWriter
-from tests.files import write_anew
+from tests.files import RefusingStream, write_anew
 from tests.record import samples
+from tests.sessionfile.test_index import DEFINITIONS, bag, messages
+from tools import mcap_build as build
+from tools.mcap_build import Chunk
 
 OLD = Path(__file__).parent / "old" / "v1-paper-types.mcap"
 STRING = "std_msgs/msg/String"
@@ -396,3 +399,33 @@ def test_random_bytes_behind_the_magic_give_nothing(tmp_path: Path) -> None:
         found = read(tmp_path / "a", data)
         assert found.entries == []
         assert not found.report.whole
+
+
+def test_a_disk_that_refuses_to_read(tmp_path: Path, small: Sound, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "session.mcap"
+    stream = RefusingStream(small.data, len(small.data) + 1)
+    with Salvage(path, stream) as file:
+        stream.refuses_from = 100
+        with pytest.raises(DamagedRecording, match="cannot be read: Input/output error"):
+            list(file.read())
+    monkeypatch.setattr("igtl_gateway.untrusted.files.open_file", lambda _path: RefusingStream(small.data, 8))
+    with pytest.raises(DamagedRecording, match="cannot be read: Input/output error"):
+        Salvage.open(path)
+
+
+def test_a_message_that_is_shorter_than_its_head_costs_itself(tmp_path: Path) -> None:
+    whole = messages(5, 6)
+    made = bag(Chunk((*DEFINITIONS, whole[0], (build.MESSAGE, whole[1][1][:21]), messages(5, 6, 7)[2])))
+    counted = build.statistics(3, 1, 1, 0, 0, 1, 5, 7, {1: 3})
+    summary = [(opcode, counted if opcode == build.STATISTICS else content) for opcode, content in made.summary]
+    found = read(tmp_path / "bag.mcap", build.finish(made.data, summary))
+    assert [entry.stamp_ns for entry in found.entries] == [5, 7]
+    assert (found.report.missing, [loss.text for loss in found.report.lost]) == (1, ["a message shorter than its head"])
+
+
+def test_a_summary_that_ends_within_a_record_loses_nothing(tmp_path: Path) -> None:
+    made = bag(Chunk((*DEFINITIONS, *messages(5, 6))))
+    cut = (build.STATISTICS, b"")
+    summary = b"".join(build.record(*each) for each in made.summary) + build.record(*cut, length=99)
+    data = build.finish(made.data, [(summary[0], summary[9:])], offsets=False)
+    assert [entry.stamp_ns for entry in read(tmp_path / "bag.mcap", data).entries] == [5, 6]

@@ -50,3 +50,18 @@ def test_the_number_of_records_is_bounded() -> None:
     data = bag(*(Chunk((*DEFINITIONS, *messages(at))) for at in range(30))).data
     with limits.limits_in_force(replace(limits.current_limits(), count=20)), pytest.raises(LimitExceeded, match="=20"):
         scanned(data)
+
+
+@pytest.mark.parametrize("loose", [True, False])
+def test_a_message_that_is_shorter_than_its_head_is_refused(loose: bool) -> None:
+    short = (build.MESSAGE, messages(5)[0][1][:21])
+    parts = (*DEFINITIONS, short) if loose else (Chunk((*DEFINITIONS, short)),)
+    with pytest.raises(Malformed, match="found a message of 21 bytes"):
+        scanned(bag(*parts).data)
+
+
+def test_data_without_an_end_are_indexed_up_to_their_last_record() -> None:
+    data = bag(Chunk((*DEFINITIONS, *messages(5))), *messages(7, 8)).data
+    end = len(data) - len(build.record(build.DATA_END, bytes(4)))
+    found = scanned(data[:end])
+    assert [(chunk.start_ns, chunk.end_ns, chunk.loose) for chunk in found.chunks] == [(5, 5, False), (7, 8, True)]
