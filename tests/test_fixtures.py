@@ -84,7 +84,7 @@ def test_verify_names_the_field_when_a_converter_constant_changes(
     monkeypatch.setitem(UNITS, "mm", 1001)
     assert main(("verify", path)) == 1
     told = capsys.readouterr().out
-    assert "DIFFERENT" in told and re.search(r"(translation|content|points?)\S* was \S+, is now ", told), told
+    assert "DIFFERENT" in told and re.search(r"(translation|content|points?)\S*: recorded \S+, computed ", told), told
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -19,26 +19,26 @@ DIRECTIONS = {
 
 #: What the ledger calls it → what people call it; the codes of refused messages stand for themselves.
 _REASONS = {
-    "no_peer": "no OpenIGTLink peer was connected",
-    "no_conversion": "has no conversion to ROS",
-    "empty": "empty body, nothing to publish",
+    "no_peer": "no peer was connected",
+    "no_conversion": "no conversion to ROS",
+    "empty": "empty body, not published",
     "too_many_streams": "more streams than allowed",
     "conversion": "could not be converted",
     "denied": "denied by the configuration",
-    "not_finite": "numbers that are NaN or infinite",
+    "not_finite": "NaN or infinity",
     "stale": "older than max_age_s",
 }
 
 #: The code of the note → what people call it; others stand for themselves.
 _LINK_FAULTS = {
-    "truncated": "ended inside a message",
-    "too_large": "a message above the limit, or no OpenIGTLink",
-    "stalled": "silent, or far too slow, inside a message",
-    "unreachable": "could not be reached any more",
-    "idle": "idle for too long",
-    "queue_full": "did not read what must not be dropped",
-    "refused": "spoke TLS to a plain port",
-    "tls_failed": "TLS that could not be read",
+    "truncated": "disconnected inside a message",
+    "too_large": "message above the size limit, or not OpenIGTLink",
+    "stalled": "pause inside a message, or transfer rate too low",
+    "unreachable": "peer unreachable",
+    "idle": "no traffic for the idle time",
+    "queue_full": "send queue full of messages that must not be dropped",
+    "refused": "TLS on an address without TLS",
+    "tls_failed": "invalid TLS",
 }
 
 
@@ -47,34 +47,36 @@ def _side(direction: str) -> str:
 
 
 def losses(ledger: dict[str, Any] | None) -> list[str]:
-    """What was lost, and what does not close; nothing where there is nothing to be told."""
+    """Return the losses, and counts that do not add up, as lines; empty without losses."""
     if ledger is None:
         return ["   unknown: the recording has no ledger"]
     lines = []
     if layout.CUT_OFF_KEY in ledger:
-        lines.append("   unknown: the bridge was killed; its recorder wrote all that it was given, and closed the file")
+        lines.append(
+            "   unknown: the bridge was killed; its recorder wrote all entries that it received and closed the file"
+        )
     recovered = ledger.get("recovered")
     if recovered:
         places = len(recovered["lost"]) + recovered["more_lost"]
         lines.append(
             f"recovered from {recovered['from']} by {recovered['by']}: "
-            + ("nothing was lost" if recovered["whole"] else f"lost in {count_text(places, 'place')}, see --json")
+            + ("nothing was lost" if recovered["whole"] else f"{count_text(places, 'loss', 'losses')}, see --json")
         )
         if "streams" not in ledger:
             lines.append("   unknown: the recording was not closed, so it has no counts")
-    lines += [f"DOES NOT CLOSE: {gap}" for gap in gaps(ledger)]
+    lines += [f"DOES NOT ADD UP: {gap}" for gap in gaps(ledger)]
     for direction, streams in ledger.get("streams", {}).items():
-        for stream, fates in streams.items() if direction != PEERS else ():  # they are told with their links
+        for stream, fates in streams.items() if direction != PEERS else ():  # shown with their links
             for reason, number in fates.get("dropped", {}).items():
                 lines.append(f"{number:>7,}  {_side(direction)} {stream}: {_REASONS.get(reason, reason)}")
     for link, fates in ledger.get("links", {}).items():
-        peer = "links that are gone" if link == "0" else f"link {link}"
-        for fate, reason in (("dropped", "send queue full, or link closed"), ("ignored", "the link was gone already")):
+        peer = "closed links" if link == "0" else f"link {link}"
+        for fate, reason in (("dropped", "send queue full, or link closed"), ("ignored", "link was closed already")):
             for stream, number in fates.get(fate, {}).items():
                 lines.append(f"{number:>7,}  to {peer}, {stream}: {reason}")
     for code, number in ledger.get("link_faults", {}).items():
         lines.append(f"{number:>7,}  links: {_LINK_FAULTS.get(code, code)}")
     recorder = ledger.get("recorder", {})
     if recorder.get("dropped_entries"):
-        lines.append(f"{recorder['dropped_entries']:>7,}  entries that the recorder could not keep up with")
+        lines.append(f"{recorder['dropped_entries']:>7,}  entries dropped because the queue of the recorder was full")
     return lines

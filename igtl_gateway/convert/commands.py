@@ -119,7 +119,7 @@ def _encoded(text: str, encoding: int, to: ToIgtlContext) -> tuple[bytes, int]:
         try:
             return text.encode(_WRITTEN[encoding]), encoding
         except (KeyError, UnicodeEncodeError):
-            to.warnings.append(("encoding_changed", f"a text that is not for encoding {encoding} is sent as UTF-8"))
+            to.warnings.append(("encoding_changed", f"text that is invalid in encoding {encoding} is sent as UTF-8"))
     return text.encode("utf-8", "surrogateescape"), mib_of(text)
 
 

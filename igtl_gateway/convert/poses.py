@@ -152,7 +152,7 @@ def nearest_quaternion(r: Rows, to: ToRosContext, place: str) -> Quaternion:
     if off > ROUNDING:
         if off > _NOTICEABLE:
             to.warnings.append(
-                ("not_a_rotation", f"{place}: the matrix has scale or shear ({off:.3g}), which a pose cannot hold")
+                ("not_a_rotation", f"{place}: rotation matrix is not orthonormal: scale or shear ({off:.3g}) is lost")
             )
         r = _nearest_rotation(r, place)
     elif determinant(r) < 0.0:
@@ -219,4 +219,6 @@ def _nearest_rotation(r: Rows, place: str) -> Rows:
 
 def _not_orthonormal(place: str, determinant: float) -> ConversionError:
     what = "a reflection" if determinant < 0 else "a singular matrix"
-    return ConversionError(f"{place}: found {what} (determinant {determinant:.3g}), expected a rotation")
+    return ConversionError(
+        f"{place}: found {what} (determinant {determinant:.3g}), expected an orthonormal rotation matrix"
+    )

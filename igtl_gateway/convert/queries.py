@@ -83,7 +83,7 @@ def query_to_igtl(message: Query, to: ToIgtlContext) -> ConvertedMessage:
     carried, make = _CONTENTS[codec]
     for field in _FIELDS:
         if field not in carried and getattr(message, field):
-            parts = f"{field} {getattr(message, field)!r} has no place in {igtl_type} and is left out"
+            parts = f"{field} {getattr(message, field)!r} does not fit into {igtl_type} and is left out"
             to.warnings.append(("field_left_out", parts))
     return ConvertedMessage(
         make(message, to),

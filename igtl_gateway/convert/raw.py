@@ -39,5 +39,5 @@ def message_of(raw: RawMessage) -> Buffer:
     try:
         decode(raw.data)
     except WireError as error:
-        raise ConversionError(f"{raw.TYPE}: data is no OpenIGTLink message: {error}") from None
+        raise ConversionError(f"{raw.TYPE}: data is not an OpenIGTLink message: {error}") from None
     return raw.data

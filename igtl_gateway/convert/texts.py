@@ -58,7 +58,7 @@ def status_to_igtl(message: DiagnosticStatus, to: ToIgtlContext) -> ConvertedMes
         code = int(values.get(_CODE, _CODE_OF_LEVEL.get(message.level, 2)))
         subcode = int(values.get(_SUBCODE, 0))
     except ValueError:
-        raise ConversionError(f"DiagnosticStatus: found values {values}, expected whole numbers") from None
+        raise ConversionError(f"DiagnosticStatus: found values {values}, expected integers") from None
     if not 0 <= code < 1 << 16 or not -(1 << 63) <= subcode < 1 << 63:
         raise ConversionError(f"DiagnosticStatus: found code {code}, subcode {subcode}, expected u16 and i64")
     (error_name,) = fit_texts((values.get(_ERROR_NAME, ""),), _ERROR_NAME_BYTES, "error_name", to)

@@ -120,5 +120,5 @@ def _format(named: str, ros_type: str) -> str:
             return _ALIASES[word]
     raise ConversionError(
         f"{ros_type}: found format {named!r}, expected one of {', '.join(sorted(_ALIASES))}: "
-        "single pictures (jpeg, png) are no VIDEO, send them as sensor_msgs/Image"
+        "single images (jpeg, png) are not VIDEO; publish them as sensor_msgs/Image"
     )

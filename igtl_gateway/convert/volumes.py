@@ -69,7 +69,9 @@ def volume_to_image(message: Volume, to: ToIgtlContext) -> ConvertedMessage:
     """
     _, lengths = split_axes(message.direction)
     if any(abs(length - 1) > _UNIT_TOLERANCE for length in lengths):
-        text = f"columns of the direction have the lengths {lengths}, not 1: voxels get another size than the spacing"
+        text = (
+            f"columns of the direction have the lengths {lengths}, expected 1: the voxel size differs from the spacing"
+        )
         to.warnings.append(("direction_not_unit", text))
     coordinate = message.coordinate_system or RAS
     placement = Placement.from_origin(message.direction, message.spacing, message.origin, message.size)

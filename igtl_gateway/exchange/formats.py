@@ -67,7 +67,7 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
     Raises UnsupportedRecording (not there, unknown, of the wrong kind) or DamagedRecording.
     """
     if not path.exists():
-        raise UnsupportedRecording(f"{path}: there is no such file")
+        raise UnsupportedRecording(f"{path}: no such file")
     if path.is_dir():
         if (path / METADATA).exists() or any(path.glob("*.db3*")) or any(path.glob("*.mcap*")):
             return Rosbag2(path)

@@ -123,9 +123,7 @@ def _dtype(header: Any, where: str) -> tuple[int, str]:
             return _COMPOUND[key]
         if not names and dtype.str[1:] in _PLAIN:
             return 1, dtype.str[1:]
-    raise UnsupportedRecording(
-        f"{where}: datatype: found {code}, expected whole numbers, float32, float64, RGB or RGBA"
-    )
+    raise UnsupportedRecording(f"{where}: datatype: found {code}, expected integers, float32, float64, RGB or RGBA")
 
 
 @np.errstate(all="ignore")  # what is not finite is refused below; numpy would print a warning as well
@@ -139,7 +137,7 @@ def _placement(header: Any, axes: int, where: str, notes: list[str]) -> ImagePla
     elif codes["qform"] > 0:
         affine = header.get_qform()
     else:
-        notes.append("neither sform nor qform is set: axes are taken as left, posterior, superior, as ITK does")
+        notes.append("neither sform nor qform is set: axes are treated as left, posterior, superior, as in ITK")
         steps = [abs(float(step)) * scale for step in header["pixdim"][1 : 1 + axes]]
         return ImagePlacement.of_file(np.diag(steps).tolist(), [0.0] * axes, "LPS", where)
     columns = (affine[:3, :axes] * scale).T.tolist()

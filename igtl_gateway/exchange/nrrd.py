@@ -158,7 +158,7 @@ def _dtype(fields: dict[str, str], pixels: int, where: str) -> str:
     if not pixels:
         return ""
     if element not in _TYPES:
-        raise UnsupportedRecording(f"{where}: type: found {element[:40]!r}, expected a whole number, float or double")
+        raise UnsupportedRecording(f"{where}: type: found {element[:40]!r}, expected an integer type, float or double")
     return _TYPES[element]
 
 
@@ -213,7 +213,7 @@ def _placement(
         notes.append("the header has no space origin: the first voxel is at 0")
     units = set(re.findall(r'"([^"]*)"', fields.get("space units", ""))) - {"mm", "", "s", "ms", "???"}
     if units:
-        notes.append(f"space units {', '.join(sorted(units))[:40]}: numbers are taken as millimetres, as ITK does")
+        notes.append(f"space units {', '.join(sorted(units))[:40]}: numbers are treated as millimetres, as in ITK")
     return ImagePlacement.of_file([vector[:3] for vector in directions], origin[:3], space, where)
 
 
@@ -225,7 +225,7 @@ def _space(fields: dict[str, str], where: str, notes: list[str]) -> str:
     if name and known not in _OTHER_SPACES:
         raise DamagedRecording(f"{where}: space: found {name[:40]!r}, expected one of {', '.join(_SPACES)}")
     if "space directions" in fields:
-        notes.append(f"space {name or 'without a name'}: taken as left-posterior-superior, as ITK does")
+        notes.append(f"space {name or 'without a name'}: treated as left-posterior-superior, as in ITK")
     return "LPS"
 
 
@@ -250,7 +250,7 @@ def _undirected_placement(
     axes: list[Vector] = [(steps[0], 0.0, 0.0), (0.0, steps[1], 0.0)]
     if len(steps) == 3:
         axes.append((0.0, 0.0, steps[2]))
-    notes.append("the header has spacings without directions: axes are taken as left, posterior, superior, as ITK does")
+    notes.append("the header has spacings without directions: axes are treated as left, posterior, superior, as in ITK")
     return ImagePlacement.of_file(axes, origin or [0.0] * len(axes), "LPS", where)
 
 

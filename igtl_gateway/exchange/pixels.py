@@ -75,7 +75,7 @@ def _widened(values: npt.NDArray[Any], raster: Raster, index: int) -> npt.NDArra
     low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
     if not -_EXACT <= low <= high <= _EXACT:
         raise DamagedRecording(
-            f"{raster.where}: frame {index}: found whole numbers of 64 bits, {low} … {high}, expected ones within "
+            f"{raster.where}: frame {index}: found 64-bit integers, {low} … {high}, expected integers within "
             "±2^53, which float64 holds: IMAGE has no such type"
         )
     return values.astype((">" if raster.big_endian else "<") + WIDER[raster.dtype])
@@ -130,7 +130,7 @@ class _Pieces:
         except (OSError, ValueError, EOFError, zlib.error):
             more = b"?"
         if more.strip():
-            notes.append("there is more behind the last pixel that the header announces: it is not read")
+            notes.append("bytes behind the last pixel that the header announces are ignored")
 
     def _read_some(self, missing: int) -> bytes:
         """Between 1 and ``missing`` bytes; none at the end."""

@@ -88,7 +88,7 @@ def check_axes(roles: list[str], sizes: list[int], where: str) -> tuple[Axis, ..
     axes = tuple(Axis(role, size) for role, size in zip(roles, sizes, strict=True))
     spaces = [axis.size for axis in axes if axis.role == SPACE]
     if any(size < 0 for size in sizes):
-        raise DamagedRecording(f"{where}: found sizes {_sizes_text(sizes)}, expected none below 0")
+        raise DamagedRecording(f"{where}: found sizes {_sizes_text(sizes)}, expected 0 or more")
     if not 2 <= len(spaces) <= 3 or roles.count(FRAME) > 1:
         raise UnsupportedRecording(
             f"{where}: found axes {', '.join(roles)}, expected 2 or 3 of space and at most one of time"
@@ -124,7 +124,7 @@ def parse_whole(word: str, what: str, where: str) -> int:
     """A whole number of a header, of at most 18 digits.  Raises DamagedRecording."""
     digits = word.removeprefix("-").removeprefix("+")
     if not (digits.isascii() and digits.isdigit() and len(digits) <= 18):
-        raise DamagedRecording(f"{where}: {what}: found {word[:40]!r}, expected a whole number")
+        raise DamagedRecording(f"{where}: {what}: found {word[:40]!r}, expected an integer")
     return int(word)
 
 

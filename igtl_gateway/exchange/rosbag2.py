@@ -77,7 +77,7 @@ class Rosbag2(NonRosSource):
         is_sqlite = start.startswith(b"SQLite format 3\0")
         storage, told = "sqlite3" if is_sqlite else "mcap", self._metadata.storage
         if told not in ("", storage):
-            self.notes.append(f"{METADATA} says that the storage is {told}, {path.name} is {storage}")
+            self.notes.append(f"{METADATA} has the storage {told}, but {path.name} is {storage}")
         return SqliteStorage(plain, _unreadable) if is_sqlite else _Mcap(plain)
 
     def _unpack(self, path: Path) -> Path:

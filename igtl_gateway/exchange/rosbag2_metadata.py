@@ -52,7 +52,7 @@ def read_metadata(folder: Path) -> BagMetadata:
     try:
         text = files.read_bytes(path).decode("utf-8")
     except UnicodeDecodeError as error:
-        raise DamagedRecording(f"{path}: found a byte that is no UTF-8 at {error.start}, expected a text") from None
+        raise DamagedRecording(f"{path}: found invalid UTF-8 at byte {error.start}, expected UTF-8") from None
     reader = _ShapeReader(path)
     content = reader.mapping(reader.mapping(parse_yaml(text, str(path)), "document").get(_ROOT), _ROOT)
     version = reader.number(content.get("version"), "version")

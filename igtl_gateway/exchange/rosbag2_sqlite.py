@@ -172,8 +172,8 @@ class SqliteStorage:
             return LimitExceeded(f"{self._path}: found more work than a file of {self._size} bytes can need")
         reason = str(error)
         if "malformed" in reason or "not a database" in reason:
-            return DamagedRecording(f"{self._path}: cut off or damaged: SQLite says: {reason}")
-        return DamagedRecording(f"{self._path}: SQLite says: {reason}")
+            return DamagedRecording(f"{self._path}: cut off or damaged: SQLite reports: {reason}")
+        return DamagedRecording(f"{self._path}: SQLite reports: {reason}")
 
 
 def _authorized(action: int, first: str | None, second: str | None, _base: str | None, _inner: str | None) -> int:

@@ -142,10 +142,13 @@ class Sequence(NonRosSource):
             self.notes.append("the frames have no times: they are a nanosecond apart")
         if (orientation := _source_orientation(self._fields)) and raster.frame_bytes:
             self.notes.append(
-                f"ultrasound images stay {orientation[:20]}, as in the file; PLUS turns them as it reads them"
+                f"ultrasound images keep the orientation {orientation[:20]}, as in the file; "
+                "PLUS converts them when it reads them"
             )
         if raster.dtype in WIDER:
-            self.notes.append("whole numbers of 64 bits, which IMAGE does not have, become float64 of the same values")
+            self.notes.append(
+                "64-bit integers, which IMAGE does not support, are converted to float64 with the same values"
+            )
 
     def items(self) -> Iterator[ImportedItem]:
         peer = {"peer": f"file {self._path.name}", "local": "import", "role": "server"}

@@ -101,7 +101,7 @@ class SequenceFrames:
         streams = sorted(kinds[self.kind])
         self.images = [stream for stream in streams if stream.startswith("IMAGE/")]
         if not streams:
-            raise UnsupportedRecording("found no IMAGE and no TRANSFORM of OpenIGTLink, expected some")
+            raise UnsupportedRecording("found no IMAGE and no TRANSFORM of OpenIGTLink, expected at least one")
         if len(self.images) > 1:
             raise ConfigError(f"--streams: found {', '.join(self.images)}, expected one IMAGE and its TRANSFORMs")
         self.names: dict[str, str] = {}
@@ -122,7 +122,7 @@ class SequenceFrames:
             if entry.kind is Kind.EDGE_NOTE:
                 if (stream := _invalid_stream(entry)) in tracked:
                     tracked[stream].valid = False
-                    tracked[stream].why = "said to be invalid before the next frame"
+                    tracked[stream].why = "marked as invalid before the next frame"
                 continue
             if entry.channel not in self.names and entry.channel not in self.images:
                 continue

@@ -36,7 +36,7 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ex
     sequence = SequenceFrames(recording, globs)
     found = sequence.found()
     if not found.frames:
-        raise UnsupportedRecording("found no whole IMAGE and no TRANSFORM that can be read, expected some")
+        raise UnsupportedRecording("found no whole IMAGE and no TRANSFORM that can be read, expected at least one")
     given = recording.session.get("sequence_epoch_ns", "")
     epoch_ns = int(given) if given.isascii() and given.isdigit() and len(given) < 20 else 0
     account = sequence.account
@@ -64,11 +64,13 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ex
         account.notes.append(f"{name}Transform: OK in {valid} of {found.frames} frames")
     if moving:
         account.notes.append(
-            f"the images move: the place of each is its {_IMAGE_PLACE}Transform (pixels to RAS, mm), "
+            f"the images move: the pose of each is its {_IMAGE_PLACE}Transform (pixels to RAS, mm), "
             "and the header has none"
         )
     elif first and not place:
-        account.notes.append("the matrix of the images is no place (axes without length, in one plane, or not finite)")
+        account.notes.append(
+            "the matrix of the images is not a pose (axes without length, in one plane, or not finite)"
+        )
     return account
 
 

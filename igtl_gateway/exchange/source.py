@@ -135,7 +135,7 @@ def link_up_item(time_ns: int, link: int, facts: dict[str, str]) -> ImportedItem
 
 def link_down_item(time_ns: int, link: int, facts: dict[str, str], reason: str) -> ImportedItem:
     """A peer went."""
-    note = Note(Level.INFO, LINK_DOWN, f"{facts['peer']} gone: {reason}", data={**facts, "reason": reason})
+    note = Note(Level.INFO, LINK_DOWN, f"{facts['peer']} disconnected: {reason}", data={**facts, "reason": reason})
     return ImportedItem(time_ns, Kind.LINK, note.pack(), links=(link,))
 
 

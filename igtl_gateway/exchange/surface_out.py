@@ -190,7 +190,7 @@ def _misfit(attribute: Attribute, content: PolyData) -> str:
     if attribute.tuples != count:
         things = "cells" if of_cells else "points"
         return f"{attribute.tuples:,} values for {count:,} {things}"
-    return "" if count else "no points or cells to belong to"
+    return "" if count else "no points or cells for these attributes"
 
 
 def _fields(head: str, attributes: list[Attribute]) -> Iterator[bytes]:

@@ -36,8 +36,8 @@ def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str]) 
 TARGETS = {
     "rosbag2": ExportFormat("ROS topics, as a directory for `ros2 bag`", export_rosbag2),
     "igs.mha": ExportFormat("an IMAGE and its TRANSFORMs, as one tracked sequence", export_sequence),
-    "csv": ExportFormat("poses, texts, numbers: a folder with one table per stream", export_csv),
-    "ply": ExportFormat("surfaces and clouds: a folder with one file per message", export_ply),
+    "csv": ExportFormat("poses, strings, numbers: a directory with one table per stream", export_csv),
+    "ply": ExportFormat("surfaces and clouds: a directory with one file per message", export_ply),
     "vtk": ExportFormat("the same with all attributes", export_vtk),
-    "nrrd": ExportFormat("images and volumes: a folder with one file per message", export_nrrd),
+    "nrrd": ExportFormat("images and volumes: a directory with one file per message", export_nrrd),
 }

@@ -100,14 +100,14 @@ class Diagnostics:
         rowless = [(key[1], ones) for key, ones in by_stream.items() if key[1] not in streams.get(key[0], {})]
         statuses += [self._frame(stream, ones) for stream, ones in rowless[:MAX_STREAMS]]
         if len(rows) > MAX_STREAMS:
-            text = f"{len(rows) - MAX_STREAMS:,} further streams have no status"
+            text = f"{len(rows) - MAX_STREAMS:,} more streams are not shown"
             statuses.append(DiagnosticStatus(WARN, "igtl_gateway: further streams", text, self._hardware_id))
         return DiagnosticArray(Header(utc_ns, ""), tuple(statuses))
 
     def _frame(self, stream: str, watched: list[GuardedStream]) -> DiagnosticStatus:
         """Build the status of a guarded stream that the ledger does not have: a tf frame, a child of a BIND."""
         stale = sum(one.stale for one in watched)
-        level, text = (ERROR, f"stale: withheld {stale:,} times so far (max_age_s)") if stale else (OK, "fresh")
+        level, text = (ERROR, f"stale: {stale:,} messages withheld so far (max_age_s)") if stale else (OK, "fresh")
         return DiagnosticStatus(level, f"igtl_gateway: {stream}", text, self._hardware_id)
 
     def _stream(
@@ -155,7 +155,7 @@ class Diagnostics:
         clock = best(one.timing for one in watched)
         level, text = (ERROR, f"reads too slowly: {lost:,} messages dropped") if lost else (OK, "connected")
         if not lost and any(FUTURE in one.episodes for one in watched):
-            level, text = WARN, "its stamps are in the future"
+            level, text = WARN, "stamps are in the future"
         values = [(key, f"{getattr(peer, key)}") for key in ("role", "received", "sent", "queued", "dropped")]
         if clock:
             values.append(("clock", str(clock)))

@@ -37,9 +37,9 @@ CALM = "calm"
 CODES = frozenset({STALE, FRESH, AGE_UNKNOWN, JUMP, BACKWARDS, STILL, FUTURE, CALM})
 
 _WORDS = {
-    JUMP: "jumps of the unit",
-    BACKWARDS: "stamps that run backwards",
-    STILL: "stamps that stand still",
+    JUMP: "jumps of the translation",
+    BACKWARDS: "decreasing stamps",
+    STILL: "stamps that do not change",
     FUTURE: "stamps in the future",
 }
 
@@ -112,7 +112,7 @@ class GuardedStream:
             if self._unknown_said:
                 return False, []
             self._unknown_said = True
-            text = f"{self.stream} has no stamps of its own: its age cannot be judged (max_age_s)"
+            text = f"{self.stream}: messages without stamps, age unknown (max_age_s)"
             return False, [(Level.WARN, AGE_UNKNOWN, text)]
         age_ns = now_ns - self.ahead_ns - own_ns
         if age_ns > self._max_age_ns:
@@ -120,13 +120,14 @@ class GuardedStream:
             if self.stale > 1:
                 return True, []
             self._stale_since_ns = now_ns
-            text = f"{self.stream} is stale: {_seconds(age_ns)} old, at most {_seconds(self._max_age_ns)} is forwarded"
+            most = _seconds(self._max_age_ns)
+            text = f"{self.stream} is stale: messages are {_seconds(age_ns)} old, expected at most {most}"
             return True, [(Level.ERROR, STALE, text)]
         if not self.stale:
             return False, []
         number, self.stale = self.stale, 0
         lasted = _seconds(now_ns - self._stale_since_ns)
-        return False, [(Level.INFO, FRESH, f"{self.stream} is fresh again: withheld {number:,} messages in {lasted}")]
+        return False, [(Level.INFO, FRESH, f"{self.stream} is fresh again: {number:,} messages withheld in {lasted}")]
 
     # -- watchers -----------------------------------------------------------------------------------------------
 
@@ -153,7 +154,7 @@ class GuardedStream:
         if now_ns >= self._due_ns:
             for code in self._end_episodes(now_ns):
                 since_ns, last_ns, number = self.episodes.pop(code)
-                seen = f"{_WORDS[code]}, {number:,} times in {_seconds(last_ns - since_ns)}, are over"
+                seen = f"{_WORDS[code]} have ended after {number:,} times in {_seconds(last_ns - since_ns)}"
                 findings.append((Level.INFO, CALM, f"{self.stream}: {seen}"))
             self.timing.add(stamp_ns if stamp_ns != now_ns else 0, now_ns - self.ahead_ns)
             self._still = self._still + 1 if stamp_ns == self._seen_ns else 0
@@ -216,17 +217,18 @@ class GuardedStream:
 
     def _describe(self, code: str, now_ns: int, stamp_ns: int, place: Place | None) -> str:
         if code == BACKWARDS:
-            return f"its stamps run backwards, by {_seconds(self.last_ns - stamp_ns)}"
+            return f"stamps decrease by {_seconds(self.last_ns - stamp_ns)}"
         if code == FUTURE:
-            return (
-                f"its stamps are in the future, by {_seconds(stamp_ns - now_ns + self.ahead_ns)}: are the clocks set?"
-            )
+            ahead = _seconds(stamp_ns - now_ns + self.ahead_ns)
+            return f"stamps are {ahead} in the future; synchronise the clocks (NTP, PTP)"
         if code == STILL:
-            return f"its stamps stand still while messages come ({STILL_LOOKS} looks): is the source frozen?"
+            return (
+                f"stamps do not change while messages arrive ({STILL_LOOKS} checks); check whether the source is frozen"
+            )
         before, after = (math.hypot(*one) if one else 0.0 for one in (self._place, place))
         return (
-            f"its translation jumped from {before:.6g} to {after:.6g} in the same direction, a factor of "
-            f"{max(before, after) / min(before, after):.4g}: metres for millimetres?"
+            f"translation jumped from {before:.6g} to {after:.6g} in the same direction, a factor of "
+            f"{max(before, after) / min(before, after):.4g}: metres instead of millimetres?"
         )
 
 

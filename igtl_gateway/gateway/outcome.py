@@ -125,7 +125,7 @@ class Bookkeeper:
         if entry.kind in _MESSAGES:
             self.ledger.count(entry.kind.value, entry.channel, "received")
         self.ledger.drop(entry.kind.value, entry.channel, "internal_error")
-        text = f"message lost to a defect of the gateway: {type(error).__name__}: {error}"
+        text = f"message dropped by a defect of the gateway: {type(error).__name__}: {error}"
         return [note_output(Level.ERROR, "internal_error", text, entry.channel, entry.links)]
 
     def _settled(self, items: Iterable[Item]) -> list[Output]:

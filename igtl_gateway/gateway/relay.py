@@ -118,7 +118,7 @@ class RelayGateway:
         partner = self._partners.get(link)
         if partner is None:
             self.ledger.drop(_IN, entry.channel, "no_partner")
-            text = "message not relayed: the other side has gone"
+            text = "message dropped: the other side of the relay is disconnected"
             return self._warn_once(entry, "no_partner", text)
         if (denied := self._denied(entry)) is not None:
             self.ledger.drop(_IN, entry.channel, "denied")
@@ -142,7 +142,7 @@ class RelayGateway:
             decode(entry.payload[0], check_crc=self.config.check_crc)
         except WireError as error:
             # damaged bytes are forwarded: each kind is reported once, and the recording has all of them
-            return [sent, *self._warn_once(entry, error.code, f"relayed as it is: {error}")]
+            return [sent, *self._warn_once(entry, error.code, f"relayed unchanged: {error}")]
         return [sent]
 
     def _forward(self, link: int, fates: list[Fate[Entry]]) -> list[Output]:
@@ -163,7 +163,7 @@ class RelayGateway:
                 outputs += self._sent(entry, payload, link)
             if fate.disconnect:
                 self._cut.add(link)
-                text = "connection closed on purpose: --fault"
+                text = "connection closed by fault injection (--fault)"
                 outputs.append(note_output(Level.INFO, CUT, text, entry.channel, (link,)))
                 self._drop_waiting(self._lines[link], CUT)
         return outputs
@@ -184,8 +184,8 @@ class RelayGateway:
         try:
             denied = denials.message(decode(entry.payload[0], check_crc=False))
         except WireError as error:  # another program may be able to read it
-            return f"a BIND that cannot be looked into is denied ({setting}): {error}"
-        return f"BIND with {denied} inside is denied ({setting})" if denied else None
+            return f"BIND is denied because it cannot be decoded ({setting}): {error}"
+        return f"BIND that contains {denied} is denied ({setting})" if denied else None
 
     def _warn_once(self, entry: Entry, code: str, text: str) -> list[Output]:
         """Return a warning, unless this stream of the link already had it."""

@@ -294,7 +294,9 @@ class _Pairing:
             if wrong and diff_so_far.first is None:
                 first = min(wrong, key=lambda offset: stream.first_at[offset].index)
                 diff_so_far.first = stream.first_at[first]
-                diff_so_far.first.delta.differ("stamp", f"{offset_ns:+,} ns later, commonly", f"{first:+,} ns here")
+                diff_so_far.first.delta.differ(
+                    "stamp", f"{offset_ns:+,} ns (most stamps)", f"{first:+,} ns (this stamp)"
+                )
             diff_so_far.offset_ns, diff_so_far.jitter_ns = stream.times.mean, stream.times.deviation
         streams = [stream.diff for _, stream in sorted(self._streams.items())]
         return DiffReport(streams, offset_ns, self._all.mean)

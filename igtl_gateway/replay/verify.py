@@ -73,8 +73,8 @@ class Difference:
 
     def __str__(self) -> str:
         return (
-            f"entry {self.seq} (caused by entry {self.cause}), {self.stream}: {self.field} "
-            f"was {_value_text(self.recorded)}, is now {_value_text(self.computed)}"
+            f"entry {self.seq} (caused by entry {self.cause}), {self.stream}: {self.field}: "
+            f"recorded {_value_text(self.recorded)}, computed {_value_text(self.computed)}"
             + (f" ({self.measure})" if self.measure else "")
         )
 

@@ -83,7 +83,7 @@ def _doubts(scene: DepthScene) -> list[str]:
     if len(scene.clouds) < _FEW_CLOUDS:
         notes.append(
             f"only {len(scene.clouds)} cloud{'s' * (len(scene.clouds) > 1)}: "
-            "a single bad shot cannot be told from the tissue, and errors are lower bounds"
+            "a single bad cloud cannot be distinguished from the tissue, and errors are lower bounds"
         )
     if len(scene.clouds) > 1:
         steps = scene.depths[-1] - scene.depths[0]

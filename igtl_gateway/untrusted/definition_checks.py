@@ -64,7 +64,9 @@ def _examine_field(description: Any, place: str) -> None:
         if not TYPE.fullmatch(inner) or len(inner) > LONGEST_NAME:
             raise DamagedRecording(f"{place}: found the type {inner[:LONGEST_NAME]!r}, expected package/msg/Name")
     elif not 0 <= inner[1] < 1 << _LONGEST_INT:
-        raise DamagedRecording(f"{place}: found a text of {str(inner[1])[:20]} characters, expected a positive number")
+        raise DamagedRecording(
+            f"{place}: found a string of {str(inner[1])[:20]} characters, expected a positive number"
+        )
 
 
 def weight(content: tuple[list[Any], list[Any]]) -> int:

@@ -46,7 +46,7 @@ def truth(value: Any, place: str) -> None:
 def number(value: Any, place: str) -> None:
     """A whole number from 0 on that 63 bits hold."""
     if type(value) is not int or not 0 <= value < 1 << 63:
-        raise wrong(place, value, "a whole number from 0 on")
+        raise wrong(place, value, "an integer of 0 or more")
 
 
 def digits(value: Any, place: str) -> None:

@@ -47,7 +47,7 @@ def parse_json(text: str, place: str) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise DamagedRecording(f"{place}: found no JSON: {error}") from None
+        raise DamagedRecording(f"{place}: found invalid JSON: {error}") from None
 
 
 def parse_toml(data: bytes, place: str) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def unpack_zstd_of_any_size(packed: bytes, place: str) -> bytes:
             return unpack_within_limits("zstd", packed, declared, place)
         found = _at_most("zstd", packed, limits.current_limits().unpacked(len(packed)) + 1, is_declared=False)
     except zstandard.ZstdError as error:
-        raise DamagedRecording(f"{place}: found no zstd data: {error}") from None
+        raise DamagedRecording(f"{place}: found invalid zstd data: {error}") from None
     limits.check_unpacked(len(packed), len(found), place)
     return found
 

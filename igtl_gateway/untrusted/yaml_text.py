@@ -46,7 +46,7 @@ def parse_yaml(text: str, place: str) -> Any:
             elif isinstance(event, MappingEndEvent | SequenceEndEvent):
                 open_nodes.pop()
     except (YAMLError, ValueError, TypeError, AttributeError, IndexError, RecursionError, AssertionError) as error:
-        raise DamagedRecording(f"{place}: found no YAML: {_reason(error)}") from None
+        raise DamagedRecording(f"{place}: found invalid YAML: {_reason(error)}") from None
     return root[0] if root else None
 
 
@@ -67,7 +67,7 @@ def _add(event: NodeEvent, open_nodes: list[tuple[Any, list[str]]], place: str) 
         keys.append(event.value)
         return
     else:
-        raise DamagedRecording(f"{at}: found a list or a mapping as a key, expected a text")
+        raise DamagedRecording(f"{at}: found a list or a mapping as a key, expected a string")
     if isinstance(event, MappingStartEvent | SequenceStartEvent):
         open_nodes.append((node, []))
         limits.check_limit("depth", len(open_nodes) - 1, at)

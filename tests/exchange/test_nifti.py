@@ -145,7 +145,7 @@ def test_without_nibabel_the_error_says_what_to_install(tmp_path: Path, monkeypa
     [
         (40, b"\x00\x00", "expected 2 … 7"),
         (40, b"\x09\x00", "expected 2 … 7"),
-        (42, b"\xff\xff", "none below 0"),
+        (42, b"\xff\xff", "expected 0 or more"),
         (70, b"\x01\x00", "datatype: found 1"),
         (70, b"\xff\x7f", "datatype"),
         (108, np.float32(np.nan).tobytes(), "vox_offset"),

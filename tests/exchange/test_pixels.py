@@ -103,7 +103,7 @@ def test_whole_numbers_of_64_bits_come_without_loss_or_not_at_all(tmp_path: Path
     lines = ("type: int64", "sizes: 2 1", "kinds: domain domain", "endian: little")
     path = nrrd(tmp_path / "some.nrrd", np.array([value, 7], "<i8").tobytes(), *lines)
     if abs(value) > 2**53:
-        with pytest.raises(DamagedRecording, match="whole numbers of 64 bits"):
+        with pytest.raises(DamagedRecording, match="64-bit integers"):
             images_of(path)
     else:
         assert images_of(path)[0].array.reshape(-1).tolist() == [value, 7]

@@ -116,7 +116,7 @@ def test_a_storage_other_than_that_of_the_metadata_is_told(tmp_path: Path) -> No
     folder = bag(tmp_path / "bag", storage_identifier="mcap")
     storage(folder / "x.db3")
     with closing(Rosbag2(folder)) as source:
-        assert source.notes == ["metadata.yaml says that the storage is mcap, x.db3 is sqlite3"]
+        assert source.notes == ["metadata.yaml has the storage mcap, but x.db3 is sqlite3"]
 
 
 @pytest.mark.parametrize("told", [True, False])

@@ -54,7 +54,7 @@ HOSTILE = {
         "found computed columns in topics",
     ),
     "other columns": ((*GOOD[:2], "CREATE TABLE messages(id INTEGER)"), "found other columns than those of rosbag2"),
-    "topics of other columns": (("CREATE TABLE topics(id INTEGER)", MESSAGES), "SQLite says"),
+    "topics of other columns": (("CREATE TABLE topics(id INTEGER)", MESSAGES), "SQLite reports"),
 }  # fmt: skip
 
 
@@ -132,5 +132,5 @@ def test_a_file_that_is_cut_off_says_so(tmp_path: Path) -> None:
     whole = made(tmp_path / "x.db3", *GOOD, *rows).read_bytes()
     for part in (0.9, 0.5, 0.2, 0.05):
         (tmp_path / "y.db3").write_bytes(whole[: int(len(whole) * part)])
-        with pytest.raises(DamagedRecording, match=r"y\.db3: (cut off or damaged|SQLite says|messages)"):
+        with pytest.raises(DamagedRecording, match=r"y\.db3: (cut off or damaged|SQLite reports|messages)"):
             read(tmp_path / "y.db3")

@@ -195,7 +195,7 @@ def test_what_is_damaged_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DamagedRecording, match="in the same folder"):
         Sequence(path)
     path.write_bytes(b"ObjectType = Image\nDimSize = 1 x 1\nElementDataFile = LOCAL\n")
-    with pytest.raises(DamagedRecording, match=r"some\.mha: DimSize: found 'x', expected a whole number"):
+    with pytest.raises(DamagedRecording, match=r"some\.mha: DimSize: found 'x', expected an integer"):
         Sequence(path)
 
 

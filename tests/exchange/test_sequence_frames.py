@@ -56,7 +56,7 @@ def test_each_reason_is_counted(tmp_path: Path) -> None:
     row = next(row for row in export_sequence(InMemory(items), path, ()).rows if row.type == "TRANSFORM")
     assert (row.declared, row.taken, row.left_out) == (5, 1, 4)
     assert row.why == (
-        "1: not finite; 1: said to be invalid before the next frame; 1: older than 1 s at the next image; "
+        "1: not finite; 1: marked as invalid before the next frame; 1: older than 1 s at the next image; "
         "1: between two images: a frame has the last one before it"
     )
     statuses = [fields["ToolTransformStatus"] for fields in plus.read(path).frames.values()]

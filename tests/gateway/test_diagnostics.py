@@ -111,4 +111,4 @@ def test_more_streams_than_anybody_reads_are_told_as_one() -> None:
     streams = {"ros_in": {f"/t{number}": {"received": 1} for number in range(MAX_STREAMS + 5)}}
     array = Diagnostics("host").array(NS_PER_S, NS_PER_S, streams, [], [], None)
     assert len(array.status) == MAX_STREAMS + 2
-    assert (array.status[-1].level, array.status[-1].message) == (WARN, "5 further streams have no status")
+    assert (array.status[-1].level, array.status[-1].message) == (WARN, "5 more streams are not shown")

@@ -116,7 +116,7 @@ def test_a_frame_that_is_too_old_is_left_out_and_the_others_go_on() -> None:
     script.now_ns += NS_PER_S
     said = script.ros("/tf", tf_of("mount", "a", script.now_ns, x=0.2))
     assert said == ["note stale", "igtl TDATA/Tools v1 to 1"] and names() == ["a"]
-    assert "frame b in base is stale: 1.0" in script.notes[0].text
+    assert "frame b in base is stale: messages are 1.0" in script.notes[0].text
     script.now_ns += NS_PER_S
     late = script.ros("/tf", tf_of("mount", "a", script.now_ns - NS_PER_S // 2 - 10**8, x=0.3))
     assert late == ["note stale"], "nothing is left to be sent"

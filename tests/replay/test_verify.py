@@ -75,7 +75,7 @@ def test_a_changed_converter_constant_is_named(entries: list[Entry], monkeypatch
 
 def test_another_configuration_is_named(entries: list[Entry]) -> None:
     report = verify(entries, Config(base_frame="elsewhere"))
-    assert "header.frame_id was 'igtl', is now 'elsewhere'" in " ".join(map(str, report.differences))
+    assert "header.frame_id: recorded 'igtl', computed 'elsewhere'" in " ".join(map(str, report.differences))
 
 
 @pytest.mark.parametrize(
@@ -372,7 +372,7 @@ def test_a_configuration_of_another_release_is_a_clear_error(
 def test_an_output_that_nothing_caused_is_a_finding(entries: list[Entry]) -> None:
     ghost = next(entry for entry in entries if entry.kind is Kind.ROS_OUT)
     report = verify([*entries, replace(ghost, seq=entries[-1].seq + 1)], SCENARIO.config)
-    assert "is now 'nothing'" in first(report)
+    assert "computed 'nothing'" in first(report)
 
 
 def test_notes_are_compared_by_code_not_by_wording(entries: list[Entry]) -> None:

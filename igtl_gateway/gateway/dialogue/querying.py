@@ -47,7 +47,7 @@ class Queries:
         self._peers.changed()
         prefix, igtl_type = query
         if prefix in ("GET", "STT") and self._denied.type(igtl_type):
-            text = f"{message.type} refused: {igtl_type} is sent to nobody (deny_out)"
+            text = f"{message.type} rejected: {igtl_type} is not sent to any peer (deny_out)"
             finding = _noted_once(entry, Level.WARN, "denied", text, visible(message.type), peer)
             return [finding, *self.deny(entry, peer, message, prefix, igtl_type)]
         answer = _ANSWERS.get(prefix)
@@ -69,7 +69,7 @@ class Queries:
         sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
         if outs and (sent or not peer.profile.may_send(igtl_type)):
             return items
-        text = f"{message.type} of {device or 'any device'} cannot be answered: there is none yet"
+        text = f"{message.type} of {device or 'any device'} not answered: no such message received yet"
         refusal = answers.empty_reply(igtl_type, device, entry.stamp_ns, peer)
         return [
             *items,
@@ -81,9 +81,9 @@ class Queries:
         status = answers.start_stream(message, igtl_type, peer, self._knows_frame)
         items = self._acknowledge(entry, peer, igtl_type, device, status)
         if status == answers.OK:
-            text = f"{message.type} of {device or 'any device'}: a stream begins"
+            text = f"{message.type} of {device or 'any device'}: stream started"
             return [*items, Finding(Level.INFO, "stream_started", text, entry.channel, (peer.link,))]
-        text = f"{message.type} of {device or 'any device'} refused: unknown frame, type or too many streams"
+        text = f"{message.type} of {device or 'any device'} rejected: unknown frame or type, or too many streams"
         return [*items, Finding(Level.WARN, "stream_refused", text, entry.channel, (peer.link,))]
 
     def _stop(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:

@@ -89,9 +89,7 @@ class Delivery:
             if frame:
                 place = self._frames.latest(out.frame_id, frame)
                 if place is None:
-                    text = (
-                        f"{out.channel} is in frame {out.frame_id!r}, which nothing connects with {frame!r}: not sent"
-                    )
+                    text = f"{out.channel} is not sent: no transform from its frame {out.frame_id!r} to {frame!r}"
                     items.append(Finding(Level.WARN, "unknown_frame", text, entry.channel, entry.links, subject=frame))
                     continue
                 content = in_frame(out.content, place[1], lengths)
@@ -105,7 +103,9 @@ def _profile_findings(entry: Entry, sent: SendResult) -> list[Item]:
     items = warning_findings(sent.warnings, entry)
     for peer, igtl_type in sent.refused:
         profile = peer.profile.name
-        text = f"{igtl_type} is not sent to {peer.address or 'the peer'}: no type for the profile {profile}"
+        text = (
+            f"{igtl_type} is not sent to {peer.address or 'the peer'}: its profile {profile} cannot receive this type"
+        )
         items.append(
             Finding(
                 Level.INFO,

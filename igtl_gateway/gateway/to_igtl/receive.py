@@ -140,5 +140,7 @@ class RosReceiver:
             return self._peers.all()
         peer = self._peers.get(outgoing.link)
         if peer is None:
-            raise ConversionError(f"found link {outgoing.link}, expected 0 (all) or the number of a peer that is there")
+            raise ConversionError(
+                f"found link {outgoing.link}, expected 0 (all peers) or the number of a connected peer"
+            )
         return (peer,)

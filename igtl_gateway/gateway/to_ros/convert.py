@@ -125,7 +125,7 @@ class Converter:
     def _unconverted(self, entry: Entry, message: Message, stream: ToRosStream, to: ToRosContext) -> Outcome:
         """Publish a message without a conversion as a RawMessage; an empty one of a known type is not published."""
         if stream.outputs and isinstance(message.content, Raw):
-            text = f"{to.igtl_type} has an empty body: nothing to publish"
+            text = f"{to.igtl_type} has an empty body and is not published"
             return Outcome([_first(entry, "empty", text, message, to)], "empty")
         if any(not kind.startswith("+") for kind in stream.row.kinds):
             return Outcome(fate="not_chosen")
@@ -133,7 +133,7 @@ class Converter:
         # a child of a BIND has no bytes of its own, and thousands of copies of the BIND would fill the memory
         data = entry.payload[0] if entry.payload else join(encode(message))
         raw = raw_message(data, entry.stamp_ns, to.link)
-        text = f"{to.igtl_type} has no conversion to ROS and is published as it is"
+        text = f"{to.igtl_type} has no conversion to ROS and is published unchanged"
         found = _first(entry, "no_conversion", text, message, to)
         return Outcome([ros_output(stream.raw_topic, raw, to.stamp_ns), found], CONVERTED)
 

@@ -80,14 +80,14 @@ class IgtlReceiver:
         self._peers.changed()
         items: list[Item] = [self._links.status(entry.stamp_ns)]
         if peer.profile is not before:
-            text = f"{peer.address or 'the peer'} is taken for {peer.profile.name}, by what it sent"
+            text = f"{peer.address or 'peer'}: profile {peer.profile.name}, detected from its messages"
             items.append(Finding(Level.INFO, "peer_profile", text, entry.channel, (peer.link,)))
         return items
 
     def _deny(self, entry: Entry, peer: Peer | None, message: Message, denied: str) -> list[Item]:
         """Reject a denied message; a query or command gets a reply."""
         igtl_type = visible(message.type)
-        inside = f" with {denied} inside" if denied != igtl_type else ""
+        inside = f" that contains {denied}" if denied != igtl_type else ""
         text = f"{igtl_type}{inside} from {peer.address or 'the peer' if peer else 'a peer'} is denied (deny_in)"
         link = entry.links[0]
         finding = Finding(Level.WARN, "denied", text, entry.channel, entry.links, subject=igtl_type, by=link)

@@ -113,7 +113,7 @@ class Router:
             except WireError as error:
                 items.append(
                     conversion_failure(
-                        error, f"child {visible(child.name)!r} of {entry.channel} refused", entry, error.code
+                        error, f"child {visible(child.name)!r} of {entry.channel} rejected", entry, error.code
                     )
                 )
                 continue
