@@ -175,7 +175,7 @@ def test_ways_to_write_a_format(named: str, codec: str) -> None:
     "named", ["jpeg", "png", "rgb8; jpeg compressed bgr8", "16UC1; compressedDepth png", "", "vp8", "h26", "xh264"]
 )
 def test_pictures_are_no_video(named: str) -> None:
-    with pytest.raises(ConversionError, match=r"sensor_msgs/msg/CompressedImage: .*expected one of .*h264.* no VIDEO"):
+    with pytest.raises(ConversionError, match=r"sensor_msgs/msg/CompressedImage: .*expected one of .*h264.* not VIDEO"):
         compressed_image_to_igtl(CompressedImage(Header(), named, b"\xff\xd8"), ToIgtlContext())
     with pytest.raises(ConversionError, match=r"foxglove_msgs/msg/CompressedVideo: "):
         compressed_video_to_igtl(CompressedVideo(0, "", b"\xff\xd8", named), ToIgtlContext())

@@ -107,7 +107,7 @@ def test_whole_numbers_of_64_bits_come_without_loss_or_not_at_all(tmp_path: Path
             images_of(path)
     else:
         assert images_of(path)[0].array.reshape(-1).tolist() == [value, 7]
-        assert any("64 bits" in note for note in Sequence(path).notes)
+        assert any("64-bit integers" in note for note in Sequence(path).notes)
 
 
 def test_pixels_in_a_file_beside_may_begin_anywhere(tmp_path: Path) -> None:

@@ -289,7 +289,7 @@ def test_images_that_are_not_ok_are_left_out(tmp_path: Path, key: str) -> None:
 def test_orientations_that_plus_turns_are_noted(tmp_path: Path, orientation: str, noted: bool) -> None:
     path = mha(tmp_path / "some.mha")
     path.write_bytes(path.read_bytes().replace(b"Orientation = MF", b"Orientation = " + orientation.encode()))
-    assert any("as in the file; PLUS turns them" in note for note in read(path).source.notes) == noted
+    assert any("as in the file; PLUS converts them" in note for note in read(path).source.notes) == noted
 
 
 def test_a_status_in_small_letters_is_one(tmp_path: Path) -> None:

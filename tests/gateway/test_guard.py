@@ -51,7 +51,7 @@ def test_what_is_too_old_is_withheld_and_told_once_until_it_is_fresh_again() -> 
     assert script.notes[0].level is Level.ERROR and script.notes[0].stream == "TRANSFORM/Tool"
     assert [script.igtl(pose(script.now_ns - NS_PER_S)) for _ in range(3)] == [[], [], []]
     assert script.igtl(pose(script.now_ns)) == ["ros /igtl/in/Tool/transform", "note fresh"]
-    assert "withheld 4 messages" in script.notes[0].text
+    assert "4 messages withheld" in script.notes[0].text
     assert script.igtl(pose(script.now_ns)) == ["ros /igtl/in/Tool/transform"]
     counts = script.gateway.ledger.to_dict()["igtl_in"]["TRANSFORM/Tool"]
     assert counts == {"received": 7, "decoded": 7, "converted": 3, "dropped": {"stale": 4}}
@@ -289,7 +289,7 @@ def test_stamps_in_the_future() -> None:
     script = Script(WATCHING)
     ahead = [pose(script.now_ns + (index + 10) * 200 * NS_PER_MS) for index in range(5)]
     assert watched(script, ahead) == ["stamp_future"]
-    assert "are the clocks set" in TEXTS[0]
+    assert "synchronise the clocks" in TEXTS[0]
 
 
 def test_numbers_that_are_none_have_a_reason_of_their_own() -> None:

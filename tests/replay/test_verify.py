@@ -70,7 +70,7 @@ def test_a_changed_converter_constant_is_named(entries: list[Entry], monkeypatch
     report = verify(entries, SCENARIO.config)
     assert not report.good
     assert "content.matrix[0][3]" in " ".join(map(str, report.differences))
-    assert "translation[0] was 0.1, is now" in first(report), first(report)
+    assert "translation[0]: recorded 0.1, computed" in first(report), first(report)
 
 
 def test_another_configuration_is_named(entries: list[Entry]) -> None:
@@ -140,7 +140,7 @@ def test_a_missing_output_is_a_finding_unless_it_was_declared_for_its_stream(ent
     cut, gone = without(entries, lambda entry: entry.kind is Kind.ROS_OUT)
     report = verify(cut, SCENARIO.config)
     assert not report.good and report.differing == 1 and not report.lost
-    assert "was 'nothing'" in first(report)
+    assert "recorded 'nothing'" in first(report)
     report = verify(cut, SCENARIO.config, declared(gone))
     assert report.good and report.lost == 1 and report.equal == report.outputs
     assert verify(cut, SCENARIO.config, DeclaredLosses(1, {"(others)": 1})).good

@@ -45,7 +45,7 @@ def test_tracking_data_that_no_frame_connects_is_not_sent_to_who_asked_for_that_
         "note unknown_frame",
         "igtl TDATA/Polaris v1 to 2",
     ]
-    assert "in frame 'elsewhere'" in script.notes[0].text
+    assert "from its frame 'elsewhere'" in script.notes[0].text
     assert len(script.ros("/polaris", TrackingData(rosmsg.Header(T0_NS, "base"), tracked))) == 2
 
 
