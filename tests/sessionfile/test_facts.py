@@ -21,7 +21,10 @@ def test_a_ledger_with_every_section_passes() -> None:
     [
         ([], r"a.mcap: ledger: found \[\], expected an object"),
         ({"streams": 5}, r"ledger.streams: found 5, expected an object"),
-        ({"streams": {"igtl_in": {"a": {"received": "3"}}}}, 'streams.igtl_in.a.received: found "3", expected an integer'),
+        (
+            {"streams": {"igtl_in": {"a": {"received": "3"}}}},
+            'streams.igtl_in.a.received: found "3", expected an integer',
+        ),
         ({"streams": {"igtl_in": {"a": {"dropped": 3}}}}, "streams.igtl_in.a.dropped: found 3, expected an object"),
         ({"links": {"1": {"dropped": {"a": True}}}}, "links.1.dropped.a: found true, expected an integer"),
         ({"link_faults": {"a": -1}}, "link_faults.a: found -1, expected an integer of 0 or more"),
