@@ -165,7 +165,7 @@ def test_a_fast_path_that_gives_something_else_is_noticed(monkeypatch: pytest.Mo
         return entries and [replace(entry, source_ns=7) for entry in entries]
 
     monkeypatch.setattr(CompiledToRos, "__call__", other)
-    assert "played again without the fast path, the session says something else" in broken(600)
+    assert "replayed without the fast path, the outputs of the session differ" in broken(600)
 
 
 def test_memory_that_grows_is_told_from_peaks() -> None:
