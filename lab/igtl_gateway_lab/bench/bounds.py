@@ -15,7 +15,7 @@ class Bound:
     """One figure of some rows.
 
     Attributes:
-        field: of the row, or of what is ``with_derived_figures`` of it; where a row has none the bound says nothing.
+        field: of the row, or of what is ``with_derived_figures`` of it; a row without the field is not compared.
         limit: at most so much, or, with ``least``, at least.
         cases: patterns, one of which the name of the case matches.
         stream: pattern for what was sent.

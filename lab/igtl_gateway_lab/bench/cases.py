@@ -30,7 +30,7 @@ class BenchStream:
     Attributes:
         kind: what is sent, a key of ``PAYLOADS``.
         rate_hz: how often, ``FLOOD``: as often as possible.
-        index: to tell apart several of the same kind.
+        index: distinguishes several streams of the same kind.
     """
 
     kind: str

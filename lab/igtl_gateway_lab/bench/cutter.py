@@ -25,20 +25,20 @@ class Arrivals:
 
     Args:
         first: called with the first knock.
-        told: where the last number is told, see ``window.progress``.
+        shown: where the last number is stored, see ``window.progress``.
     """
 
-    def __init__(self, first: Callable[[Buffer], None], told: memoryview | None = None) -> None:
+    def __init__(self, first: Callable[[Buffer], None], shown: memoryview | None = None) -> None:
         self.numbers = array("q")
         self.times = array("q")
         self._first: Callable[[Buffer], None] | None = first
-        self._told = progress() if told is None else told
+        self._shown = progress() if shown is None else shown
 
     def take(self, number: int, at_ns: int, message: Buffer) -> None:
         if number:
             self.numbers.append(number)
             self.times.append(at_ns)
-            self._told[0] = number
+            self._shown[0] = number
         elif self._first:
             self._first(message)
             self._first = None
@@ -47,7 +47,7 @@ class Arrivals:
         """Messages that arrived together, none of them a knock."""
         self.numbers.frombytes(numbers.tobytes())
         self.times.frombytes(np.full(len(numbers), at_ns, np.int64).tobytes())
-        self._told[0] = int(numbers[-1])
+        self._shown[0] = int(numbers[-1])
 
 
 class Cutter:
@@ -67,7 +67,7 @@ class Cutter:
         return self._view[self._filled :]
 
     def take(self, got: int, at_ns: int) -> None:
-        """So many bytes have come.  A message has arrived when its last byte has."""
+        """Handle ``got`` received bytes.  A message has arrived when its last byte has."""
         self._filled += got
         view, filled, begin = self._view, self._filled, 0
         while filled - begin >= HEADER_SIZE:

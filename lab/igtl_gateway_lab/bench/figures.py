@@ -24,7 +24,7 @@ class Transmission:
         sent: times of sending by sequence number, which counts from 1: ``sent[0]`` is that of number 1.
         numbers: sequence numbers in the order of arrival; 0 and below are not of the measurement.
         received: their times of arrival.
-        warm: so many messages at the beginning do not count.
+        warm: number of messages at the beginning that do not count.
     """
 
     sent: Times

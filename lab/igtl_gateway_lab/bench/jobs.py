@@ -1,4 +1,4 @@
-"""What the programs of a measurement are told."""
+"""The jobs of the programs of a measurement."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from igtl_gateway_lab.bench.cases import BenchStream, Direction
 
 @dataclass(frozen=True, slots=True)
 class JobStream:
-    """A stream that a program sends or hears.
+    """A stream that a program sends or receives.
 
     Attributes:
         stream: which.
         direction: which way it goes through the gateway; without a gateway, whose bytes it is.
         topic: where, in ROS.
         count: messages to send; 0: for ``seconds``.
-        client: by which client it is heard, where a program is several.
+        client: the client that receives it, if a program has several.
         window: of a flood, how many messages may be on their way; 0: any number.
-        progress: file that the last number is told in, see ``window``.
+        progress: file with the last received number, see ``window``.
     """
 
     stream: BenchStream
@@ -37,18 +37,19 @@ class JobStream:
 
     @property
     def key(self) -> str:
-        """Names the columns of what was heard."""
+        """The name of the columns of received messages."""
         return f"{self.device}#{self.client}" if self.client else self.device
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What a program is to do.
+    """The job of a program.
 
     Attributes:
         side: ``"ros"`` or ``"igtl"``, or a peer on the side of OpenIGTLink, see ``peers``.
         name: of the node.
-        sends, hears: streams.
+        sends: streams to send.
+        ``hears``: streams to receive.
         seconds: how long to send what has no count.
         times: file to write times into.
         address: of the gateway, for OpenIGTLink.

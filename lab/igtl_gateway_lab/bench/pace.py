@@ -19,7 +19,7 @@ _SPIN_NS = 20_000
 _LOOK_NS = 50_000
 _PR_SET_TIMERSLACK = 29
 
-#: Sends so many messages from a sequence number on; returns for each when it was handed over (monotonic ns).
+#: Sends a number of messages from a sequence number on; returns for each when it was handed over (monotonic ns).
 Send = Callable[[int, int], Sequence[int]]
 
 
@@ -46,7 +46,7 @@ class SendPacer:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._stopped = False
-        # A lock that nobody lets go of waits by the monotonic clock and costs half of what an event costs.
+        # A lock that is never released waits by the monotonic clock and costs half of what an event costs.
         self._rest = threading.Lock()
         self._rest.acquire()
 

@@ -2,8 +2,8 @@
 
 The number has to survive the conversion and must not cost anything.  Messages with a stamp carry it in the seconds of
 the stamp: the gateway keeps source stamps, the place is fixed on both sides, and the OpenIGTLink header is outside the
-CRC, so that one number in one buffer changes from message to message.  Two have no stamp in ROS: a text begins with the
-number, and of a mesh it is the first coordinate, in millimetres.
+CRC, so that one number in one buffer changes from message to message.  Two have no stamp in ROS: a string begins with
+the number, and of a mesh it is the first coordinate, in millimetres.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
 
-#: Seconds of the stamp of message 0: a time long ago, but none that anybody takes for "unset".
+#: Seconds of the stamp of message 0: a time long ago, which no program takes for "unset".
 EPOCH_S = 1_000_000_000
 
 _DIGITS = 10
@@ -41,7 +41,7 @@ _BATCH_BYTES = 16 << 10
 
 #: Makes the message of a sequence number.
 Make = Callable[[int], Buffer]
-#: Makes so many messages from a sequence number on, one behind the other.
+#: Makes a number of messages from a sequence number on, one after the other.
 Batch = Callable[[int, int], Buffer]
 #: The sequence number of a message.
 Number = Callable[[Buffer], int]
@@ -119,7 +119,7 @@ class Payload:
         form, _ = self.forms
         cdr = self.ros(rosmsg.Header(EPOCH_S * NS_PER_S, "Base")).pack()
         # rclpy takes nothing but bytes.  A copy of an image for each number would cost as much as sending it, so the
-        # number is written into the one object, which nobody else has: rclpy has copied it when ``publish`` returns.
+        # number is written into the one object, which has no other owner: rclpy has copied it when ``publish`` returns.
         address = ctypes.cast(ctypes.c_char_p(cdr), ctypes.c_void_p).value
         assert address is not None
         place = address + form.at
@@ -167,7 +167,7 @@ class Payload:
 
 
 def transform() -> Payload:
-    """A pose that is no identity."""
+    """A pose that is not the identity."""
     cos, sin = math.cos(0.3), math.sin(0.3)
     half = (0.0, 0.0, math.sin(0.15), math.cos(0.15))
     rows = [[cos, -sin, 0.0, 10.0], [sin, cos, 0.0, -20.0], [0.0, 0.0, 1.0, 30.5]]
@@ -181,7 +181,7 @@ def transform() -> Payload:
 
 
 def string(length: int) -> Payload:
-    """A text of so many bytes."""
+    """A string with ``length`` bytes."""
     rest = "." * (length - _DIGITS)
     return Payload(
         rosmsg.String.TYPE,
@@ -219,7 +219,7 @@ def cloud(count: int) -> Payload:
 
 
 def surface(count: int, triangles: int) -> Payload:
-    """A surface of so many points: shape_msgs/Mesh (float64) and POLYDATA (float32)."""
+    """A surface with ``count`` points: shape_msgs/Mesh (float64) and POLYDATA (float32)."""
     corners = (np.arange(3 * triangles, dtype=np.uint32) % np.uint32(count)).reshape(-1, 3)
     vertices = _positions(count) / 1000
     xyz = _positions(count).astype(">f4")

@@ -1,8 +1,8 @@
 """Programs by others on the side of OpenIGTLink: how the gateway does with them, and what they cost by themselves.
 
 ``libopenigtlink`` is ``peer.cpp``, compiled against the C++ library when it is first asked for.  ``pyigtl`` is a
-program around the Python library (``pyigtl_side``); its hearing looks every 10 ms and keeps the newest message of each
-device only, so what it does not hear need not be lost.
+program around the Python library (``pyigtl_side``); it polls every 10 ms and keeps the newest message of each
+device only, so a message that it does not report is not necessarily lost.
 """
 
 from __future__ import annotations

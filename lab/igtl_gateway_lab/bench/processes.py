@@ -23,13 +23,13 @@ class Program(EventProgram):
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What a process has used.
+    """Resources that a process has used.
 
     Attributes:
         cpu_s: its CPU time, user and system.
         children_cpu_s: that of its children, such as the recorder's process.
         rss_mb: memory in use now.
-        peak_mb: at most since its start.
+        peak_mb: largest amount of memory since its start.
     """
 
     cpu_s: float
@@ -39,7 +39,7 @@ class Usage:
 
     @classmethod
     def of(cls, pid: int) -> Self:
-        """Of a process that lives; zeros where the system does not tell (no /proc)."""
+        """Return the usage of a running process; zeros without /proc, or if it has ended."""
         root = Path(f"/proc/{pid}")
         try:
             status = dict(
@@ -59,6 +59,6 @@ class Usage:
 
 
 def _cpu_s(process: Path) -> float:
-    # the name, in brackets, may hold anything; user and system time are the 12th and 13th behind it
+    # the name, in brackets, can contain anything; user and system time are the 12th and 13th field after it
     fields = (process / "stat").read_text("ascii", "replace").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

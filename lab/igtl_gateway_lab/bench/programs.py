@@ -1,11 +1,11 @@
-"""The programs on both sides of the gateway: a ROS 2 node or an OpenIGTLink client; each may send, hear, or both.
+"""The programs on both sides of the gateway: a ROS 2 node or an OpenIGTLink client; each can send, receive, or both.
 
-Orders come as lines on standard input, events go as JSON lines to standard output; times are written into a file.
-The orders, in this sequence:
+Commands are lines on standard input, events are JSON lines on standard output; times are written into a file.
+The commands, in this sequence:
 
-* ``knock``: send message 0 of every stream again and again, until all who are to hear it have told ``heard``;
-* ``begin``: send, then tell ``sent``;
-* ``count``: tell how many messages were heard;
+* ``knock``: send message 0 of every stream again and again, until each receiver has sent the event ``heard``;
+* ``begin``: send, then report ``sent``;
+* ``count``: report the number of received messages;
 * ``stall``, ``resume``: of OpenIGTLink clients, read nothing meanwhile;
 * the end of the input: write the times and end.
 """
@@ -127,7 +127,7 @@ class IgtlTransport:
             try:
                 link.shutdown(socket.SHUT_RDWR)
             except OSError:
-                pass  # the gateway has gone before
+                pass  # the gateway has closed the connection before
         self.wait(_FOUND_S)
         for link in self._sockets:
             link.close()
@@ -178,7 +178,7 @@ def _side(job: Job, heard: dict[str, Arrivals]) -> BenchTransport:
 
 
 class _StdinCommands:
-    """What standard input says."""
+    """The commands on standard input."""
 
     def __init__(self, heard: dict[str, Arrivals], side: BenchTransport) -> None:
         self.knocking, self.begun, self.ended = threading.Event(), threading.Event(), threading.Event()
@@ -239,7 +239,7 @@ def _send(job: Job, side: BenchTransport, orders: _StdinCommands) -> list[list[i
 
 
 def _first_of(part: JobStream, side: str) -> Callable[[Buffer], None]:
-    """What is done at the first message: it has to be a good one, and somebody waits for it."""
+    """Return what is done at the first message: check it, and report it to the runner, which waits for it."""
 
     def first(message: Buffer) -> None:
         if side == "igtl":
@@ -259,7 +259,7 @@ def _received(source: socket.socket, view: memoryview) -> int:
 
 
 def print_event(event: dict[str, Any]) -> None:
-    """One line to whoever started us."""
+    """Write an event for the program that started this one."""
     sys.stdout.write(json.dumps(event) + "\n")
     sys.stdout.flush()
 

@@ -65,7 +65,7 @@ class RosTransport:
     def wait_for_peers(self) -> None:
         for part in self._job.sends:
             if not self._node.wait_for_subscribers(part.topic, 1, _FOUND_S):
-                raise GatewayError(f"{part.topic}: nobody subscribed within {_FOUND_S:g} s")
+                raise GatewayError(f"{part.topic}: no subscriber within {_FOUND_S:g} s")
 
     def sender(self, part: JobStream) -> Send:
         make, publish, now = payload(part.stream.kind).ros_maker(), self._node.raw_publisher(part.topic), self._now
@@ -94,4 +94,4 @@ def _no_message(*_: object) -> None:
 
 
 def _no_note(_note: Note) -> None:
-    """What a node has to say is no part of a measurement."""
+    """Notes of the node are not part of a measurement."""

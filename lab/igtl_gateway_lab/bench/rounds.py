@@ -9,7 +9,7 @@ from typing import Any
 from igtl_gateway_lab.bench.figures import ratio
 from igtl_gateway_lab.bench.runner import Row
 
-#: Numbers that say what was measured, beside all that are no numbers.
+#: Numeric fields that identify a measurement, besides all fields without numbers.
 _NAMES = frozenset({"rate_hz", "x", "clients"})
 #: Of these the most counts.
 _MOST = frozenset(
@@ -47,7 +47,7 @@ def _merged(rows: Sequence[Row]) -> Row:
 
 
 def _names(name: str, value: Any) -> bool:
-    """Whether a field says what was measured."""
+    """Return whether a field identifies a measurement."""
     return name in _NAMES or isinstance(value, str | bool)
 
 

@@ -22,17 +22,17 @@ from igtl_gateway_lab.bench.stalled import NAMES, STALLED, Stall
 from igtl_gateway_lab.bench.window import window
 from igtl_gateway_lab.programs import ours
 
-#: Messages before those that count: so many seconds' worth, but not more.
+#: Warm-up before the messages that count: seconds, the largest number of messages, and the number of a flood.
 _WARM_S, _WARM_MOST, _WARM_FLOOD = 0.5, 200, 20
 _START_S = 120.0  # a first start compiles igtl_msgs
 _HEARD_S = 60.0
 _LOOK_S = 0.25
-#: Nothing more arrives after so long a silence: what DDS has to send again may wait for a heartbeat, every 3 s.
+#: After this time without a message none will arrive: DDS might wait for a heartbeat, every 3 s, to send again.
 _SILENCE_S = 8.0
 _LARGE_SILENCE_S, _LARGE_BYTES = 20.0, 4 << 20
 #: Messages that the floor is measured with, at most: its median is all that is used; and for how long in a flood.
 _FLOOR_COUNT, _FLOOR_FLOOD_S = 300, 3.0
-#: The gateway ends by itself where nobody is left to end it: so long after its runs.
+#: A gateway without a parent ends itself this long after its runs.
 _GATEWAY_S = 600.0
 
 Row = dict[str, Any]
@@ -67,7 +67,7 @@ class BenchPlan:
         floor: measure the bare hops too.
         record: the gateway records.
         peer: whose program is on the side of OpenIGTLink, "" for ours; see ``peers``.
-        clients: how many there are on the side of OpenIGTLink, all of which hear everything.
+        clients: how many there are on the side of OpenIGTLink, all of which receive everything.
         flame: file for a picture of where the gateway spends its time.
     """
 
@@ -99,7 +99,7 @@ class RunResult:
 
 @dataclass(frozen=True)
 class _Gateway:
-    """The gateway's process, and what it told of its recording at its end."""
+    """The gateway's process, and its report on the recording at its end."""
 
     program: Program
     stall: Stall
@@ -118,13 +118,13 @@ class Runner:
     Args:
         folder: for times and recordings.
         clock: monotonic time of all processes.
-        tell: called with a line for people now and then.
+        print_status: called with a status line.
     """
 
-    def __init__(self, folder: Path, clock: Clock, tell: Callable[[str], None]) -> None:
+    def __init__(self, folder: Path, clock: Clock, print_status: Callable[[str], None]) -> None:
         self._folder = folder
         self._clock = clock
-        self._tell = tell
+        self._print_status = print_status
         self._runs = 0
         self._rest = threading.Event()
         self._library = Library(folder)
@@ -136,14 +136,14 @@ class Runner:
         with self._gateway(plan) as gateway:
             for directions in turns:
                 marks = (plan.peer, "recording" if plan.record else "")
-                self._tell(" ".join(filter(None, (plan.case.name, *(way.value for way in directions), *marks))))
+                self._print_status(" ".join(filter(None, (plan.case.name, *(way.value for way in directions), *marks))))
                 runs.append((directions, self._through_gateway(plan, directions, gateway)))
         rows = [row | gateway.recorded for run in runs for row in self._rows(plan, *run, gateway.stall)]
         if plan.peer:
             hop = self._bare(self._briefly(plan), LIBRARY)["p50_ms"] if plan.peer == LIBRARY else None
             rows = [row | {"peer": plan.peer, "peer_hop_p50_ms": hop} for row in rows]
         elif plan.floor and not plan.case.together:
-            self._tell(f"{plan.case.name} floor")
+            self._print_status(f"{plan.case.name} floor")
             brief = self._briefly(plan)
             dds, tcp = self._bare(brief, "ros"), self._bare(brief, "igtl")
             rows = [row | against_floor(row, dds, tcp) for row in rows]
@@ -230,13 +230,13 @@ class Runner:
     # -- one run -------------------------------------------------------------------------------------------------
 
     def _parts(self, plan: BenchPlan, direction: Direction, hearer: str = "") -> tuple[JobStream, ...]:
-        """What is sent; ``hearer``: by whom it is heard, where that is not known of the plan."""
+        """The streams to send; ``hearer`` is the receiver, if it does not follow from the plan."""
         self._runs += 1
         parts = []
         for stream in plan.case.streams:
             count = plan.extent.messages(stream)
             part = JobStream(stream, direction, stream.topic(direction), count + warm(stream) if count else 0)
-            # programs by others do not tell how far they have come; all but one of them hear in ROS
+            # programs by others do not report their progress; all except one receive in ROS
             hears = hearer or (plan.peer if direction is Direction.ROS_TO_IGTL else "ros")
             if stream.rate_hz == FLOOD and hears not in PEERS:
                 progress = str(self._folder / f"progress-{self._runs}-{part.device}")

@@ -40,7 +40,7 @@ class Stall:
         self.resumed_ns = now()
 
     def note(self, event: Event) -> None:
-        """An event of the gateway's: some say what was dropped on a link so far; without a link it is the recorder."""
+        """Handle an event of the gateway: some have the number of messages dropped so far, by link or recorder."""
         for link in event.get("links", ()):
             dropped = event["data"].get("dropped", {})
             self.dropped |= {(link, stream): number for stream, number in dropped.items()}

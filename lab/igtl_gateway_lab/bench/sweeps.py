@@ -1,4 +1,4 @@
-"""What things cost as they grow: the same measurement at several sizes, and a straight line through the figures."""
+"""Costs as a size grows: the same measurement at several sizes, and a straight line through the figures."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Sweep:
         text: one line for people.
         x: what grows, for the axis.
         charts: fields that are drawn, one picture for each group.
-        points: what is measured in so many seconds each.
+        points: returns the sizes to measure, given the duration of each in seconds.
         floor: measure the bare hops too.
         logarithmic: both axes.
     """
@@ -107,17 +107,20 @@ def _clients(_seconds: float) -> list[SweepPoint]:
 
 SWEEPS: dict[str, Sweep] = {
     "payload": Sweep(
-        "pictures of 1 kB to 50 MB, 30 Hz or as many as go into 60 MB/s",
-        "bytes of a message",
+        "images of 1 kB to 50 MB at 30 Hz, or at most 60 MB/s",
+        "message size, bytes",
         ((_P50, _FLOOR),),
         _payloads,
         floor=True,
         logarithmic=True,
     ),
-    "rate": Sweep("a transform at 30 to 5000 Hz", "messages a second", ((_CPU,), (_P50,)), _rates),
+    "rate": Sweep("a transform at 30 to 5000 Hz", "messages per second", ((_CPU,), (_P50,)), _rates),
     "streams": Sweep("1 to 200 transforms at 10 Hz each", "streams of 10 Hz", ((_CPU,), (_P50,)), _streams),
     "clients": Sweep(
-        "a transform at 100 Hz to 1 to 20 OpenIGTLink clients", "clients that hear 100 Hz", ((_CPU,), (_P50,)), _clients
+        "a transform at 100 Hz to 1 to 20 OpenIGTLink clients",
+        "clients that receive 100 Hz",
+        ((_CPU,), (_P50,)),
+        _clients,
     ),
 }
 
@@ -125,7 +128,7 @@ SWEEPS: dict[str, Sweep] = {
 def fit_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """For each sweep, direction and figure: the line ``a + b x`` with the least squares, and how much it explains.
 
-    The floor is that of both directions, and told once.
+    The floor contains both directions, and is returned once.
     """
     told = []
     for name, sweep in SWEEPS.items():
@@ -146,8 +149,8 @@ def line(points: Sequence[tuple[float, float]], relative: bool = False) -> dict[
 
     Args:
         points: x and y.
-        relative: what is as small as possible are the squares of relative differences: else the largest sizes alone
-            would say where the line is.
+        relative: minimise the squares of relative differences; otherwise the largest sizes alone would determine
+            the line.
     """
     x, y = np.array(points, np.float64).T
     b, a = np.polyfit(x, y, 1, w=1 / y if relative else None)

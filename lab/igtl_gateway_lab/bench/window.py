@@ -1,6 +1,6 @@
 """A flood that loses nothing: no more messages on their way than every queue between the two ends can hold.
 
-The receiver stores the last number that it heard in a file which both programs map into memory: one store of eight
+The receiver stores the last number that it received in a file which both programs map into memory: one store of eight
 bytes, no system call.  The sender looks there only when its window is full.
 """
 
@@ -16,12 +16,12 @@ from igtl_gateway_lab.bench.cases import Direction, payload
 
 _SIZE = 8
 _MOST, _LEAST, _BYTES = 256, 2, 64 << 20
-#: Who has heard nothing new for so long has lost what was on its way.
+#: After this time without a new number the messages on their way are lost.
 _PATIENCE_NS = 2 * NS_PER_S
 
 
 def progress(path: str = "") -> memoryview:
-    """The last number that was heard, as element 0; shared by all who map the same file, without one by nobody."""
+    """The last received number, as element 0; shared by all programs that map the same file, or not shared."""
     if not path:
         return memoryview(bytearray(_SIZE)).cast("q")
     place = Path(path)
@@ -51,7 +51,7 @@ class SendWindow:
     """What a sender may send.
 
     Args:
-        heard: see ``progress``.
+        ``heard``: see ``progress``.
         size: messages on their way at most.
         clock: monotonic.
     """
@@ -62,7 +62,7 @@ class SendWindow:
         #: Going on for one message at a time would cost more waiting than sending.
         self._worth = max(1, size // 4)
         self._clock = clock
-        self._over = 0  # so many are no longer on their way: heard, or given up
+        self._over = 0  # messages that are no longer on their way: received, or given up
         self._news_ns = 0
 
     def room(self, sent: int) -> int:

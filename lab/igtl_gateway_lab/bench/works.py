@@ -30,7 +30,7 @@ _STARTS = 5
 _START_S = 120.0
 _RECORDED_S = 10  # seconds of the mixed load, of the recorded session
 _LARGE_BYTES, _HEAD_BYTES = 100_000, 200  # of messages that are made noise of, and what stays of them
-_QUEUED_BYTES = 24 << 20  # no more waits than does where the recorder keeps up: a burst takes memory anew
+_QUEUED_BYTES = 24 << 20  # small enough that the recorder keeps up: a burst would allocate memory again
 _REPLAYED = {"transform": 20_000, "image-fullhd": 30}
 _STAR_S = 12.0  # what the scenario lasts
 _PATIENCE_S = 300.0
@@ -44,12 +44,12 @@ class WorkContext:
     Attributes:
         folder: for recordings.
         clock: monotonic.
-        tell: takes a line for people.
+        print_status: prints a status line.
     """
 
     folder: Path
     clock: Clock
-    tell: Callable[[str], None]
+    print_status: Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ def start_up(shop: WorkContext) -> list[Row]:
     """From the command to the open port and the node in ROS."""
     waits, memory = [], 0.0
     for _ in range(_STARTS):
-        shop.tell("start-up")
+        shop.print_status("start-up")
         begun_ns = shop.clock.monotonic_ns()
         with Program("gateway", ours("bridge", "--json", "--listen", "127.0.0.1:0")) as gateway:
             gateway.wait_for("started", _START_S)
@@ -93,7 +93,7 @@ def recording(shop: WorkContext) -> list[Row]:
     noise = np.random.default_rng(1)
     rows = []
     for what, entries in (("mixed", second), ("mixed, noise", [_noisy(entry, noise) for entry in second])):
-        shop.tell(f"recording {what}")
+        shop.print_status(f"recording {what}")
         rows.append({"case": "recording", "what": what} | _recorded(shop, entries))
     return rows
 
@@ -142,7 +142,7 @@ def replay(shop: WorkContext) -> list[Row]:
     """A recording to a local peer, as fast as possible."""
     rows = []
     for kind, count in _REPLAYED.items():
-        shop.tell(f"replay {kind}")
+        shop.print_status(f"replay {kind}")
         stream = BenchStream(kind, 0.0)
         path = shop.folder / f"{kind}.mcap"
         record_passage(path, stream, count, shop.clock)
@@ -160,7 +160,7 @@ def verify(shop: WorkContext) -> list[Row]:
     record_passage(small, BenchStream("transform", 0.0), count, shop.clock)
     rows = []
     for name, path in (("star", star), ("transform", small)):
-        shop.tell(f"verify {name}")
+        shop.print_status(f"verify {name}")
         begun_ns = shop.clock.monotonic_ns()
         _until_end("verify", ["verify", str(path), "--json"])
         seconds = (shop.clock.monotonic_ns() - begun_ns) / NS_PER_S
@@ -196,7 +196,7 @@ def _mixed_second(clock: Clock) -> Iterator[Entry]:
 
 
 def record_passage(path: Path, stream: BenchStream, count: int, clock: Clock) -> None:
-    """A recording of so many messages from ROS to OpenIGTLink."""
+    """Make a recording with the given number of messages from ROS to OpenIGTLink."""
     made, topic = payload(stream.kind), stream.topic(Direction.ROS_TO_IGTL)
     make = made.ros_maker()
     recorder = _recorder(path, _config((stream,)), clock)

@@ -133,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
     groups, works = _selected(options)
     if importlib.util.find_spec("rclpy") is None:
         raise Unavailable(missing("rclpy"))
-    # a measurement must neither hear nor disturb other robots
+    # a measurement must neither receive from other robots nor disturb them
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     clock = SystemClock()
@@ -229,7 +229,7 @@ def _in_flames(groups: list[_Group], works: list[str], options: argparse.Namespa
 
 
 def _with_peers(plan: BenchPlan) -> list[BenchPlan]:
-    """The same with each peer that is there; of the others it is said why not."""
+    """Return the plan once for each available peer; print why the others are left out."""
     reasons = {peer: lacks(peer, plan.case) for peer in PEERS}
     for reason in filter(None, reasons.values()):
         _print_status(f"left out: {reason}")
@@ -247,7 +247,7 @@ def _at_rate(case: Case, options: argparse.Namespace) -> Case:
 
 
 def _table(rows: list[Row]) -> list[str]:
-    """The passages as a table; whatever else there is to say about a row stands below."""
+    """The transmissions as a table, followed by remarks on single rows."""
     passages = [row for row in rows if row.get("direction")]
     lines = []
     if passages:

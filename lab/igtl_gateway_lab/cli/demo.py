@@ -1,7 +1,7 @@
 """``igtl-gateway demo``: the main job in a minute, on real traffic.
 
-The bridge, a ROS 2 node and an OpenIGTLink client run as three programs; what they say is recorded, verified
-and replayed.
+The bridge, a ROS 2 node and an OpenIGTLink client run as three programs; the bridge records their messages,
+and the recording is verified and replayed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
             raise Unavailable(f"{missing(package)}; `make demo` installs what it needs")
     if not 1 <= options.seconds <= 600:
         raise ConfigError(f"--seconds: found {options.seconds}, expected 1 to 600")
-    # the demo must neither hear nor disturb other robots
+    # the demo must neither receive from other robots nor disturb them
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     if options.keep:

@@ -150,7 +150,7 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
             content.update(entry)
             entries += 1
         writer.close({"streams": gateway.ledger.to_dict()})
-    except BaseException:  # half a story (Ctrl-C, a full disk) is none: it can be told again
+    except BaseException:  # an incomplete recording (Ctrl-C, a full disk) is worthless: it can be made again
         if options.out.is_file():
             options.out.unlink()
         raise
@@ -173,7 +173,7 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
 
 
 def scenario_facts(name: str, config: Config) -> dict[str, str]:
-    """What the file says of itself: nothing of this machine or moment, so that equal sessions have equal contents."""
+    """Metadata of the file: nothing of this machine or time, so that equal sessions have equal contents."""
     return {
         "config": json.dumps(config.to_dict(), sort_keys=True),
         "igtl_gateway_version": __version__,

@@ -33,7 +33,7 @@ from igtl_gateway_lab.stage.live import Stage, StageEnd, StageOutcome, StagePlan
 LOAD_OPTIONS = {"type": "type", "size": "size", "rate": "rate_hz", "count": "count", "sender": "sender"}
 
 _SIDES = {ActorProtocol.ROS: "ROS 2 node", ActorProtocol.IGTL: "OpenIGTLink program"}
-#: So long after the stage's own limits a bridge ends that nobody has ended.
+#: A bridge without a parent ends this many seconds after the limits of the stage.
 _BRIDGE_S = 60.0
 _PATIENCE_S = 3600.0
 #: A first start compiles igtl_msgs for this environment.
@@ -42,7 +42,7 @@ _WARNINGS = 5
 
 
 def play_live(options: argparse.Namespace, scenario: Scenario) -> int:
-    """Play it live and tell how it went."""
+    """Play it live and print the outcome."""
     if not scenario.actors:
         raise ConfigError(f"{options.name} has no actors to play live: write it with --out FILE")
     side = ActorProtocol(options.side) if options.side else None
@@ -50,7 +50,7 @@ def play_live(options: argparse.Namespace, scenario: Scenario) -> int:
     own_bridge = side is None or (side is ActorProtocol.ROS and options.listen is not None)
     _check(options, side, own_bridge, actors)
     if side is None or own_bridge:
-        # a scenario must neither hear nor disturb other robots
+        # a scenario must neither receive from other robots nor disturb them
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
     out = _StageOutput(options.name, scenario, actors, options.json)
@@ -62,7 +62,7 @@ def play_live(options: argparse.Namespace, scenario: Scenario) -> int:
         outcome = Stage(plan, SystemClock(), stop, out.event).run()
         try:
             verification = _verified(record) if outcome.recording else None
-        except RecordingError as error:  # how the story went is to be told all the same
+        except RecordingError as error:  # the outcome is reported all the same
             verification = None
             outcome = replace(outcome, warnings=(*outcome.warnings, f"the recording cannot be verified: {error}"))
         good = outcome.good and (verification.good if verification else not own_bridge)
@@ -104,7 +104,7 @@ def _bridge(
     config.write_text(scenario.config.to_toml(), "utf-8")
     more = [f"--{name}" for name in ("overwrite", "view") if getattr(options, name)]
     seconds = str(sum(_limits_s(options, scenario)) + _BRIDGE_S)
-    beside = sorted({topic for actor in actors for topic, says in actor.says.items() if says.recorded})
+    beside = sorted({topic for actor in actors for topic, says in actor.publishes.items() if says.recorded})
     topics = ["--record-topics", *beside] if beside else []
     said = ["--custom-data", f"scenario={options.name}", f"synthetic={SYNTHETIC}"]
     return ["--config", str(config), "--record", str(record), *more, "--duration", seconds, *topics, *said]
@@ -114,7 +114,7 @@ def _plan(
     options: argparse.Namespace, scenario: Scenario, actors: Sequence[Actor], bridge: list[str] | None
 ) -> StagePlan:
     words = [sys.executable, "-m", "igtl_gateway", "simulate", options.name, "--peers"]
-    # of one side alone: whoever stands in for the other is one program
+    # of one side alone: one program replaces the other side
     words.append(str(sum(actor.side is ActorProtocol.IGTL for actor in actors) or 1))
     if options.duration is not None:
         words += ["--duration", str(options.duration)]
@@ -175,7 +175,7 @@ class _StageOutput:
         self._status()
 
     def event(self, name: str, event: Event) -> None:
-        """Something that a program told."""
+        """Print an event of a program."""
         if self._json:
             return
         match event["event"]:
@@ -273,7 +273,7 @@ def _facts(name: str, outcome: StageOutcome, verification: Verification | None, 
 
 
 def play_actor(options: argparse.Namespace, scenario: Scenario) -> int:
-    """The program of one actor, told by its standard input when to begin and, by its end, when to end."""
+    """The program of one actor: a line on its standard input begins the story, and the end of the input ends it."""
     cast = scenario.cast(options.duration)
     actor = next((one for one in cast if one.name == options.actor), None)
     if actor is None:

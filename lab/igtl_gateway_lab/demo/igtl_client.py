@@ -1,4 +1,4 @@
-"""An OpenIGTLink client by somebody else (pyigtl): sends what an ultrasound machine sends, shows what arrives.
+"""An independent OpenIGTLink client (pyigtl): sends the messages of an ultrasound machine, prints what it receives.
 
 usage: python -m igtl_gateway_lab.demo.igtl_client PORT SECONDS
 """
@@ -34,7 +34,7 @@ def main() -> None:
             voxels = np.arange(64 * 48, dtype=np.uint32).reshape(1, 48, 64).astype(np.uint8)
             _send(client, pyigtl.ImageMessage(voxels, device_name="Ultrasound"), sent)
         if tick % 20 == 0:
-            _send(client, pyigtl.StringMessage(f"operator says hello, tick {tick}", device_name="Operator"), sent)
+            _send(client, pyigtl.StringMessage(f"hello from the operator, tick {tick}", device_name="Operator"), sent)
             points = [[10.0, 15.0, 20.0], [25.0, 30.0, 35.0], [-40.0, 45.0, -50.0]]
             _send(client, pyigtl.PointMessage(positions=points, device_name="Landmarks"), sent)
         # pyigtl keeps the newest message of each name only: look often, or miss some

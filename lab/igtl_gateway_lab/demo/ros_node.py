@@ -1,4 +1,4 @@
-"""A ROS 2 node as anybody would write it: typed publishers and subscribers, nothing of igtl_gateway.
+"""An ordinary ROS 2 node: typed publishers and subscribers, without igtl_gateway.
 
 It publishes until its standard input ends.
 

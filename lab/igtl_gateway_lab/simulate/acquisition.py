@@ -97,12 +97,12 @@ class AcquisitionRobot:
     side = ActorProtocol.ROS
 
     def __init__(self, move_s: float) -> None:
-        self.hears = {
+        self.subscribes = {
             "/igtl/in/Planner/string": String.TYPE,
             "/igtl/in/Target/point": PointStamped.TYPE,
             "/igtl/in/Probe/command": RosCommand.TYPE,
         }
-        self.says = {
+        self.publishes = {
             _TOPIC["Robot/string"]: Publishes(String.TYPE),
             _TOPIC["ProbeToBase/transform"]: Publishes(TransformStamped.TYPE),
             "/igtl/out/Probe/command_reply": Publishes(CommandReply.TYPE),
@@ -222,8 +222,8 @@ class AcquisitionPlanner:
     side = ActorProtocol.IGTL
 
     def __init__(self) -> None:
-        self.hears: dict[str, str] = {}
-        self.says: dict[str, Publishes] = {}
+        self.subscribes: dict[str, str] = {}
+        self.publishes: dict[str, Publishes] = {}
         self._step = 0
         self._due_ns: int | None = None
         self._give_up_ns = 0

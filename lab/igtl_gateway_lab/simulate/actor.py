@@ -1,8 +1,8 @@
-"""Actors: the programs of a scenario, each a pure machine, so that one story is told live and offline.
+"""Actors: the programs of a scenario, each a pure machine, so that one story is played live and offline.
 
 An actor speaks one protocol.  Time is an argument (UTC nanoseconds) and chance a seeded generator, so the same
 actors give the same bytes on a manual clock (``stage``), and play on a real ROS 2 graph or a real OpenIGTLink
-connection when something live drives them.  An actor never waits: it says when it wants to be called.
+connection when something live drives them.  An actor never waits: it returns the time of its next call.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ class Publishes:
 
 @dataclass(frozen=True, slots=True)
 class RosSent:
-    """A message for a ROS topic, one of those in the actor's ``says``."""
+    """A message for a ROS topic, one of those in the actor's ``publishes``."""
 
     topic: str
     message: RosMessage
 
 
-#: What an actor says: an actor of ROS the first, one of OpenIGTLink the second.
+#: A message from an actor: of ROS the first, of OpenIGTLink the second.
 Sent = RosSent | Message
 
 
@@ -57,7 +57,7 @@ class RosReceived:
     cdr: bytes
 
 
-#: What an actor hears: of ROS the first, of OpenIGTLink the decoded message.
+#: A message to an actor: of ROS the first, of OpenIGTLink the decoded message.
 Received = RosReceived | Message
 
 
@@ -78,7 +78,7 @@ class ActorReport:
 
 @runtime_checkable
 class Preparable(Protocol):
-    """An actor that has something to compute first; live, before anybody is told to begin."""
+    """An actor that has something to compute first; live, before the story begins."""
 
     def prepare(self) -> None:
         """Compute it, once; without it, it is computed when it is needed."""
@@ -90,25 +90,25 @@ class Actor(Protocol):
     Attributes:
         name: lower case, unique in its scenario; the ROS node or the OpenIGTLink program is called so.
         side: what it speaks.
-        hears: ROS topic → type of what it subscribes to; an actor of OpenIGTLink hears all that is sent to it.
-        says: ROS topic → what it publishes there: a publisher has to be found by its readers before it begins.
+        subscribes: ROS topic → type of its subscriptions; an actor of OpenIGTLink receives all messages to it.
+        publishes: ROS topic → type and durability: a publisher has to be found by its readers before it begins.
             Empty for an actor of OpenIGTLink.
     """
 
     name: str
     side: ActorProtocol
-    hears: dict[str, str]
-    says: dict[str, Publishes]
+    subscribes: dict[str, str]
+    publishes: dict[str, Publishes]
 
     def begin(self, now_ns: int) -> None:
         """The connection is up, or the node has found its peers.  Called once, before all else."""
 
     @property
     def due_ns(self) -> int | None:
-        """When it wants to act next; None: not before it hears something."""
+        """Its next due time, UTC ns; None: not before it receives a message."""
 
     def act(self, now_ns: int) -> Iterable[Sent]:
-        """What it says now that it is due."""
+        """The messages that it sends now that it is due."""
 
     def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
         """What it answers to a message."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from igtl_gateway_lab.simulate.actor import Sent
 
-#: Is given the time (UTC ns) at which it is done, and gives what is said then.
+#: Takes the time (UTC ns) at which it is done, and returns the messages to send.
 Task = Callable[[int], Iterable[Sent]]
 
 

@@ -1,7 +1,7 @@
 """The scenario ``brain``: a large surface goes to ROS and comes back, and each side checks what arrived.
 
 A planner on the OpenIGTLink side sends the surface of a brain as POLYDATA.  A node on the ROS side gets it as
-shape_msgs/Mesh, compares it with what the planner says of it, and publishes its own copy, which the planner gets as
+shape_msgs/Mesh, compares it with the planner's description, and publishes its own copy, which the planner gets as
 POLYDATA and compares with what it had sent.  Points are counted and summed (CRC-32) as the float32 millimetres that
 they are on the wire, so *equal* means to the last bit.
 
@@ -111,7 +111,7 @@ class Sum:
 
 @dataclass(frozen=True, slots=True)
 class Caption:
-    """What goes along with a surface, as JSON in a text: what it is, which one, and when it left (UTC ns)."""
+    """Metadata of a surface, as JSON in a string: its origin, its number, and when it was sent (UTC ns)."""
 
     sum: Sum
     round: int
@@ -146,8 +146,8 @@ class BrainPlanner:
 
     name = "planner"
     side = ActorProtocol.IGTL
-    hears: dict[str, str] = {}  # noqa: RUF012 - read only, as the protocol has it
-    says: dict[str, Publishes] = {}  # noqa: RUF012
+    subscribes: dict[str, str] = {}  # noqa: RUF012 - read only, as the protocol has it
+    publishes: dict[str, Publishes] = {}  # noqa: RUF012
 
     def __init__(self, make: Callable[[], tuple[TriangleMesh, str]], rounds: int) -> None:
         self._make = make
@@ -256,8 +256,8 @@ class Model:
     side = ActorProtocol.ROS
 
     def __init__(self, rounds: int) -> None:
-        self.hears = {_SURFACE: Mesh.TYPE, _CAPTION: RosString.TYPE}
-        self.says = {
+        self.subscribes = {_SURFACE: Mesh.TYPE, _CAPTION: RosString.TYPE}
+        self.publishes = {
             _MODEL: Publishes(Mesh.TYPE, latched=True),
             _VERDICT: Publishes(RosString.TYPE),
             _READY: Publishes(RosString.TYPE),
@@ -279,7 +279,7 @@ class Model:
         return self._due_ns
 
     def act(self, now_ns: int) -> Iterable[Sent]:
-        """It is ready, until the planner begins: whoever came later has not heard the first time."""
+        """Report ready until the planner begins: a late joiner has not received the first report."""
         self._due_ns = now_ns + _AGAIN_NS
         return (RosSent(_READY, RosString("ready")),)
 

@@ -30,7 +30,7 @@ class TriangleMesh:
     """Triangles that face outwards.
 
     Attributes:
-        points: (n, 3) in the unit of whoever made it.
+        points: (n, 3) in the unit of its creator.
         faces: (m, 3) indices into the points, anticlockwise seen from outside.
     """
 

@@ -154,8 +154,8 @@ class _Dummy:
     sends = receives = ""  #: how its own devices begin, and the other's
 
     def __init__(self, rounds: int) -> None:
-        self.hears: dict[str, str] = {}
-        self.says: dict[str, Publishes] = {}
+        self.subscribes: dict[str, str] = {}
+        self.publishes: dict[str, Publishes] = {}
         self._rounds = rounds
         self._begun_ns = self._last_ns = 0
         self._number = 0
@@ -242,9 +242,9 @@ class DummyNode(_Dummy):
     def __init__(self, rounds: int) -> None:
         super().__init__(rounds)
         for kind, (last, ros_type) in _ROS_KINDS.items():
-            self.hears[f"/igtl/in/{_SERVER}{kind}/{last}"] = ros_type
-            self.says[f"/igtl/out/{_NODE}{kind}/{last}"] = Publishes(ros_type)
-        self._kinds = dict(zip(self.hears, _ROS_KINDS, strict=True))
+            self.subscribes[f"/igtl/in/{_SERVER}{kind}/{last}"] = ros_type
+            self.publishes[f"/igtl/out/{_NODE}{kind}/{last}"] = Publishes(ros_type)
+        self._kinds = dict(zip(self.subscribes, _ROS_KINDS, strict=True))
 
     def _message(self, kind: str, dummies: Dummies, now_ns: int) -> Sent:
         topic = f"/igtl/out/{_NODE}{kind}/{_ROS_KINDS[kind][0]}"

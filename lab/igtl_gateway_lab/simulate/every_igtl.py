@@ -1,4 +1,4 @@
-"""What the peers of ``every-type`` say: each type of the protocol, in each form that its document has.
+"""The messages of the peers of ``every-type``: each type of the protocol, in each form of its document.
 
 Small values that are easy to recognise; rotations are permutations of the axes or 3-4-5 triangles, so that no
 processor rounds them otherwise.
@@ -40,7 +40,7 @@ from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, ENTRY_ONLY, TARGET_ON
 from igtl_gateway.wire.transform import Position, Transform
 from igtl_gateway.wire.video import Video
 
-#: Type name, device name, content: what there is to a message but for stamp and header version.
+#: Type name, device name, content: a message without stamp and header version.
 Said = tuple[str, str, Body]
 
 #: Columns of a 3-4-5 rotation about z, and the quarter turn about x.
@@ -83,7 +83,7 @@ def _images() -> Iterator[Said]:
     yield "IMAGE", "Volume", Image((2, 2, 2), 10, np.arange(16, dtype="<f4").tobytes(), 2)
     yield "IMAGE", "Volume", Image((2, 2, 2), 3, bytes(range(8)), 1, LITTLE_ENDIAN, LPS, (*QUARTER, 1.0, 2.0, 3.0))
     yield "IMAGE", "Volume", volume()
-    # in two parts, then one of them anew
+    # in two parts, then one of them again
     yield "IMAGE", "InParts", volume((0, 0, 0), (4, 3, 4))
     yield "IMAGE", "InParts", volume((0, 0, 4), (4, 3, 2), 1000)
     yield "IMAGE", "InParts", volume((1, 1, 1), (2, 2, 1), -500)
@@ -219,7 +219,7 @@ def _binds() -> Iterator[Said]:
 
 
 def contents() -> Iterator[Said]:
-    """Every type that has content, and one that nobody knows."""
+    """Every type that has content, and an unknown type."""
     yield from _poses()
     yield from _texts()
     yield from _images()

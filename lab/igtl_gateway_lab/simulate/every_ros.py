@@ -1,4 +1,4 @@
-"""What the ROS side of ``every-type`` says: a message for each row of the conversion table from ROS."""
+"""The messages of the ROS side of ``every-type``: one for each row of the conversion table from ROS."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _pictures() -> Iterator[Published]:
         data = (np.arange(12, dtype="<f4") / 8).tobytes() if encoding == "32FC1" else bytes(range(12 * width))
         yield "Picture", "", rosmsg.Image(_BASE, 3, 4, encoding, 0, 4 * width, data)
     voxels = np.arange(24)
-    # what 3D Slicer cannot read as it is: whole numbers beyond 2^24, and LPS
+    # what 3D Slicer cannot read unchanged: integers beyond 2^24, and LPS
     for scalar, values, coordinate in (
         (4, (voxels * 100 - 1000).astype("<i2"), RAS),
         (7, (voxels * 0x01010101).astype("<u4"), LPS),
@@ -127,7 +127,7 @@ def _numbers() -> Iterator[Published]:
 
 
 def _videos() -> Iterator[Published]:
-    """A key frame, which tells its size, and the frame that follows it."""
+    """A key frame, which contains the image size, and the frame that follows it."""
     yield "Camera/compressed_image", "", common_msgs.CompressedImage(_BASE, "h264", H264_KEY)
     yield "Camera/compressed_image", "", common_msgs.CompressedImage(_BASE, "h264", H264_NEXT)
     yield "Camera/compressed_video", "", common_msgs.CompressedVideo(0, "Base", H264_KEY, "h264")
@@ -152,7 +152,7 @@ def _lists() -> Iterator[Published]:
 
 
 def messages() -> Iterator[Published]:
-    """Whatever ROS may say but commands, queries and raw messages."""
+    """All messages from ROS except commands, queries and raw messages."""
     yield from _poses()
     yield from _texts()
     yield from _pictures()

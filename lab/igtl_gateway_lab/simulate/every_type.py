@@ -1,7 +1,7 @@
 """Everything that crosses the gateway, once: every row of the conversion table, every query, every kind of peer.
 
-What is said is in ``every_igtl`` and ``every_ros``; here is who says it and in which order.  The session is a list
-of steps at equal distances of time, so that paces and deadlines are met by counting.
+The messages are in ``every_igtl`` and ``every_ros``; this module has their senders and their order.  The session is
+a list of steps at equal distances of time, so that paces and deadlines are met by counting.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class _Down:
 
 @dataclass(frozen=True, slots=True)
 class _Said:
-    """A peer says something; ``data`` replaces what would be encoded."""
+    """A peer sends a message; ``data`` replaces the encoded body."""
 
     link: int
     type: str
@@ -103,7 +103,7 @@ class _Published:
 
 @dataclass(frozen=True, slots=True)
 class _Tick:
-    """The gateway is told the time after so many seconds in which nothing else happens."""
+    """A tick for the gateway after the given number of seconds without other inputs."""
 
     after_s: float
 
@@ -161,7 +161,7 @@ def _steps() -> Iterator[_Step]:
 
 
 def _without_peers() -> Iterator[_Step]:
-    """A command that nobody is there for, and a plan for whoever comes later."""
+    """A command without a receiver, and a plan for late joiners."""
     yield _Published("/igtl/out/Robot/command", igtl_msgs.Command(Header(), "Robot", 5, "Start", 0, ""))
     yield _Published("/igtl/out/Surface/early_mesh", rosmsg.Mesh(np.array([[0, 1, 2]], np.uint32), np.eye(3) / 64))
 
@@ -170,14 +170,14 @@ def _greetings() -> Iterator[_Step]:
     """Everyone comes; some show what they are."""
     yield from map(_Up, (OLD, NEW, SLICER, PLUS, BRAINLAB, HOLOSCAN))
     yield _Said(NEW, "STATUS", "New", Status(1), (Item.of("greeting", "hello"),), 2)
-    # what 3D Slicer says first
+    # the first message of 3D Slicer
     yield _Said(SLICER, "STATUS", "", Status(1), (Item.of("dummy", "dummy"),), 2, stamped=False)
     valid = (Item.of("TransformValid", "true"), Item.of("TransformStatus", "OK"))
     yield _Said(PLUS, "TRANSFORM", "StylusToRef", Transform((*every_igtl.TILTED, 1.0, 2.0, 3.0)), valid, 2)
 
 
 def _unanswered() -> Iterator[_Step]:
-    """What there is nothing of yet: each peer is told so in the way that it survives."""
+    """Queries without data: each peer gets a reply that it can read."""
     for link, version in ((OLD, 1), (NEW, 2), (SLICER, 2), (BRAINLAB, 1)):
         yield _Said(link, "GET_TRAJ", "", EmptyQuery(), version=version)
         yield _Said(link, "GET_TRANS", "", EmptyQuery(), version=version)
@@ -222,7 +222,7 @@ def _contents() -> Iterator[_Step]:
 
 
 def _metadata() -> Iterator[_Step]:
-    """Metadata beside a standard message, beside one of ours, beside one without conversion."""
+    """Metadata with a standard message, with an igtl_msgs message, and with one without conversion."""
     device = short_device_name(every_igtl.METADATA[0].text)
     for igtl_type, content in (("TRANSFORM", Transform((*every_igtl.TILTED, 4.0, 5.0, 6.0))), ("MYTYPE", Raw(b"x"))):
         yield _Said(NEW, igtl_type, device, content, every_igtl.METADATA, 2)
@@ -302,7 +302,7 @@ def _reply(command_id: int, status: int, link: int, error: str = "", *, content:
 
 
 def _raw() -> Iterator[_Step]:
-    """Whole messages from ROS: to all, to one, in a header that not everyone reads, and one that is none."""
+    """Raw messages from ROS: to all, to one, with a header that not every peer can read, and an invalid one."""
     old = join(encode(Message("MYTYPE", "FromRos", Raw(b"\x01\x02\x03"), ns_to_ticks(START_NS))))
     new = join(encode(Message("TRANSFORM", "FromRos", Transform((*every_igtl.QUARTER, 1.0, 2.0, 3.0)), 0, 2, 9)))
     for data, links in ((old, ()), (old, (NEW,)), (new, ()), (old[:-1], ())):
@@ -314,7 +314,7 @@ def _raw_message(data: bytes, links: Iterable[int]) -> igtl_msgs.RawMessage:
 
 
 def _ends() -> Iterator[_Step]:
-    """A silent peer is pinged; who comes late gets what was said once; all go."""
+    """A silent peer is pinged; a late joiner gets the latched messages; all peers disconnect."""
     yield _Tick(0.3)
     yield _Said(PLUS, "STATUS", "", Status(1), version=2)
     yield _Up(LATE)

@@ -2,7 +2,7 @@
 
 A head is shown in the navigation program, a slice of it lies printed in front of a small arm.  The arm touches crosses
 on the sheet; with that the program registers image and robot, and sends a line that was planned on the image; the arm
-draws it.  ``docs/scenario-lego.md`` tells the story; the parts are ``lego_planner`` (OpenIGTLink) and ``lego_robot``
+draws it.  ``docs/scenario-lego.md`` describes it; the parts are ``lego_planner`` (OpenIGTLink) and ``lego_robot``
 (ROS), which know each other by ``lego_terms`` alone.
 """
 
@@ -18,7 +18,7 @@ from igtl_gateway_lab.simulate.volume import MrVolume, head_volume
 __all__ = ["CONFIG", "LENGTH_S", "actors"]
 
 LENGTH_S = 37.0  #: of the story at its own pace
-#: Faster, and the pen would not stand at a cross for as long as a stop takes; slower, and nobody would watch.
+#: Faster, and the pen would not stand at a cross for as long as a stop takes; slower, and it would be tedious to watch.
 _PACES = (0.75, 10.0)
 
 

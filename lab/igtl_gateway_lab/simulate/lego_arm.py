@@ -47,7 +47,7 @@ class Joint:
     play_deg: float
 
 
-#: The turntable by 8 : 56 teeth; the links by worm gears, whose play the weight of the arm takes up but for a rest.
+#: The turntable by 8 : 56 teeth; the links by worm gears, whose play the weight of the arm takes up almost completely.
 JOINTS = (
     Joint("turntable", -75.0, 75.0, 7, 0.5),
     Joint("upper_arm", 5.0, 110.0, 24, 0.1),
@@ -111,7 +111,7 @@ def _unreachable(tip: Point, found: str) -> ConfigError:
 
 
 class Drives:
-    """Three motors with their gears: what the encoders say, and where the joints really are.
+    """Three motors with their gears: the readings of the encoders, and the true positions of the joints.
 
     The motors follow without error to the nearest count of their encoders.  A joint stays where it is until the
     gears have taken up their play.
@@ -129,7 +129,7 @@ class Drives:
 
     @property
     def joints(self) -> Angles:
-        """Where the joints are, radians; nobody on the robot knows it."""
+        """True positions of the joints, radians; unknown to the robot."""
         return self._joints
 
     def go(self, angles: Angles) -> None:

@@ -3,7 +3,7 @@
 It sends the MR head, the landmarks and the plan, watches the pen stop at the crosses, registers image and robot,
 tests that at crosses of their own, sends the points to be drawn, and measures the line that the camera saw.
 
-What it wants the robot to know for certain (the registration, the last word) it repeats twice a second, as navigation
+It repeats what the robot must receive (the registration, the last message) twice a second, as navigation
 programs do that stream a transform: a ROS reader may come late.  Lengths are millimetres.
 """
 
@@ -73,8 +73,8 @@ class LegoPlanner:
     side = ActorProtocol.IGTL
 
     def __init__(self, volume: MrVolume) -> None:
-        self.hears: dict[str, str] = {}
-        self.says: dict[str, Publishes] = {}
+        self.subscribes: dict[str, str] = {}
+        self.publishes: dict[str, Publishes] = {}
         self._volume = volume
         self._crosses = on_sheet(LANDMARKS | CHECKS)
         self._plan = strokes()
@@ -88,7 +88,7 @@ class LegoPlanner:
         self._stops = 0
         self._asked = False
         self._segments: Array = np.empty((0, 2, 3))
-        self._expected = -1  # segments that the robot says it has drawn
+        self._expected = -1  # segments that the robot reports as drawn
         self._line: LineError | None = None
         self._result = ""
         self._done = False
@@ -187,7 +187,7 @@ class LegoPlanner:
             and self._line.hausdorff <= MAX_LINE_MM
         )
 
-    # -- What the robot says ------------------------------------------------------------------------------------------
+    # -- Reports of the robot ------------------------------------------------------------------------------------------
 
     def _on_text(self, text: str, now_ns: int) -> Iterator[Message]:
         word, _, rest = text.partition(" ")
@@ -218,7 +218,7 @@ class LegoPlanner:
             touched, count = places[first : first + len(self._crosses)], len(LANDMARKS)
             registration = register(self._crosses[:count], touched[:count])
             if registration.transform.rotation[2, 2] < 0:
-                # of crosses in one plane a mirror image fits as well as they do, turned over: the FRE cannot tell
+                # of crosses in one plane a mirror image fits as well as they do, turned over: the FRE is the same
                 raise ConfigError("registration: found the sheet face down, expected face up; left taken for right?")
         except ConfigError as error:
             yield from self._conclude(str(error), now_ns)

@@ -1,7 +1,7 @@
 """The robot of the LEGO scenario: the arm, and the brick that drives it.
 
-An actor of ROS.  It touches the crosses of the sheet when it hears of landmarks, and follows the points that it is
-sent, by the registration that it has heard last.  The world that it stands in is ``lego_world``: the operator who
+An actor of ROS.  It touches the crosses of the sheet when it receives landmarks, and follows the points that it is
+sent, by the last registration that it has received.  The world that it stands in is ``lego_world``: the operator who
 touches the crosses and the camera that sees the ink look at that, the brick does not.
 
 All of it goes in steps of 50 ms, counted and not measured: the arm moves on the same path however late it is called.
@@ -60,8 +60,8 @@ class LegoRobot:
     side = ActorProtocol.ROS
 
     def __init__(self, pace: float = 1.0, seed: int = SEED) -> None:
-        self.hears = {topic: message.TYPE for topic, (message, _) in self._handlers().items()}
-        self.says = {
+        self.subscribes = {topic: message.TYPE for topic, (message, _) in self._handlers().items()}
+        self.publishes = {
             terms.JOINTS_TOPIC: Publishes(JointState.TYPE),
             terms.PEN_TOPIC: Publishes(TransformStamped.TYPE),
             terms.ARM_TOPIC: Publishes(Marker.TYPE, latched=True),
@@ -73,7 +73,7 @@ class LegoRobot:
         self._drives = Drives(angles_of(_metres(np.array(_HOME))))
         self._at = np.array(_HOME)  # where the tip was sent last
         self._program: Iterator[_Step] | None = None
-        self._then = ""  # what to say when the program is over
+        self._then = ""  # the message at the end of the program
         self._due_ns: int | None = None
         self._ticks = 0
         self._words: list[str] = []
@@ -114,7 +114,7 @@ class LegoRobot:
         self._ticks += 1
 
     def receive(self, now_ns: int, received: Received) -> Iterable[RosSent]:
-        if isinstance(received, RosReceived) and received.topic in self.hears:
+        if isinstance(received, RosReceived) and received.topic in self.subscribes:
             message, answer = self._handlers()[received.topic]
             answer(message.unpack(received.cdr))
         yield from self._spoken()
@@ -123,7 +123,7 @@ class LegoRobot:
         segments, gaps = len(self._world.ink), self._world.skipped
         facts = {"volume": list(self._voxels), "touched": self._touched, "segments": segments, "gaps": gaps}
         lines = [
-            f"planning volume of {' × '.join(map(str, self._voxels)) or 'no'} voxels heard",
+            f"planning volume of {' × '.join(map(str, self._voxels)) or 'no'} voxels received",
             f"{self._touched} crosses touched, {segments} segments drawn, {gaps} left out",
         ]
         if self._registration:
@@ -134,7 +134,7 @@ class LegoRobot:
             lines.append(self._fault)
         return ActorReport(self._done and not self._fault and segments > 0 and gaps == 0, tuple(lines), facts)
 
-    # -- What it hears ------------------------------------------------------------------------------------------------
+    # -- Received messages --------------------------------------------------------------------------------------------
 
     def _handlers(self) -> dict[str, tuple[type[RosMessage], Callable[..., None]]]:
         """Topic → class of the message, and what is done with it."""
@@ -258,7 +258,7 @@ class LegoRobot:
             self._world.lift()
         return True
 
-    # -- What it says -------------------------------------------------------------------------------------------------
+    # -- Sent messages -------------------------------------------------------------------------------------------------
 
     def _state(self, stamp_ns: int) -> Iterator[RosSent]:
         angles = self._drives.encoders

@@ -1,7 +1,7 @@
 """The sheet of the LEGO scenario: a slice of the head printed in true size, crosses on it, and what is to be drawn.
 
 The "2D phantom" of the paper.  Everything is in coordinates of the image (mm, RAS), where the sheet is the axial plane
-``HEIGHT_MM`` above the origin; where it lies in front of the robot only the registration tells.
+``HEIGHT_MM`` above the origin; its place in front of the robot follows from the registration only.
 """
 
 from __future__ import annotations

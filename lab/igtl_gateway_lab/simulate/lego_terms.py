@@ -17,7 +17,7 @@ JOINTS_TOPIC, PEN_TOPIC, ARM_TOPIC = "/lego/joint_states", "/lego/pen", "/lego/a
 INK_TOPIC, STATUS_TOPIC = "/lego/ink", "/lego/status"
 PEN_DEVICE, INK_DEVICE, STATUS_DEVICE = f"{PEN}To{BASE}", "DrawnLine", "LegoStatus"
 
-#: First words of what the robot says on ``STATUS_TOPIC``; a number follows the first four.
+#: First words of the robot's messages on ``STATUS_TOPIC``; a number follows the first four.
 READY, TOUCHED_ALL, REGISTERED, DRAWN = "ready", "touched", "registered", "drawn"
 REFUSED, FINISHED = "refused", "finished"
 #: First word of the planner's last sentence, which it repeats until the robot has finished.

@@ -58,5 +58,5 @@ class Load:
         return self.size or SIZES[self.type][2]
 
     def lasting(self, duration_s: float | None) -> int:
-        """How many messages fill so many seconds; the count where None."""
+        """Number of messages in the given number of seconds; the count if None."""
         return self.count if duration_s is None else max(1, round(duration_s * self.rate_hz))

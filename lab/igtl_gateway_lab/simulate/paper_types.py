@@ -116,7 +116,7 @@ def inputs() -> Iterator[ScenarioInput]:
     time_ns = START_NS
     yield link_up_input(time_ns, _OLD, "127.0.0.1:52001")
     yield link_up_input(time_ns + 1, _NEW, "127.0.0.1:52002")
-    # what 3D Slicer says first: it shows header version 2
+    # the first message of 3D Slicer: it shows header version 2
     hello = Message("STATUS", "", Status(1), 0, 2, 0, (Item("dummy", b"dummy"),))
     yield peer_input(time_ns + 2, _NEW, hello)
     for index, (type_name, device, content) in enumerate(_igtl_messages()):

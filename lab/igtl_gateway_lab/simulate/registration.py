@@ -110,7 +110,7 @@ def register(moving: Array, fixed: Array) -> Registration:
 
 
 def register_in_order(landmarks: Array, stops: Array) -> tuple[Registration, int]:
-    """Register ``stops`` onto ``landmarks`` that were touched in this order, with rests before, after, nowhere between.
+    """Register ``stops`` onto ``landmarks`` that were touched in this order, with pauses around them, not between.
 
     Of all runs of as many stops as there are landmarks the best is taken: returned are the registration (tool →
     landmarks) and the number of the first stop.  Raises ConfigError where there are fewer stops than landmarks, or
@@ -136,7 +136,7 @@ def register_in_order(landmarks: Array, stops: Array) -> tuple[Registration, int
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stop:
-    """A time in which a tool stood still.
+    """A time in which a tool did not move.
 
     Attributes:
         begin, end: first sample, and the one behind the last.

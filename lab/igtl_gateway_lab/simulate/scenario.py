@@ -23,7 +23,7 @@ from igtl_gateway_lab.simulate.actor import Actor
 from igtl_gateway_lab.simulate.load import Load
 from igtl_gateway_lab.simulate.stage import came, play_offline, went
 
-#: What every recording of a scenario says of itself.
+#: Metadata of every recording of a scenario.
 SYNTHETIC = "yes: no robot, no patient, no camera"
 
 
@@ -41,7 +41,7 @@ class ScenarioInput:
 
 
 Inputs = Callable[[float | None], Iterable[ScenarioInput]]
-#: The actors of a story of so many seconds (None: its own length), fresh with each call.
+#: The actors of a story of the given number of seconds (None: its own length), new with each call.
 Cast = Callable[[float | None], tuple[Actor, ...]]
 
 
@@ -50,9 +50,9 @@ class Scenario:
     """A synthetic session: ``inputs`` or ``actors``.
 
     Attributes:
-        title: one line that says that it is synthetic.
+        title: one line; it contains the word synthetic.
         config: how the gateway is configured.
-        inputs: gives the inputs of a session of so many seconds (None: its own length), in order of time.
+        inputs: returns the inputs of a session of the given number of seconds (None: its own length), in order of time.
         actors: gives those who make the session among themselves.
         limit_s: a story that takes so much longer than it was asked to is stuck.
         loaded: the same with another load, where it has one.
@@ -70,7 +70,7 @@ class Scenario:
             raise ValueError(f"scenario {self.title!r}: expected inputs or actors, and not both")
 
     def cast(self, duration_s: float | None = None) -> tuple[Actor, ...]:
-        """Fresh actors for a story of so many seconds; none where there are only inputs."""
+        """New actors for a story of the given number of seconds; empty if there are only inputs."""
         return self.actors(duration_s) if self.actors else ()
 
     def entries(
@@ -131,7 +131,7 @@ def ros_input(time_ns: int, topic: str, message: RosMessage, sent_ns: int = 0) -
 
 
 def tick_input(time_ns: int) -> ScenarioInput:
-    """The gateway is told that a time has come, whether it waits for one or not."""
+    """A tick of the gateway, whether it is due or not."""
     return ScenarioInput(time_ns, Kind.EDGE_NOTE, Note(Level.INFO, TICK, "a deadline has come").pack())
 
 

@@ -1,7 +1,7 @@
 """Plays the actors of a scenario offline: discrete events on a manual clock, through the real gateway.
 
 Every message travels for a fixed time: from an actor to the gateway, from the gateway to an actor, and from one
-ROS actor to another (which is no business of the gateway's).  At one time, what arrives goes before who acts, and
+ROS actor to another (not through the gateway).  At one time, what arrives goes before who acts, and
 both go in the order in which they were asked for; so the same actors give the same session, byte for byte.
 """
 
@@ -25,7 +25,7 @@ LIMIT_S = 600.0  #: a story that has not ended by then is stuck
 IGTL_NS, ROS_NS = 400_000, 300_000  #: how long a message travels
 _SETTLED_NS = 10 * NS_PER_MS  # from the first entry to ``begin``
 _FIRST_PORT = 53000
-_SAME_TIME = 10_000  # an actor that acts so often at one time will never let it pass
+_SAME_TIME = 10_000  # an actor that acts this often at one time never advances it
 
 
 def play_offline(
@@ -37,7 +37,7 @@ def play_offline(
 ) -> Iterator[Entry]:
     """The session log of a scenario.
 
-    It ends when every actor is done and nothing is on its way any more, when nobody would ever act again, or after
+    It ends when every actor is done and nothing is on its way any more, when no actor will act again, or after
     ``limit_s`` seconds.  How it went is what the actors report.
 
     Args:
@@ -103,7 +103,7 @@ class _OfflineStage:
             acts = acts + 1 if next_ns == self._now_ns else 0
             if acts > _SAME_TIME:
                 stuck = actor.name if actor else "gateway"
-                raise RuntimeError(f"{stuck}: due at {next_ns} ns for ever, expected a later time after each act")
+                raise RuntimeError(f"{stuck}: due at {next_ns} ns forever, expected a later time after each act")
             self._now_ns = next_ns
             if arrival_ns is not None and arrival_ns <= next_ns:
                 yield from heapq.heappop(self._coming)[2]()
@@ -123,7 +123,7 @@ class _OfflineStage:
         heapq.heappush(self._coming, (self._now_ns + travel_ns, self._serial, arrive))
 
     def _send_from(self, actor: Actor, words: Iterable[Sent]) -> None:
-        """Put on its way what an actor says now."""
+        """Queue the messages that an actor sends now."""
         for said in words:
             if isinstance(said, RosSent):
                 self._publish(actor, said)
@@ -136,9 +136,11 @@ class _OfflineStage:
 
     def _publish(self, actor: Actor, said: RosSent) -> None:
         topic, ros_type, cdr, sent_ns = said.topic, said.message.TYPE, said.message.pack(), self._now_ns
-        if topic not in actor.says:
-            raise ValueError(f"{actor.name}: publishes on {topic}, expected one of {', '.join(actor.says) or 'none'}")
-        if actor.says[topic].recorded or self._gateway.subscription(topic, ros_type):
+        if topic not in actor.publishes:
+            raise ValueError(
+                f"{actor.name}: publishes on {topic}, expected one of {', '.join(actor.publishes) or 'none'}"
+            )
+        if actor.publishes[topic].recorded or self._gateway.subscription(topic, ros_type):
             self._send(ROS_NS, lambda: self._input(Kind.ROS_IN, cdr, topic, ros_type, source_ns=sent_ns))
         self._to_ros(RosReceived(topic, ros_type, cdr), besides=actor)
 
@@ -147,7 +149,7 @@ class _OfflineStage:
             if (
                 actor is not besides
                 and actor.side is ActorProtocol.ROS
-                and actor.hears.get(received.topic) == received.type
+                and actor.subscribes.get(received.topic) == received.type
             ):
                 self._send(ROS_NS, self._deliver(actor, received))
 

@@ -1,7 +1,7 @@
 """The synthetic suturing session: who plays in it.
 
 Sensors and robot are ROS programs, the planner is one of OpenIGTLink; between them is nothing but the gateway and the
-ROS graph.  What happens is told in ``docs/scenario-star.md``; where each part lies, in ``star_scene``.
+ROS graph.  ``docs/scenario-star.md`` describes the story, and ``star_scene`` has the place of each part.
 **Synthetic data**: no robot, no patient, no camera.
 """
 
@@ -21,7 +21,7 @@ TITLE = "STAR-like suturing session, synthetic: coloured clouds, camera, tool, m
 
 
 def actors(duration_s: float | None = None) -> tuple[Actor, ...]:
-    """Those of a session of so many seconds.
+    """The actors of a session of the given number of seconds.
 
     Raises ConfigError if the duration is not a positive number of seconds.
     """

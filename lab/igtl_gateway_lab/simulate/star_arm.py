@@ -41,7 +41,7 @@ BASE_FROM_CAMERA = np.array(
 #: Direction from the needle up the shaft, in the camera frame: towards the arm and towards the camera.
 SHAFT = np.array([0.12, 0.74, -0.66]) / np.sqrt(0.12**2 + 0.74**2 + 0.66**2)
 
-#: Axes x, y, z of the tool in the camera frame when it is held at rest; z points down the shaft, into the tissue.
+#: Axes x, y, z of the tool in the camera frame when it does not move; z points down the shaft, into the tissue.
 _ACROSS = np.array([0.0, SHAFT[2], -SHAFT[1]]) / np.sqrt(SHAFT[1] ** 2 + SHAFT[2] ** 2)
 _TOOL_AXES = (_ACROSS, np.cross(-SHAFT, _ACROSS), -SHAFT)
 _DRIVE_TURN = 0.30  #: the wrist helps the needle by this much to either side
@@ -89,7 +89,7 @@ def tool_path(way: Waypoints, times: Array, noise: Noise) -> ToolPath:
         tremor += (0.5 + terms[:, 0]) * np.sin(2 * np.pi * (hertz * times[:, None] + terms[:, 1]))
     position = to_base(way.tip + 0.00001 * tremor[:, :3])
     camera, hold = quaternion(BASE_FROM_CAMERA[:3, :3]), quaternion(np.stack(_TOOL_AXES, -1))
-    # products of small turns about one fixed pose: the sign cannot jump, so there is none to mend
+    # products of small turns about one fixed pose: the sign cannot jump, so it needs no repair
     turned = _product(camera, _turn(0, way.roll + 0.0004 * tremor[:, 3]))
     rotation = _product(_product(turned, hold), _turn(2, way.yaw + 0.0004 * tremor[:, 4]))
     return ToolPath(rounded(position, TOOL_STEP_M), rounded(rotation, ROTATION_STEP))

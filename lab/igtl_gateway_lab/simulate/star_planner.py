@@ -28,7 +28,7 @@ from igtl_gateway_lab.simulate.agenda import Agenda
 Array = NDArray[Any]
 
 LIMIT_MM = 1.0  #: a point so far off the cloud is moved
-REACH_MM = 0.9  #: the cloud's points so near to a ray tell the depth there
+REACH_MM = 0.9  #: points of the cloud within this distance of a ray determine the depth
 _ENOUGH = 5  # of them
 _SAME_MM = 0.01  # the robot's float32 metres and our float32 millimetres
 
@@ -43,8 +43,8 @@ class SuturePlanner:
     side = ActorProtocol.IGTL
 
     def __init__(self, duration_ns: int) -> None:
-        self.hears: dict[str, str] = {}
-        self.says: dict[str, Publishes] = {}
+        self.subscribes: dict[str, str] = {}
+        self.publishes: dict[str, Publishes] = {}
         self._duration_ns = duration_ns
         self._agenda = Agenda()
         self._heard = self._over = False
@@ -140,7 +140,7 @@ class SuturePlanner:
 def offsets(plan: Array, cloud: Array) -> Array:
     """How far (mm along z, + deeper) each planned point is off the cloud's median depth around its ray.
 
-    0 where the cloud has too few points to tell.
+    0 where the cloud has too few points.
 
     Args:
         plan: (n, 3) mm in the frame of the camera.

@@ -1,8 +1,8 @@
 """The robot of the STAR session as a ROS program: its plan, its arm, its status.
 
-The plan is drawn in the picture and lifted by the first cloud that is heard.  From then on the robot waits, and
+The plan is drawn in the picture and lifted by the first cloud that it receives.  From then on the robot waits, and
 takes over every corrected plan that comes, until one is approved; then it sews that one, stitch by stitch.
-**Synthetic data**: the first status message says so too.
+**Synthetic data**: the first status message states it, too.
 """
 
 from __future__ import annotations
@@ -44,8 +44,10 @@ class SutureRobot:
     side = ActorProtocol.ROS
 
     def __init__(self, duration_ns: int, seed: int = SEED) -> None:
-        self.hears = {topic: topics.TYPES[topic] for topic in (topics.CLOUD, topics.CORRECTED, topics.SAID)}
-        self.says = {topic: Publishes(topics.TYPES[topic], topic in _LATCHED) for topic in (topics.TOOL, *_LATCHED)}
+        self.subscribes = {topic: topics.TYPES[topic] for topic in (topics.CLOUD, topics.CORRECTED, topics.SAID)}
+        self.publishes = {
+            topic: Publishes(topics.TYPES[topic], topic in _LATCHED) for topic in (topics.TOOL, *_LATCHED)
+        }
         self._hearing: dict[str, Callable[[int, RosReceived], Iterable[Sent]]] = {
             topics.CLOUD: self._on_cloud,
             topics.CORRECTED: self._on_correction,
@@ -114,7 +116,7 @@ class SutureRobot:
         )
         return ActorReport(bool(beside_mm), lines, facts)
 
-    # -- what it hears ------------------------------------------------------------------------------------------
+    # -- received messages ------------------------------------------------------------------------------------------
 
     def _on_cloud(self, now_ns: int, received: RosReceived) -> Iterable[Sent]:
         if self._measured is None:
@@ -164,7 +166,7 @@ class SutureRobot:
     # -- what it does -------------------------------------------------------------------------------------------
 
     def _schedule_text(self, begin_ns: int, after_s: float, text: str) -> None:
-        """Say something when the work has gone on for so long."""
+        """Report after this duration of the work."""
         self._agenda.add(self._start_ns + begin_ns + round(after_s * NS_PER_S), _status(text))
 
     def _end(self, _now_ns: int) -> Iterable[Sent]:
@@ -198,7 +200,7 @@ class SutureRobot:
         yield RosSent(topics.PLAN_POINTS, topics.plain_cloud(header, rows))
         yield RosSent(topics.STATUS, String(text))
 
-    # -- what became of it --------------------------------------------------------------------------------------
+    # -- the outcome --------------------------------------------------------------------------------------
 
     def _wrong_mm(self, plan: SuturePlan) -> dict[str, float]:
         """Of the planted stitches those that are off the true tissue, by how much."""

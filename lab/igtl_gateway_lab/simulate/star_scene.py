@@ -113,7 +113,7 @@ class StarScene:
     def tool(self, times: Array, plan: SuturePlan, begin_s: float = NEVER_S) -> ToolPath:
         """Where the arm holds the needle tip, in the base frame, at ``times`` of the session.
 
-        At rest until ``begin_s``; from then on each stitch of ``plan`` takes ``CYCLE_S``.
+        Without motion until ``begin_s``; from then on each stitch of ``plan`` takes ``CYCLE_S``.
         """
         return tool_path(waypoints(self.rest, plan, times - begin_s), times, Noise(self._seed, 4))
 

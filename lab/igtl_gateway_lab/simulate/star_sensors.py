@@ -1,7 +1,7 @@
 """The sensors of the STAR session as one ROS program: cloud, picture with its camera info, near-infrared markers.
 
-Each stream has a rate and a delay: a message is stamped when the sensor looked, and said some fixed latency and a
-little jitter later, in the meantime the tool's pose of that moment has been heard.  **Synthetic data.**
+Each stream has a rate and a delay: a message has the time of the measurement as its stamp, and is sent after a fixed
+latency and a little jitter.  The tool's pose at that time has been received by then.  **Synthetic data.**
 """
 
 from __future__ import annotations
@@ -58,8 +58,10 @@ class Sensors:
     side = ActorProtocol.ROS
 
     def __init__(self, duration_ns: int, seed: int = SEED) -> None:
-        self.hears = {topics.TOOL: topics.TYPES[topics.TOOL]}
-        self.says = {topic: Publishes(topics.TYPES[topic], recorded=topic == topics.CAMERA_INFO) for topic in _SAID}
+        self.subscribes = {topics.TOOL: topics.TYPES[topics.TOOL]}
+        self.publishes = {
+            topic: Publishes(topics.TYPES[topic], recorded=topic == topics.CAMERA_INFO) for topic in _SAID
+        }
         self._duration_ns = duration_ns
         self._scene = StarScene(seed)
         self._agenda = Agenda()
@@ -132,7 +134,7 @@ class Sensors:
         return ()
 
     def _tool(self, stamp_ns: int) -> tuple[Array, Array]:
-        """Tip and direction of the shaft at a time, as far as they have been heard of."""
+        """Tip and direction of the shaft at a time, from the poses received so far."""
         past = next((pose for pose in reversed(self._poses) if pose.header.stamp_ns <= stamp_ns), None)
         return held(past.translation, past.rotation) if past else (self._scene.rest, SHAFT)
 

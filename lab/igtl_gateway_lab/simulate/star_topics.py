@@ -48,7 +48,7 @@ CONFIG = Config(
             (STATUS, STATUS_DEVICE, "STRING"),
         )
     ),
-    # points of OpenIGTLink tell no frame: these are in that of the plan that they correct
+    # points of OpenIGTLink have no frame: these have the frame of the plan that they correct
     to_ros=(ToRosRow(device=POINTS_DEVICE, frame_id=CAMERA_FRAME),),
 )
 

@@ -1,7 +1,7 @@
 """Two test programs that send each other messages of one type and size at a rate, and measure what arrives.
 
 The ROS Test Node and the IGTL Test Server of the ROS-IGTL-Bridge paper: either is a sender, a receiver, or both.
-Every message says its number and when it was made; so the receiver knows of each that is missing, out of order or
+Every message contains its number and its creation time, so the receiver knows of each that is missing, out of order or
 changed, and how long it was on its way (by one clock: on one host, or on hosts whose clocks agree).
 """
 
@@ -40,7 +40,7 @@ from igtl_gateway_lab.simulate.star_numbers import Array, Noise, rounded
 
 ROS_NAME, IGTL_NAME = "RosTest", "IgtlTest"  #: devices: who sends
 
-_SILENCE_NS = 3 * NS_PER_S  # a receiver that hears nothing for so long knows that it has lost the rest
+_SILENCE_NS = 3 * NS_PER_S  # after this time without a message a receiver counts the rest as lost
 _SEED = 23
 _TOLERANCE_MM = 0.01
 _TAIL = 16  # bytes at the end of an image that are compared
@@ -77,7 +77,7 @@ def actors(load: Load, duration_s: float | None = None) -> tuple[Actor, ...]:
 
 @dataclass(frozen=True, slots=True)
 class _TestMessage:
-    """What a message says of itself."""
+    """The metadata of a message."""
 
     number: int
     sent_ns: int
@@ -101,13 +101,13 @@ class _Form:
         return f"/igtl/out/{ROS_NAME}/{self.kind}"
 
     @property
-    def hears(self) -> str:
+    def to_ros_topic(self) -> str:
         """The topic of what the server sends."""
         return f"/igtl/in/{IGTL_NAME}/{self.kind}"
 
 
 class _Tester:
-    """What both programs have in common: the schedule of what is sent, the account of what is heard."""
+    """What both programs have in common: the schedule of sent messages, the account of received messages."""
 
     def __init__(self, load: Load, to_send: int, to_hear: int) -> None:
         self._load = load
@@ -193,8 +193,8 @@ class TestServer(_Tester):
     __test__ = False  # for pytest: this is no test
     name = "test_server"
     side = ActorProtocol.IGTL
-    hears: dict[str, str] = {}  # noqa: RUF012  # as an actor's attributes are
-    says: dict[str, Publishes] = {}  # noqa: RUF012
+    subscribes: dict[str, str] = {}  # noqa: RUF012  # as an actor's attributes are
+    publishes: dict[str, Publishes] = {}  # noqa: RUF012
 
     def _message(self, number: int, now_ns: int) -> Sent:
         content = self._form.igtl(number, self._load.length, now_ns)
@@ -215,20 +215,20 @@ class TestNode(_Tester):
 
     def __init__(self, load: Load, to_send: int, to_hear: int) -> None:
         super().__init__(load, to_send, to_hear)
-        self.hears = {self._form.hears: self._form.ros_type} if to_hear else {}
-        self.says = {self._form.sends: Publishes(self._form.ros_type)} if to_send else {}
+        self.subscribes = {self._form.to_ros_topic: self._form.ros_type} if to_hear else {}
+        self.publishes = {self._form.sends: Publishes(self._form.ros_type)} if to_send else {}
 
     def _message(self, number: int, now_ns: int) -> Sent:
         return RosSent(self._form.sends, self._form.ros(number, self._load.length, now_ns))
 
     def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
-        if isinstance(received, RosReceived) and received.topic == self._form.hears:
+        if isinstance(received, RosReceived) and received.topic == self._form.to_ros_topic:
             self._take(now_ns, self._form.of_ros(received.cdr, self._load.length))
         return ()
 
 
 def _rate(count: int, span_ns: int) -> float:
-    """Messages a second; 0 where one cannot tell."""
+    """Messages per second; 0 if unknown."""
     return round((count - 1) * NS_PER_S / span_ns, 3) if count > 1 and span_ns > 0 else 0.0
 
 

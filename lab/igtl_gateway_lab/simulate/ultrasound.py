@@ -1,4 +1,4 @@
-"""The scenario ``ultrasound``: a tracked freehand sweep over a forearm that is none, and what is found in it.
+"""The scenario ``ultrasound``: a tracked freehand sweep over a phantom of a forearm, and the structures found in it.
 
 A scanner with a tracker, as PLUS is one, sends for each picture ``ProbeToTracker`` and ``ReferenceToTracker``
 (TRANSFORM) and ``Image_Probe`` (IMAGE, whose matrix is the calibration), all with the stamp of the moment in which
@@ -6,7 +6,7 @@ the picture was taken.  For a while the reference is out of sight; then its tran
 
 A navigator on the ROS side asks for the sweep, pairs pictures and poses by their stamps, finds vessel and bone in the
 pictures, and puts them together in the frame of the reference: it answers with the surfaces of both, which grow as
-the sweep goes on, the place for a needle, and its status.  The scanner holds them against the phantom, whose truth
+the sweep goes on, the place for a needle, and its status.  The scanner compares them with the phantom, whose truth
 is known: only where calibration, poses, units, directions and pairing are all right do the slices stack up to it.
 """
 
@@ -55,11 +55,11 @@ _PATIENCE_NS = NS_PER_S
 _FEWEST = 10  # pictures of the shortest sweep
 _IVORY, _RED = 0xF0E2BE, 0xD64242  # of bone and vessel
 _FLOAT32 = 7  # sensor_msgs/PointField
-_SHOWN_PICTURES = 20  # after so many new ones the navigator shows what it has so far
+_SHOWN_PICTURES = 20  # after this number of new images the navigator publishes its volume
 
 #: While the sweep is in this part of its length, something is between tracker and reference.
 _HIDDEN = (0.58, 0.63)
-#: The needle is to meet the vessel at this part of the sweep; so far away pictures tell where that is, too.
+#: The needle is to meet the vessel at this part of the sweep; images that far away show its place, too.
 _NEEDLE_PART, _NEEDLE_MM = 0.35, 1.5
 #: What the answers may be off by.
 GOOD_MM = 0.5
@@ -97,12 +97,12 @@ def actors(duration_s: float | None) -> tuple[Actor, ...]:
 
 
 class Scanner:
-    """Sends a sweep of so many pictures when it is asked to, and judges what is found in it."""
+    """Sends a sweep of the given number of images on request, and judges the result."""
 
     name = "scanner"
     side = ActorProtocol.IGTL
-    hears: dict[str, str] = {}  # noqa: RUF012 - read only, as the protocol has it
-    says: dict[str, Publishes] = {}  # noqa: RUF012
+    subscribes: dict[str, str] = {}  # noqa: RUF012 - read only, as the protocol has it
+    publishes: dict[str, Publishes] = {}  # noqa: RUF012
 
     def __init__(self, pictures: int) -> None:
         self._count = pictures
@@ -128,7 +128,7 @@ class Scanner:
         return self._due_ns
 
     def act(self, now_ns: int) -> Iterable[Sent]:
-        """The next picture; after the last one it says so until there is an answer."""
+        """The next image; after the last one it repeats a final message until it gets an answer."""
         if self._sent == self._count:
             self._due_ns = now_ns + _AGAIN_NS
             return (Message("STRING", "Sweep", String.of(f"finished: {self._count} pictures"), ns_to_ticks(now_ns)),)
@@ -192,7 +192,7 @@ class Scanner:
             lines.append(f"needle: {self._needle_off:.2f} mm beside the middle of the vessel")
             facts["needle_off_mm"] = self._needle_off
         if self._status is not None:
-            lines.append(f"the navigator says: {self._status.message}")
+            lines.append(f"status of the navigator: {self._status.message}")
         offs = [*(shape.rms_mm for shape in self._shapes.values()), self._needle_off]
         good = len(offs) > len(_SHAPES) and all(off is not None and off < GOOD_MM for off in offs)
         return ActorReport(good and self._sent == self._count, tuple(lines), facts)
@@ -252,13 +252,13 @@ class Navigator:
     side = ActorProtocol.ROS
 
     def __init__(self) -> None:
-        self.hears = {
+        self.subscribes = {
             _PICTURE: Volume.TYPE,
             _PROBE: TransformStamped.TYPE,
             _REFERENCE: TransformStamped.TYPE,
             _SWEEP: RosString.TYPE,
         }
-        self.says = {
+        self.publishes = {
             _REQUEST: Publishes(RosString.TYPE),
             _NEEDLE: Publishes(TransformStamped.TYPE, latched=True),
             _BONE: Publishes(PointCloud2.TYPE, latched=True),
@@ -316,7 +316,7 @@ class Navigator:
         return bool(stamps)
 
     def _finished(self, now_ns: int, text: str) -> Iterable[Sent]:
-        """The scanner says how many pictures there were, and says it again where it has no answer."""
+        """The scanner reports the number of images, and repeats the report until it gets an answer."""
         word, _, rest = text.partition(":")
         if word != "finished":
             return ()

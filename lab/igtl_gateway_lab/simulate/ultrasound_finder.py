@@ -1,6 +1,6 @@
 """What a navigation program finds in a B-mode picture: the vessel's lumen and the surface of the bone.
 
-Simple on purpose, and on whole numbers as far as it goes: the lumen is what is dark between the skin and the depth
+Deliberately simple, and with integers as far as possible: the lumen is what is dark between the skin and the depth
 where bone may begin, the bone is the brightest spot of a column with a shadow behind it.  Pixels are (row, column).
 """
 

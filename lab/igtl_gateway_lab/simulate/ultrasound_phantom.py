@@ -1,4 +1,4 @@
-"""A forearm that is none: layers of tissue, a vessel that forks, and a bone, as an ultrasound scanner sees them.
+"""A phantom of a forearm: layers of tissue, a vessel that forks, and a bone, as an ultrasound scanner sees them.
 
 Everything is a function of the place (millimetres in the phantom's own frame: ``u`` across, ``v`` along the arm,
 ``w`` into the depth), speckle included, so that every slice cuts the same things, and slices beside each other

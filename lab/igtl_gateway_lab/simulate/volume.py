@@ -196,7 +196,7 @@ def _depth(x: Array, y: Array, z: float, centre: Array, axes: Array) -> Array:
     """How deep a point lies in an ellipsoid, nearly, in mm; below 0 outside."""
     u, v, w = (x - centre[0]) / axes[0], (y - centre[1]) / axes[1], (z - centre[2]) / axes[2]
     level = np.sqrt(u * u + v * v + w * w)
-    # the gradient of the level tells how far apart its surfaces are
+    # the gradient of the level is the density of its surfaces
     slope = np.sqrt((u / axes[0]) ** 2 + (v / axes[1]) ** 2 + (w / axes[2]) ** 2)
     return np.asarray(level * (1.0 - level) / np.maximum(slope, 1e-6))
 

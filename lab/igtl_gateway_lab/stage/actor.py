@@ -1,10 +1,10 @@
 """One actor of a scenario on real connections: a ROS 2 node, or an OpenIGTLink program; runs in a process of its own.
 
-The actor itself is pure.  One thread, that of ``ActorProgram.run``, calls it; the edges' threads only queue what they
-hear.  Before ``begin`` everybody has found everybody, so that no first message is lost:
+The actor itself is pure.  One thread, that of ``ActorProgram.run``, calls it; the edges' threads only queue received
+messages.  Before ``begin`` all programs have discovered each other, so that no first message is lost:
 
 * a ROS actor subscribes at once, has its publishers matched with every reader that the scenario has (the gateway, the
-  other actors), and has heard from the gateway that its peers are connected, on a topic to which it subscribes last;
+  other actors), and has received the gateway's list of connected peers, on a topic to which it subscribes last;
 * an OpenIGTLink actor is connected.
 """
 
@@ -35,7 +35,7 @@ _LOOK_S = 0.25  # how soon an actor that waits for others sees that it is over
 _HEARS = Qos(depth=100)
 
 Address = tuple[str, int]
-Tell = Callable[[dict[str, Any]], None]
+OnEvent = Callable[[dict[str, Any]], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class ActorTransport(Protocol):
     """An actor's connection to the world."""
 
     def open(self) -> dict[str, Any]:
-        """Open it; what is to be told of it.  Raises ConfigError or RosError."""
+        """Open it; return the fields of its event.  Raises ConfigError or RosError."""
 
     def missing(self, timeout_s: float) -> str:
         """What it still waits for before the story can begin; waits for so long at most."""
@@ -72,7 +72,7 @@ class ActorProgram:
         peers: how many OpenIGTLink programs have to be connected before it begins.
         connection: of an OpenIGTLink actor.
         clock: its time.
-        tell: where its events go: ``listening``, ``waiting``, ``ready``, ``done``, ``warning``, ``report``.
+        on_event: callback for its events: ``listening``, ``waiting``, ``ready``, ``done``, ``warning``, ``report``.
     """
 
     def __init__(
@@ -83,11 +83,11 @@ class ActorProgram:
         peers: int,
         connection: IgtlEndpoint,
         clock: Clock,
-        tell: Tell,
+        on_event: OnEvent,
     ) -> None:
         self._actor = actor
         self._clock = clock
-        self._tell = tell
+        self._on_event = on_event
         self._heard: SimpleQueue[Received | None] = SimpleQueue()
         self._begin, self._end = threading.Event(), threading.Event()
         self._sent: Counter[str] = Counter()
@@ -112,16 +112,16 @@ class ActorProgram:
         if isinstance(self._actor, Preparable):
             self._actor.prepare()
         if told := self._voice.open():
-            self._tell({"event": "listening", **told})
+            self._on_event({"event": "listening", **told})
         try:
             if self._wait_for_others():
-                self._tell({"event": "ready"})
+                self._on_event({"event": "ready"})
                 if self._wait_for_begin():
                     self._play()
         finally:
             self._voice.close()
         report = self._actor.report()
-        self._tell(
+        self._on_event(
             {
                 "event": "report",
                 "good": report.good,
@@ -139,7 +139,7 @@ class ActorProgram:
             if not missing:
                 return True
             if missing != told:
-                self._tell({"event": "waiting", "for": missing})
+                self._on_event({"event": "waiting", "for": missing})
                 told = missing
         return False
 
@@ -152,7 +152,7 @@ class ActorProgram:
         actor, done = self._actor, False
         actor.begin(self._clock.utc_ns())
         while not self._end.is_set():
-            # all that has come goes first, as offline: a slow act must not make an actor hear of ever older things
+            # received messages go first, as offline: a slow act must not increase the actor's backlog
             for _ in range(self._heard.qsize()):
                 self._receive(0)
             now_ns, due_ns = self._clock.utc_ns(), actor.due_ns
@@ -160,7 +160,7 @@ class ActorProgram:
                 self._send(actor.act(now_ns))
             if not done and actor.done:
                 done = True
-                self._tell({"event": "done"})
+                self._on_event({"event": "done"})
             self._receive(actor.due_ns)
 
     def _receive(self, due_ns: int | None) -> None:
@@ -179,7 +179,7 @@ class ActorProgram:
             self._sent[self._voice.send(said)] += 1
 
     def _warn(self, text: str) -> None:
-        self._tell({"event": "warning", "text": text})
+        self._on_event({"event": "warning", "text": text})
 
 
 def _stream(one: Sent | Received) -> str:
@@ -236,7 +236,7 @@ class _IgtlActorTransport:
             self._link = link
 
     def _on_note(self, _link: int, note: Note) -> None:
-        # that the server is not there yet is what ``missing`` says
+        # ``missing`` reports that the server is not there yet
         if note.level >= Level.WARN and note.code != "connect_failed":
             self._warn(f"{self._name}: {note.text}")
 
@@ -267,10 +267,10 @@ class _RosActorTransport:
         listeners = [other for other in others if other.side is ActorProtocol.ROS and other is not actor]
         self._qos: dict[str, Qos] = {}
         self._readers: dict[str, int] = {}
-        for topic, says in actor.says.items():
-            bridged = gateway.subscription(topic, says.type)
-            self._qos[topic] = Qos(depth=bridged.depth if bridged else 10, latched=says.latched)
-            heard_by = sum(other.hears.get(topic) == says.type for other in listeners)
+        for topic, published in actor.publishes.items():
+            bridged = gateway.subscription(topic, published.type)
+            self._qos[topic] = Qos(depth=bridged.depth if bridged else 10, latched=published.latched)
+            heard_by = sum(other.subscribes.get(topic) == published.type for other in listeners)
             self._readers[topic] = int(bridged is not None) + heard_by
         self._linked = threading.Condition()
         self._links = 0
@@ -286,11 +286,11 @@ class _RosActorTransport:
         self._edge.start()
         # Readers first.  The gateway's topic of links is found, and subscribed to, after all of them: once it has
         # come through, the gateway knows of every one.
-        for topic, ros_type in self._actor.hears.items():
+        for topic, ros_type in self._actor.subscribes.items():
             self._edge.subscribe(topic, ros_type, _HEARS)
         self._subscribed.set()
-        for topic, says in self._actor.says.items():
-            self._edge.advertise(topic, says.type, self._qos[topic])
+        for topic, published in self._actor.publishes.items():
+            self._edge.advertise(topic, published.type, self._qos[topic])
         return {}
 
     def missing(self, timeout_s: float) -> str:
@@ -316,7 +316,7 @@ class _RosActorTransport:
         return _HEARS if links and self._subscribed.is_set() else None
 
     def _on_message(self, topic: str, ros_type: str, cdr: bytes, _source_ns: int) -> None:
-        if self._actor.hears.get(topic) == ros_type:
+        if self._actor.subscribes.get(topic) == ros_type:
             self._on_heard(RosReceived(topic, ros_type, cdr))
         if topic == LINKS_TOPIC:
             with self._linked:

@@ -1,7 +1,7 @@
-"""Plays a scenario live: a real bridge, and each actor in a process of its own, told when to begin and when to end.
+"""Plays a scenario live: a real bridge, and each actor in its own process, with commands to begin and to end.
 
-The programs tell of themselves in JSON lines.  They have a process group of their own: a Ctrl-C on the terminal is the
-stage's, which ends them in order, actors before bridge, so that everything said is in the recording.  A stage that is
+The events of the programs are JSON lines.  They have a process group of their own: a Ctrl-C on the terminal is the
+stage's, which ends them in order, actors before bridge, so that all messages are in the recording.  A stage that is
 killed takes them with it: actors end when their standard input does, and on Linux the kernel interrupts every program.
 """
 
@@ -22,7 +22,7 @@ from igtl_gateway_lab.programs import Event, parse_event
 from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, ActorReport
 
 _LOOK_S = 0.2  # how soon a Ctrl-C or a time-out is seen
-_END_S = 15.0  # for a program to end that was told to
+_END_S = 15.0  # for a program to end after the command
 _BRIDGE = "bridge"
 
 Address = tuple[str, int]
@@ -68,7 +68,7 @@ class StageOutcome:
         parts: the actors' reports.
         seconds: from begin to end.
         warnings: what the programs complained of, each once.
-        recording: what the bridge recorded; None without a bridge of ours or before its end.
+        recording: what the bridge recorded; None without our own bridge, or before its end.
     """
 
     end: StageEnd
@@ -117,16 +117,16 @@ class Stage:
         plan: see there.
         clock: for the time limit.
         stop: set from outside to end early.
-        tell: called with ``(program, event)`` for everything worth showing as it happens.
+        on_event: called with ``(program, event)`` for each event that is shown.
     """
 
     def __init__(
-        self, plan: StagePlan, clock: Clock, stop: threading.Event, tell: Callable[[str, Event], None]
+        self, plan: StagePlan, clock: Clock, stop: threading.Event, on_event: Callable[[str, Event], None]
     ) -> None:
         self._plan = plan
         self._clock = clock
         self._stop = stop
-        self._tell = tell
+        self._on_event = on_event
         self._events: SimpleQueue[tuple[str, Event | None]] = SimpleQueue()
         self._programs: dict[str, Child] = {}
         self._ended: set[str] = set()
@@ -150,7 +150,7 @@ class Stage:
                 self._deadline_ns = begun_ns + round(self._plan.limit_s * NS_PER_S)
                 for actor in self._plan.actors:
                     self._programs[actor.name].write("begin\n")
-                self._tell("", {"event": "begun"})
+                self._on_event("", {"event": "begun"})
                 names = {actor.name for actor in self._plan.actors}
                 end = self._wait(lambda: names <= self._state["done"]) or StageEnd.OVER
                 seconds = (self._clock.monotonic_ns() - begun_ns) / NS_PER_S
@@ -207,7 +207,7 @@ class Stage:
             raise StageError(self._failed)
 
     def _drain(self, programs: dict[str, Child]) -> None:
-        """Take all that these programs still tell, until their ends."""
+        """Handle the events of these programs until they have ended."""
         deadline_ns = self._clock.monotonic_ns() + round(_END_S * NS_PER_S)
         while not self._ended.issuperset(programs):
             if self._clock.monotonic_ns() > deadline_ns:
@@ -228,7 +228,7 @@ class Stage:
             self._take(_LOOK_S)
         return None
 
-    # -- programs and what they tell ------------------------------------------------------------------------------
+    # -- programs and their events ------------------------------------------------------------------------------
 
     def _run(self, name: str, command: Sequence[str]) -> None:
         self._programs[name] = start_program(name, command, self._events)
@@ -266,7 +266,7 @@ class Stage:
                 self._warnings[f"{name}: {event['text']}"] = None
             case _:
                 return
-        self._tell(name, event)
+        self._on_event(name, event)
 
     def _part(self, actor: Actor) -> ActorResult:
         told = self._reports[actor.name]

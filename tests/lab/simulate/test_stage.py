@@ -41,8 +41,8 @@ class Teller:
         self, name: str, side: ActorProtocol, lines: Iterable[str] = (), waits_for: int = 0, topic: str = OUT
     ) -> None:
         self.name, self.side = name, side
-        self.hears = {IN: String.TYPE, ASIDE: String.TYPE} if side is ActorProtocol.ROS else {}
-        self.says = {topic: Publishes(String.TYPE)} if side is ActorProtocol.ROS else {}
+        self.subscribes = {IN: String.TYPE, ASIDE: String.TYPE} if side is ActorProtocol.ROS else {}
+        self.publishes = {topic: Publishes(String.TYPE)} if side is ActorProtocol.ROS else {}
         self.answer: Answer = lambda _now_ns, _text: ()
         self.heard: list[tuple[int, str]] = []
         self.began_ns = self.due_at_ns = 0
@@ -197,13 +197,13 @@ def test_a_topic_that_nobody_bridges_is_in_the_recording_where_the_actor_wants_i
     robot = Teller("robot", ActorProtocol.ROS, ["calibration"], topic=ASIDE)
     assert [entry for entry in played(robot) if entry.kind is Kind.ROS_IN] == []
     robot = Teller("robot", ActorProtocol.ROS, ["calibration"], topic=ASIDE)
-    robot.says = {ASIDE: Publishes(String.TYPE, recorded=True)}
+    robot.publishes = {ASIDE: Publishes(String.TYPE, recorded=True)}
     assert [entry.channel for entry in played(robot) if entry.kind is Kind.ROS_IN] == [ASIDE]
 
 
 def test_a_topic_that_an_actor_did_not_name_is_refused() -> None:
     robot = Teller("robot", ActorProtocol.ROS, ["word"])
-    robot.says = {"/other": Publishes(String.TYPE)}
+    robot.publishes = {"/other": Publishes(String.TYPE)}
     with pytest.raises(ValueError, match=r"robot: publishes on /igtl/out/Robot/string, expected one of /other"):
         played(robot)
 
@@ -229,5 +229,5 @@ def test_the_example_of_the_page_plays() -> None:
     exec(page.partition("```python\n")[2].partition("```")[0], names)
     cast = names["QUESTION"].cast()
     log = list(names["QUESTION"].entries(cast=cast))
-    assert cast[0].report() == ActorReport(True, ("the robot says: ready",))
+    assert cast[0].report() == ActorReport(True, ("the robot reports: ready",))
     assert verify(log, Config()).good

@@ -39,4 +39,4 @@ def test_the_end_comes_with_the_duration() -> None:
         said += [one for one in sensors.act(sensors.due_ns) if isinstance(one, RosSent)]
     assert sensors.done and sensors.report().good
     assert stamps_s(said, topics.CLOUD) == [0.1]
-    assert {one.topic for one in said} == set(sensors.says)
+    assert {one.topic for one in said} == set(sensors.publishes)

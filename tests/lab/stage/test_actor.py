@@ -28,8 +28,8 @@ class Echo:
     side = ActorProtocol.IGTL
 
     def __init__(self) -> None:
-        self.hears: dict[str, str] = {}
-        self.says: dict[str, Publishes] = {}
+        self.subscribes: dict[str, str] = {}
+        self.publishes: dict[str, Publishes] = {}
         self.due_ns: int | None = None
         self.done = False
         self.began_ns = 0

@@ -47,8 +47,8 @@ class Named:
 
     def __init__(self, name: str, side: ActorProtocol) -> None:
         self.name, self.side = name, side
-        self.hears: dict[str, str] = {}
-        self.says: dict[str, Publishes] = {}
+        self.subscribes: dict[str, str] = {}
+        self.publishes: dict[str, Publishes] = {}
         self.due_ns: int | None = None
         self.done = False
 
