@@ -73,6 +73,8 @@ SLOW = (
     "integration/test_ros_types.py",
     "lab/cli/test_bench.py",
     "lab/bench/test_peers.py",
+    "lab/bench/test_works.py",
+    "view/test_stream.py",
 )
 
 #: Where several workers take files in turn, these go first: none of them must be left for the end.
@@ -83,7 +85,6 @@ LONGEST = (
     "wire/test_bodies.py",
     "sessionfile/test_salvage.py",
     "cli/test_main.py",
-    "view/test_stream.py",
     "record/test_recorder.py",
     "edges/ros/test_edge.py",
     "edges/tcp/test_edge.py",
