@@ -1,7 +1,6 @@
-"""Guards for everything that another program or another person wrote: how files are opened, what reading them may
-cost, and how their text reaches a terminal.
+"""Guards for data of other programs and people: opening files, limits for reading them, and printing their text.
 
-Every reader of files opens them by :mod:`igtl_gateway.untrusted.files`, asks :mod:`igtl_gateway.untrusted.limits`
-before it allocates, unpacks, nests or repeats, and every text that is printed passes
-:func:`igtl_gateway.untrusted.text.printable`.  ``docs/hostile-files.md`` has the table of what was tried.
+Every reader opens files with :mod:`igtl_gateway.untrusted.files` and checks :mod:`igtl_gateway.untrusted.limits`
+before it allocates, unpacks, nests or repeats.  All printed text passes :func:`igtl_gateway.untrusted.text.printable`.
+``docs/hostile-files.md`` lists the tested files.
 """

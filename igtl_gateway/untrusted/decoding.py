@@ -1,6 +1,7 @@
-"""Messages of ROS types that a file defines: code for each is made of an examined definition, and messages are bounded.
+"""Decodes messages of ROS types that a file defines, within the limits, with code generated from checked definitions.
 
-rosbags makes fourteen functions of each type; here each is made where it is used, so that reading makes one.
+rosbags generates fourteen functions for each type.  Here each function is generated at its first use, so that reading
+generates one.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from igtl_gateway.untrusted.elements import ElementCounter
 
 
 def new_store(base: Stores = Stores.EMPTY) -> Typestore:
-    """A store for the types of one file; code to read and write messages is made where it is used."""
+    """Return a store for the types of one file, which generates code at its first use."""
     known, store = get_typestore(base), _Store()
     store.fielddefs.update(known.fielddefs)
     store.types.update(known.types)
@@ -29,7 +30,7 @@ def new_store(base: Stores = Stores.EMPTY) -> Typestore:
 
 
 def register_types(store: Typestore, types: Types) -> None:
-    """Make code of types that ``definitions.parse`` gave.  Raises DamagedRecording for what the store has otherwise."""
+    """Register parsed types.  Raises DamagedRecording for a type that the store already has with other fields."""
     limits.check_limit("fields", sum(map(weight, types.values())), "definitions of a file")
     try:
         store.register(dict(types))
@@ -38,7 +39,7 @@ def register_types(store: Typestore, types: Types) -> None:
 
 
 class _Store(Typestore):
-    """rosbags makes fourteen functions of each type at once; this one makes those that are called."""
+    """A store that generates the functions of a type when they are called; that of rosbags generates all at once."""
 
     def get_msgdef(self, typename: str) -> Any:
         if typename not in self.cache:
@@ -47,7 +48,7 @@ class _Store(Typestore):
 
 
 class _Code:
-    """What ``Msgdef`` of rosbags has, attribute by attribute."""
+    """The attributes of ``Msgdef`` of rosbags, generated one by one."""
 
     _MAKERS: ClassVar[dict[str, tuple[Callable[..., Any], tuple[Any, ...]]]] = {
         "serialize_cdr_le": (cdr.generate_serialize_cdr, ("le",)),
@@ -93,7 +94,7 @@ class _Code:
 class MessageDecoder:
     """Decodes messages of types that a file defines, each type with its own definition.
 
-    Code is made at a type's first message.
+    Code is generated at the first message of a type.
     """
 
     def __init__(self, definition_of: Callable[[str], str]) -> None:
@@ -102,11 +103,11 @@ class MessageDecoder:
         self._fields = 0
 
     def store(self, ros_type: str) -> Typestore:
-        """The store that knows the type.  Raises DamagedRecording."""
+        """Return the store with the type.  Raises DamagedRecording."""
         return self._find_store(ros_type)[0]
 
     def decode(self, ros_type: str, data: bytes) -> Any:
-        """A message.  Raises DamagedRecording; SerdeError where the bytes are none of the type."""
+        """Decode a message.  Raises DamagedRecording; SerdeError for bytes that are not of the type."""
         store, elements = self._find_store(ros_type)
         elements.check(data)
         return store.deserialize_cdr(data, ros_type)
@@ -119,7 +120,7 @@ class MessageDecoder:
                 self._stores[ros_type] = error
         found = self._stores[ros_type]
         if isinstance(found, DamagedRecording):
-            # without its traceback, which grows with each raise and keeps the frames, and so the messages, of all
+            # without its traceback: it grows with each raise and would keep all frames, and so all messages, in memory
             raise found.with_traceback(None)
         return found
 

@@ -1,8 +1,7 @@
-"""What a definition of ROS types may be: names, sizes of arrays, values of constants, nesting, and how much it makes.
+"""Checks definitions of ROS types: names, array sizes, values of constants, nesting, and the size of the result.
 
-A type may name others many times over: a chain of ten arrays of ten needs ten short definitions for ten thousand
-million elements, and rosbags writes code for each element of a fixed array of texts or messages.  So both are counted
-without being made.
+Types can multiply: a chain of ten arrays of ten needs ten short definitions for 10^10 elements, and rosbags generates
+code for each element of a fixed array of strings or messages.  So both are counted before anything is generated.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ _SEVERAL = (Nodetype.ARRAY, Nodetype.SEQUENCE)
 
 
 def check_types(types: Types, place: str) -> None:
-    """Raise DamagedRecording for types that no message can have, LimitExceeded for those that are too much."""
+    """Raise DamagedRecording for impossible types, LimitExceeded for types above the limits."""
     limits.check_limit("fields", sum(map(weight, types.values())), place)
     for name, (constants, fields) in types.items():
         if not TYPE.fullmatch(name) or len(name) > LONGEST_NAME:
@@ -38,7 +37,7 @@ def check_types(types: Types, place: str) -> None:
             if not _NAME.fullmatch(one) or len(one) > LONGEST_NAME:
                 raise DamagedRecording(f"{place}: found the field {one[:LONGEST_NAME]!r}, expected an identifier")
         if len(set(names)) < len(names):
-            raise DamagedRecording(f"{place}: found two fields of one name in {name}, expected one of each")
+            raise DamagedRecording(f"{place}: found two fields with the same name in {name}, expected distinct names")
         for constant, _, value in constants:
             _examine_value(value, f"{place}: constant {constant}")
         for field, description in fields:
@@ -70,7 +69,7 @@ def _examine_field(description: Any, place: str) -> None:
 
 
 def weight(content: tuple[list[Any], list[Any]]) -> int:
-    """What a type costs as code: rosbags writes the elements of fixed arrays of texts and messages one by one."""
+    """Return the size of the code of a type: rosbags unrolls fixed arrays of strings and messages."""
     constants, fields = content
     return 1 + len(constants) + sum(_unrolled(description) for _, description in fields)
 
@@ -86,7 +85,7 @@ def _is_number(description: Any) -> bool:
 
 
 class _Sizes:
-    """How deep types nest, and how much a message holds at least."""
+    """Nesting depth of types, and minimum size of a message."""
 
     def __init__(self, types: Types, place: str) -> None:
         self._types = types
@@ -99,7 +98,7 @@ class _Sizes:
             self._of(name)
 
     def _of(self, name: str) -> tuple[int, int, int, int]:
-        """Levels, fields in all of them, elements of a message, and bytes of its numbers."""
+        """Return nesting levels, fields in all of them, elements of a message, and bytes of its numbers."""
         if name in self._known:
             return self._known[name]
         if name in self._open:

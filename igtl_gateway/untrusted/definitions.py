@@ -1,8 +1,8 @@
-"""The one place where text that defines ROS types is parsed, for rosbags makes Python code of what comes out.
+"""Parses definitions of ROS types.  Nothing else parses them, because rosbags generates Python code from the result.
 
-A definition is text of somebody else: of a bag, of an MCAP schema, of a recording.  Here it is bounded before it is
-parsed (characters, lines, steps of the parser), and examined (``definition_checks``) before code can be made of it.
-Names are ASCII identifiers, so none of them can be code.  The grammar is that of rosidl: ``ros2msg`` and ``ros2idl``.
+A definition is untrusted text: from a bag, an MCAP schema or a recording.  It is limited before it is parsed
+(characters, lines, steps of the parser), and checked (``definition_checks``) before code is generated.  Names are ASCII
+identifiers, so none of them can be code.  The grammars are those of rosidl: ``ros2msg`` and ``ros2idl``.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from igtl_gateway.untrusted import limits
 from igtl_gateway.untrusted.definition_checks import LONGEST_NAME, TYPE, Types, check_types
 
 MSG, IDL = "ros2msg", "ros2idl"
-#: What a type without fields has, as rosidl makes it.
+#: The field that rosidl adds to a type without fields.
 PLACEHOLDER = ("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))
 
 _EMPTY_LINES = re.compile(r"^[ \t]*(#[^\n]*)?\n", re.MULTILINE)
 _SEPARATOR = "=" * 80 + "\n"
-#: Calls of the parser's rules for each character of a text: twenty times what definitions in use need.
+#: Maximum number of parser steps per character: twenty times the need of real definitions.
 _STEPS_PER_CHARACTER = 100
 
-# In IDL: comments and annotations, which say nothing of the bytes; then what only an expression has.
+# In IDL: comments and annotations, which do not influence the bytes; then the characters of expressions.
 _IDL_BESIDE = re.compile(
     r'("(?:\\.|[^"\\])*(?:"|\Z))|//[^\n]*|/\*.*?(?:\*/|\Z)|@\w+[ \t]*(?:\((?:"(?:\\.|[^"\\])*"|[^()"])*\))?',
     re.DOTALL | re.ASCII,
@@ -40,11 +40,11 @@ _IDL_EXPRESSION = re.compile(r"<<|[*/%^|&~(]")
 
 
 class UnreadableDefinition(DamagedRecording):
-    """Text in a dialect that rosbags does not read, or none at all."""
+    """A definition in a dialect that rosbags does not read, or an empty one."""
 
 
 def parse_definition(text: str, ros_type: str, encoding: str = MSG) -> Types:
-    """The type ``package/msg/Name`` and all others that ``text`` defines, examined.
+    """Return the type ``package/msg/Name`` and all others that ``text`` defines, checked.
 
     Raises UnreadableDefinition, DamagedRecording, LimitExceeded.
     """
@@ -62,7 +62,7 @@ def parse_definition(text: str, ros_type: str, encoding: str = MSG) -> Types:
 
 
 def type_hash(types: Types, ros_type: str) -> str:
-    """RIHS01 of a type (REP-2016).  Raises KeyError where a type that it needs is missing.
+    """Return the RIHS01 hash of a type (REP-2016).  Raises KeyError if a type that it needs is missing.
 
     The ``char`` of a ``.msg`` is hashed as rosidl has it since Humble: as ``uint8``.
     """
@@ -74,7 +74,7 @@ def type_hash(types: Types, ros_type: str) -> str:
 
 
 def with_dependencies(types: Types, ros_type: str) -> list[str]:
-    """The type and all that it needs, as far as ``types`` has them."""
+    """Return the type and all its dependencies that ``types`` has."""
     found, wanted = dict.fromkeys([ros_type] if ros_type in types else []), [ros_type]
     while wanted:
         for name in types_of_fields(types.get(wanted.pop(), ([], []))[1]):
@@ -85,13 +85,13 @@ def with_dependencies(types: Types, ros_type: str) -> list[str]:
 
 
 def types_of_fields(fields: list[Any]) -> list[str]:
-    """The message types that fields name."""
+    """Return the message types of fields."""
     each = [inner[0] if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else (kind, inner) for _, (kind, inner) in fields]
     return [inner for kind, inner in each if kind == Nodetype.NAME]
 
 
 def definition_text(types: Types, ros_type: str) -> str:
-    """``ros2msg`` of a type with all that it needs.  Raises TypesysError where something is missing."""
+    """Return the ``ros2msg`` text of a type with its dependencies.  Raises TypesysError if one is missing."""
     store = Typestore()
     store.fielddefs = dict(types)
     return store.generate_msgdef(ros_type, ros_version=2)[0]
@@ -133,14 +133,14 @@ def _deepest(text: str, opening: str) -> int:
 
 
 def _unread(error: Exception) -> str:
-    """What a parser stumbled over: rosbags gives the whole text, the place in it, and the rest from there."""
+    """Return the text at which a parser failed: rosbags reports the whole text, the offset, and the rest."""
     words = str(error).split("\n")
     text = words[3] if len(words) > 3 else f"{type(error).__name__} {words[0]}"
     return text[:60]
 
 
 class _Steps:
-    """Of a parser: how often it may try something."""
+    """A parser with a limited number of steps."""
 
     text: str
 
@@ -165,7 +165,7 @@ class _Steps:
 
 class _Msg(_Steps, MSGParser):
     def string_literal(self, pos: int) -> Any:
-        """As rosbags', within one line: a quote that nothing closes does not look through all that follows."""
+        """As in rosbags, but within one line, so that an open quote does not search the rest of the text."""
         found = self.regex(pos, r"""('(?:\\[^\n]|[^'\\\n])*')|("(?:\\[^\n]|[^"\\\n])*")""")
         if hasattr(found, "value"):
             return type(found)(found.pos, found.value[1:-1])

@@ -1,6 +1,6 @@
-"""How many objects a message would become: known by a walk over its bytes, before it is decoded.
+"""Counts the objects that decoding a message would create, by a walk over its bytes before it is decoded.
 
-An array of a type of one byte makes an object of some hundred bytes of each byte.  Messages that are too short for
+An array of messages of one byte creates an object of about hundred bytes per byte.  Messages that are too short for
 more elements than the limit ``count`` are not walked.
 """
 
@@ -24,9 +24,9 @@ class ElementCounter:
     """Counts for messages of one type.
 
     Args:
-        types: that type and all that it needs.
-        ros_type: its name.
-        ros1: whether the bytes are ROS 1's, without alignment and encapsulation, or CDR.
+        types: the type and all its dependencies.
+        ros_type: name of the type.
+        ros1: whether the bytes are of ROS 1 (without alignment and encapsulation) or CDR.
     """
 
     def __init__(self, types: Mapping[str, Any], ros_type: str, *, ros1: bool = False) -> None:
@@ -43,7 +43,7 @@ class ElementCounter:
         self._at = self._found = self._most = 0
 
     def check(self, data: bytes) -> None:
-        """Raise LimitExceeded for a message of too many elements."""
+        """Raise LimitExceeded for a message with too many elements."""
         self._most = limits.current_limits().count
         if not self._several or len(data) <= self._most:
             return
@@ -52,7 +52,7 @@ class ElementCounter:
         try:
             self._struct(self._root)
         except (struct.error, KeyError):
-            return  # not of the type: decoding says so
+            return  # not of the type: decoding reports it
         finally:
             self._data = b""
 

@@ -1,4 +1,4 @@
-"""The one place where files of others are opened: ordinary files only, and what a header names only beside it."""
+"""Opens untrusted files: ordinary files only, and files that a header names only in the same folder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _KINDS = (
 
 
 def size_of(path: Path) -> int:
-    """Bytes of an ordinary file.  Raises UnsupportedRecording for what is missing or no ordinary file."""
+    """Return the size of an ordinary file.  Raises UnsupportedRecording if it is missing or not an ordinary file."""
     try:
         found = path.stat()
     except (OSError, ValueError) as error:
@@ -37,7 +37,7 @@ def size_of(path: Path) -> int:
 
 
 def open_file(path: Path) -> BinaryIO:
-    """An ordinary file, open for reading.  Raises UnsupportedRecording; never waits for a FIFO or a device."""
+    """Open an ordinary file for reading.  Raises UnsupportedRecording; never waits for a FIFO or a device."""
     size_of(path)
     try:
         return path.open("rb")
@@ -46,7 +46,7 @@ def open_file(path: Path) -> BinaryIO:
 
 
 def stored_bytes(path: Path, size: int) -> int:
-    """How many of the ``size`` bytes of a file are on the disk: the holes of a sparse file cost nothing to make."""
+    """Return the number of the ``size`` bytes of a file that are on the disk: holes of a sparse file are not."""
     try:
         return min(size, path.stat().st_blocks * 512)
     except (OSError, ValueError):  # bytes in memory
@@ -54,7 +54,7 @@ def stored_bytes(path: Path, size: int) -> int:
 
 
 def next_data(stream: IO[bytes], at: int) -> int:
-    """The offset of the next byte, from ``at`` on, that is not in a hole of a sparse file; the end if there is none."""
+    """Return the next offset from ``at`` on that is not in a hole of a sparse file; the end if there is none."""
     try:
         return stream.seek(at, _SEEK_DATA)
     except OSError as error:
@@ -64,7 +64,7 @@ def next_data(stream: IO[bytes], at: int) -> int:
 
 
 def is_being_written(stream: IO[bytes]) -> bool:
-    """Whether another process holds the lock of a writer (``flock``, exclusive) on an open file."""
+    """Return whether another process holds a writer's lock (exclusive ``flock``) on an open file."""
     try:
         fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
         fcntl.flock(stream.fileno(), fcntl.LOCK_UN)
@@ -76,7 +76,7 @@ def is_being_written(stream: IO[bytes]) -> bool:
 
 
 def read_bytes(path: Path) -> bytes:
-    """All of a small file.  Raises UnsupportedRecording, or LimitExceeded above the limit ``free``."""
+    """Read a small file.  Raises UnsupportedRecording, or LimitExceeded above the limit ``free``."""
     with open_file(path) as stream:
         data = stream.read(limits.current_limits().free + 1)
     limits.check_limit("free", len(data), str(path))
@@ -84,9 +84,9 @@ def read_bytes(path: Path) -> bytes:
 
 
 def sibling_file(path: Path, name: str) -> Path:
-    """The file ``name`` that the file ``path`` refers to: a plain name in the same folder, no link out of it.
+    """Return the file ``name`` that the file ``path`` refers to: a plain name in the same folder, no link out of it.
 
-    Raises DamagedRecording, or UnsupportedRecording where there is no such ordinary file.
+    Raises DamagedRecording, or UnsupportedRecording if there is no such ordinary file.
     """
     folder = path.parent
     if not name or name in {".", ".."} or Path(name).name != name or "\\" in name or "\0" in name:
@@ -99,10 +99,10 @@ def sibling_file(path: Path, name: str) -> Path:
 
 
 def obstacle(path: Path, error: OSError | ValueError | None = None) -> str:
-    """Why no file can be created or replaced at ``path``, in a few words; ``""`` if nothing is known against it.
+    """Return why no file can be created or replaced at ``path``; ``""`` if no reason is known.
 
     Args:
-        error: what the attempt raised, for what cannot be seen beforehand.
+        error: the error of the attempt, for reasons that cannot be checked before.
     """
     kind, folder = _kind(path), path.parent
     if kind not in ("a file", _NOTHING, _UNSEEN):
@@ -116,7 +116,7 @@ def obstacle(path: Path, error: OSError | ValueError | None = None) -> str:
         return ""
     text = (error.strerror if isinstance(error, OSError) else None) or str(error)
     number = error.errno if isinstance(error, OSError) else None
-    if number == errno.ENOENT:  # of a folder that is there: of the kernel's own, such as /proc
+    if number == errno.ENOENT:  # in an existing folder: a folder of the kernel, such as /proc
         return f"no file can be created in {folder} ({text})"
     if number == errno.ENAMETOOLONG:
         return f"{text}: {len(bytes(Path(path.name)))} bytes"
@@ -126,7 +126,7 @@ def obstacle(path: Path, error: OSError | ValueError | None = None) -> str:
 
 
 def is_same(path: Path, other: Path) -> bool:
-    """Whether both names are of one file that is there."""
+    """Return whether both names are names of the same existing file."""
     try:
         return path.samefile(other)
     except (OSError, ValueError):
@@ -134,7 +134,7 @@ def is_same(path: Path, other: Path) -> bool:
 
 
 def _kind(path: Path) -> str:
-    """What is there, links followed."""
+    """Return the kind of the file at a path; links are followed."""
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError) as error:

@@ -1,7 +1,7 @@
-"""What reading one file may cost: memory, ratio of compression, depth, count and time, each with a name.
+"""Limits for reading one file: memory, compression ratio, depth, count and time, each with a name.
 
-The limits are those of the running program (a context variable, so that readers need no argument for them);
-``--limit NAME=VALUE`` of the command line and :func:`limits_in_force` replace them.  A file that asks for more ends in
+The limits in force are a context variable, so that readers need no argument for them.  ``--limit NAME=VALUE`` on the
+command line and :func:`limits_in_force` replace them.  A file above a limit raises
 :class:`~igtl_gateway.errors.LimitExceeded`, which names the place, the value found and the limit.
 """
 
@@ -21,20 +21,20 @@ _NS_PER_S = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class FileLimits:
-    """Bounds for reading one file.
+    """Limits for reading one file.
 
     Attributes:
-        memory: bytes that one piece (a chunk, a record, a frame, a header) may have, unpacked.
-        ratio: unpacked bytes for each packed byte of a piece; asked for only above ``free`` bytes.
-        free: bytes that a piece may always have, whatever its ratio: a black picture packs to nothing.
+        memory: unpacked bytes of one piece: a chunk, a record, a frame, a header.
+        ratio: unpacked bytes per packed byte of a piece; applies above ``free`` bytes.
+        free: unpacked bytes of a piece at any ratio: a black image packs to very little.
         depth: levels of nesting of JSON, YAML, message definitions and the like.
-        count: things of one sort: fields of a header, connections of a capture, channels, names.
+        count: items of one kind: fields of a header, connections of a capture, channels, names.
         topics: topics of a bag.
-        definition: characters of the definition of one message type, with all that it needs.
+        definition: characters of the definition of one message type with its dependencies.
         fields: fields, constants and types of one such definition; an array of five messages counts as five.
             Also the transforms of one sequence.
         document: characters of a YAML document, or of a line of an image header.
-        seconds: time that reading may take, plus ``seconds_per_mb`` for each megabyte of the file.
+        seconds: time for reading, plus ``seconds_per_mb`` for each megabyte of the file.
         seconds_per_mb: see ``seconds``.
     """
 
@@ -51,11 +51,11 @@ class FileLimits:
     seconds_per_mb: int = 10
 
     def unpacked(self, packed: int) -> int:
-        """The bytes that a piece of ``packed`` bytes may unpack to."""
+        """Return the allowed unpacked size of a piece of ``packed`` bytes."""
         return min(self.memory, max(self.free, self.ratio * packed))
 
 
-#: Limit → what it bounds, for ``--help`` and the documentation.
+#: Limit → its meaning, for ``--help`` and the documentation.
 MEANINGS = {
     "memory": "decompressed bytes of one chunk, record, frame or header",
     "ratio": "decompressed bytes for each compressed byte, above `free`",
@@ -74,7 +74,7 @@ _current: ContextVar[FileLimits] = ContextVar("igtl_gateway_limits", default=Fil
 
 
 def current_limits() -> FileLimits:
-    """The limits that are in force."""
+    """Return the limits in force."""
     return _current.get()
 
 
@@ -89,7 +89,7 @@ def limits_in_force(limits: FileLimits) -> Iterator[None]:
 
 
 def parse_limits(words: list[str]) -> FileLimits:
-    """The limits in force with each ``NAME=VALUE`` replaced.  Raises ConfigError."""
+    """Return the limits in force with each ``NAME=VALUE`` replaced.  Raises ConfigError."""
     limits, names = current_limits(), [field.name for field in fields(FileLimits)]
     for word in words:
         name, _, value = word.partition("=")
@@ -100,27 +100,27 @@ def parse_limits(words: list[str]) -> FileLimits:
 
 
 def check_limit(name: str, found: int, place: str, bound: int | None = None) -> None:
-    """Raise LimitExceeded if ``found`` is above the limit ``name``, or above ``bound`` that follows from it."""
+    """Raise LimitExceeded if ``found`` is above the limit ``name``, or above ``bound``, which depends on it."""
     allowed = int(getattr(current_limits(), name)) if bound is None else bound
     if found > allowed:
         raise exceeded(name, found, place, allowed)
 
 
 def check_unpacked(packed: int, unpacked: int, place: str) -> None:
-    """Raise LimitExceeded if ``packed`` bytes may not become ``unpacked`` ones."""
+    """Raise LimitExceeded if ``packed`` bytes must not unpack to ``unpacked`` bytes."""
     check_limit("memory", unpacked, place)
     check_limit("ratio", unpacked, place, current_limits().unpacked(packed))
 
 
 def exceeded(name: str, found: object, place: str, allowed: object) -> LimitExceeded:
-    """The error that says so."""
+    """Return the error for a value above a limit."""
     return LimitExceeded(
         f"{place}: found {found}, expected at most {allowed} (--limit {name}={getattr(current_limits(), name)})"
     )
 
 
 class Deadline:
-    """The time that reading a file of ``size`` bytes may take, from now on."""
+    """The deadline for reading a file of ``size`` bytes, from its construction on."""
 
     def __init__(self, size: int, clock: Clock | None = None) -> None:
         limits = current_limits()
@@ -129,6 +129,6 @@ class Deadline:
         self._end_ns = self._clock.monotonic_ns() + self._seconds * _NS_PER_S
 
     def check(self, place: str) -> None:
-        """Raise LimitExceeded if the time is over."""
+        """Raise LimitExceeded after the deadline."""
         if self._clock.monotonic_ns() > self._end_ns:
             raise exceeded("seconds", f"more than {self._seconds} s of work", place, f"{self._seconds} s")

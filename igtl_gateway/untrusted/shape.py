@@ -1,7 +1,7 @@
-"""Shapes of JSON that somebody else wrote: checked once where it is read, so that nobody behind has to.
+"""Shapes of untrusted JSON: checked once when it is read, so that later code need not check it.
 
-A :data:`Shape` is called with a value and its place, and raises DamagedRecording with the place, the value found and
-what was expected; the functions here make shapes of shapes.
+A :data:`Shape` is called with a value and its place.  It raises DamagedRecording with the place, the value found and
+the expected value.  The functions here are shapes, or build shapes from shapes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _SHOWN = 40
 
 
 def wrong(place: str, found: Any, expected: str) -> DamagedRecording:
-    """The error that says so, with the value shortened."""
+    """Return the error for a wrong value, which is shortened."""
     try:
         text = json.dumps(found, default=repr)
     except (ValueError, RecursionError):
@@ -28,11 +28,11 @@ def wrong(place: str, found: Any, expected: str) -> DamagedRecording:
 
 
 def anything(_value: Any, _place: str) -> None:
-    """Whatever JSON has."""
+    """Any JSON value."""
 
 
 def text(value: Any, place: str) -> None:
-    """A text."""
+    """A string."""
     if not isinstance(value, str):
         raise wrong(place, value, "a text")
 
@@ -44,20 +44,20 @@ def truth(value: Any, place: str) -> None:
 
 
 def number(value: Any, place: str) -> None:
-    """A whole number from 0 on that 63 bits hold."""
+    """An integer from 0 to 2^63 − 1."""
     if type(value) is not int or not 0 <= value < 1 << 63:
         raise wrong(place, value, "an integer of 0 or more")
 
 
 def digits(value: Any, place: str) -> None:
-    """Decimal digits of a number that 64 bits hold, as text."""
+    """A string of decimal digits for an integer of at most 64 bits."""
     is_number = isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 20
     if not is_number or int(value) >= 1 << 64:
         raise wrong(place, value, "a number of at most 64 bits")
 
 
 def map_of(inner: Shape) -> Shape:
-    """An object with any keys."""
+    """Return the shape of an object with any keys."""
 
     def check(value: Any, place: str) -> None:
         if not isinstance(value, dict):
@@ -69,7 +69,7 @@ def map_of(inner: Shape) -> Shape:
 
 
 def list_of(inner: Shape) -> Shape:
-    """An array."""
+    """Return the shape of an array."""
 
     def check(value: Any, place: str) -> None:
         if not isinstance(value, list):
@@ -81,7 +81,7 @@ def list_of(inner: Shape) -> Shape:
 
 
 def fields(known: Mapping[str, Shape], needed: Collection[str] = (), other: Shape = anything) -> Shape:
-    """An object: shapes of the fields that are known, and of the others."""
+    """Return the shape of an object with known fields and a shape for all other fields."""
 
     def check(value: Any, place: str) -> None:
         if not isinstance(value, dict):

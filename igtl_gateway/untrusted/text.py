@@ -1,4 +1,4 @@
-"""Text and JSON of others: for a terminal without control characters, and parsed within the limits."""
+"""Untrusted text: printed without control characters; JSON and TOML parsed within the limits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _UNSAFE = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 
 
 def printable(text: str) -> str:
-    """One line that somebody else had a say in, for a terminal.
+    """Return untrusted text as one safe line for a terminal.
 
     Control characters become ``\\x1b``, others that hide or reorder text ``\\u202e``.
     """
@@ -31,7 +31,7 @@ def _escape(char: str) -> str:
 
 
 def json_line(value: Any, *, ascii_only: bool = False) -> str:
-    """``value`` as JSON on one line: readable letters stay, what a terminal would act on is escaped."""
+    """Return JSON on one line, with the characters escaped that control a terminal."""
     text = json.dumps(value, ensure_ascii=ascii_only, default=str)
     if text.isprintable():
         return text
@@ -41,7 +41,7 @@ def json_line(value: Any, *, ascii_only: bool = False) -> str:
 
 
 def parse_json(text: str, place: str) -> Any:
-    """JSON within the limits of memory and depth.  Raises DamagedRecording."""
+    """Parse JSON within the limits of memory and depth.  Raises DamagedRecording."""
     limits.check_limit("free", len(text), place)
     check_nesting(text, place)
     try:
@@ -51,7 +51,7 @@ def parse_json(text: str, place: str) -> Any:
 
 
 def parse_toml(data: bytes, place: str) -> dict[str, Any]:
-    """TOML within the limits of memory, count and depth.  Raises DamagedRecording."""
+    """Parse TOML within the limits of memory, count and depth.  Raises DamagedRecording."""
     limits.check_limit("free", len(data), place)
     limits.check_limit("count", sum(map(data.count, (b"\n", b",", b"=", b"."))), place)
     if found := _LONG_NUMBER.search(data):
@@ -63,21 +63,21 @@ def parse_toml(data: bytes, place: str) -> dict[str, Any]:
         check_nesting(text, place)
         for line in text.split("\n"):
             if line.count(".") > limits.current_limits().depth:
-                # the parser needs the square of their number for the dots of a key; those of texts and numbers are free
+                # parsing is quadratic in the dots of a key; dots in strings and numbers do not count
                 limits.check_limit("depth", _FREE_DOTS.sub("", line).count("."), place)
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise DamagedRecording(f"{place}: is not valid TOML: {error}") from None
 
 
-#: No setting has so many digits, and Python does not print integers of more than 4,300.
+#: A number with 1,000 digits or more: no setting has that, and Python prints at most 4,300 digits.
 _LONG_NUMBER = re.compile(rb"=\s*[+-]?(?:0x)?[0-9a-fA-F_]{1000}")
-#: Texts in quotes, comments and numbers of TOML.
+#: Strings, comments and numbers of TOML.
 _FREE_DOTS = re.compile(r""""[^"]*"|'[^']*'|#.*|\d\.\d""")
 
 
 def check_nesting(text: str, place: str) -> None:
-    """Raise LimitExceeded where brackets nest deeper than the limit; brackets inside strings count too."""
+    """Raise LimitExceeded if brackets nest deeper than the limit; brackets in strings count, too."""
     if text.count("[") + text.count("{") <= limits.current_limits().depth:
         return
     depth = 0

@@ -1,7 +1,7 @@
-"""Unpacking that cannot fill the memory: the size of the result is bounded before it is allocated.
+"""Unpacks data within the limits: the size of the result is limited before memory is allocated.
 
-A piece may unpack to what :mod:`igtl_gateway.untrusted.limits` allows for its packed size.  Where a format also
-stores the unpacked size, that size is the bound, and any other size of the result is an error.
+:mod:`igtl_gateway.untrusted.limits` sets the maximum for a packed size.  If a format also stores the unpacked size, the
+result must have exactly that size.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import zstandard
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.untrusted import limits
 
-#: How a piece is packed; ``""``: not at all.
+#: Packing of a piece; ``""``: none.
 Packing = Literal["bz2", "lz4", "zstd", ""]
 
 _COPY_BYTES = 1 << 20
 
 
 class PackedDataError(ValueError):
-    """Packed data that are damaged, or that do not have the size that they should have."""
+    """Packed data that are damaged, or whose unpacked size is wrong."""
 
 
 def unpack(packing: Packing, packed: bytes, size: int) -> bytes:
-    """Unpack exactly ``size`` bytes.  It allocates no more than that, and asks for no limits: any thread may call it.
+    """Unpack exactly ``size`` bytes, and allocate no more.  It checks no limits, so any thread can call it.
 
     Raises PackedDataError.
     """
@@ -82,7 +82,7 @@ def unpack_zstd_file(packed: BinaryIO, out: BinaryIO, size: int, allowed: int, p
 
 
 def declared_size(packing: Packing, packed: bytes) -> int:
-    """The unpacked size that packed data declare; 0 where they do not.  Raises what the libraries raise."""
+    """Return the unpacked size that packed data declare; 0 for none.  Raises the errors of the libraries."""
     match packing:
         case "lz4":
             return int(lz4.frame.get_frame_info(packed)["content_size"])
@@ -96,7 +96,7 @@ def declared_size(packing: Packing, packed: bytes) -> int:
 
 
 def _at_most(packing: Packing, packed: bytes, size: int, *, is_declared: bool) -> bytes:
-    """At most ``size`` bytes; in one step where the data declare their size, which is then within the bound."""
+    """Unpack at most ``size`` bytes; in one step if the data declare their size, which is then within the limit."""
     match packing:
         case "bz2":
             return bz2.BZ2Decompressor().decompress(packed, size)

@@ -1,7 +1,7 @@
-"""YAML of others as plain values: mappings, lists and texts, within the limits of size, depth and count.
+"""Parses untrusted YAML to mappings, lists and strings, within the limits of size, depth and count.
 
-Only events of the parser are used: nothing is composed or constructed, so no tag makes an object, and an alias is
-refused rather than followed.  Scalars stay texts; whoever reads them knows whether a number belongs there.
+Only the events of the parser are used.  Nothing is constructed, so tags cannot create objects; aliases are rejected.
+Scalars stay strings: the caller knows whether it expects a number.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.untrusted import limits
 from igtl_gateway.untrusted.text import check_nesting
 
-#: A node, such as a key, has more on average in documents of use.
+#: Minimum average number of characters per node; real documents have more.
 _CHARACTERS_PER_NODE = 32
 
 
 def parse_yaml(text: str, place: str) -> Any:
-    """The first document: dicts with texts as keys, lists, texts; None for an empty one.
+    """Return the first document: dicts with string keys, lists, strings; None for an empty one.
 
     Raises DamagedRecording, LimitExceeded.
     """

@@ -52,7 +52,7 @@ HOSTILE = {
     "a number without end": ("float64 X=1e999\n", "constant X: found inf"),
     "a number of many bits": ("int64 X=0x" + "f" * 9000 + "\n", "constant X: found a number of 36000 bits"),
     "a number of many digits": ("int64 X=" + "9" * 9000 + "\n", "expected ros2msg"),
-    "two of a name": ("int8 x\nint8 x\n", "two fields of one name"),
+    "two of a name": ("int8 x\nint8 x\n", "two fields with the same name"),
     "a name that is code": ("int8 x;import os\n", "expected ros2msg"),
     "a name that runs on": ("int8 x'\n", "expected ros2msg"),
     "a type that is code": (f"int8 x\n{part('p/B():pass', 'int8 x')}\n", "expected ros2msg"),
