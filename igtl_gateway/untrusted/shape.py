@@ -34,7 +34,7 @@ def anything(_value: Any, _place: str) -> None:
 def text(value: Any, place: str) -> None:
     """A string."""
     if not isinstance(value, str):
-        raise wrong(place, value, "a text")
+        raise wrong(place, value, "a string")
 
 
 def truth(value: Any, place: str) -> None:
