@@ -53,9 +53,9 @@ def test_a_ledger_that_is_no_json_is_damage(found: str) -> None:
         ("part", "²", "a number of at most 64 bits"),
         ("snapshot_seconds", "soon", "a number of seconds"),
         ("custom_data", '["a"]', "an object"),
-        ("custom_data", '{"a": {"b": 1}}', "a text"),
+        ("custom_data", '{"a": {"b": 1}}', "a string"),
         ("record_include", '{"a": 1}', "an array"),
-        ("slice_streams", "[1]", "a text"),
+        ("slice_streams", "[1]", "a string"),
         ("slice_start_ns", str(2**64), "a number of at most 64 bits"),
     ],
 )
