@@ -25,7 +25,7 @@ def config_to_run(session: dict[str, str], path: Path | None = None) -> Config:
     given = Config.from_toml(path) if path else None
     try:
         recorded = Config.from_dict(facts.configuration(session))
-        # a file that does not speak of the watchers leaves them as they were that day
+        # without a setting for the watchers in the file, the recorded setting applies
         return given.watched(recorded.watch) if given else recorded
     except (ConfigError, DamagedRecording) as error:
         if given:
@@ -38,7 +38,7 @@ def stop_event() -> Iterator[threading.Event]:
     """An event that SIGINT (Ctrl-C), SIGTERM and SIGHUP set; a second signal ends the program the hard way.
 
     The handler runs in the main thread, perhaps while that is inside ``event.wait`` and holds the event's lock:
-    setting the event there would wait for that lock for ever.  So it writes to a pipe, and a thread sets the event.
+    setting the event there would wait for that lock forever.  So it writes to a pipe, and a thread sets the event.
     """
     event = threading.Event()
     reader, writer = os.pipe()

@@ -95,10 +95,10 @@ def _print(options: argparse.Namespace, report: DiffReport) -> None:
     print_line(f"A {options.one}: {count_text(messages, 'message')}")
     print_line(f"B {options.other}: {count_text(others, 'message')}")
     print_line(
-        f"  by gateway time B is {_signed(report.offset_ns)} later" if report.offset_ns else "  at the same times"
+        f"  gateway times: B is {_signed(report.offset_ns)} later" if report.offset_ns else "  gateway times: equal"
     )
     if report.stamp_offset_ns:
-        print_line(f"  stamps in messages of B are {_signed(report.stamp_offset_ns)} later")
+        print_line(f"  stamps in messages: B is {_signed(report.stamp_offset_ns)} later")
     title = ("stream", "A", "B", "missing", "extra", "different", "mm", "deg", "offset", "jitter")
     rows = [title, *(_row(stream, report) for stream in report.streams)]
     widths = [width(row[column] for row in rows) for column in range(len(title))]
@@ -128,12 +128,12 @@ def _row(stream: StreamDiff, report: DiffReport) -> tuple[str, ...]:
 def _places(stream: StreamDiff) -> list[str]:
     """Where the first differences are."""
     lines = [str(stream.first)] if stream.first else []
-    lines += [f"{stream.restamped:,} stamps deviate from the common offset"] if stream.restamped else []
+    lines += [f"{stream.restamped:,} stamps differ from the common offset"] if stream.restamped else []
     if stream.within:
         at = f"at message {stream.mm_at or stream.deg_at}"
         lines.append(f"{stream.within:,} differ within the tolerance, most {at}")
-    lines += [f"the first missing in B is entry {stream.first_missing} of A"] if stream.missing else []
-    lines += [f"the first only in B is its entry {stream.first_extra}"] if stream.extra else []
+    lines += [f"first message missing in B: entry {stream.first_missing} of A"] if stream.missing else []
+    lines += [f"first message only in B: entry {stream.first_extra}"] if stream.extra else []
     return lines
 
 

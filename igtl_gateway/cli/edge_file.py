@@ -1,4 +1,4 @@
-"""The table ``[igtl]`` of a configuration file: the OpenIGTLink side of a bridge, as its options say it.
+"""The table ``[igtl]`` of a configuration file: the OpenIGTLink side of a bridge, with the names of its options.
 
 ::
 
@@ -20,8 +20,8 @@
     min_rate_kib = 8.0
     idle_s = 0.0
 
-Each has the name and the meaning of its option; what the command line says goes before it, as a whole.  None of this
-influences what is said, so it is no part of a session, and not in a recording.
+Each setting has the name and the meaning of its option; an option on the command line replaces the whole setting.
+These settings do not influence the messages of a session, so a recording does not contain them.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _USUAL = PeerLimits()
 
 @dataclass(frozen=True, slots=True)
 class EdgeFile:
-    """What the table says; see the module.  The defaults are those of the options."""
+    """The settings of the table; see the module.  The defaults are those of the options."""
 
     listen: tuple[str, ...] = ()
     connect: tuple[str, ...] = ()

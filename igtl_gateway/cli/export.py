@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
         reasons = [f"{row.stream}: {row.why}" for row in account.rows if row.why]
         why = f" ({_first_few(reasons, 3, '; ')})" if reasons else ""
         raise GatewayError(
-            f"{options.file}: nothing in it goes to {options.to}: see `igtl-gateway info`, and --streams{why}"
+            f"{options.file}: found no messages for {options.to}; see `igtl-gateway info`, and --streams{why}"
         )
     good = all(row.good for row in account.rows)
     if options.json:
@@ -78,13 +78,13 @@ def _print(account: ExportAccount, options: argparse.Namespace) -> None:
         print_line(f"{mark} {cell(row.stream, streams)}  {cell(row.type, kinds)} {numbers}  {why}".rstrip())
     if account.others:
         others = count_text(sum(account.others.values()), "message")
-        print_line(f"note: {others} of other types are not for {options.to}: {_first_few(sorted(account.others), 20)}")
+        print_line(f"note: {others} of types that {options.to} cannot store: {_first_few(sorted(account.others), 20)}")
     for note in account.notes:
         print_line(f"note: {note}")
 
 
 def _first_few(texts: list[str], most: int, separator: str = ", ") -> str:
-    """The first of some texts, and how many more there are."""
+    """Return the first few strings, and the number of the others."""
     more = [f"{len(texts) - most:,} more"] if len(texts) > most else []
     return separator.join([*texts[:most], *more])
 

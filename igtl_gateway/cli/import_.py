@@ -71,7 +71,7 @@ def epoch(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     if is_same(options.out, options.source):
-        raise ConfigError(f"--out: found {options.out}, which is the source itself")
+        raise ConfigError(f"--out: found {options.out}, which is the source, expected another file")
     with closing(open_source(options.source, options.epoch)) as source:
         writer = SessionWriter(
             options.out,
@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
             writer.close({"import": {"rows": [_row_facts(row) for row in source.rows], "failure": failure}})
     good = not failure and all(row.good for row in source.rows)
     notes = source.notes + [
-        f"{name}: no definition found: other tools cannot decode its messages" for name in writer.undefined
+        f"{name}: found no definition; other tools cannot decode its messages" for name in writer.undefined
     ]
     facts: dict[str, Any] = {
         "source": str(options.source),
@@ -111,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def import_facts(path: Path, source: Source) -> dict[str, str]:
-    """What the session says of itself: nothing of this machine or moment, so that equal sources give equal files."""
+    """Return the metadata of the session: without machine and time, so that equal sources give equal files."""
     return {
         "config": json.dumps(Config().to_dict(), sort_keys=True),
         "igtl_gateway_version": __version__,
@@ -148,5 +148,5 @@ def _print(source: Source, facts: dict[str, Any]) -> None:
     if facts["failure"]:
         print_line(f"FAILED: {facts['failure']}")
     elif not facts["good"]:
-        print_line("DIFFERENT: the rows marked ! have not all that the source declares")
+        print_line("DIFFERENT: the rows marked ! lack messages that the source declares")
     print_line(f"{facts['file']}: {count_text(facts['entries'], 'entry', 'entries')}, {size_text(facts['bytes'])}")

@@ -36,16 +36,16 @@ EXAMPLES = """\
   # a split recording as a whole, and its parts
   igtl-gateway info out"""
 
-#: A gap is a pause of more than so many mean intervals (and of more than a second).
+#: A gap is a pause of more than this number of mean intervals, and of more than a second.
 _GAP_FACTOR = 10
 _GAP_MIN_NS = NS_PER_S
 #: Messages that make a stream with a rhythm; fewer are events.
 _RHYTHM = 20
 _NS_PER_MS = 1_000_000
 
-_NOT_YET = "   not known yet: the ledger is written when the recording ends"
+_NOT_YET = "   unknown: the ledger is written when the recording ends"
 
-#: So many stamps tell their quality; a longer session must not cost memory.
+#: Number of messages whose age is stored; a longer session must not cost memory.
 _MAX_AGES = 100_000
 
 
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(slots=True)
 class StreamSummary:
-    """What is told of one stream; times in UTC ns of the gateway."""
+    """The summary of one stream; times in UTC ns of the gateway."""
 
     kind: Kind
     channel: str
@@ -133,7 +133,7 @@ class StreamSummary:
 
 @dataclass(slots=True)
 class ContentSummary:
-    """What is told of the entries."""
+    """The summary of all entries."""
 
     streams: dict[tuple[Kind, str, str], StreamSummary] = field(default_factory=dict)
     notes: list[tuple[int, Kind, Note]] = field(default_factory=list)
@@ -174,7 +174,7 @@ class ContentSummary:
         return content
 
     def apply_clock_step(self, step: ClockStep) -> None:
-        """The host's clock was set: that is no pause, and what was known of other clocks is known no more."""
+        """Apply a step of the host's clock: it is not a pause, and the estimates of other clocks restart."""
         self.steps.append(step)
         for stream in self.streams.values():
             without_jump(stream, step)
@@ -183,7 +183,7 @@ class ContentSummary:
                 timing.reset()
 
     def add_stamp(self, entry: Entry) -> None:
-        """Take the stamp of an input for what it tells of its sender's clock."""
+        """Add the stamp of an input to the estimate of its sender's clock."""
         streams = self.clocks.setdefault(entry.links[0] if entry.links else 0, {})
         timing = streams.get(entry.channel)
         if timing is None:
@@ -191,7 +191,7 @@ class ContentSummary:
         timing.add(entry.source_ns, entry.stamp_ns - self.ahead_ns)
 
     def clock_summaries(self) -> list[dict[str, Any]]:
-        """For each peer what the best of its streams tells; ROS is one."""
+        """Return the clock of each peer, from its best stream; ROS counts as a peer."""
         summary = []
         for link, streams in sorted(self.clocks.items()):
             timing = best(streams.values())
@@ -302,15 +302,15 @@ def _utc(stamp_ns: int) -> str:
 
 def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: int) -> None:
     session = summary["session"]
-    kind = "a foreign MCAP file" if summary["foreign"] else f"session log version {summary['format_version']}"
+    kind = "MCAP file of another program" if summary["foreign"] else f"session log version {summary['format_version']}"
     parts = summary.get("parts", [])
     number = f"{count_text(len(parts), 'part')}, " if parts else ""
     print_line(f"{summary['file']}: {kind}, {number}{size_text(summary['bytes'])}")
     if "being_recorded" in summary:
-        print_line("  BEING RECORDED: what is there so far, up to the last flush")
+        print_line("  BEING RECORDED: content up to the last flush")
     if summary["entries"]:
         jumped_s = sum(step["jump_s"] for step in summary["clock_steps"])
-        jumps = f" ({jumped_s:,.3f} s of them jumps of the clock)" if jumped_s else ""
+        jumps = f" ({jumped_s:,.3f} s of it jumps of the clock)" if jumped_s else ""
         number = count_text(summary["entries"], "entry", "entries")
         print_line(f"  start     {summary['start']}, {summary['duration_s']:.3f} s{jumps}, {number}")
     else:
@@ -344,7 +344,7 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         ("clocks", [f"{_peer(clock)} by {clock['stream']}: {clock['text']}" for clock in summary["clocks"]]),
         ("host's clock", [f"{step['at']}  {step['text']}" for step in summary["clock_steps"]]),
         ("problems", [f"{number:>7,}  {code}" for code, number in summary["problems"].items()] or ["   none"]),
-        ("first of each problem", _firsts(notes, start_ns)),
+        ("first note of each problem", _firsts(notes, start_ns)),
         ("losses", [_NOT_YET] if "being_recorded" in summary else losses(summary["ledger"]) or ["   none"]),
         (
             "skipped",
@@ -358,13 +358,13 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
 
 
 def _origin(session: dict[str, str]) -> list[str]:
-    """What a file says of being a part of something."""
+    """Return lines about what the file is a part of."""
     lines = []
     if layout.PART_KEY in session:
         before = f", after {session[layout.PREVIOUS_KEY]}" if layout.PREVIOUS_KEY in session else ""
         lines.append(f"part      {session[layout.PART_KEY]} of a split recording{before}")
     if layout.SNAPSHOT_KEY in session:
-        lines.append(f"snapshot  of the last {session[layout.SNAPSHOT_KEY]} s before it was asked for")
+        lines.append(f"snapshot  of the last {session[layout.SNAPSHOT_KEY]} s before the request")
     if "slice_of" in session:
         start, end = (_utc(int(session[key])) for key in ("slice_start_ns", "slice_end_ns"))
         lines.append(

@@ -1,6 +1,6 @@
-"""The keyboard of ``replay``: the keys of ``ros2 bag play``, and lines on standard input where that is no terminal.
+"""The keyboard of ``replay``: the keys of ``ros2 bag play``, and lines on standard input without a terminal.
 
-A terminal is asked for single keys without echo, and is always left as it was found.  Ctrl-C stays a signal.
+The terminal reports single keys without echo; its settings are restored at the end.  Ctrl-C stays a signal.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _KEYS = {
 _LONGEST = max(map(len, _KEYS))
 _POLL_DS = 1  # tenths of a second that a read waits for a key, so that the thread sees the end
 
-HELP = "keys: space pause or go on, → next message while paused, ↑ ↓ rate, q end"
+HELP = "keys: space pause or resume, → next message while paused, ↑ ↓ rate, q quit"
 
 
 def parse_keys(typed: bytes) -> tuple[list[str], bytes]:
-    """What was asked for, and the beginning of a key that is not complete."""
+    """Return the commands of the typed keys, and the bytes of an incomplete key."""
     found = []
     while typed:
         for key, command in _KEYS.items():
@@ -51,7 +51,7 @@ def parse_keys(typed: bytes) -> tuple[list[str], bytes]:
 
 
 def can_read_keys(stream: IO[Any] | None = None) -> bool:
-    """Whether keys can be read: a terminal, and we are in its foreground."""
+    """Return whether keys can be read: from a terminal with this program in its foreground."""
     stream = stream or sys.stdin
     try:
         return stream.isatty() and os.tcgetpgrp(stream.fileno()) == os.getpgrp()
@@ -61,7 +61,7 @@ def can_read_keys(stream: IO[Any] | None = None) -> bool:
 
 @contextmanager
 def keyboard(on_command: Callable[[str], None], stream: IO[Any] | None = None) -> Iterator[None]:
-    """While inside, a thread calls ``on_command`` for every key that means something."""
+    """Context manager: a thread calls ``on_command`` for every key with a meaning."""
     descriptor = (stream or sys.stdin).fileno()
     before = termios.tcgetattr(descriptor)
     raw = termios.tcgetattr(descriptor)
@@ -73,7 +73,7 @@ def keyboard(on_command: Callable[[str], None], stream: IO[Any] | None = None) -
         rest = b""
         while not over.is_set():
             typed = os.read(descriptor, 64)
-            # nothing more came: what waited for more was a key by itself
+            # no more bytes arrived: the pending byte was a key by itself
             found, rest = parse_keys(rest + typed) if typed else ([], b"")
             for command in found:
                 on_command(command)
@@ -90,7 +90,7 @@ def keyboard(on_command: Callable[[str], None], stream: IO[Any] | None = None) -
 
 
 def read_lines(on_line: Callable[[], object], on_end: Callable[[], None], stream: IO[Any] | None = None) -> None:
-    """A thread that calls ``on_line`` for every line of standard input, and ``on_end`` after the last."""
+    """Start a thread that calls ``on_line`` for every line of standard input, and ``on_end`` after the last."""
     # not by the stream's own reader: the interpreter cannot end while a thread waits inside that
     descriptor = (stream or sys.stdin).fileno()
 

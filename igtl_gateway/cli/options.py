@@ -30,7 +30,7 @@ class Options(Protocol):
 
 
 class HelpFormatter(argparse.RawDescriptionHelpFormatter):
-    """Keeps the lines of descriptions and examples; on a wide terminal the texts stay readable."""
+    """Keeps the lines of descriptions and examples; limits the width on a wide terminal."""
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, width=min(shutil.get_terminal_size().columns, _WIDEST_HELP) - 2)
@@ -183,7 +183,7 @@ def add_faults(parser: argparse.ArgumentParser, more: Iterable[str] = ()) -> Non
 
 
 def definitions(rows: Sequence[tuple[str, str]]) -> list[str]:
-    """Return the lines of a list for a description or for examples: names, and texts in a column of their own."""
+    """Return the lines of a list for a description or for examples: names, and meanings in a second column."""
     columns = max(len(name) for name, _ in rows) + 2
     return [line for name, text in rows for line in _hanging(name, text, columns)]
 

@@ -1,4 +1,4 @@
-"""A file that a verb writes: refused before the work where it cannot be written, whole or not there at the end."""
+"""Files that a verb writes: checked before the work, and complete or absent at the end."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from igtl_gateway.errors import ConfigError, GatewayError
 
 
 def check_target(path: Path, *, overwrite: bool) -> None:
-    """Raises ConfigError for a file that exists and is to stay, GatewayError where none can be written."""
+    """Raise ConfigError for an existing file without --overwrite, GatewayError if the file cannot be written."""
     try:
         found = path.stat()
     except FileNotFoundError:
@@ -24,14 +24,14 @@ def check_target(path: Path, *, overwrite: bool) -> None:
     if not overwrite:
         raise ConfigError(f"{path}: exists already, expected a new file or --overwrite")
     if not stat.S_ISREG(found.st_mode):
-        raise GatewayError(f"cannot write to {path}: it is no ordinary file, expected one or a new name")
+        raise GatewayError(f"cannot write to {path}: it is not a regular file, expected one or a new name")
 
 
 @contextmanager
 def written(path: Path) -> Iterator[Path]:
-    """An empty file in the same folder, which takes the place of ``path`` where the ``with`` block ends well.
+    """Context manager: an empty file in the same directory, which replaces ``path`` if the ``with`` block succeeds.
 
-    Raises GatewayError where the folder takes none.
+    Raises GatewayError if it cannot be created.
     """
     partial = path.with_name(f".igtl-gateway-{os.getpid()}.part{path.suffix if path.suffix.isascii() else ''}")
     try:

@@ -1,4 +1,4 @@
-"""``igtl-gateway recover``: a damaged recording becomes a whole file again."""
+"""``igtl-gateway recover``: repair a damaged recording."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ exit code 0: the new file has all that was recorded; 1: something is lost, and
 the output lists it"""
 
 _NEVER = 1 << 64  # after every stamp
-_STEP = 64 << 20  # bytes between two words on the progress
+_STEP = 64 << 20  # bytes between two reports of the progress
 _SHOWN = 20
 
 
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run_parts(options: argparse.Namespace) -> int:
-    """All parts of a split recording, into a folder of their own and under the same names."""
+    """Recover all parts of a split recording, into a new directory and under the same names."""
     source: Path = options.file
     output: Path = options.output or source.with_name(f"{source.name}.recovered")
     parts = sorted(source.glob("*.mcap"))
@@ -102,9 +102,9 @@ def _run_parts(options: argparse.Namespace) -> int:
 def _recover(
     source: Path, output: Path, options: argparse.Namespace
 ) -> tuple[dict[str, Any], SalvageReport, RecordingPart]:
-    """One file.  Gives what is told of it, and what the side file of a split recording has to tell of the new one."""
+    """Recover one file.  Return its facts, its salvage report, and its row in the side file of a split recording."""
     if is_same(output, source):
-        raise ConfigError(f"{output}: is the damaged file itself; expected another name for the recovered one")
+        raise ConfigError(f"{output}: found the damaged file, expected another name for the recovered one")
     with Salvage.open(source) as file:
         with CopyWriter(
             output,
@@ -140,7 +140,7 @@ def _copy(file: Salvage, writer: CopyWriter, *, progress: bool) -> None:
 
 
 def _facts(file: Salvage) -> dict[str, Any]:
-    """What the ledger of the new file says of its origin."""
+    """Return the facts about its origin for the ledger of the new file."""
     report = file.report
     return {
         "by": f"igtl-gateway {__version__}",
@@ -159,13 +159,13 @@ def _facts(file: Salvage) -> dict[str, Any]:
 def _print(facts: dict[str, Any], report: SalvageReport) -> None:
     print_line(f"{facts['file']}: {count_text(report.messages, 'message')} read of {size_text(report.size)}")
     print_losses(report)
-    print_line(f"{facts['output']}: written, closed and with its index, {size_text(facts['output_bytes'])}")
+    print_line(f"{facts['output']}: written, closed, with an index, {size_text(facts['output_bytes'])}")
     if report.whole:
-        print_line("whole: nothing that was recorded is lost")
+        print_line("complete: nothing is lost")
 
 
 def print_losses(report: SalvageReport) -> None:
-    """What is lost, in words; nothing where nothing is."""
+    """Print the losses; nothing without losses."""
     start_ns = min((each for each in (report.start_ns, *(loss.start_ns for loss in report.lost)) if each), default=0)
     for loss in report.lost[:_SHOWN]:
         print_line(f"  LOST {_loss_text(loss, start_ns)}")
@@ -173,7 +173,7 @@ def print_losses(report: SalvageReport) -> None:
     if more:
         print_line(f"  LOST in {count_text(more, 'more place')}")
     if report.missing:
-        print_line(f"  {count_text(report.missing, 'message')} of the index could not be read")
+        print_line(f"  {count_text(report.missing, 'message')} of the index are unreadable")
     elif report.missing is None and report.missing_numbers:
         missing = count_text(report.missing_numbers, "entry", "entries")
         print_line(f"  up to {missing}, by their numbers, are missing between others")

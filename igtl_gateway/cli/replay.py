@@ -1,4 +1,4 @@
-"""``igtl-gateway replay``: a recording drives OpenIGTLink peers, a ROS graph, or both."""
+"""``igtl-gateway replay``: send a recording to OpenIGTLink peers, to ROS, or to both."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def run(options: argparse.Namespace) -> int:
         pace = SessionTimeline(clock_steps_of(file))
         side = open_sides(options, file, how, stop, stack, lambda text: _print_status(options, text))
         if side is None:
-            _print_status(options, "stopped before the replay began")
+            _print_status(options, "stopped before the replay started")
             return 1
 
         account = ReplayAccount.of(file, how)
@@ -232,12 +232,12 @@ def run(options: argparse.Namespace) -> int:
             complete = side.finish() and not stop.is_set()
     if complete and not player.played.messages:
         why = next(iter(player.played.refused), ("", "see `igtl-gateway info`, and --send"))[1]
-        raise GatewayError(f"{options.file}: nothing in it goes to {options.to}: {why}")
+        raise GatewayError(f"{options.file}: found no messages for {options.to}: {why}")
     return 0 if (complete or options.loop) and not player.played.refused else 1
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse what cannot be before anything is opened."""
+    """Check the options before anything is opened.  Raises ConfigError."""
     if options.to == "ros":
         admission.secured(options, (), ())
     checked_rate(options.rate)
@@ -255,13 +255,15 @@ def _check(options: argparse.Namespace) -> None:
     if faults and options.to == "ros":
         raise ConfigError("--fault: found --to ros, expected --to igtl or --to both: faults are of OpenIGTLink lines")
     if faults.clock_step_ns and options.restamp == "now":
-        raise ConfigError(f"--fault: {CLOCK_STEP}: found --restamp now, which sets all stamps anew, expected another")
+        raise ConfigError(
+            f"--fault: {CLOCK_STEP}: found --restamp now, which replaces all stamps, expected keep or shift"
+        )
     if options.start_paused and not options.step and options.to == "igtl" and not can_read_keys():
-        raise ConfigError("--start-paused: needs a terminal for the keys, or --to ros for the services")
+        raise ConfigError("--start-paused: found no terminal for the keys, expected one, or --to ros for the services")
 
 
 def _part(options: argparse.Namespace, file: SessionFile) -> tuple[int | None, int | None]:
-    """First and last moment in UTC ns; None where nothing was said."""
+    """Return first and last time in UTC ns; None without an option."""
     # a file that begins midway begins with the state there, as any part does
     start_ns = file.start_ns if file.prologue() else None
     end_ns = None
@@ -283,7 +285,7 @@ def _restamper(options: argparse.Namespace, file: SessionFile) -> Restamper | No
         return None
     return Restamper(
         options.restamp,
-        lambda name: _print_status(options, f"! stamps of {name} stay: not known here"),
+        lambda name: _print_status(options, f"! stamps of {name} are not changed: unknown type"),
         file.definitions,
     )
 
@@ -291,12 +293,12 @@ def _restamper(options: argparse.Namespace, file: SessionFile) -> Restamper | No
 def _controls(
     options: argparse.Namespace, file: SessionFile, player: Player, side: ReplaySides, stop: Event, stack: ExitStack
 ) -> None:
-    """Keyboard and services."""
+    """Connect keyboard and services to the player."""
 
     def obey(command: str) -> None:
         if command == PAUSE:
             player.toggle()
-            _print_status(options, f"paused at {_at(file, player.position_ns)}" if player.paused else "goes on")
+            _print_status(options, f"paused at {_at(file, player.position_ns)}" if player.paused else "resumed")
         elif command == NEXT:
             player.step()
         elif command in (FASTER, SLOWER) and (rate := player.rate):
@@ -309,7 +311,7 @@ def _controls(
 
     def offer(edge: RosEdge) -> None:
         if reason := services.serve(edge):
-            _print_status(options, f"! no services to pause, step or seek: {reason}")
+            _print_status(options, f"! the services to pause, step and seek are not available: {reason}")
 
     if side.ros:
         # beside the replay: the first time their types are compiled
@@ -357,7 +359,7 @@ def _report(
     account: ReplayAccount,
     partial: bool,
 ) -> None:
-    """What was sent, what was not and why; after the edges are closed."""
+    """Print what was sent, what was not and why; after the edges are closed."""
     played = player.played
     refused = dict(played.refused)
     for stream, number in side.failed().items():  # those that were held for their subscribers, and failed then
@@ -405,11 +407,13 @@ def _report(
     if played.unheard:
         print_line(f"  {played.unheard:,} of them while no peer was connected")
     if undelivered:
-        print_line(f"  {undelivered:,} of them were still queued for a peer when it left")
+        print_line(f"  {undelivered:,} of them were still queued when their peer disconnected")
     if faulty:
         counts = faulty.counts
         hit = ", ".join(f"{name} {counts[name]:,}" for name in sorted(counts) if name != "messages" and counts[name])
-        print_line(f"faults (seed {options.seed}): of {count_text(counts['messages'], 'message')}: {hit or 'none hit'}")
+        print_line(
+            f"faults (seed {options.seed}): of {count_text(counts['messages'], 'message')}: {hit or 'none affected'}"
+        )
     for stream, number in sorted(played.by_stream.items()):
         print_line(f"  {cell(stream, 40)} {number:>8,}")
     for line in account_lines(facts) if facts else ():

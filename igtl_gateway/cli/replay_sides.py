@@ -1,4 +1,4 @@
-"""The sides that ``replay`` drives: opened, waited for, closed at the end."""
+"""The sides of ``replay``: opened, waited for, closed at the end."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Tell = Callable[[str], None]
 
 @dataclass(slots=True)
 class ReplaySides:
-    """What is open.
+    """The open sides.
 
     Attributes:
         send: sends one entry.
@@ -48,7 +48,7 @@ class ReplaySides:
         send_all: sends several; None: they go one by one.
         failed: topic → messages that ROS did not take, at the end.
         undelivered: messages that did not leave for their peer, once for each peer; and whether there was never more
-            than one peer at a time, so that these are messages that nobody got.  Asked for when the edge is closed.
+            than one peer at a time, so that no peer received these messages.  Called when the edge is closed.
     """
 
     send: Send
@@ -65,7 +65,7 @@ def open_sides(
     """The side or sides of ``--to``, once all that is waited for is there; None if ``stop`` came first."""
     igtl = ros = None
     if options.to != "igtl":
-        # before peers are waited for: what is missing here is told at once
+        # before waiting for peers: a missing ROS is reported immediately
         prepare_environment(lock_step=options.speed_of_light)
         RosEdge.check()
     if options.to != "ros":
@@ -94,7 +94,7 @@ def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell:
     tls_listen, tls_connect = admission.secured(options, listen, connect)
     peers = _Peers(tell)
     edge = TcpEdge(
-        on_frame=lambda _link, _message: None,  # what peers say during a replay is not part of it
+        on_frame=lambda _link, _message: None,  # messages of peers are not part of a replay
         on_link=peers,
         on_note=lambda _link, note: tell(f"! {note.text}"),
         clock=SystemClock(),
@@ -132,7 +132,7 @@ def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell:
 
 @dataclass(slots=True)
 class _Peers:
-    """Tells of links, and counts how many there are at a time."""
+    """Reports links, and counts how many are up at a time."""
 
     tell: Tell
     most: int = 0
@@ -169,7 +169,7 @@ def _open_ros(
         while options.wait_peers and not edge.wait_for_subscribers(topic, options.wait_peers, _LOOK_S):
             if stop.is_set():
                 return None
-    # whoever listens already is to hear the first message too
+    # existing subscribers must receive the first message too
     while not edge.wait_ready(_LOOK_S):
         if stop.is_set():
             return None

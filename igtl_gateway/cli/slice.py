@@ -1,4 +1,4 @@
-"""``igtl-gateway slice``: a part of a recording, as a recording of its own."""
+"""``igtl-gateway slice``: cut a part out of a recording."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     with SessionFile.open(options.file) as file:
         if file.foreign:
-            raise UnsupportedRecording(f"{options.file}: found no session of igtl-gateway, expected one to cut")
+            raise UnsupportedRecording(
+                f"{options.file}: found an MCAP file of another program, expected a session of igtl-gateway"
+            )
         if is_same(options.out, options.file):
             raise ConfigError(f"{options.out}: found the recording itself, expected another file to write to")
         window = SliceWindow(
@@ -123,15 +125,15 @@ def _print(out: Path, report: SliceReport) -> None:
     print_line(
         f"{out}: {count_text(report.inputs, 'input')} and {count_text(report.outputs, 'output')}, "
         f"{size_text(out.stat().st_size)}; "
-        f"before them {count_text(report.prologue, 'input')} that the state follows from"
+        f"prologue: {count_text(report.prologue, 'input')} that restore the state"
     )
     if report.computed:
         print_line(
-            f"computed: the outputs of {count_text(report.computed, 'input')} follow from streams that are left out; "
-            "the file has what today's gateway says without those"
+            f"computed: the outputs of {count_text(report.computed, 'input')} depend on other streams; "
+            "the file has the outputs that this version computes without them"
         )
     elif report.differing:
         print_line(
-            f"as recorded, but not what today's gateway says: {count_text(report.differing, 'output')}; "
+            f"copied as recorded, but this version computes other bytes: {count_text(report.differing, 'output')}; "
             "see `igtl-gateway verify` of the whole recording"
         )

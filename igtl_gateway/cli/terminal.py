@@ -1,6 +1,6 @@
-"""The one place where the command line prints: no text of others reaches the terminal without its guard.
+"""All output of the command line: untrusted text reaches the terminal only through this module.
 
-Each argument of :func:`print_line` is one line: line feeds, escape sequences and the like in it are shown, not obeyed.
+Each argument of :func:`print_line` is one line: line feeds, escape sequences and the like in it are escaped.
 What the encoding of the output does not have is escaped as well, so that no name can stop the program.
 """
 
@@ -39,7 +39,7 @@ def print_line(*lines: str, error: bool = False, flush: bool = False, colour: st
 
 
 def print_text(text: str, error: bool = False) -> None:
-    """Print a text of our own that has lines of any length, such as a page of help."""
+    """Print trusted text with lines of any length, such as a page of help."""
     _write("\n".join(map(printable, text.split("\n"))), error)
 
 
@@ -71,12 +71,12 @@ def is_terminal(error: bool = False) -> bool:
 
 
 def width(texts: Iterable[str], title: str = "") -> int:
-    """Width of a column with these texts, as :func:`cell` shows them, within bounds."""
+    """Return the width of a column with these strings, as :func:`cell` shows them, within bounds."""
     return min(max((len(printable(text[:_WIDEST_COLUMN])) for text in (title, *texts)), default=0), _WIDEST_COLUMN)
 
 
 def cell(text: str, columns: int = 0) -> str:
-    """A text of others as it stands in a column of a table."""
+    """Return an untrusted string as it stands in a column of a table."""
     return _printable_line(text).ljust(columns)
 
 
@@ -123,7 +123,7 @@ def _stream(error: bool = False) -> TextIO:
 
 
 def _write(text: str, error: bool = False) -> None:
-    """Raises BrokenPipeError where nobody reads any more, OutputError for everything else (a full disk)."""
+    """Raises BrokenPipeError if the reader has closed the output, OutputError for other errors (a full disk)."""
     stream = _stream(error)
     try:
         try:

@@ -1,4 +1,4 @@
-"""``igtl-gateway verify``: are a recording's outputs what the gateway says to its inputs?"""
+"""``igtl-gateway verify``: check that the outputs of a recording follow from its inputs."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ EXAMPLES = """\
   # up to 1,000 differences, for programs
   igtl-gateway verify out.mcap --json"""
 
-#: What the session says of the release that recorded it.
+#: Key of the version that recorded the session.
 _VERSION = "igtl_gateway_version"
-#: What the session of an import says of its source.
+#: Key of the source format of an imported session.
 _IMPORTED = "imported_format"
 
 
@@ -43,11 +43,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     with SessionFile.open(options.file) as file:
         if file.foreign:
-            raise UnsupportedRecording(f"{options.file}: is no session of igtl-gateway: it has no outputs to verify")
+            raise UnsupportedRecording(
+                f"{options.file}: found an MCAP file of another program, expected a session of igtl-gateway"
+            )
         if _IMPORTED in file.session:
             raise UnsupportedRecording(
-                f"{options.file}: was imported ({file.session[_IMPORTED]}): no gateway spoke that day, so there is "
-                "nothing to verify; `replay --through-gateway` shows what today's would say"
+                f"{options.file}: found an import ({file.session[_IMPORTED]}), expected a recording of the gateway: "
+                "it has no outputs; `replay --through-gateway` computes them"
             )
         recorded_by = file.session.get(_VERSION, "")
         config = _config(options, file, recorded_by)
@@ -83,11 +85,9 @@ def _print(facts: dict[str, Any], report: VerifyReport, everything: bool) -> Non
     versions = f"recorded by igtl-gateway {facts['recorded_by'] or '(unknown)'}, verified by {facts['verified_by']}"
     configuration = "the recorded configuration" if facts["config"] == "recorded" else facts["config"]
     print_line(f"{facts['file']}: {versions} with {configuration}")
-    print_line(
-        f"  {count_text(report.inputs, 'input')} fed to the gateway, {count_text(report.outputs, 'output')} compared"
-    )
+    print_line(f"  {count_text(report.inputs, 'input')} processed, {count_text(report.outputs, 'output')} compared")
     if report.good and not report.outputs:
-        print_line("nothing to verify: there are no outputs, neither recorded nor due")
+        print_line("nothing to verify: no outputs recorded, none computed")
     elif report.good:
         print_line(f"verified: all {count_text(report.equal, 'output')} equal, byte for byte")
     else:
@@ -97,10 +97,10 @@ def _print(facts: dict[str, Any], report: VerifyReport, everything: bool) -> Non
         for stream, number in sorted(report.by_stream.items()):
             print_line(f"  {stream}: {count_text(number, 'difference')}")
     for number, thing, things, why in (
-        (report.lost, "output", "", "that the recording says it lost"),
-        (report.missing, "further entry", "further entries", "that the recording says it lost or left out"),
-        (report.orphans, "output", "", "whose input is among those"),
-        (report.late, "note", "", "of a stream whose first message is among those"),
+        (report.lost, "output", "", "that the recording has lost"),
+        (report.missing, "further entry", "further entries", "that the recording has lost or not selected"),
+        (report.orphans, "output", "", "whose input is one of these"),
+        (report.late, "note", "", "of a stream whose first message is one of these"),
     ):
         if number:
             print_line(f"not verified: {count_text(number, thing, things)} {why}")

@@ -95,7 +95,9 @@ def run(options: argparse.Namespace) -> int:
             else:
                 _print(options, drawn, facts)
             if facts["damage"]:
-                print_line(f"igtl-gateway view: what comes first is drawn: {facts['damage']}", error=True)
+                print_line(
+                    f"igtl-gateway view: only the messages before the damage are drawn: {facts['damage']}", error=True
+                )
             if picture:
                 return max(_picture(options, out, picture, drawn), bool(facts["damage"]))
         if not options.save:
@@ -109,18 +111,18 @@ def _folder() -> Iterator[Path]:
     try:
         folder = tempfile.TemporaryDirectory(prefix="igtl-view-", ignore_cleanup_errors=True)
     except OSError as error:
-        raise GatewayError(f"found no folder for temporary files, expected TMPDIR to be one: {error}") from None
+        raise GatewayError(f"found no directory for temporary files; set TMPDIR: {error}") from None
     with folder as name:
         yield Path(name)
 
 
 def _check(options: argparse.Namespace) -> None:
     if options.at is not None and not options.screenshot:
-        raise ConfigError("--at: is the time of a picture, expected --screenshot OUT.png beside it")
+        raise ConfigError("--at: found no --screenshot OUT.png, expected it: --at is the time of the image")
     if options.at is not None and not 0 <= options.at < math.inf:
         raise ConfigError(f"--at: found {options.at:g}, expected seconds from the start, 0 or more")
     if options.port is not None and not options.web:
-        raise ConfigError("--port: is that of the page, expected --web beside it")
+        raise ConfigError("--port: found no --web, expected it: --port is the port of the web page")
     if options.port is not None and not 0 <= options.port < 1 << 16:
         raise ConfigError(f"--port: found {options.port}, expected 0 to 65535")
     for path in filter(None, (options.save, options.screenshot)):
@@ -195,8 +197,7 @@ def _draw_entries(file: SessionFile, config: Config, view: SessionView, material
 def _entries(file: SessionFile, config: Config) -> Iterator[Entry]:
     """The entries to draw.
 
-    Where OpenIGTLink messages became no ROS messages (a relay's recording, an imported one) today's gateway says what
-    they become.
+    If OpenIGTLink messages were not converted (the recording of a relay, an imported one), this version converts them.
     """
     kinds = {channel.kind for channel in file.channels if channel.count}
     if Kind.IGTL_IN not in kinds or Kind.ROS_OUT in kinds:
@@ -240,7 +241,7 @@ def _print(options: argparse.Namespace, view: SessionView, facts: dict[str, Any]
         note = "not drawn" if shown.ros_type in view.counts.without_picture else shown.what.value
         print_line(f"  {cell(shown.topic, columns)} {shown.count:>8,}  {note:<10} {shown.ros_type}")
     for topic, number in facts["refused"].items():
-        print_line(f"? {topic}: {count_text(number, 'message')} could not be shown, the log says why")
+        print_line(f"? {topic}: {count_text(number, 'message')} cannot be drawn, the log has the reason")
     for line, number in facts["without_time"].items():
         print_line(
             f"? {count_text(number, 'entry', 'entries')} not on the time line {line}: stamps before 1970 or after 2116"
@@ -261,7 +262,7 @@ def _picture(options: argparse.Namespace, recording: Path, out: Path, view: Sess
     from igtl_gateway.view.shots import take_shots
 
     if not view.seen.first_ns:
-        raise GatewayError(f"{options.file}: found no messages, expected something to make a picture of")
+        raise GatewayError(f"{options.file}: found no messages, expected at least one")
     at = None
     if options.at is not None:
         at = view.seen.first_ns + round(min(options.at, view.seen.seconds) * NS_PER_S)

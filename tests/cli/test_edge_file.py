@@ -28,7 +28,7 @@ def path(tmp_path: Path) -> Path:
 def test_every_option_has_its_setting_and_the_other_way_round(path: Path) -> None:
     """The table in the module's own words is one that is accepted, and names all."""
     told = edge_file.__doc__ or ""
-    path.write_text(re.sub("(?m)^    ", "", told[told.index("    [igtl]") : told.index("Each has")]))
+    path.write_text(re.sub("(?m)^    ", "", told[told.index("    [igtl]") : told.index("Each setting has")]))
     found = with_file_settings(parsed(), path)
     assert addresses(found) == ((("127.0.0.1", 18944), ("0.0.0.0", 18945)), (("192.168.7.4", 18944),))
     ours, servers = admission.secured(found, *addresses(found))

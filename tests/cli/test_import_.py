@@ -151,7 +151,7 @@ def test_there_is_nothing_to_verify(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["import", str(sequence(tmp_path / "some.igs.mha")), "-o", str(out)]) == 0
     capsys.readouterr()
     assert main(["verify", str(out)]) == USAGE
-    assert "was imported (sequence)" in capsys.readouterr().err
+    assert "found an import (sequence)" in capsys.readouterr().err
 
 
 def test_a_truncated_mcap_file_ends_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -63,7 +63,7 @@ def test_what_a_file_is_a_part_of_is_told(tmp_path: Path, capsys: pytest.Capture
     path = tmp_path / "snap.mcap"
     write(path, [], snapshot_seconds="30", record_include='["TRANSFORM/*", "/tf"]', record_exclude='["IMAGE/*"]')
     text = said(capsys, path)
-    assert "snapshot  of the last 30 s before it was asked for\n" in text
+    assert "snapshot  of the last 30 s before the request\n" in text
     assert "recorded  only TRANSFORM/* /tf\n" in text
     assert "recorded  without IMAGE/*\n" in text
 
@@ -85,7 +85,7 @@ def test_a_recording_in_progress_is_told_as_such(tmp_path: Path, capsys: pytest.
         writer.write(entry)
     writer.flush()
     text = said(capsys, path)
-    assert "  BEING RECORDED: what is there so far" in text
+    assert "  BEING RECORDED: content up to the last flush" in text
     assert "21 entries" in text
     assert not any(word in text for word in ("DAMAGED", "LOST", "recover"))
     told = json.loads(said(capsys, path, "--json"))

@@ -54,7 +54,7 @@ def test_what_is_no_ordinary_file_is_not_replaced(tmp_path: Path) -> None:
     for path in (fifo, tmp_path):
         with pytest.raises(ConfigError, match="exists already"):
             check_target(path, overwrite=False)
-        with pytest.raises(GatewayError, match="no ordinary file"):
+        with pytest.raises(GatewayError, match="not a regular file"):
             check_target(path, overwrite=True)
 
 

@@ -58,7 +58,7 @@ def test_a_cut_recording_becomes_a_whole_file(cut: Path, capsys: pytest.CaptureF
     assert main(["recover", str(cut)]) == 1
     out = cut.with_name("out.recovered.mcap")
     said = capsys.readouterr()
-    assert f"{out}: written, closed and with its index" in said.out
+    assert f"{out}: written, closed, with an index" in said.out
     assert "LOST the end after" in said.out and "whole" not in said.out
     assert said.err == ""
     found = entries(out)
@@ -101,7 +101,7 @@ def test_a_recording_whose_index_alone_is_damaged_is_whole_again_and_verifies(
     data[-100] ^= 1
     (tmp_path / "a.mcap").write_bytes(data)
     assert main(["recover", str(tmp_path / "a.mcap")]) == 0
-    assert "whole: nothing that was recorded is lost" in capsys.readouterr().out
+    assert "complete: nothing is lost" in capsys.readouterr().out
     out = tmp_path / "a.recovered.mcap"
     assert entries(out) == entries(FIXTURE)
     with SessionFile.open(out) as file, SessionFile.open(FIXTURE) as before:
@@ -120,7 +120,7 @@ def test_nothing_is_overwritten_unasked(cut: Path, tmp_path: Path, capsys: pytes
     assert "--overwrite" in capsys.readouterr().err
     assert out.read_bytes() == b"precious"
     assert main(["recover", str(cut), "-o", str(cut), "--overwrite"]) == 2
-    assert "the damaged file itself" in capsys.readouterr().err
+    assert "found the damaged file" in capsys.readouterr().err
     assert cut.read_bytes() == before
     assert main(["recover", str(cut), "-o", str(out), "--overwrite"]) == 1
     assert entries(out)
@@ -229,7 +229,7 @@ def test_info_tells_of_a_recovered_file(cut: Path, capsys: pytest.CaptureFixture
     assert main(["info", str(cut.with_name("out.recovered.mcap"))]) == 0
     said = capsys.readouterr().out
     assert "recovered from out.mcap by igtl-gateway" in said
-    assert "lost in 1 place" in said
+    assert "1 loss, see --json" in said
 
 
 def side_file(folder: Path) -> Counter[str]:

@@ -442,7 +442,7 @@ def test_what_cannot_be_is_said_before_anything_is_sent() -> None:
         ("--start", "\x1b[2J"): "--start: found '\\x1b[2J', expected seconds",
         ("--delay", "-1"): "--delay",
         ("--clock",): "--clock: found --to igtl",
-        ("--start-paused",): "needs a terminal",
+        ("--start-paused",): "found no terminal",
     }
     found = outcomes([["replay", str(TYPES), "--to", "igtl", "--listen", ":0", *arguments] for arguments in wrong])
     for (arguments, named), outcome in zip(wrong.items(), found, strict=True):

@@ -79,11 +79,11 @@ def test_a_recording_that_became_no_ros_messages_is_drawn_by_what_they_would_be(
 @pytest.mark.parametrize(
     ("arguments", "code", "sentence"),
     [
-        (["--at", "3"], 2, "--at: is the time of a picture, expected --screenshot OUT.png beside it"),
+        (["--at", "3"], 2, "--at: found no --screenshot OUT.png, expected it"),
         (["--screenshot", "{folder}/x.png", "--at", "nan"], 2, "--at: found nan, expected seconds from the start"),
         (["--screenshot", "{folder}/x.png", "--at", "-1"], 2, "--at: found -1, expected seconds from the start"),
         (["--screenshot", "{folder}/none/x.png"], 1, "none/x.png: there is no folder {folder}/none"),
-        (["--port", "80"], 2, "--port: is that of the page, expected --web beside it"),
+        (["--port", "80"], 2, "--port: found no --web, expected it"),
         (["--web", "--port", "70000"], 2, "--port: found 70000, expected 0 to 65535"),
         (["--save", "{folder}/x.rrd", "--blueprint", "stars"], 2, "--blueprint: found 'stars', expected star, "),
         (["--save", "{folder}/taken"], 2, "taken: exists already, expected a new file or --overwrite"),
@@ -157,7 +157,7 @@ def test_what_comes_before_damage_is_drawn(tmp_path: Path, capsys: pytest.Captur
     path.write_bytes(whole)
     assert main(["view", str(path), "--save", str(out)]) == 1
     said = capsys.readouterr()
-    assert "igtl-gateway view: what comes first is drawn: " in said.err
+    assert "igtl-gateway view: only the messages before the damage are drawn: " in said.err
     assert 20 <= counts(out)["/text"] < 39
 
 
