@@ -122,7 +122,7 @@ def test_without_options_until_a_signal(programs: list[Program], tmp_path: Path,
         bridge.wait_until(lambda: any("STRING/Raw goes to" in line for line in bridge.lines), "stream")
         result = bridge.end(number)
     assert (result.code, result.err) == (0, "")
-    assert re.search(r"stopped\.  OpenIGTLink: 1 in, 0 out\.  ROS: 0 in, \d out\.  refused: 0", result.out)
+    assert re.search(r"stopped; OpenIGTLink: 1 in, 0 out; ROS: 0 in, \d out; rejected: 0", result.out)
     assert "DOES NOT ADD UP" not in result.out
     messages = recorded(path)
     assert f"recorded {len(messages)} entries into {path}" in result.out
