@@ -1,12 +1,12 @@
-"""Review of a suture plan: what the camera's depth was worth at each stitch, and whether the stitch lies on tissue.
+"""Review of a suture plan: the depth noise of the camera and the distance from the tissue, for each stitch.
 
-On a flat picture of the plan the noise along the depth axis cannot be seen, and a point that was lifted to a wrong
-depth looks as good as any.  Here every planned entry and exit point is held against the tissue around it:
+A flat image of the plan does not show the noise along the depth axis: a point at a wrong depth looks like a correct
+one.  The review compares every planned entry and exit point with the tissue around it:
 
-* ``material`` collects clouds, plans and transforms from the entries of a session (whatever their topics are called);
-* ``scene`` makes of the clouds one depth picture and the noise of each pixel, in millimetres (``noise``);
-* ``surface`` fits the tissue around a point, robustly, and says how far the point is from it, and how sure that is;
-* ``judge`` compares the figures with ``Thresholds`` and says *ok*, *look* or *wrong*, with the reasons as text;
+* ``material`` collects clouds, plans and transforms from the entries of a session, by their content (not by topic);
+* ``scene`` combines the clouds into one depth image with the noise of each pixel (``noise``);
+* ``surface`` fits the tissue around a point robustly; ``error`` computes the standard error of the distance from it;
+* ``judge`` compares the figures with ``Thresholds``: the level is *ok*, *look* or *wrong*, with the reasons as text;
 * ``executed`` finds where the tool passed each planned point.
 
 Pure functions on arrays: no file, no clock, no LAPACK.  Formulae and limits: ``docs/review.md``.

@@ -1,4 +1,4 @@
-"""A review of what a session holds: every version of the plan against the tissue, and against the tool's path."""
+"""The review of a session: compares every version of the plan with the tissue and with the path of the tool."""
 
 from __future__ import annotations
 
@@ -30,33 +30,34 @@ from igtl_gateway.review.surface import TissueSurface, fit
 Array = npt.NDArray[Any]
 
 MM = 1000.0
-_FEW_CLOUDS = 3  # below that a single bad shot cannot be outvoted
-_CHORD_STEPS = 33
-_LONGEST_BITE_M = 0.1  # whatever is longer is no stitch
-_BEYOND_BITE_M = 0.0015  # tissue beside a stitch that its bite is measured from
-_MOVED_MM = 0.5
-_WIDER = 2.0
-_USUAL = 3  # stitches that make a usual length
+_FEW_CLOUDS = 3  # with fewer, the median does not remove an outlier of one cloud
+_CHORD_STEPS = 33  # positions on the straight line from entry to exit
+_LONGEST_BITE_M = 0.1  # a longer one is not a stitch
+_BEYOND_BITE_M = 0.0015  # margin of tissue around a bite in the fit that its depth refers to
+_MOVED_MM = 0.5  # median change of the depth from which a note reports motion
+_WIDER = 2.0  # window of the wider fit, in windows
+_MIN_FOR_MEDIAN = 3  # stitches from which lengths are compared with their median
+_SAME_MM = 0.02  # distance below which a point has not moved between versions
 
 
 def review_of(material: Material, thresholds: Thresholds | None = None) -> Review:
-    """The review.
+    """Return the review of the collected material.
 
-    Raises GatewayError where the session has no cloud or no plan, ConfigError where not the ones that were named.
+    Raises GatewayError if the session has no cloud or no plan, ConfigError if it does not have the requested ones.
     """
     limits = thresholds or Thresholds()
     scene, topic = material.scene()
     versions = material.versions(scene)
     base = scene.clouds[-1].frame_id
     tool, path = _tool(material, base, versions[-1])
-    notes = [*material.notes, *_doubts(scene)]
+    notes = [*material.notes, *_caveats(scene)]
     if not tool:
-        notes.append(f"no moving frame is connected with {base!r}: planned is not compared with executed")
+        notes.append(f"no moving frame is connected with {base!r}: the plan is not compared with the path of a tool")
     assessor = _Assessor(scene, limits)
     plans = [assessor.plan(version, path if version is versions[-1] else None) for version in versions]
     known = np.isfinite(scene.depth)
-    seen = np.concatenate([scene.rays, np.ones((len(scene.rays), 1))], axis=1)[known] * scene.depth[known, None]
-    positions = scene.axes.own(seen)
+    points_of_rays = np.concatenate([scene.rays, np.ones((len(scene.rays), 1))], axis=1) * scene.depth[:, None]
+    positions = scene.axes.from_optical(points_of_rays[known])
     middle = np.array(np.median(scene.depth[known]) if known.any() else np.nan)
     height, width, _ = scene.clouds[-1].points.shape
     first, last = scene.clouds[0], scene.clouds[-1]
@@ -77,8 +78,8 @@ def review_of(material: Material, thresholds: Thresholds | None = None) -> Revie
     return Review(cloud, tuple(plans), tuple(_changes(plans[0], plans[-1])), tool, limits, tuple(notes))
 
 
-def _doubts(scene: DepthScene) -> list[str]:
-    """What makes the figures less certain than they look."""
+def _caveats(scene: DepthScene) -> list[str]:
+    """Return notes on what makes the figures less certain than their standard errors."""
     notes = [scene.note] if scene.note else []
     if len(scene.clouds) < _FEW_CLOUDS:
         notes.append(
@@ -92,13 +93,13 @@ def _doubts(scene: DepthScene) -> list[str]:
         if abs(moved_mm) > _MOVED_MM:
             notes.append(
                 f"the scene moved by {moved_mm:+.1f} mm in depth from the first to the last cloud: "
-                "distances are to where it was in the middle"
+                "distances refer to its median position"
             )
     return notes
 
 
 def _tool(material: Material, base: str, plan: DrawnPlan) -> tuple[str, FramePath | None]:
-    """The moving frame that comes nearest to the planned points, and its path in ``base``."""
+    """Return the moving frame that comes closest to the plan, and its path in ``base``; "" and None without one."""
     best: tuple[float, str, FramePath] | None = None
     for frame in material.tools(base):
         path = material.frames.path(frame, base)
@@ -110,7 +111,7 @@ def _tool(material: Material, base: str, plan: DrawnPlan) -> tuple[str, FramePat
 
 
 class _Assessor:
-    """Assesses plans on one scene; points that versions share are fitted once."""
+    """Assesses plans on one scene, with one fit for each point, even if several versions have it."""
 
     def __init__(self, scene: DepthScene, limits: Thresholds) -> None:
         self._scene = scene
@@ -119,35 +120,35 @@ class _Assessor:
         self._bites: dict[bytes, TissueSurface | None] = {}
 
     def plan(self, drawn: DrawnPlan, path: FramePath | None) -> PlanReview:
-        """One version; ``path`` is that of the tool, for the one that was executed."""
+        """Return the review of one version; ``path`` of the tool is given for the executed version only."""
         limits, count = self._limits, len(drawn.entry)
         passed: list[Executed | None] = [None] * (2 * count)
         if path is not None:
             passed = list(executed.approaches(path, drawn.ends(), limits.reach_mm))
         spacing = [_spacing(ends) for ends in (drawn.entry, drawn.exit)]
-        usual = [float(np.median(found)) if count >= _USUAL else 0.0 for found in spacing]
+        median_spacing = [float(np.median(found)) if count >= _MIN_FOR_MEDIAN else 0.0 for found in spacing]
         lengths = np.sqrt(((drawn.exit - drawn.entry) ** 2).sum(axis=1)) * MM
-        usual_bite = float(np.median(lengths)) if count >= _USUAL else 0.0
+        median_bite = float(np.median(lengths)) if count >= _MIN_FOR_MEDIAN else 0.0
         found_ends = points.with_own_errors(self._scene, [self._end(point) for point in drawn.ends()])
         stitches = []
         for i in range(count):
             ends = [
-                replace(found_ends[number], spacing_mm=float(found[i]) if count > 1 else None, executed=way)
-                for number, found, way in ((i, spacing[0], passed[i]), (count + i, spacing[1], passed[count + i]))
+                replace(found_ends[number], spacing_mm=float(found[i]) if count > 1 else None, executed=approach)
+                for number, found, approach in ((i, spacing[0], passed[i]), (count + i, spacing[1], passed[count + i]))
             ]
             reasons: list[judge.Reason] = []
-            for name, end, usual_mm in zip(("entry", "exit"), ends, usual, strict=True):
+            for name, end, median_mm in zip(("entry", "exit"), ends, median_spacing, strict=True):
                 reasons += judge.of_end(name, end, limits)
                 if end.spacing_mm is not None:
-                    reasons += judge.of_length(f"{name}: spacing", end.spacing_mm, usual_mm, limits.spacing)
+                    reasons += judge.of_length(f"{name}: spacing", end.spacing_mm, median_mm, limits.spacing)
             length_mm = float(lengths[i])
-            reasons += judge.of_length("bite", length_mm, usual_bite, limits.bite)
+            reasons += judge.of_length("bite", length_mm, median_bite, limits.bite)
             level, texts = judge.worst_level(reasons)
             surface = self._bite(drawn.entry[i], drawn.exit[i])
             driven = None
             if path is not None and surface and (entered := ends[0].executed) and (left := ends[1].executed):
-                seen = replace(path, positions=self._scene.axes.optical(path.positions))
-                driven = executed.driven_depth_mm(seen, entered, left, surface)
+                optical = replace(path, positions=self._scene.axes.to_optical(path.positions))
+                driven = executed.driven_depth_mm(optical, entered, left, surface)
             stitches.append(
                 StitchReview(
                     number=i + 1,
@@ -173,7 +174,7 @@ class _Assessor:
         scene, limits = self._scene, self._limits
         x, y, z = (float(value) for value in position)
         end = EndReview((x, y, z))
-        point = scene.axes.optical(position)
+        point = scene.axes.to_optical(position)
         z = float(point[2])
         if not z > 0:
             return end, None
@@ -181,7 +182,7 @@ class _Assessor:
         place = scene.around(ray, limits.place_mm / MM / z)
         if not len(place):
             return end, None
-        temporal, spatial = (_usual_mm(found, place) for found in (scene.temporal, scene.spatial))
+        temporal, spatial = (_median_mm(found, place) for found in (scene.temporal, scene.spatial))
         known = np.isfinite(scene.depths[:, place])
         end = replace(
             end,
@@ -194,7 +195,7 @@ class _Assessor:
         if surface is None:
             return end, None
         distance_mm = MM * float(surface.distance(point[None])[0])
-        # a wrong reading that fills the window passes for tissue; a wider one outvotes it
+        # wrong readings that fill the window are fitted as tissue; a wider window has more correct readings
         wider = fit(scene, point, _WIDER * limits.window_mm / MM)
         wider_mm = distance_mm - MM * float(wider.distance(point[None])[0]) if wider else None
         slant = float(surface.slant(ray[None])[0])
@@ -202,9 +203,9 @@ class _Assessor:
         core = core[np.isfinite(scene.depth[core])]
         reading = None
         if len(core):
-            seen = np.concatenate([scene.rays[core], np.ones((len(core), 1))], axis=1) * scene.depth[core, None]
-            reading = float(np.median(surface.distance(seen))) * MM
-        # the disc as the camera sees it is of this size at the depth of the point; on slanting tissue it is larger
+            readings = np.concatenate([scene.rays[core], np.ones((len(core), 1))], axis=1) * scene.depth[core, None]
+            reading = float(np.median(surface.distance(readings))) * MM
+        # the disc has its radius at the depth of the point; its area on the tissue grows with depth and slope
         scale = float(surface.depth(ray[None])[0]) / z
         area_mm2 = np.pi * limits.place_mm**2 * scale**2 * slant
         error_mm = surface.error / slant * MM
@@ -221,14 +222,14 @@ class _Assessor:
 
     def _chord_depth_mm(self, entry: Array, leave: Array, surface: TissueSurface) -> float:
         shares = np.linspace(0, 1, _CHORD_STEPS)[:, None]
-        return -MM * float(surface.distance(self._scene.axes.optical(entry + shares * (leave - entry))).min())
+        return -MM * float(surface.distance(self._scene.axes.to_optical(entry + shares * (leave - entry))).min())
 
     def _bite(self, entry: Array, leave: Array) -> TissueSurface | None:
-        """The tissue around a whole stitch: across the wound, which a robust fit takes for closed."""
+        """Return the tissue around a complete stitch, or None; the robust fit bridges an open wound."""
         key = entry.tobytes() + leave.tobytes()
         if key not in self._bites:
             half = float(np.sqrt(((leave - entry) ** 2).sum())) / 2
-            entry, leave = self._scene.axes.optical(entry), self._scene.axes.optical(leave)
+            entry, leave = self._scene.axes.to_optical(entry), self._scene.axes.to_optical(leave)
             window = max(self._limits.window_mm / MM, half + _BEYOND_BITE_M)
             sane = min(entry[2], leave[2]) > 0 and half < _LONGEST_BITE_M / 2
             self._bites[key] = fit(self._scene, (entry + leave) / 2, window) if sane else None
@@ -236,7 +237,7 @@ class _Assessor:
 
 
 def _spacing(points: Array) -> Array:
-    """(n,) mm from each point to the nearer of its neighbours in the plan."""
+    """Return (n,) distances from each point to the nearer of its neighbours in the plan, mm."""
     steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1)) * MM
     beside = np.full((2, len(points)), np.inf)
     beside[0, 1:] = beside[1, :-1] = steps
@@ -244,8 +245,8 @@ def _spacing(points: Array) -> Array:
     return nearer
 
 
-def _usual_mm(noise: Array | None, place: Array) -> float | None:
-    """The median of the known ones, in mm; None where there is none."""
+def _median_mm(noise: Array | None, place: Array) -> float | None:
+    """Return the median of the known noise at these pixels, mm; None if none is known."""
     if noise is None:
         return None
     found = noise[place]
@@ -254,7 +255,7 @@ def _usual_mm(noise: Array | None, place: Array) -> float | None:
 
 
 def _changes(first: PlanReview, last: PlanReview) -> list[Change]:
-    """By place in the plan where both have as many stitches, else by which lie nearest to each other."""
+    """Return the changed stitches, matched by index if both versions have equally many, otherwise by proximity."""
     pairs: list[tuple[StitchReview | None, StitchReview | None]]
     if len(first.stitches) == len(last.stitches):
         pairs = list(zip(first.stitches, last.stitches, strict=True))
@@ -276,11 +277,8 @@ def _changes(first: PlanReview, last: PlanReview) -> list[Change]:
     return changes
 
 
-_SAME_MM = 0.02
-
-
 def _nearest(first: PlanReview, last: PlanReview) -> list[tuple[StitchReview | None, StitchReview | None]]:
-    """Pairs of stitches whose middles are nearest to each other both ways; those without a partner alone."""
+    """Return pairs of stitches whose centres are mutually nearest; a stitch without a match is paired with None."""
     before, after = (
         np.array([np.add(stitch.entry.position, stitch.exit.position) / 2 for stitch in plan.stitches])
         for plan in (first, last)
@@ -289,10 +287,10 @@ def _nearest(first: PlanReview, last: PlanReview) -> list[tuple[StitchReview | N
     pairs: list[tuple[StitchReview | None, StitchReview | None]] = []
     matched = set()
     for number, stitch in enumerate(last.stitches):
-        partner = int(np.argmin(square[:, number]))
-        if int(np.argmin(square[partner])) == number:
-            matched.add(partner)
-            pairs.append((first.stitches[partner], stitch))
+        nearest = int(np.argmin(square[:, number]))
+        if int(np.argmin(square[nearest])) == number:
+            matched.add(nearest)
+            pairs.append((first.stitches[nearest], stitch))
         else:
             pairs.append((None, stitch))
     pairs += [(stitch, None) for number, stitch in enumerate(first.stitches) if number not in matched]

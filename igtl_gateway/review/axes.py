@@ -1,9 +1,9 @@
-"""Which way a camera looks in the frame of its cloud: found by the points, confirmed or doubted by the frame's name.
+"""Viewing direction of a camera in the frame of its cloud, detected from the points and the name of the frame.
 
 A review needs depth along z, x to the right and y down: the *optical* frame of REP 103.  Drivers and simulators also
-give clouds in the frame of the camera's body (x forward, y left, z up).
-Three facts tell them apart.  All points lie in front of a camera; in a picture x / z grows with the column and y / z
-with the row, in equal steps; and REP 103 lets the names of optical frames end in ``_optical``.
+publish clouds in the frame of the camera's body (x forward, y left, z up).
+Three facts distinguish them.  All points are in front of a camera.  In an organised cloud x / z grows with the column
+and y / z with the row, in equal steps.  And by REP 103 the names of optical frames end in ``_optical``.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class CameraAxes:
-    """A convention.
+    """A convention for the axes of a camera frame.
 
     Attributes:
-        name: as REP 103 or its users call it.
-        rows: (3, 3): optical x, y and z in the frame's own axes.
+        name: in the terms of REP 103; begins with the axis of the depth.
+        rows: (3, 3) optical x, y and z in the axes of the frame.
     """
 
     name: str
     rows: tuple[tuple[int, int, int], ...]
 
-    def optical(self, points: Array) -> Array:
-        """(…, 3) points of the frame in optical axes."""
+    def to_optical(self, points: Array) -> Array:
+        """Return (…, 3) points of the frame in optical axes."""
         return np.stack([sum(sign * points[..., i] for i, sign in enumerate(row) if sign) for row in self.rows], -1)
 
-    def own(self, points: Array) -> Array:
-        """(…, 3) the way back."""
+    def from_optical(self, points: Array) -> Array:
+        """Return (…, 3) points in optical axes in the axes of the frame."""
         back = np.array(self.rows).T
         return np.stack([sum(int(sign) * points[..., i] for i, sign in enumerate(row) if sign) for row in back], -1)
 
@@ -45,45 +45,45 @@ OPTICAL = CameraAxes("z forward", ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
 BODY = CameraAxes("x forward", ((0, -1, 0), (0, 0, -1), (1, 0, 0)))
 CONVENTIONS = (OPTICAL, BODY)
 
-_IN_FRONT = 0.98  # share of points that lie in front of a camera
-_WIDE = 1.75  # tangent of half a view of 120°
-_STRAIGHT = 0.01  # of the picture's width: by so much the rays of a camera leave equal steps
-_MOSTLY = 0.5
-_MOST = 20_000  # points that are looked at
+_IN_FRONT = 0.98  # minimum share of points in front of a camera
+_TAN_HALF_VIEW = 1.75  # tangent of half a field of view of 120°
+_MAX_BEND = 0.01  # maximum deviation of a camera's rays from equal steps, as share of the image width
+_MOSTLY = 0.5  # z forward is assumed above this share in front, if no convention fits
+_MAX_POINTS = 20_000  # points that are checked
 _EXPECTED = "expected a cloud in the camera's optical frame (REP 103: z forward, x right, y down)"
 
 
 def axes_of(points: Array, frame_id: str) -> tuple[CameraAxes, str]:
-    """The convention of a cloud, and a note where a reader should know of it.
+    """Return the convention of a cloud, and a note if it is not certain or not optical.
 
     Args:
-        points: (height, width, 3) metres, NaN where there is none; height 1 of a list.
+        points: (height, width, 3) metres, NaN without a depth; height 1 if unorganised.
         frame_id: of the cloud.
     """
-    seen = {axes: _in_front(axes.optical(points)) for axes in CONVENTIONS}
-    possible = [axes for axes, share in seen.items() if share >= _IN_FRONT]
+    shares = {axes: _share_in_front(axes.to_optical(points)) for axes in CONVENTIONS}
+    possible = [axes for axes, share in shares.items() if share >= _IN_FRONT]
     frame = f"frame {frame_id!r}"
     if not possible:
-        return (OPTICAL if seen[OPTICAL] > _MOSTLY else max(seen, key=lambda axes: seen[axes])), (
-            f"{frame}: its points lie around the origin, not in front of a camera: distances are not along the "
+        return (OPTICAL if shares[OPTICAL] > _MOSTLY else max(shares, key=lambda axes: shares[axes])), (
+            f"{frame}: its points are around the origin, not in front of a camera: distances are not along the "
             f"camera's depth; {_EXPECTED}"
         )
     if points.shape[0] > 1 and points.shape[1] > 1:
-        bends = {axes: _bend(axes.optical(points)) for axes in possible}
+        bends = {axes: _bend(axes.to_optical(points)) for axes in possible}
         best = min(possible, key=lambda axes: bends[axes])
-        if bends[best] > _STRAIGHT:
+        if bends[best] > _MAX_BEND:
             return possible[0], (
-                f"{frame}: the rows and columns of the cloud are not those of a camera that looks along its "
-                f"{possible[0].name[0]} axis, so it may have been moved to this frame: distances are not along the "
-                f"camera's depth; {_EXPECTED}"
+                f"{frame}: the rows and columns of the cloud do not fit a camera with viewing direction "
+                f"{possible[0].name[0]}: the cloud might have been transformed to this frame; distances are not "
+                f"along the camera's depth; {_EXPECTED}"
             )
         return best, _note(best, frame, "by its rows and columns")
     if len(possible) == 1:
-        return possible[0], _note(possible[0], frame, "by where its points lie")
+        return possible[0], _note(possible[0], frame, "by the positions of its points")
     if frame_id.rstrip("/").endswith(("_optical", "_optical_frame")):
         return OPTICAL, ""
     return OPTICAL, (
-        f"{frame}: its points fit a camera that looks along z as well as one along x; taken as z forward; {_EXPECTED}"
+        f"{frame}: its points fit a camera with viewing direction z as well as x; reviewed as z forward; {_EXPECTED}"
     )
 
 
@@ -93,24 +93,24 @@ def _note(axes: CameraAxes, frame: str, how: str) -> str:
     return f"{frame}: found {axes.name} {how}, {_EXPECTED}; reviewed along {axes.name[0]}"
 
 
-def _in_front(optical: Array) -> float:
-    """Share of the points that a camera of 120° could see."""
+def _share_in_front(optical: Array) -> float:
+    """Return the share of the points within the field of view of a camera with 120°."""
     flat = optical.reshape(-1, 3)
     flat = flat[np.isfinite(flat).all(axis=1)]
-    flat = flat[:: max(len(flat) // _MOST, 1)]
+    flat = flat[:: max(len(flat) // _MAX_POINTS, 1)]
     if not len(flat):
         return 1.0
     x, y, z = flat.T
-    return float(np.mean((z > 0) & (np.maximum(np.abs(x), np.abs(y)) <= _WIDE * z)))
+    return float(np.mean((z > 0) & (np.maximum(np.abs(x), np.abs(y)) <= _TAN_HALF_VIEW * z)))
 
 
 def _bend(optical: Array) -> float:
-    """By how much the rays leave equal steps along rows and columns: median, as share of the picture's width."""
+    """Return the median deviation of the rays from equal steps along rows and columns, as share of the image width."""
     height, width, _ = optical.shape
     row, column = np.mgrid[0:height, 0:width]
     known = np.isfinite(optical).all(axis=-1) & (optical[..., 2] > 0)
     chosen = np.flatnonzero(known)
-    chosen = chosen[:: max(len(chosen) // _MOST, 1)]
+    chosen = chosen[:: max(len(chosen) // _MAX_POINTS, 1)]
     if len(chosen) < 6:
         return 0.0
     flat = optical.reshape(-1, 3)[chosen]

@@ -1,4 +1,4 @@
-"""Planned against executed: where the tool passed each planned point."""
+"""Comparison of the plan with the path of the tool: where the tool passed each planned point."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ MM = 1000.0
 
 
 def approaches(path: FramePath, points: Array, reach_mm: float) -> list[Executed]:
-    """The closest approach of the tool to each of the planned points (n, 3), all of one version of the plan.
+    """Return the closest approach of the tool to each of the planned points (n, 3) of one version of the plan.
 
-    The tool moves straight from sample to sample.  It was *meant* for a point if it came within ``reach_mm`` of it
-    and was then nearer to it than to any other: passing by on the way to the next stitch does not count.
+    The tool is assumed to move on straight lines between samples.  A point is *reached* if the tool came within
+    ``reach_mm`` of it while no other planned point was nearer.  So a passage on the way to a neighbour does not count.
     """
     return [_approach(path, points, number, reach_mm) for number in range(len(points))]
 
@@ -33,10 +33,10 @@ def _approach(path: FramePath, points: Array, number: int, reach_mm: float) -> E
     best = float(((at - point) ** 2).sum())
     for first in (nearest - 1, nearest):
         if 0 <= first < len(positions) - 1:
-            way = positions[first + 1] - positions[first]
-            length = float((way**2).sum())
-            share = min(max(float(-(off[first] * way).sum()) / length, 0.0), 1.0) if length else 0.0
-            place = positions[first] + share * way
+            step = positions[first + 1] - positions[first]
+            length = float((step**2).sum())
+            share = min(max(float(-(off[first] * step).sum()) / length, 0.0), 1.0) if length else 0.0
+            place = positions[first] + share * step
             square = float(((place - point) ** 2).sum())
             if square < best:
                 best, at = square, place
@@ -49,11 +49,11 @@ def _approach(path: FramePath, points: Array, number: int, reach_mm: float) -> E
 
 
 def driven_depth_mm(path: FramePath, entry: Executed, leave: Executed, surface: TissueSurface) -> float | None:
-    """How deep the tool ran below the tissue on its way from entry to exit, at most; None if it did not run it."""
+    """Return the largest depth of the tool below the tissue between entry and exit; None if it did not reach both."""
     if not (entry.reached and leave.reached and entry.stamp_ns < leave.stamp_ns):
         return None
-    on_the_way = (path.stamps_ns >= entry.stamp_ns) & (path.stamps_ns <= leave.stamp_ns)
-    on_the_way &= path.positions[:, 2] > 0  # in front of the camera, where there are rays
-    if not on_the_way.any():
+    between = (path.stamps_ns >= entry.stamp_ns) & (path.stamps_ns <= leave.stamp_ns)
+    between &= path.positions[:, 2] > 0  # rays exist only in front of the camera
+    if not between.any():
         return None
-    return -MM * float(surface.distance(path.positions[on_the_way]).min())
+    return -MM * float(surface.distance(path.positions[between]).min())

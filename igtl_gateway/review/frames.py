@@ -1,7 +1,8 @@
-"""Poses of frames over the whole session, and a frame's path as seen from another one.
+"""Poses of frames over a complete session, and the path of one frame in another.
 
-Unlike ``convert.frames.FrameTree``, which answers for the present of a running gateway, this knows all samples and
-answers for many times at once.  Between samples poses are interpolated, before the first and after the last held.
+``convert.frames.FrameTree`` has the current poses of a running gateway.  The classes here have all samples of a
+session and look up many times at once.  Poses are interpolated between samples, and constant before the first and
+after the last sample.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ from igtl_gateway.errors import ConversionError
 Array = npt.NDArray[Any]
 
 _ROW = 7  # x, y, z, qx, qy, qz, qw
-_STILL_M = 1e-3  # a frame that moves by less is held still
+_STILL_M = 1e-3  # a frame that moves by less is stationary
 _LONGEST_CHAIN = 100
 
 
 @dataclass(frozen=True, slots=True)
 class FramePath:
-    """The origin of a frame as seen from another one.
+    """The path of a frame's origin in another frame.
 
     Attributes:
-        stamps_ns: (n,) gateway times.
+        stamps_ns: (n,) gateway times, UTC.
         positions: (n, 3) metres.
     """
 
@@ -39,7 +40,7 @@ class FramePath:
 
 @dataclass(slots=True)
 class _FrameSamples:
-    """A frame in its parent: numbers in rows, as a long session has millions."""
+    """The poses of a frame in its parent, as flat arrays: a long session has millions of them."""
 
     parent: str
     source: str
@@ -48,7 +49,7 @@ class _FrameSamples:
     poses: array[float] = field(default_factory=lambda: array("d"))
 
     def samples(self) -> tuple[Array, Array, Array]:
-        """Stamps (ascending), gateway times and poses with unit quaternions of continuous sign."""
+        """Return stamps (ascending), gateway times and poses, whose unit quaternions have a continuous sign."""
         stamps, first = np.unique(np.array(self.stamps), return_index=True)
         poses = np.array(self.poses).reshape(-1, _ROW)[first]
         poses[:, 3:] /= np.sqrt((poses[:, 3:] ** 2).sum(axis=1))[:, None]
@@ -58,20 +59,20 @@ class _FrameSamples:
 
 
 class FramePoses:
-    """Every frame that a session tells of."""
+    """The poses of all frames of a session."""
 
     def __init__(self) -> None:
         self._edges: dict[str, _FrameSamples] = {}
-        self._made: dict[str, tuple[Array, Array, Array]] = {}
+        self._sorted: dict[str, tuple[Array, Array, Array]] = {}
 
     def add(self, parent: str, child: str, pose: Pose, stamp_ns: int, arrival_ns: int, source: str) -> None:
-        """A sample; what is none (no name, no rotation, not finite) is passed over.
+        """Add a sample; skip an invalid one (without a name, with a zero quaternion, not finite).
 
         Args:
             parent, child: frame ids.
             pose: of the child in the parent.
-            stamp_ns: of the message; 0 = unset, then the gateway time stands for it.
-            arrival_ns: gateway time.
+            stamp_ns: of the message, UTC; 0 = unset, in this case the gateway time is used.
+            arrival_ns: gateway time, UTC.
             source: topic.
         """
         parent, child = frame_id(parent), frame_id(child)
@@ -83,10 +84,10 @@ class FramePoses:
         edge.stamps.append(stamp_ns or arrival_ns)
         edge.arrivals.append(arrival_ns)
         edge.poses.extend(pose)
-        self._made.pop(child, None)
+        self._sorted.pop(child, None)
 
     def moving(self) -> dict[str, str]:
-        """Frame → topic that told of it first, of the frames that move in their parent, in order of appearance."""
+        """Return frame → first topic of the frames that move in their parent, in order of appearance."""
         found = {}
         for child, edge in self._edges.items():
             positions = np.array(edge.poses).reshape(-1, _ROW)[:, :3]
@@ -95,20 +96,20 @@ class FramePoses:
         return found
 
     def connected(self, one: str, other: str) -> bool:
-        """Whether the pose of one frame in the other can be told."""
+        """Return whether a chain of transforms connects the two frames."""
         return self._path_to_root(frame_id(one))[-1] == self._path_to_root(frame_id(other))[-1]
 
     def above(self, frame: str) -> set[str]:
-        """The frame and those that it hangs on."""
+        """Return the frame and all of its ancestors."""
         return set(self._path_to_root(frame_id(frame)))
 
     def path(self, child: str, base: str) -> FramePath:
-        """The origin of ``child`` in ``base`` at each of its samples.  Both must be connected."""
+        """Return the origin of ``child`` in ``base`` at each of its samples.  Both must be connected."""
         stamps, arrivals, _ = self._samples(frame_id(child))
-        return FramePath(arrivals, self.moved(np.zeros((len(stamps), 3)), child, base, stamps))
+        return FramePath(arrivals, self.transformed(np.zeros((len(stamps), 3)), child, base, stamps))
 
-    def moved(self, points: Array, frame: str, base: str, stamps: Array) -> Array:
-        """(n, 3) points of a frame as seen from ``base``, each at its stamp.
+    def transformed(self, points: Array, frame: str, base: str, stamps: Array) -> Array:
+        """Return (n, 3) points of a frame in ``base``, each at its stamp (n,), UTC ns.
 
         Raises ConversionError if the frames are not connected.
         """
@@ -128,12 +129,12 @@ class FramePoses:
         return points
 
     def _samples(self, child: str) -> tuple[Array, Array, Array]:
-        if child not in self._made:
-            self._made[child] = self._edges[child].samples()
-        return self._made[child]
+        if child not in self._sorted:
+            self._sorted[child] = self._edges[child].samples()
+        return self._sorted[child]
 
     def _at(self, child: str, stamps: Array) -> Array:
-        """(n, 7) poses of a frame in its parent."""
+        """Return the (n, 7) poses of a frame in its parent at (n,) stamps."""
         known, _, poses = self._samples(child)
         after = np.clip(np.searchsorted(known, stamps), 1, max(len(known) - 1, 1))
         before = after - 1
@@ -145,14 +146,15 @@ class FramePoses:
         return pose
 
     def _path_to_root(self, frame: str) -> list[str]:
-        way = [frame]
-        while (edge := self._edges.get(way[-1])) and len(way) < _LONGEST_CHAIN and edge.parent not in way:
-            way.append(edge.parent)
-        return way
+        """Return the frame, its parent, and so on up to the root."""
+        path = [frame]
+        while (edge := self._edges.get(path[-1])) and len(path) < _LONGEST_CHAIN and edge.parent not in path:
+            path.append(edge.parent)
+        return path
 
 
 def _rotated(q: Array, v: Array) -> Array:
-    """(n, 3) vectors turned by (n, 4) unit quaternions: v + 2 u × (u × v + w v), with q = (u, w)."""
+    """Return (n, 3) vectors rotated by (n, 4) unit quaternions: v + 2 u × (u × v + w v), with q = (u, w)."""
     u, w = q[:, :3], q[:, 3:]
     inner = _cross(u, v) + w * v
     return v + 2.0 * _cross(u, inner)

@@ -1,6 +1,6 @@
-"""Least squares by normal equations and Cholesky's factors, written out: the same bits on every machine.
+"""Least squares with normal equations and explicit Cholesky factors: the same bits on every machine.
 
-The systems are small (six unknowns) and well scaled, so that the squared condition number does no harm.
+The systems are small (six unknowns) and well scaled, so the squared condition number is acceptable.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 
-#: A pivot below this share of its diagonal element: the columns depend on each other.
+#: If a pivot is below this share of its diagonal element, the columns are linearly dependent.
 _SINGULAR = 1e-9
 
 
 class Design:
-    """The columns of a linear model, ready to be solved many times with other weights.
+    """The columns of a linear model, prepared for many solutions with different weights.
 
     Args:
-        columns: (k, n): what each of k unknowns is multiplied with in each of n equations.
+        columns: (k, n) coefficient of each of k unknowns in each of n equations.
     """
 
     def __init__(self, columns: Array) -> None:
@@ -31,29 +31,29 @@ class Design:
         self._products = columns[self._rows] * columns[self._others]
 
     def solve(self, values: Array, weights: Array) -> Array | None:
-        """(k,) unknowns that minimise the weighted squares; None where the equations do not determine them."""
+        """Return the (k,) unknowns that minimise the weighted squares; None if the equations do not determine them."""
         factor = self._factor(weights)
         if factor is None:
             return None
         return np.array(_solve(factor, times(self.columns, values * weights).tolist()))
 
     def influence(self, weights: Array) -> Array | None:
-        """(k, n): the matrix that gives the solution, ``times(influence, values)``."""
+        """Return the (k, n) matrix whose product with the values is the solution: ``times(influence, values)``."""
         factor = self._factor(weights)
         return None if factor is None else np.stack(_solve(factor, list(self.columns * weights)))
 
     def weights_of(self, functional: Array, weights: Array) -> Array | None:
-        """(n,) what each value counts in a linear functional (k,) of the solution."""
+        """Return the (n,) weight of each value in a linear functional (k,) of the solution."""
         factor = self._factor(weights)
         return None if factor is None else weights * self.values(np.array(_solve(factor, functional.tolist())))
 
     def variance(self, functional: Array, weights: Array) -> float | None:
-        """Variance of a linear functional (k,) of the solution, for values of variance 1 / weight."""
+        """Return the variance of a linear functional (k,) of the solution, for values of variance 1 / weight."""
         factor = self._factor(weights)
         return None if factor is None else float((functional * _solve(factor, functional.tolist())).sum())
 
     def values(self, unknowns: Array) -> Array:
-        """(n,) what the model gives."""
+        """Return the (n,) values of the model."""
         values: Array = (self.columns * unknowns[:, None]).sum(axis=0)
         return values
 
@@ -64,13 +64,13 @@ class Design:
 
 
 def times(matrix: Array, vector: Array) -> Array:
-    """Matrix times vector, without BLAS."""
+    """Return matrix times vector, without BLAS."""
     product: Array = (matrix * vector).sum(axis=-1)
     return product
 
 
 def _cholesky(matrix: list[list[float]]) -> list[list[float]] | None:
-    """The lower factor of a positive definite matrix, of which the lower half is read."""
+    """Return the lower factor of a positive definite matrix; only its lower half is read.  None if it is singular."""
     factor: list[list[float]] = []
     for i, row in enumerate(matrix):
         done: list[float] = []
@@ -84,7 +84,7 @@ def _cholesky(matrix: list[list[float]]) -> list[list[float]] | None:
 
 
 def _solve(factor: list[list[float]], right: list[Any]) -> list[Any]:
-    """x of factor factorᵀ x = right, whose items are numbers, or arrays of as many systems."""
+    """Return x of factor factorᵀ x = right; the items are numbers, or arrays with one element for each system."""
     x = list(right)
     size = len(factor)
     for i in range(size):

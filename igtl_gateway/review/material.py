@@ -1,10 +1,10 @@
-"""What a session holds for a review: entries in, clouds, versions of the plan and poses out.
+"""The data of a session that a review needs: entries in, clouds, versions of the plan and poses out.
 
-Streams are found by what they hold: the cloud is the PointCloud2 with the most points (a picture before a mere
-list), the plan is what pairs of points lie on its tissue, the tool is the moving frame that comes nearest to them.
-A caller may name any of them.
+Streams are selected by content.  The cloud is the PointCloud2 stream with the most points; organised clouds precede
+unorganised ones.  The plan is pairs of points on its tissue.  The tool is the moving frame that comes closest to the
+plan.  A caller can select any of them by topic instead.
 
-Memory is bounded: of each stream of clouds at most twice ``clouds`` are kept, evenly spread over the session.
+Memory is bounded: of each stream at most twice ``clouds`` clouds are kept, evenly distributed over the session.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from igtl_gateway.session.entry import Entry, Kind
 
 Array = npt.NDArray[Any]
 
-#: Clouds that a review is made of.
+#: Default for the maximum number of clouds that a review uses.
 CLOUDS = 24
-_MAX_VERSIONS = 200
-_NEAR_M = 0.03  # points of a plan lie within this of what the camera sees there
-_HIT_RADIUS = 0.01  # of x / z: whether the camera sees anything there
+_MAX_VERSIONS = 200  # of one stream
+_NEAR_M = 0.03  # largest distance of a plan's points from the observed depth
+_HIT_RADIUS = 0.01  # as x / z: radius around a point in which the depth is observed
 
 
 @dataclass(slots=True)
 class _Clouds:
-    """One stream of clouds, thinned: every ``stride``-th is kept."""
+    """One stream of clouds, decimated: every ``stride``-th cloud is kept."""
 
     limit: int
     unit_m: float
@@ -49,7 +49,7 @@ class _Clouds:
             if self.kept and (
                 cloud.points.shape != self.kept[-1].points.shape or cloud.frame_id != self.kept[-1].frame_id
             ):
-                self.kept.clear()  # the camera was set anew: pixels before and after are not of one place
+                self.kept.clear()  # the camera was reconfigured: its pixels have other rays
             self.kept.append(cloud)
             if len(self.kept) >= 2 * self.limit:
                 del self.kept[1::2]
@@ -58,24 +58,24 @@ class _Clouds:
 
     @property
     def rank(self) -> tuple[bool, int]:
-        """Pictures before lists, the larger before the smaller."""
+        """Sort key: organised clouds above unorganised ones, then by the number of points."""
         height, width, _ = self.kept[-1].points.shape if self.kept else (0, 0, 0)
         return height > 1 and width > 1, height * width
 
 
 class Material:
-    """Feed it the entries of a session with ``take``, then ask.
+    """Collects the data for a review: ``take`` each entry of a session, then call the other methods.
 
     Args:
-        plan: topic of the plan; "" = found.
-        cloud: topic of the clouds; "" = found.
-        tool: topic or frame id of the tool; "" = found.
-        clouds: how many clouds to use, at most.
-        unit_m: the unit of the session's ROS side, metres.
+        plan: topic of the plan; "" = selected by content.
+        cloud: topic of the clouds; "" = selected by content.
+        tool: topic or frame id of the tool; "" = selected by content.
+        clouds: maximum number of clouds to use.
+        unit_m: the unit of length of the session's ROS side, in metres.
 
     Attributes:
-        frames: all poses.
-        notes: what a reader should know.
+        frames: the poses of all frames, metres.
+        notes: notes for the reader of the review: what was left out or assumed.
     """
 
     def __init__(
@@ -88,18 +88,18 @@ class Material:
         self._unit_m = unit_m
         self._clouds: dict[str, _Clouds] = {}
         self._plans: dict[str, list[DrawnPlan]] = {}
-        self._bad: dict[str, str] = {}
+        self._bad: set[str] = set()
 
     def take(self, entry: Entry) -> None:
-        """An entry of any kind; only ROS messages are looked at."""
+        """Read an entry; only ROS messages are used."""
         if entry.kind is not Kind.ROS_IN and entry.kind is not Kind.ROS_OUT:
             return
         try:
             self._read(entry)
         except ConversionError as error:
             if entry.channel not in self._bad:
-                self._bad[entry.channel] = str(error)
-                self.notes.append(f"{entry.channel}: a message was left out: {error}")
+                self._bad.add(entry.channel)
+                self.notes.append(f"{entry.channel}: invalid messages are left out: {error}")
 
     def _read(self, entry: Entry) -> None:
         if entry.type in POSES:
@@ -117,11 +117,11 @@ class Material:
                     versions.append(drawn)
 
     def scene(self) -> tuple[DepthScene, str]:
-        """The clouds as one, and their topic.  Raises ConfigError or GatewayError where there are none."""
+        """Return the combined clouds, and their topic.  Raises ConfigError or GatewayError without clouds."""
         streams = {topic: stream for topic, stream in self._clouds.items() if stream.kept}
         if not streams:
             if self._cloud:
-                raise ConfigError(f"--cloud {self._cloud}: found no sensor_msgs/PointCloud2 of x, y, z on this topic")
+                raise ConfigError(f"--cloud {self._cloud}: found no sensor_msgs/PointCloud2 with x, y, z on this topic")
             raise GatewayError("found no point cloud, expected a sensor_msgs/PointCloud2 stream: see `info`, --cloud")
         topic = max(streams, key=lambda name: streams[name].rank)
         stream = streams[topic]
@@ -129,16 +129,18 @@ class Material:
         if len(clouds) > self._limit:
             clouds = [clouds[number * len(clouds) // self._limit] for number in range(self._limit)]
         if len(clouds) < stream.seen:
-            self.notes.append(f"{len(clouds)} of {stream.seen:,} clouds of {topic} are used, evenly spread")
+            self.notes.append(f"{len(clouds)} of {stream.seen:,} clouds of {topic} are used, evenly distributed")
         return DepthScene.of(clouds), topic
 
     def versions(self, scene: DepthScene) -> list[DrawnPlan]:
-        """Every version of the plan in order of time, in the frame of the clouds.
+        """Return all versions of the plan in order of time, in the frame of the clouds.
 
-        Raises ConfigError or GatewayError where there is none.
+        Raises ConfigError or GatewayError without a plan.
         """
         base = scene.clouds[-1].frame_id
-        streams = {topic: [self._placed(plan, base) for plan in plans] for topic, plans in self._plans.items() if plans}
+        streams = {
+            topic: [self._in_frame(plan, base) for plan in plans] for topic, plans in self._plans.items() if plans
+        }
         if not self._plan:
             streams = {topic: plans for topic, plans in streams.items() if _on_tissue(plans[0], scene)}
             if any(plans[0].lines for plans in streams.values()):
@@ -150,7 +152,7 @@ class Material:
                 "found no suture plan, expected pairs of points on the tissue (Marker LINE_LIST, TrajectoryList, "
                 "PolyData, PointList, small PointCloud2): see `info`, --plan"
             )
-        # a plan is drawn once and mended now and then; what changes with every message is no plan
+        # a plan is drawn once and corrected rarely; a stream that changes with every message is not a plan
         topic = min(streams, key=lambda name: len(streams[name]))
         versions = list(streams.pop(topic))
         for other in sorted((plan for plans in streams.values() for plan in plans), key=lambda plan: plan.stamp_ns):
@@ -162,9 +164,9 @@ class Material:
         return kept
 
     def tools(self, base: str) -> list[str]:
-        """Frames that may be the tool: they move, their pose in ``base`` is known, and ``base`` hangs on none of them.
+        """Return the frames that can be the tool: moving, connected with ``base``, and not an ancestor of it.
 
-        Raises ConfigError if the one that was asked for is not there.
+        Raises ConfigError if the requested tool is not one of them.
         """
         above = self.frames.above(base)
         found = {
@@ -176,19 +178,23 @@ class Material:
             return list(found)
         named = [child for child, topic in found.items() if self._tool == topic or frame_id(self._tool) == child]
         if not named:
-            known = ", ".join(f"{topic} ({child})" for child, topic in found.items()) or "none that moves"
-            raise ConfigError(f"--tool {self._tool}: found no such moving frame seen from {base!r}, expected {known}")
+            known = ", ".join(f"{topic} ({child})" for child, topic in found.items()) or "a moving frame"
+            raise ConfigError(
+                f"--tool {self._tool}: found no such moving frame connected with {base!r}, expected {known}"
+            )
         return named
 
-    def _placed(self, plan: DrawnPlan, base: str) -> DrawnPlan:
-        """In the frame of the clouds; as it stands where nothing connects its own frame with that."""
+    def _in_frame(self, plan: DrawnPlan, base: str) -> DrawnPlan:
+        """Return the plan transformed to the frame of the clouds; unchanged if the frames are not connected."""
         if frame_id(plan.frame_id) == frame_id(base):
             return plan
         stamps = np.full(len(plan.entry), plan.source_ns or plan.stamp_ns)
         try:
-            entry, leave = (self.frames.moved(ends, plan.frame_id, base, stamps) for ends in (plan.entry, plan.exit))
+            entry, leave = (
+                self.frames.transformed(ends, plan.frame_id, base, stamps) for ends in (plan.entry, plan.exit)
+            )
         except ConversionError as error:
-            note = f"{plan.topic}: taken as if in the frame of the cloud: {error}"
+            note = f"{plan.topic}: used without transformation, as if in the frame of the cloud: {error}"
             if note not in self.notes:
                 self.notes.append(note)
             return plan
@@ -196,9 +202,9 @@ class Material:
 
 
 def _on_tissue(plan: DrawnPlan, scene: DepthScene) -> bool:
-    """Whether most of the points lie about where the camera sees something."""
+    """Return whether more than half of the points are near the observed depth."""
     hits = 0
-    for point in scene.axes.optical(plan.ends()):
+    for point in scene.axes.to_optical(plan.ends()):
         if point[2] > 0:
             depth = scene.depth[scene.around(point[:2] / point[2], _HIT_RADIUS)]
             depth = depth[np.isfinite(depth)]

@@ -1,4 +1,4 @@
-"""ROS messages → what a review is made of: clouds, plans and poses, whatever their topics are called."""
+"""Conversion of ROS messages to the inputs of a review: clouds, plans and poses."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET
 
 Array = npt.NDArray[Any]
 
-#: A plan has no more points; what has more is a cloud.
+#: Maximum number of points of a plan; a PointCloud2 with more points is a cloud.
 MAX_PLAN_POINTS = 400
-_EQUAL_M = 2e-5  # a plan that went through float32 millimetres is the same plan
-_SAME_SHARE = 0.5  # of the ends, that a correction leaves where they are
+_EQUAL_M = 2e-5  # tolerance of equal points: a plan can have been rounded to float32 millimetres
+_SAME_SHARE = 0.5  # minimum share of the ends that a correction leaves unchanged
 
 
 @dataclass(frozen=True, slots=True)
 class DrawnPlan:
-    """A plan as a message has it.
+    """The plan of one message.
 
     Attributes:
         topic, type, frame_id: of the message.
         stamp_ns: gateway time.
         source_ns: stamp in the message; 0 = unset.
         entry, exit: (stitches, 3) metres.
-        labels: of the stitches; empty where the message names none.
-        lines: whether the message says itself which points belong together.
+        labels: names of the stitches; empty if the message does not name all of them.
+        lines: whether the message itself defines the pairs of points.
     """
 
     topic: str
@@ -52,18 +52,18 @@ class DrawnPlan:
     lines: bool = True
 
     def ends(self) -> Array:
-        """(2 · stitches, 3): all entry points, then all exit points."""
+        """Return (2 · stitches, 3) points: all entry points, then all exit points."""
         return np.concatenate([self.entry, self.exit])
 
     def equals(self, other: DrawnPlan) -> bool:
-        """Whether it is the same plan, up to rounding."""
-        return self._agreeing(other) == 1.0
+        """Return whether it is the same plan, up to rounding."""
+        return self._share_equal(other) == 1.0
 
     def corrects(self, other: DrawnPlan) -> bool:
-        """Whether it is a version of the same plan: most of its points are where they were."""
-        return self._agreeing(other) >= _SAME_SHARE
+        """Return whether it is a version of the same plan: at least half of its points are unchanged."""
+        return self._share_equal(other) >= _SAME_SHARE
 
-    def _agreeing(self, other: DrawnPlan) -> float:
+    def _share_equal(self, other: DrawnPlan) -> float:
         if len(self.entry) != len(other.entry):
             return 0.0
         near = np.abs(self.ends() - other.ends()).max(axis=1) <= _EQUAL_M
@@ -71,7 +71,7 @@ class DrawnPlan:
 
 
 def cloud_of(entry: Entry) -> DepthCloud | None:
-    """The positions of a sensor_msgs/PointCloud2; None where it has no x, y, z in floating point."""
+    """Return the positions of a sensor_msgs/PointCloud2; None without x, y, z as floating-point fields."""
     message = PointCloud2.unpack(entry.data())
     points = _positions(message)
     if points is None:
@@ -80,7 +80,7 @@ def cloud_of(entry: Entry) -> DepthCloud | None:
 
 
 def plan_of(entry: Entry) -> DrawnPlan | None:
-    """The plan that a message may be; None where it cannot be one."""
+    """Return the message as a plan; None if it cannot be one."""
     read = _PLANS.get(entry.type)
     drawn = read(entry) if read else None
     if drawn is None or not 0 < len(drawn.entry) <= MAX_PLAN_POINTS // 2 or not np.isfinite(drawn.ends()).all():
@@ -89,7 +89,7 @@ def plan_of(entry: Entry) -> DrawnPlan | None:
 
 
 def poses_of(entry: Entry) -> Iterator[tuple[str, str, Pose, int]]:
-    """(parent, child, pose, stamp in UTC ns) of all that a message tells; a PoseStamped is called by its topic."""
+    """Yield (parent, child, pose, stamp in UTC ns) of a message; the topic is the child of a PoseStamped."""
     data = entry.data()
     if entry.type == TransformStamped.TYPE:
         one = TransformStamped.unpack(data)
@@ -108,13 +108,13 @@ POSES = frozenset({TransformStamped.TYPE, TFMessage.TYPE, PoseStamped.TYPE})
 
 
 def is_large_cloud(data: Buffer) -> bool:
-    """Whether a PointCloud2 has more points than a plan may have."""
+    """Return whether a PointCloud2 has more points than a plan can have."""
     message = PointCloud2.unpack(data)
     return message.width * message.height > MAX_PLAN_POINTS
 
 
 def _positions(message: PointCloud2) -> Array | None:
-    """(height, width, 3) float32 or float64; holes as NaN."""
+    """Return (height, width, 3) float32 positions, NaN without a depth; None without x, y, z."""
     places: dict[str, np.dtype[Any]] = {}
     offsets = []
     for item in message.fields:
@@ -139,7 +139,7 @@ def _positions(message: PointCloud2) -> Array | None:
 
 
 def _of_marker(entry: Entry) -> DrawnPlan | None:
-    """The segments of a LINE_LIST."""
+    """Return the segments of a LINE_LIST."""
     message = Marker.unpack(entry.data())
     if message.type != Marker.LINE_LIST or message.action != 0 or len(message.points) % 2:
         return None
@@ -161,7 +161,7 @@ def _of_trajectories(entry: Entry) -> DrawnPlan | None:
 
 
 def _of_polydata(entry: Entry) -> DrawnPlan | None:
-    """First and last point of each line; without lines the points, as of a cloud."""
+    """Return the first and the last point of each line; without lines, the points in the order of a cloud."""
     message = PolyData.unpack(entry.data())
     points, cells = np.asarray(message.points, np.float64), message.lines
     if len(message.polygons) or len(message.triangle_strips):
@@ -182,15 +182,15 @@ def _of_polydata(entry: Entry) -> DrawnPlan | None:
 
 
 def _of_point_list(entry: Entry) -> DrawnPlan | None:
-    """Points that say entry or exit (or target) by their group or the first word of their name, in their order.
+    """Return the points in pairs: entry and exit (or target) by group, or by the first word of the name.
 
-    Else all entry points first.
+    If not all points are marked like this, the first half are entry points and the second half exit points.
     """
     message = PointList.unpack(entry.data())
     names = [point.name.strip() for point in message.points]
     positions = np.array([point.position for point in message.points], np.float64).reshape(-1, 3)
-    told = [_END.match(point.group) or _END.match(name) for point, name in zip(message.points, names, strict=True)]
-    kinds = [match.group(1).lower() if match else "" for match in told]
+    marked = [_END.match(point.group) or _END.match(name) for point, name in zip(message.points, names, strict=True)]
+    kinds = [match.group(1).lower() if match else "" for match in marked]
     first = [number for number, kind in enumerate(kinds) if kind == "entry"]
     last = [number for number, kind in enumerate(kinds) if kind in ("exit", "target")]
     if len(first) + len(last) != len(names) or len(first) != len(last):
@@ -213,9 +213,9 @@ def _of_cloud(entry: Entry) -> DrawnPlan | None:
 
 
 def _halves(entry: Entry, message: PointCloud2 | PolyData, points: Array) -> DrawnPlan | None:
-    """Points without more: all entry points, then all exit points."""
-    half, odd = divmod(len(points), 2)
-    return None if odd else _drawn(entry, message, points[:half], points[half:], lines=False)
+    """Return unmarked points in pairs: all entry points, then all exit points.  None if their number is odd."""
+    half, rest = divmod(len(points), 2)
+    return None if rest else _drawn(entry, message, points[:half], points[half:], lines=False)
 
 
 def _drawn(

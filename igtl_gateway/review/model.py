@@ -1,7 +1,7 @@
-"""What a review says: values, no arithmetic.
+"""The results of a review: values without arithmetic.
 
-Positions are metres in the frame of the cloud, which is the camera's optical frame (x right, y down, z forward);
-whatever a surgeon reads is millimetres.  Stamps are UTC ns.  ``None`` is what could not be found out.
+Positions are in metres, in the frame of the cloud.  Lengths with ``_mm`` in their name are for the reader, in
+millimetres.  Stamps are UTC ns.  ``None`` stands for a figure that could not be determined.
 """
 
 from __future__ import annotations
@@ -17,37 +17,38 @@ Point = tuple[float, float, float]
 
 
 class Level(Enum):
-    """How a stitch is judged; ordered by ``rank``."""
+    """The level of a stitch; ordered by ``rank``."""
 
     OK = "ok"
-    LOOK = "look"  #: a person should look at it: near a limit, or the figures cannot be trusted here
-    WRONG = "wrong"  #: beside the tissue, beyond doubt
+    LOOK = "look"  #: a person should look at it: a figure is near a limit, or cannot be trusted
+    WRONG = "wrong"  #: not on the tissue, with the given confidence
 
     @property
     def rank(self) -> int:
-        """0 good … 2 bad."""
+        """Severity, from 0 (ok) to 2 (wrong)."""
         return list(Level).index(self)
 
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """From where on a figure is a reason; ``docs/review.md`` says why these.
+    """The limits that make a figure a reason; ``docs/review.md`` explains the defaults.
 
     Attributes:
-        wrong_mm: a point so far off the tissue, and by more than ``sure`` standard errors, is wrong.
-        look_mm: a point so far off is looked at.
-        sure: standard errors that a distance must exceed to be wrong.
-        noise_mm: depth noise from which on a place is looked at.
-        reading_mm: deviation of the camera's reading at a point from the tissue around it, and of that from the
-            tissue in a window twice as wide.
-        density_mm2: points for each mm² below which a place is looked at.
-        missing: share of pixels without depth above which a place is looked at.
-        spacing: a distance to the next stitch that differs by more than this share from the plan's median.
-        bite: a bite length that differs by more than this share from the plan's median.
-        reach_mm: the tool was at a planned point if it came so near.
-        window_mm: radius of the window that the tissue is fitted in.
-        place_mm: radius of the place itself: noise, density and missing share are taken here.
-        core_mm: radius that the camera's own reading is taken in.
+        wrong_mm: distance of a point from the tissue from which its level is *wrong*, if the distance is also more
+            than ``sure`` standard errors.
+        look_mm: distance of a point from the tissue from which its level is *look*.
+        sure: standard errors that a distance must exceed for *wrong*.
+        noise_mm: depth noise above which the level is *look*.
+        reading_mm: from this deviation the level is *look*: of the camera's reading at a point from the tissue around
+            it, or of the surface from that of a window twice as wide.
+        density_mm2: points for each mm² below which the level is *look*.
+        missing: share of pixels without depth above which the level is *look*.
+        spacing: relative difference of the distance to the next stitch from the plan's median, for *look*.
+        bite: relative difference of the bite length from the plan's median, for *look*.
+        reach_mm: the tool reached a planned point if it came at least this close.
+        window_mm: radius of the window in which the tissue is fitted.
+        place_mm: radius around a point for noise, density and missing pixels.
+        core_mm: radius around a point for the camera's own reading.
     """
 
     wrong_mm: float = 1.0
@@ -67,20 +68,20 @@ class Thresholds:
 
 @dataclass(frozen=True, slots=True)
 class CloudReview:
-    """The clouds as one: the median depth of each pixel, and its noise.
+    """The combined clouds: the depth image and its noise.
 
     Attributes:
-        topic: where the clouds came from.
-        frame_id: their frame.
+        topic: of the clouds.
+        frame_id: of the clouds.
         clouds: number of clouds that were used.
-        stamps_ns: gateway times of the first and the last of them.
-        source_stamps_ns: the camera's own stamps of these two; 0 = unset.
-        height, width: pixels; height 1 for a cloud that is not organised.
-        positions: (points, 3) float32, metres: those pixels that have a depth.
-        noise_mm: (points,) float32, depth noise as standard deviation; NaN where unknown.
-        step_mm: step of the depth at the median depth; 0 where it is continuous.
-        step_grows: exponent with which the step grows with depth: 0 for a grid of depths, 2 of disparities.
-        temporal: whether the noise was seen between clouds (all of it), or only within one (a lower bound).
+        stamps_ns: gateway times of the first and the last of them, UTC.
+        source_stamps_ns: the camera's stamps of these two clouds, UTC; 0 = unset.
+        height, width: pixels; height 1 for an unorganised cloud.
+        positions: (points, 3) float32, metres: the pixels with a depth.
+        noise_mm: (points,) float32, depth noise as standard deviation; NaN if unknown.
+        step_mm: step of the depth at the median depth; 0 if depth is continuous.
+        step_grows: exponent with which the step grows with depth: 0 for steps of depth, 2 for steps of disparity.
+        temporal: whether the noise was measured between clouds (the complete noise), or within one (a lower bound).
     """
 
     topic: str
@@ -99,13 +100,13 @@ class CloudReview:
 
 @dataclass(frozen=True, slots=True)
 class Executed:
-    """How near the tool's origin came to a planned point.
+    """The closest approach of the tool's origin to a planned point.
 
     Attributes:
-        distance_mm: closest approach.
-        stamp_ns: gateway time of it.
-        position: of the tool then, metres, frame of the cloud.
-        reached: whether the tool was meant for this point: near enough, and no other planned point was nearer.
+        distance_mm: smallest distance.
+        stamp_ns: gateway time of this distance, UTC.
+        position: of the tool at this time, metres, frame of the cloud.
+        reached: whether the tool was within ``Thresholds.reach_mm`` while no other planned point was nearer.
     """
 
     distance_mm: float
@@ -116,26 +117,25 @@ class Executed:
 
 @dataclass(frozen=True, slots=True)
 class EndReview:
-    """An entry or exit point.
+    """The figures of an entry or exit point.
 
     Attributes:
         position: metres, frame of the cloud.
-        distance_mm: from the fitted tissue, at a right angle to it: + above (the camera's side), − under it.
-        error_mm: standard error of this distance: of the tissue, and of the reading where the point is one of the
-            camera's readings (``lifted``).
-        interval_mm: the true distance is within so much of ``distance_mm`` in 95 of 100 cases.
-        lifted: whether the point is one of the camera's readings, with all of its noise.
-        scatter_mm: how much the whole plan scatters about the tissue beyond that, at most as readings do here;
-            None where the plan is too short to tell.
-        noise_mm: depth noise here: ``temporal_mm`` where known, else ``spatial_mm``.
+        distance_mm: from the fitted tissue, perpendicular to it: positive above (the camera's side), negative below.
+        error_mm: standard error of this distance: of the tissue, and of the point itself if it is ``lifted``.
+        interval_mm: the true distance is within ``distance_mm`` ± this value in 95 of 100 cases.
+        lifted: whether the point is one of the camera's readings and has their noise.
+        scatter_mm: scatter of the complete plan about the tissue beyond the errors, at most the scatter of single
+            readings at this point; None if the plan is too short.
+        noise_mm: depth noise around the point: ``temporal_mm`` if known, otherwise ``spatial_mm``.
         temporal_mm: depth noise from cloud to cloud at the same pixel.
         spatial_mm: depth noise from pixel to pixel within a cloud: a lower bound.
-        reading_mm: how far the camera's own reading here is from the tissue around: + towards the camera.
-        wider_mm: how far the tissue as fitted in a window twice as wide is from this one, here: + towards the camera.
-        density_mm2: points with a depth for each mm² of tissue, of one cloud.
-        missing: share of the pixels without depth, of one cloud.
-        spacing_mm: to the nearer of the neighbours' same ends.
-        executed: of the tool; None where there is no tool in the file.
+        reading_mm: distance of the camera's own reading from the fitted tissue: positive = towards the camera.
+        wider_mm: distance of the surface fitted in a window twice as wide: positive = towards the camera.
+        density_mm2: points with a depth for each mm² of tissue, in one cloud.
+        missing: share of the pixels without depth, in one cloud.
+        spacing_mm: distance to the same end of the nearer neighbour in the plan.
+        executed: closest approach of the tool; None without a tool, or in a version that was not executed.
     """
 
     position: Point
@@ -160,14 +160,15 @@ class StitchReview:
     """A stitch of one version of the plan.
 
     Attributes:
-        number: from 1, its place in the plan.
-        label: its name in the plan, else its number.
-        entry, exit: its ends.
-        bite_length_mm: straight from entry to exit.
-        bite_depth_mm: how deep that straight line runs below the fitted tissue, at most.
-        driven_depth_mm: how deep the tool ran below the fitted tissue between entry and exit, at most.
-        level: the worst of the reasons.
-        reasons: why it is not ok, the gravest first.
+        number: position in the plan, from 1.
+        label: name in the plan, or the number if it has none.
+        entry, exit: the two ends.
+        bite_length_mm: straight distance from entry to exit.
+        bite_depth_mm: largest depth of this straight line below the fitted tissue; None without tissue.
+        driven_depth_mm: largest depth of the tool below the fitted tissue between entry and exit; None if the tool
+            did not reach both.
+        level: the worst level of the reasons.
+        reasons: why the level is not *ok*, the worst first.
     """
 
     number: int
@@ -186,10 +187,10 @@ class PlanReview:
     """A version of the plan.
 
     Attributes:
-        topic, type: of the message that brought it.
-        frame_id: the message's frame; the stitches here are in the cloud's.
-        stamp_ns: gateway time.
-        source_ns: stamp in the message; 0 = unset.
+        topic, type: of the message with this version.
+        frame_id: of the message; the stitches are in the frame of the cloud.
+        stamp_ns: gateway time, UTC.
+        source_ns: stamp in the message, UTC; 0 = unset.
         stitches: in the order of the plan.
     """
 
@@ -202,7 +203,7 @@ class PlanReview:
 
     @property
     def wrong(self) -> tuple[StitchReview, ...]:
-        """The stitches that are wrong."""
+        """The stitches with the level *wrong*."""
         return tuple(stitch for stitch in self.stitches if stitch.level is Level.WRONG)
 
 
@@ -211,9 +212,9 @@ class Change:
     """A stitch that differs between the first and the last version.
 
     Attributes:
-        number, label: of the last version; of the first one where the stitch was taken out.
-        moved_mm: how far the entry and the exit point were moved; None where the stitch was added or taken out.
-        before, after: its level in the first and in the last version; None where it is not there.
+        number, label: in the last version; in the first version if the stitch was removed.
+        moved_mm: distances by which the entry and the exit point were moved; None if the stitch was added or removed.
+        before, after: level in the first and in the last version; None if that version does not have the stitch.
     """
 
     number: int
@@ -225,15 +226,15 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Review:
-    """All that is said of a session.
+    """The review of a session.
 
     Attributes:
-        cloud: the clouds.
-        plans: every version, in order of time; at least one.
+        cloud: the combined clouds.
+        plans: all versions, in order of time; at least one.
         changes: from the first to the last version.
-        tool: frame of the tool whose path was compared; "" where there is none.
-        thresholds: what was judged by.
-        notes: what a reader should know of how this was made: streams left out, frames that nothing connects.
+        tool: frame of the tool whose path was compared; "" without a tool.
+        thresholds: the limits that were applied.
+        notes: what was left out or assumed: decimated clouds, frames that are not connected, uncertain axes.
     """
 
     cloud: CloudReview
@@ -245,10 +246,10 @@ class Review:
 
     @property
     def first(self) -> PlanReview:
-        """The plan as it was drawn."""
+        """The plan as first drawn."""
         return self.plans[0]
 
     @property
     def last(self) -> PlanReview:
-        """The plan as it was left."""
+        """The plan with all corrections."""
         return self.plans[-1]

@@ -1,11 +1,12 @@
-"""Depth noise of every pixel, from how its depth changes from cloud to cloud, or from pixel to pixel.
+"""Depth noise of each pixel, from the changes of its depth from cloud to cloud, or from pixel to pixel.
 
-Both are differences of readings of one place, so what is being looked at falls out, and both are pooled over the
-pixels around: a dozen clouds alone would tell a pixel's noise to ±20 % only.  What changes by far more than the
-noise around it (the tool that comes by, a gross error) is left out.
+Both are differences between readings of one position, so the shape of the tissue cancels out.  Both are pooled over
+the pixels around, because a dozen clouds determine the noise of a single pixel only to ±20 %.  Differences far larger
+than the noise around them (a passing tool, a gross error) are left out.
 
-Where depth comes in steps most differences are 0 and the others at least a step, so a median of them tells nothing:
-there whatever is below two steps counts, and what the rounding hides is added (``steps``).
+If depth is quantised, most differences are 0 and the others are at least one step, so their median has no
+information.  In this case all differences below two steps count, and the part that rounding hides is added
+(``steps``).
 """
 
 from __future__ import annotations
@@ -19,29 +20,29 @@ from igtl_gateway.review.steps import UNIFORM_VARIANCE, before_rounding
 
 Array = npt.NDArray[Any]
 
-#: Median of the size of a normal number → its deviation.
+#: Ratio of the standard deviation of a normal number to the median of its absolute value.
 MAD = 1.4826
-_BLOCK = 10  # pixels: squares for a first guess
-_POOL = 2  # pixels to each side: 5 by 5 are pooled
-_POOL_OF_STEPS = 5  # the same where depth has steps: how often it changes depends on the place between two steps
-_CUT = 3.5  # deviations; what is beyond is no noise
-_CUT_SHRINKS = 0.9969  # deviation of a normal number whose tails are cut off there
+_BLOCK = 10  # pixels: side of the squares for the first estimate
+_POOL = 2  # pixels to each side: 5 × 5 are pooled
+_POOL_OF_STEPS = 5  # for quantised depth: its changes depend on the position between two steps
+_CUT = 3.5  # standard deviations beyond which a difference is not noise
+_CUT_SHRINKS = 0.9969  # standard deviation of a normal number without the tails beyond the cut
 _ROUNDS = 3
-_ENOUGH = 12  # differences that make a figure
-_COARSE = 0.1  # share of equal readings from which on steps count: about three deviations
-_HALF = 0.4  # share of equal readings that no continuous depth has by chance
-_LEAST_STEPS = 0.55  # of a deviation, in steps: with this two steps are below the cut
+_ENOUGH = 12  # minimum number of differences for a result
+_COARSE = 0.1  # share of equal readings from which depth counts as quantised: steps of about three deviations
+_REPEATED = 0.4  # share of equal readings that continuous depth does not reach by chance: clouds were sent twice
+_LEAST_STEPS = 0.55  # minimum of the standard deviation, in steps: keeps differences of nearly two steps
 
 
 def between_clouds(depths: Array, step: Array | float = 0.0) -> Array:
-    """(height, width) standard deviation of depth from the differences of successive clouds.
+    """Return the (height, width) standard deviation of depth from the differences of successive clouds, metres.
 
-    A shift that all pixels share is taken off: the patient breathes, and that is no noise.  What rounding adds
-    without ever changing is not in it: ``total_noise`` adds it.
+    The median change of all pixels is subtracted: breathing is not noise.  The constant part of the rounding error is
+    not included: ``total_noise`` adds it.
 
     Args:
-        depths: (clouds, height, width), NaN where there is none; two clouds or more.
-        step: (height, width) of the sensor's grid, metres; 0 where depth is continuous.
+        depths: (clouds, height, width) metres, NaN without a depth; two clouds or more.
+        step: (height, width) step of quantised depth, metres; 0 if depth is continuous.
     """
     changes = np.diff(depths.astype(np.float64), axis=0) / np.sqrt(2.0)
     for number, change in enumerate(changes):
@@ -52,13 +53,14 @@ def between_clouds(depths: Array, step: Array | float = 0.0) -> Array:
 
 
 def within_clouds(depths: Array, step: Array | float = 0.0) -> Array:
-    """(height, width) standard deviation of depth from second differences along the rows and the columns of each cloud.
+    """Return the (height, width) standard deviation of depth from second differences within each cloud, metres.
 
-    Sees what differs between neighbours only: a lower bound where the grain is larger than a pixel.
+    The differences along rows and columns contain only what differs between neighbours: the result is a lower bound if
+    the noise is correlated over more than a pixel.
 
     Args:
-        depths: (clouds, height, width), NaN where there is none.
-        step: (height, width) of the sensor's grid, metres; 0 where depth is continuous.
+        depths: (clouds, height, width) metres, NaN without a depth.
+        step: (height, width) step of quantised depth, metres; 0 if depth is continuous.
     """
     depths = depths.astype(np.float64)
     bends = np.full((2, *depths.shape), np.nan)
@@ -68,15 +70,17 @@ def within_clouds(depths: Array, step: Array | float = 0.0) -> Array:
 
 
 def total_noise(changing: Array, step: Array) -> Array:
-    """Standard deviation of a reading from the truth, of that which changes from reading to reading: with a step of
-    q and σ before the rounding √(σ² + q² / 12).  (Noise and rounding error are uncorrelated over all places in a
-    step.)"""
+    """Return the standard deviation of readings from the true depth, from that of the changes between readings, metres.
+
+    With the step q and the noise σ before the rounding it is √(σ² + q² / 12): noise and rounding error are
+    uncorrelated over all positions in a step.
+    """
     deviation: Array = np.sqrt(before_rounding(changing**2, step) + UNIFORM_VARIANCE * step**2)
     return deviation
 
 
 def deviation(values: Array) -> float:
-    """Standard deviation of what scatters about 0, gross errors left out; NaN of nothing."""
+    """Return the standard deviation about 0 without gross errors; NaN without finite values."""
     size = np.abs(values[np.isfinite(values)])
     if not size.size:
         return float("nan")
@@ -86,18 +90,18 @@ def deviation(values: Array) -> float:
 
 
 def _pooled(differences: Array, step: Array | float) -> Array:
-    """Root mean square of (n, height, width) differences about 0 over the pixels around, gross errors left out."""
+    """Return the root mean square of (n, height, width) differences over the pixels around, without gross errors."""
     size = np.abs(differences)
-    still = size <= 1e-3 * np.asarray(step)
-    equal = int(np.count_nonzero(still)) / max(int(np.count_nonzero(np.isfinite(size))), 1)
+    unchanged = size <= 1e-3 * np.asarray(step)
+    equal = int(np.count_nonzero(unchanged)) / max(int(np.count_nonzero(np.isfinite(size))), 1)
     coarse = bool(np.any(step)) and equal > _COARSE
     least = _LEAST_STEPS * np.asarray(step) * coarse
     reach = _POOL_OF_STEPS if coarse else _POOL
-    if not coarse and equal > _HALF:
-        size = np.where(still, np.nan, size)  # clouds that were sent twice
-    sigma = _guess(size)
+    if not coarse and equal > _REPEATED:
+        size = np.where(unchanged, np.nan, size)
+    sigma = _first_estimate(size)
     for _ in range(_ROUNDS):
-        kept = size <= _CUT * np.maximum(sigma, least)  # NaN is not
+        kept = size <= _CUT * np.maximum(sigma, least)  # False for NaN
         squares = _box(np.where(kept, size, 0.0) ** 2, reach)
         number = _box(kept.astype(np.float64), reach)
         enough = number > _ENOUGH - 0.5
@@ -106,8 +110,8 @@ def _pooled(differences: Array, step: Array | float) -> Array:
     return sigma
 
 
-def _guess(size: Array) -> Array:
-    """(height, width) deviation by the medians of blocks."""
+def _first_estimate(size: Array) -> Array:
+    """Return the (height, width) standard deviation from the medians of blocks of pixels."""
     count, height, width = size.shape
     rows, columns = -(-height // _BLOCK), -(-width // _BLOCK)
     padded = np.full((count, rows * _BLOCK, columns * _BLOCK), np.inf)
@@ -121,7 +125,7 @@ def _guess(size: Array) -> Array:
 
 
 def _box(values: Array, reach: int) -> Array:
-    """(height, width) sums over all (n, height, width) in the square around each pixel."""
+    """Return the (height, width) sums over all (n, height, width) values in the square around each pixel."""
     total: Array = values.sum(axis=0)
     for axis in (0, 1):
         padding = [(0, 0), (0, 0)]

@@ -1,9 +1,9 @@
-"""The planned points' own errors: what a point was lifted from, it inherits.
+"""The errors of the planned points themselves.
 
-Whether a point lies off the tissue is a question about a difference, and both sides of it have errors.  A point that
-is one of the camera's readings has all of that reading's noise.  One that was lifted from some readings, or from a
-cloud that is not in the file, has less, or cannot be recognised: but then the whole plan scatters about the tissue
-by more than the errors of the tissue, and no single point of it stands out.
+The distance of a point from the tissue is a difference, and both of its terms have errors.  A point that is one of the
+camera's readings (*lifted*) has all noise of that reading.  A point that was computed from several readings has less
+noise, and one from a cloud that is not in the file cannot be recognised.  In these cases the complete plan scatters
+about the tissue by more than the errors of the tissue, and no single point of it stands out.
 """
 
 from __future__ import annotations
@@ -22,46 +22,46 @@ from igtl_gateway.review.scene import DepthScene
 
 Array = npt.NDArray[Any]
 
-#: An end, and the standard deviation of single readings about the tissue there, in mm; None where it is not known.
+#: An end, and the standard deviation of single readings about the tissue around it, in mm; None if unknown.
 Assessed = tuple[EndReview, float | None]
 
-_SCATTERING = 6  # ends of a plan that tell how much it scatters
-_AT_MOST = 1.5  # a median of so few sizes may well be too small by this
-_NOTABLE = 2.0  # as variance; of 22 ends chance gives more once in 40
+_MIN_ENDS = 6  # of a plan, for an estimate of its scatter
+_MARGIN = 1.5  # factor by which the median of few absolute values might be too small
+_NOTABLE = 2.0  # ratio of variances; for 22 ends it is exceeded by chance once in 40 cases
 
 
 def with_own_errors(scene: DepthScene, ends: Sequence[Assessed]) -> list[EndReview]:
-    """All ends of one version of a plan, with the errors of the planned points themselves."""
-    return _scattered([(end, reading_mm) for end, reading_mm in _lifted(scene, ends)])
+    """Return all ends of one version of a plan, with the errors of the planned points themselves."""
+    return _with_scatter(_with_reading_errors(scene, ends))
 
 
-def _lifted(scene: DepthScene, ends: Sequence[Assessed]) -> list[Assessed]:
-    """With the noise of the readings that the points are; one alone may be a reading by chance."""
-    same = [scene.holds(scene.axes.optical(np.array(end.position))) for end, _ in ends]
+def _with_reading_errors(scene: DepthScene, ends: Sequence[Assessed]) -> list[Assessed]:
+    """Return the ends with the noise of their readings, if at least half of the plan are readings (not by chance)."""
+    same = [scene.holds(scene.axes.to_optical(np.array(end.position))) for end, _ in ends]
     if 2 * sum(same) < len(same):
         return list(ends)
     return [
-        (_read(end, reading_mm) if own and reading_mm is not None else end, reading_mm)
-        for (end, reading_mm), own in zip(ends, same, strict=True)
+        (_lifted(end, reading_mm) if is_reading and reading_mm is not None else end, reading_mm)
+        for (end, reading_mm), is_reading in zip(ends, same, strict=True)
     ]
 
 
-def _read(end: EndReview, reading_mm: float) -> EndReview:
-    """A reading's scatter about the tissue has the error of the tissue in it."""
+def _lifted(end: EndReview, reading_mm: float) -> EndReview:
+    """Return the end as a reading.  The scatter of readings about the tissue contains the error of the tissue."""
     error_mm = max(end.error_mm or 0.0, reading_mm)
     return replace(end, lifted=True, error_mm=error_mm, interval_mm=SURE_95 * error_mm)
 
 
-def _scattered(ends: Sequence[Assessed]) -> list[EndReview]:
-    """With how much the plan scatters about the tissue by more than the errors say."""
+def _with_scatter(ends: Sequence[Assessed]) -> list[EndReview]:
+    """Return the ends with the scatter of the plan about the tissue that the errors do not explain."""
     distances = np.array([end.distance_mm for end, _ in ends if end.distance_mm is not None])
     errors = np.array([end.error_mm for end, _ in ends if end.error_mm is not None])
-    if len(distances) < _SCATTERING:
+    if len(distances) < _MIN_ENDS:
         return [end for end, _ in ends]
     scatter = float((MAD * np.median(np.abs(distances - np.median(distances)))) ** 2)
     expected = float(np.median(errors)) ** 2
-    beyond_mm = _AT_MOST * float(np.sqrt(scatter - expected)) if scatter > _NOTABLE * expected else 0.0
+    excess_mm = _MARGIN * float(np.sqrt(scatter - expected)) if scatter > _NOTABLE * expected else 0.0
     return [
-        end if reading_mm is None else replace(end, scatter_mm=0.0 if end.lifted else min(beyond_mm, reading_mm))
+        end if reading_mm is None else replace(end, scatter_mm=0.0 if end.lifted else min(excess_mm, reading_mm))
         for end, reading_mm in ends
     ]

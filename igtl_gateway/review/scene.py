@@ -1,8 +1,8 @@
-"""The clouds as one depth picture: which ray each pixel looks along, its usual depth, its noise.
+"""The clouds combined to one depth image: the ray of each pixel, its depth and its noise.
 
-The median over the clouds takes the tool out that comes by, and fills the holes that come and go.  The picture is
-the mean of the readings near that median: of Gaussian noise it keeps less than the median does, and where depth has
-steps it finds the places between them, which a median cannot.
+The median over the clouds removes a passing tool and fills temporary holes.  The depth image is the mean of the
+readings near that median.  The mean has less noise than the median if the noise is Gaussian, and it resolves
+positions between the steps of quantised depth, which a median does not.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from igtl_gateway.review.steps import Steps, share_before_rounding, steps_of
 
 Array = npt.NDArray[Any]
 
-_SPATIAL_CLOUDS = 6  # a few tell what differs between neighbours
-_BLOCK = 10  # pixels: squares that tell the place between two steps
-_SAME_M, _SAME = 5e-7, 5e-7  # metres, and share of the depth
-_NEAR = 3.5  # deviations from the median, within which a reading counts
+_SPATIAL_CLOUDS = 6  # clouds for the spatial noise
+_BLOCK = 10  # pixels: side of the squares whose mean is a position between two steps
+_SAME_M, _SAME = 5e-7, 5e-7  # tolerance of equal readings: metres, plus share of the depth
+_NEAR = 3.5  # a reading counts within this number of standard deviations from the median
 
 
 @dataclass(frozen=True, slots=True)
 class DepthCloud:
-    """A cloud as it came.
+    """One cloud of the session.
 
     Attributes:
         topic, frame_id: of its message.
-        stamp_ns: gateway time.
-        source_ns: stamp in the message; 0 = unset.
-        points: (height, width, 3) metres, NaN where the camera gave no depth; height 1 if not organised.
+        stamp_ns: gateway time, UTC.
+        source_ns: stamp in the message, UTC; 0 = unset.
+        points: (height, width, 3) metres, NaN without a depth; height 1 if unorganised.
     """
 
     topic: str
@@ -48,21 +48,21 @@ class DepthCloud:
 
 @dataclass(frozen=True, slots=True)
 class DepthScene:
-    """What the clouds say together; pixels in one row, as (height · width,).
+    """The combined clouds; pixels in one dimension, as (height · width,).
 
     Attributes:
-        clouds: what it was made of, in order of time.
-        rays: (pixels, 2): x / z and y / z of what a pixel sees.
-        depth: (pixels,) usual z, metres: mean of the readings near the median; NaN where no cloud has any.
-        depths: (clouds, pixels) z of each.
-        counted: (clouds, pixels) which of them ``depth`` is the mean of.
-        temporal: (pixels,) standard deviation of z by what changes from cloud to cloud, with the share of the
-            sensor's steps, metres; NaN where unknown, None of one cloud.
-        spatial: the same from pixel to pixel; None where the cloud is no picture.
-        steps: of the sensor's depth.
-        before_rounding: standard deviation of the noise before depth was rounded to them, in steps.
-        axes: which way the camera looks in the frame of the clouds; all else here is in optical axes, z forward.
-        note: what a reader should know of that; "" where the frame is an optical one.
+        clouds: the clouds that are used, in order of time.
+        rays: (pixels, 2) ray of each pixel, as x / z and y / z.
+        depth: (pixels,) the depth image: mean of those z that are near their median, metres; NaN if no cloud has any.
+        depths: (clouds, pixels) z of each cloud, metres.
+        counted: (clouds, pixels) whether ``depth`` includes this reading.
+        temporal: (pixels,) standard deviation of z from the changes between clouds, with the part of quantised depth,
+            metres; NaN if unknown, None for one cloud.
+        spatial: (pixels,) the standard deviation from the changes between pixels; None if the cloud is unorganised.
+        steps: of quantised depth.
+        before_rounding: standard deviation of the noise before depth was quantised, in steps.
+        axes: viewing direction in the frame of the clouds; all other attributes are in optical axes, z forward.
+        note: note on the axes; "" if the frame is an optical one.
     """
 
     clouds: tuple[DepthCloud, ...]
@@ -79,15 +79,15 @@ class DepthScene:
 
     @classmethod
     def of(cls, clouds: Sequence[DepthCloud]) -> DepthScene:
-        """From clouds of one size and frame; of clouds that are not organised the last one only.
+        """Combine clouds of one size and frame; of unorganised clouds only the last one is used.
 
-        Raises GatewayError where the points do not lie in front of a camera.
+        Raises GatewayError if most points are behind the camera.
         """
         height, width, _ = clouds[-1].points.shape
         organised = height > 1 and width > 1
         used = tuple(clouds) if organised else (clouds[-1],)
         axes, note = axes_of(used[-1].points, used[-1].frame_id)
-        x, y, z = np.moveaxis(axes.optical(np.stack([cloud.points for cloud in used]).astype(np.float64)), -1, 0)
+        x, y, z = np.moveaxis(axes.to_optical(np.stack([cloud.points for cloud in used]).astype(np.float64)), -1, 0)
         behind = np.isfinite(z) & (z <= 0)
         if 2 * np.count_nonzero(behind) > np.count_nonzero(np.isfinite(z)):
             raise GatewayError(
@@ -95,13 +95,15 @@ class DepthScene:
                 "expected a cloud in the optical frame of its camera (z forward)"
             )
         z[behind] = np.nan
-        rays = np.stack([_usual_ray(x / z), _usual_ray(y / z)], axis=-1)
+        rays = np.stack([_median_slope(x / z), _median_slope(y / z)], axis=-1)
         steps = steps_of(z)
         median = _median(z)
         step = steps.at(median)
         changing = noise.between_clouds(z, step) if len(used) > 1 else None
         differing = noise.within_clouds(z[:_SPATIAL_CLOUDS], step) if organised else None
-        temporal, spatial = (None if seen is None else noise.total_noise(seen, step) for seen in (changing, differing))
+        temporal, spatial = (
+            None if found is None else noise.total_noise(found, step) for found in (changing, differing)
+        )
         near = np.isfinite(z) if temporal is None else _near(z, median, temporal)
         depth = _mean(z, near, median)
         return cls(
@@ -120,12 +122,12 @@ class DepthScene:
 
     @property
     def noise(self) -> Array:
-        """(pixels,) the best that is known of the noise, metres: temporal, else spatial, else NaN."""
+        """(pixels,) standard deviation of z, metres: temporal if known, otherwise spatial, otherwise NaN."""
         found = self.spatial if self.temporal is None else self.temporal
         return np.full(len(self.depth), np.nan) if found is None else found
 
     def holds(self, point: Array) -> bool:
-        """Whether a point (3,) in optical axes is one of the readings, up to single precision."""
+        """Return whether a point (3,) in optical axes is one of the readings, up to single precision."""
         if not point[2] > 0:
             return False
         near = _SAME_M + _SAME * point[2]
@@ -133,26 +135,28 @@ class DepthScene:
         return bool((np.abs(self.depths[:, pixels] - point[2]) <= near).any())
 
     def around(self, ray: Array, radius: float) -> Array:
-        """Numbers of the pixels within ``radius`` (as x / z) of a ray."""
+        """Return the numbers of the pixels within ``radius`` (as x / z) of a ray."""
         off = self.rays - ray
         with np.errstate(invalid="ignore"):
             return np.flatnonzero(off[:, 0] ** 2 + off[:, 1] ** 2 <= radius**2)
 
 
-def _before_rounding(seen: Array | None, depth: Array, step: Array) -> float:
-    """In steps; 0 where nothing is known, which is the worst."""
-    if seen is None or not (step > 0).any():
+def _before_rounding(observed: Array | None, depth: Array, step: Array) -> float:
+    """Return the noise before rounding, in steps, from the observed noise; 0, the worst case, if it is unknown."""
+    if observed is None or not (step > 0).any():
         return 0.0
-    usual = np.median(step[step > 0])
-    # depth in steps: on a grid of depths exactly, on one that grows near enough
-    inside = (step > 0) & np.isfinite(seen) & np.isfinite(depth)
-    blocks = [_sums(np.where(inside, each, 0.0)) for each in (np.ones_like(depth), (seen / usual) ** 2, depth / usual)]
+    median = np.median(step[step > 0])
+    # depth in steps: exact for steps of depth, approximate for steps of disparity
+    inside = (step > 0) & np.isfinite(observed) & np.isfinite(depth)
+    blocks = [
+        _sums(np.where(inside, each, 0.0)) for each in (np.ones_like(depth), (observed / median) ** 2, depth / median)
+    ]
     number, variance, phase = (block[blocks[0] > _BLOCK**2 // 2] for block in blocks)
     return share_before_rounding(variance / number, phase / number) if len(number) else 0.0
 
 
 def _sums(values: Array) -> Array:
-    """(blocks,) over squares of pixels; what is left at the edges is left out."""
+    """Return the (blocks,) sums over squares of pixels; incomplete squares at the edges are left out."""
     rows, columns = values.shape[0] // _BLOCK, values.shape[1] // _BLOCK
     squares = values[: rows * _BLOCK, : columns * _BLOCK].reshape(rows, _BLOCK, columns, _BLOCK)
     total: Array = squares.sum(axis=(1, 3)).reshape(-1)
@@ -160,23 +164,23 @@ def _sums(values: Array) -> Array:
 
 
 def _near(z: Array, median: Array, sigma: Array) -> Array:
-    """(clouds, …) whether a reading counts; the median's own neighbours where the noise is not known."""
+    """Return (clouds, …) whether a reading counts; with unknown noise only the readings nearest to the median."""
     off = np.abs(z - median)
-    own = np.min(np.where(np.isfinite(off), off, np.inf), axis=0)
-    return np.asarray(off <= np.maximum(np.nan_to_num(_NEAR * sigma), own))  # NaN is not
+    least = np.min(np.where(np.isfinite(off), off, np.inf), axis=0)
+    return np.asarray(off <= np.maximum(np.nan_to_num(_NEAR * sigma), least))  # False for NaN
 
 
 def _mean(z: Array, counted: Array, median: Array) -> Array:
-    """Along the first axis, of what counts."""
+    """Return the mean of the counted readings along the first axis."""
     number = counted.sum(axis=0)
-    # from the median on, so that equal readings have their own value as mean
+    # relative to the median, so that the mean of equal readings is exactly their value
     total = np.where(counted, z - median, 0.0).sum(axis=0)
     mean: Array = median + total / np.maximum(number, 1)
     return mean
 
 
 def _median(values: Array) -> Array:
-    """Along the first axis, without the NaNs; NaN of none.  (numpy's is slow, and warns of those.)"""
+    """Return the median along the first axis without NaN; NaN if all are NaN.  (``np.nanmedian`` is slow and warns.)"""
     ordered = np.sort(values, axis=0)  # NaN last
     number = np.isfinite(values).sum(axis=0)
     low, high = np.maximum(number - 1, 0) // 2, number // 2
@@ -186,16 +190,16 @@ def _median(values: Array) -> Array:
     return median
 
 
-def _usual_ray(slopes: Array) -> Array:
-    """(height, width) median over the clouds; where no cloud knows, what a pinhole camera would have there."""
-    usual = _median(slopes)
-    known = np.isfinite(usual)
-    height, width = usual.shape
+def _median_slope(slopes: Array) -> Array:
+    """Return the (height, width) median over the clouds; for pixels without a depth the slope of a pinhole camera."""
+    median = _median(slopes)
+    known = np.isfinite(median)
+    height, width = median.shape
     if height == 1 or known.all():
-        return usual
+        return median
     row, column = np.mgrid[0:height, 0:width]
-    pinhole = Design(np.stack([np.ones(usual.size), column.reshape(-1) / width, row.reshape(-1) / height]))
-    line = pinhole.solve(np.nan_to_num(usual.reshape(-1)), known.reshape(-1).astype(np.float64))
+    pinhole = Design(np.stack([np.ones(median.size), column.reshape(-1) / width, row.reshape(-1) / height]))
+    line = pinhole.solve(np.nan_to_num(median.reshape(-1)), known.reshape(-1).astype(np.float64))
     if line is not None:
-        usual[~known] = pinhole.values(line).reshape(height, width)[~known]
-    return usual
+        median[~known] = pinhole.values(line).reshape(height, width)[~known]
+    return median

@@ -93,7 +93,7 @@ def test_the_table_marks_the_stitch_and_says_why(capsys: pytest.CaptureFixture[s
     assert text.startswith(f"{STAR}: {STITCHES} stitches, 2 versions of the plan\n")
     marked = [line.split()[1] for line in text.splitlines() if line.startswith("  ! ")]
     assert marked[: len(PLANTED)] == [str(number) for number in PLANTED]
-    assert "mm under the tissue" in text
+    assert "mm below the tissue" in text
     assert "the camera reads" in text
     assert "4 of 12 clouds of /star/cloud are used" in text
     assert "wrong → ok" in text

@@ -129,7 +129,7 @@ def test_a_wrong_reading_that_fills_the_window_does_not_pass_in_silence() -> Non
     assert stitch.exit.distance_mm == pytest.approx(0, abs=0.3)
     assert stitch.exit.wider_mm == pytest.approx(2.0, abs=0.3)
     assert stitch.level is Level.LOOK
-    assert any("seen more widely the tissue lies" in reason for reason in stitch.reasons)
+    assert any("with a wider window the tissue is" in reason for reason in stitch.reasons)
 
 
 def test_the_figures_of_a_stitch_on_a_sphere() -> None:
@@ -144,7 +144,7 @@ def test_the_figures_of_a_stitch_on_a_sphere() -> None:
     assert stitch.entry.density_mm2 == pytest.approx(pixels_mm2 * cosine, rel=0.05)
     assert stitch.entry.missing == 0.0
     assert review.tool == ""
-    assert any("not compared with executed" in note for note in review.notes)
+    assert any("is not compared with the path of a tool" in note for note in review.notes)
 
 
 def test_the_cloud_for_the_viewer() -> None:
@@ -180,7 +180,7 @@ def test_a_stitch_outside_the_picture_cannot_be_judged() -> None:
     review = _of(dome_clouds(3), (far, _LAST), limits=replace(Thresholds(), spacing=1e6, bite=1e6))
     assert _levels(review) == ["ok", "ok", "look"]
     assert review.last.stitches[2].entry.distance_mm is None
-    assert review.last.stitches[2].reasons == ("entry: too few points of tissue around it to compare with",)
+    assert review.last.stitches[2].reasons == ("entry: too few points of tissue around it for a comparison",)
 
 
 @pytest.mark.parametrize("wild", [(0.0, 0.0, 0.0), (0.0, 0.0, -0.25), (1e30, 0.0, 1e30)])
@@ -313,17 +313,17 @@ def test_an_x_forward_cloud_is_reviewed_along_its_depth_and_noted(organised: boo
     clouds = dome_clouds(4)
     moved = _LAST.copy()
     moved[1] *= 1 - 0.0025 / moved[1, 2]
-    turned = [replace(cloud, points=BODY.own(cloud.points), frame_id="camera_link") for cloud in clouds]
+    turned = [replace(cloud, points=BODY.from_optical(cloud.points), frame_id="camera_link") for cloud in clouds]
     if not organised:
         turned = [replace(cloud, points=cloud.points.reshape(1, -1, 3)) for cloud in turned]
     material = Material()
     for cloud in turned:
         message = cloud_message(cloud.points, cloud.stamp_ns, "camera_link")
         material.take(entry("/cloud", message, cloud.stamp_ns))
-    plan = plan_message(BODY.own(_FIRST), BODY.own(moved), SECOND, "camera_link")
+    plan = plan_message(BODY.from_optical(_FIRST), BODY.from_optical(moved), SECOND, "camera_link")
     material.take(entry("/plan", plan, SECOND))
     review = review_of(material)
     assert [stitch.number for stitch in review.last.wrong] == [2]
     assert any("x forward" in note for note in review.notes)
-    np.testing.assert_allclose(review.last.stitches[0].entry.position, BODY.own(_FIRST)[0])
+    np.testing.assert_allclose(review.last.stitches[0].entry.position, BODY.from_optical(_FIRST)[0])
     assert np.median(review.cloud.positions[:, 0]) == pytest.approx(0.25, abs=0.01)

@@ -18,8 +18,8 @@ def _list(points: Array) -> Array:
 
 def test_there_and_back() -> None:
     for axes in (OPTICAL, BODY):
-        np.testing.assert_array_equal(axes.optical(axes.own(_CLOUD)), _CLOUD)
-    np.testing.assert_array_equal(BODY.own(np.array([[1.0, 2.0, 3.0]])), [[3.0, -1.0, -2.0]])
+        np.testing.assert_array_equal(axes.to_optical(axes.from_optical(_CLOUD)), _CLOUD)
+    np.testing.assert_array_equal(BODY.from_optical(np.array([[1.0, 2.0, 3.0]])), [[3.0, -1.0, -2.0]])
 
 
 @pytest.mark.parametrize("frame", ["camera", "camera_optical_frame", "base_link", ""])
@@ -33,7 +33,7 @@ def test_an_optical_cloud_is_no_matter_for_a_note(frame: str, shape: object) -> 
 @pytest.mark.parametrize("shape", [np.asarray, _list])
 def test_an_x_forward_cloud_is_found_and_named(frame: str, shape: object) -> None:
     assert callable(shape)
-    axes, note = axes_of(shape(BODY.own(_CLOUD)), frame)
+    axes, note = axes_of(shape(BODY.from_optical(_CLOUD)), frame)
     assert axes is BODY
     assert "x forward" in note
     assert "optical frame" in note
@@ -54,7 +54,7 @@ def test_a_list_that_fits_both_is_doubted_unless_its_name_tells() -> None:
     assert axes_of(beside, "camera_optical_frame") == (OPTICAL, "")
     axes, note = axes_of(beside, "camera_link")
     assert axes is OPTICAL
-    assert "along x" in note
+    assert "reviewed as z forward" in note
 
 
 def test_points_around_the_origin_are_no_cameras() -> None:

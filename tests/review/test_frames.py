@@ -37,15 +37,15 @@ def test_a_path_is_told_in_another_branch_at_gateway_times() -> None:
 
 def test_points_of_a_child_and_of_a_parent_come_back() -> None:
     frames, points, stamps = _frames(), np.array([[1.0, 2.0, 3.0]]), np.array([10])
-    there = frames.moved(points, "camera", "base", stamps)
+    there = frames.transformed(points, "camera", "base", stamps)
     np.testing.assert_allclose(there, [[-1, 1, 3]], atol=1e-12)
-    np.testing.assert_allclose(frames.moved(there, "/base", "camera", stamps), points, atol=1e-12)
-    assert frames.moved(points, "unknown", "unknown", stamps) is points
+    np.testing.assert_allclose(frames.transformed(there, "/base", "camera", stamps), points, atol=1e-12)
+    assert frames.transformed(points, "unknown", "unknown", stamps) is points
 
 
 @pytest.mark.parametrize(("stamp", "x"), [(5, 0.0), (10, 0.0), (15, 1.0), (20, 2.0), (99, 2.0)])
 def test_between_samples_is_interpolated_and_beyond_them_held(stamp: int, x: float) -> None:
-    found = _frames().moved(np.zeros((1, 3)), "tool", "base", np.array([stamp]))
+    found = _frames().transformed(np.zeros((1, 3)), "tool", "base", np.array([stamp]))
     np.testing.assert_allclose(found, [[x, 0, 0]], atol=1e-12)
 
 
@@ -53,7 +53,7 @@ def test_a_quaternion_and_its_negative_are_one_rotation() -> None:
     frames = FramePoses()
     frames.add("base", "camera", _pose(0, 0, 0, q=_QUARTER), 10, 10, "/c")
     frames.add("base", "camera", _pose(0, 0, 0, q=(0.0, 0.0, -2 * _QUARTER[2], -2 * _QUARTER[3])), 20, 20, "/c")
-    found = frames.moved(np.array([[1.0, 0, 0]]), "camera", "base", np.array([15]))
+    found = frames.transformed(np.array([[1.0, 0, 0]]), "camera", "base", np.array([15]))
     np.testing.assert_allclose(found, [[0, 1, 0]], atol=1e-12)
 
 
@@ -63,7 +63,7 @@ def test_frames_that_nothing_connects_are_refused() -> None:
     assert not frames.connected("probe", "tool")
     assert frames.connected("tool", "camera")
     with pytest.raises(ConversionError, match="'probe' and 'camera' unconnected"):
-        frames.moved(np.zeros((1, 3)), "probe", "camera", np.array([1]))
+        frames.transformed(np.zeros((1, 3)), "probe", "camera", np.array([1]))
 
 
 def test_what_moves_is_known_and_what_is_no_pose_is_passed_over() -> None:

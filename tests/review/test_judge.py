@@ -55,8 +55,8 @@ def test_the_gravest_reason_comes_first_and_names_side_and_size() -> None:
     end = replace(_GOOD, distance_mm=-2.0, noise_mm=0.5, reading_mm=-1.9)
     level, texts = judge.worst_level([*judge.of_length("bite", 9.0, 6.0, 0.4), *judge.of_end("exit", end, _LIMITS)])
     assert level is Level.WRONG
-    assert texts[0] == "exit 2.00 ± 0.05 mm under the tissue"
-    assert "bite 9.0 mm, in this plan usually 6.0" in texts
+    assert texts[0] == "exit 2.00 ± 0.05 mm below the tissue"
+    assert "bite 9.0 mm, median of the plan 6.0 mm" in texts
     assert any("1.9 mm too deep" in text for text in texts)
     assert any("depth noise 0.50 mm" in text for text in texts)
 

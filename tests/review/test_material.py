@@ -50,7 +50,7 @@ def test_clouds_are_thinned_evenly_and_the_note_says_so() -> None:
     assert steps.max() <= 2 * steps.min()
     assert stamps[0] == 1
     assert stamps[-1] >= 9
-    assert material.notes == ["4 of 11 clouds of /cloud are used, evenly spread"]
+    assert material.notes == ["4 of 11 clouds of /cloud are used, evenly distributed"]
 
 
 def test_the_picture_is_taken_and_not_the_list_and_the_largest_of_pictures() -> None:
@@ -122,7 +122,7 @@ def test_a_plan_in_a_frame_that_nothing_connects_is_taken_as_it_stands_and_noted
     material = _with_clouds(Material())
     material.take(entry("/plan", plan_message(_FIRST, _LAST, SECOND, "Slicer"), SECOND))
     assert len(material.versions(material.scene()[0])) == 1
-    assert any("taken as if in the frame of the cloud" in note for note in material.notes)
+    assert any("as if in the frame of the cloud" in note for note in material.notes)
 
 
 def test_sessions_in_millimetres_are_read_in_metres() -> None:
@@ -158,7 +158,7 @@ def test_a_broken_message_costs_itself_and_is_noted_once() -> None:
     for _ in range(2):
         material.take(replace(good, payload=(good.data()[:100],)))
     assert len(material.scene()[0].clouds) == 3
-    assert len([note for note in material.notes if note.startswith("/cloud: a message was left out")]) == 1
+    assert len([note for note in material.notes if note.startswith("/cloud: invalid messages are left out")]) == 1
 
 
 def test_no_plan_is_an_error_that_says_what_was_expected() -> None:
