@@ -786,7 +786,7 @@ def doctor() -> str:
         "## Rates",
         prose(
             f"""A pause is reported if it is longer than {checks.GAP_FACTOR} mean intervals and longer than a second, in
-            streams of at least {checks.RHYTHM} messages."""
+            streams of at least {checks.MIN_MESSAGES} messages."""
         ),
         "## Limits",
         prose(

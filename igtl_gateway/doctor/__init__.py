@@ -1,8 +1,8 @@
-"""What is wrong with a session, by rules: of a peer that is connected now (``doctor``) or of a recording (``lint``).
+"""Diagnosis of a session by rules: of connected peers (``doctor``) or of a recording (``lint``).
 
-Entries, wherever they come from, go through one `Observer`, which counts and measures.  What it has seen is judged by
-the rules of one table (`rules.RULES`), pure functions that give findings: a rule's number, severity, what was found,
-what to do, and where it is written.
+All entries go through one `Observer`, which counts and measures.  The rules of one table (`rules.RULES`) check its
+observations with pure functions.  A finding has the number and severity of its rule, what was found, what to do, and
+the document with the requirement.
 """
 
 from igtl_gateway.doctor.observer import Observer

@@ -1,6 +1,6 @@
-"""The checks of the rules: pure functions that look at what was observed and give the cases.
+"""The checks of the rules: pure functions that yield a ``RuleMatch`` for each case in the observations.
 
-Where a check compares with a number, the number stands here with its reason.
+The limits of the checks are constants of this module, with their reasons.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from igtl_gateway.convert.names import MAX_DEVICE_NAME, topic_token
-from igtl_gateway.doctor.observer import MAX_STREAMS, ObservedPeer, ObservedStream, Observer
+from igtl_gateway.doctor.observations import ObservedPeer, ObservedStream
+from igtl_gateway.doctor.observer import MAX_STREAMS, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink, protocol_of
 from igtl_gateway.session.note import Level
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
@@ -19,31 +20,31 @@ from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_VERSIONS
 from igtl_gateway.wire.registry import BODIES
 
-#: A peer that goes within this time of a message went because of it.
-AT_ONCE_NS = NS_PER_S
-#: A link of less than this is no link, and so many of them are a pattern.
-SHORT_NS, OFTEN = NS_PER_S, 3
-#: Messages older than this on arrival: no network is so slow.
+#: If a peer disconnects within this time of a message, the message is the cause.
+IMMEDIATE_NS = NS_PER_S
+#: A link is short below this duration; this number of short links is a pattern.
+SHORT_NS, MIN_SHORT_LINKS = NS_PER_S, 3
+#: Messages are old above this age on arrival: no network has this latency.
 OLD_NS = NS_PER_S
-#: Beyond this, stamps do not count from 1970.
+#: Stamps with a larger difference from gateway time do not count from 1970.
 EPOCH_NS = 24 * 3600 * NS_PER_S
-#: Of so many messages the stamps tell something; one in ten that stands still is no accident.
-FEW_STAMPS, STILL = 10, 10
-#: Steps of stamps that blur what moves: a hand at 100 mm/s is 1 mm further.
+#: Minimum number of stamps for a result; one repeated stamp in this number is not a coincidence.
+MIN_STAMPS, REPEATED_ONE_IN = 10, 10
+#: Resolution of stamps that is too coarse for motion: a hand with 100 mm/s moves by 1 mm in this time.
 COARSE_NS = 10 * NS_PER_MS
-#: Poses that stay within this many millimetres of the origin, and still move: nobody tracks so close to a tracker.
-SMALL_MM, FEW_POSES = 5.0, 5
-#: Lengths beyond this, in millimetres, are of no operating room.
+#: Largest distance of implausibly small positions from the origin: trackers do not measure so close to themselves.
+SMALL_MM, MIN_POSES = 5.0, 5
+#: Lengths above this do not occur in an operating room.
 LARGE_MM = 50_000.0
-#: The finest spacing of an image in millimetres: that of a microscope.
+#: The smallest plausible pixel spacing: that of a microscope.
 FINE_MM = 0.001
-#: A pause of more than so many mean intervals, and of more than a second, in streams of so many messages.
-GAP_FACTOR, GAP_NS, RHYTHM = 10, NS_PER_S, 20
+#: A pause is longer than this number of mean intervals, and than this time; minimum number of messages of the stream.
+GAP_FACTOR, GAP_NS, MIN_MESSAGES = 10, NS_PER_S, 20
 
 
 @dataclass(frozen=True, slots=True)
 class RuleMatch:
-    """One case that a rule applies to: where, and what was found there."""
+    """One case of a rule: the place, what was found there, and its data."""
 
     where: str
     text: str
@@ -53,21 +54,21 @@ class RuleMatch:
 # ── links ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _of_role(seen: Observer, role: str) -> list[ObservedPeer]:
-    return [peer for peer in seen.peers.values() if peer.role == role]
+def _of_role(observed: Observer, role: str) -> list[ObservedPeer]:
+    return [peer for peer in observed.peers.values() if peer.role == role]
 
 
-def _stranger(peer: ObservedPeer) -> str | None:
-    """What the peer speaks instead of OpenIGTLink, ``""`` if that is not known; None if it does speak it."""
+def _foreign_protocol(peer: ObservedPeer) -> str | None:
+    """Return the protocol of the peer if it is not OpenIGTLink, ``""`` if it is unknown; None for OpenIGTLink."""
     if not peer.head or is_openigtlink(peer.head):
         return None
     return protocol_of(peer.head)
 
 
-def other_protocol(seen: Observer) -> Iterator[RuleMatch]:
-    for peer in seen.peers.values():
-        stranger = _stranger(peer)
-        if stranger is None:
+def other_protocol(observed: Observer) -> Iterator[RuleMatch]:
+    for peer in observed.peers.values():
+        protocol = _foreign_protocol(peer)
+        if protocol is None:
             continue
         shown = _shown(peer.head)
         if peer.messages:
@@ -75,122 +76,128 @@ def other_protocol(seen: Observer) -> Iterator[RuleMatch]:
                 f"after {peer.messages} messages, the next bytes are not a header: {shown}; an earlier size was wrong"
             )
         else:
-            found = stranger or "an unknown protocol"
+            found = protocol or "an unknown protocol"
             text = f"{peer.name} does not send OpenIGTLink but {found}: its first bytes are {shown}"
-        yield RuleMatch(peer.name, text, {"protocol": stranger, "head": peer.head.hex()})
+        yield RuleMatch(peer.name, text, {"protocol": protocol, "head": peer.head.hex()})
 
 
 def _shown(head: bytes) -> str:
     return repr(head[:24].decode("ascii", "backslashreplace"))
 
 
-def both_clients(seen: Observer) -> Iterator[RuleMatch]:
-    if seen.intent and seen.intent.role == "client" and not _of_role(seen, "client"):
-        for peer in _of_role(seen, "server"):
-            text = f"no server at {seen.intent.place}, but {peer.name} connects to this program: both sides are clients"
-            yield RuleMatch(seen.intent.place, text)
+def both_clients(observed: Observer) -> Iterator[RuleMatch]:
+    expected = observed.expected
+    if expected and expected.role == "client" and not _of_role(observed, "client"):
+        for peer in _of_role(observed, "server"):
+            text = f"no server at {expected.place}, but {peer.name} connects to this program: both sides are clients"
+            yield RuleMatch(expected.place, text)
 
 
-def both_servers(seen: Observer) -> Iterator[RuleMatch]:
-    """Whoever has our own port may be a gateway that runs already, unless it says something."""
-    if seen.intent and seen.intent.role == "server" and not _of_role(seen, "server"):
-        for peer in _of_role(seen, "client"):
-            if _stranger(peer) is None and (peer.messages or "listen_failed" not in seen.noted):
-                text = f"no client connects to {seen.intent.place}, but {peer.name} is a server: both sides are servers"
-                yield RuleMatch(seen.intent.place, text)
+def both_servers(observed: Observer) -> Iterator[RuleMatch]:
+    """Both sides listen.  If the own port is in use, a silent server might be another gateway: not a finding."""
+    expected = observed.expected
+    if expected and expected.role == "server" and not _of_role(observed, "server"):
+        for peer in _of_role(observed, "client"):
+            if _foreign_protocol(peer) is None and (peer.messages or "listen_failed" not in observed.notes):
+                text = f"no client connects to {expected.place}, but {peer.name} is a server: both sides are servers"
+                yield RuleMatch(expected.place, text)
 
 
-#: What only the reasons of TLS have in them.
-_OF_TLS = re.compile(r"TLS|certificate|cipher")
+#: Words that occur only in reasons of TLS.
+_TLS_WORDS = re.compile(r"TLS|certificate|cipher")
 
 
-def no_listener(seen: Observer) -> Iterator[RuleMatch]:
-    noted = seen.noted.get("connect_failed")
-    if noted and not seen.peers and (seen.intent is None or seen.intent.role == "client") and not any(no_tls(seen)):
+def no_listener(observed: Observer) -> Iterator[RuleMatch]:
+    noted, expected = observed.notes.get("connect_failed"), observed.expected
+    if noted and not observed.peers and (expected is None or expected.role == "client") and not any(no_tls(observed)):
         data = noted.first.data
         yield RuleMatch(str(data.get("peer", "")), f"no server at {data.get('peer')}: {data.get('reason')}")
 
 
-def no_tls(seen: Observer) -> Iterator[RuleMatch]:
-    noted = seen.noted.get("connect_failed")
-    if noted and not seen.peers and _OF_TLS.search(reason := str(noted.first.data.get("reason"))):
+def no_tls(observed: Observer) -> Iterator[RuleMatch]:
+    noted = observed.notes.get("connect_failed")
+    if noted and not observed.peers and _TLS_WORDS.search(reason := str(noted.first.data.get("reason"))):
         peer = str(noted.first.data.get("peer", ""))
         yield RuleMatch(peer, f"{peer} accepts connections, but the TLS handshake fails: {reason}")
 
 
-def port_taken(seen: Observer) -> Iterator[RuleMatch]:
-    if (noted := seen.noted.get("listen_failed")) and not any(both_servers(seen)):
+def port_taken(observed: Observer) -> Iterator[RuleMatch]:
+    if (noted := observed.notes.get("listen_failed")) and not any(both_servers(observed)):
         yield RuleMatch(noted.first.stream, noted.first.text)
 
 
-def nobody_connects(seen: Observer) -> Iterator[RuleMatch]:
-    waited = seen.intent and seen.intent.role == "server" and not seen.peers
-    if seen.intent and waited and seen.noted.keys().isdisjoint(("listen_failed", "refused")):
-        yield RuleMatch(seen.intent.place, f"no client connected to {seen.intent.place}")
+def no_client(observed: Observer) -> Iterator[RuleMatch]:
+    waited = observed.expected and observed.expected.role == "server" and not observed.peers
+    if observed.expected and waited and observed.notes.keys().isdisjoint(("listen_failed", "refused")):
+        yield RuleMatch(observed.expected.place, f"no client connected to {observed.expected.place}")
 
 
-def refused(seen: Observer) -> Iterator[RuleMatch]:
-    if noted := seen.noted.get("refused"):
+def refused(observed: Observer) -> Iterator[RuleMatch]:
+    if noted := observed.notes.get("refused"):
         yield RuleMatch(str(noted.first.data.get("peer", "")), noted.first.text, {"count": noted.count})
 
 
-def silent(seen: Observer) -> Iterator[RuleMatch]:
-    """A recording does not tell whether a silent peer was meant to say anything."""
-    if seen.intent is None:
+def silent(observed: Observer) -> Iterator[RuleMatch]:
+    """A peer sent nothing.  In a recording this is not a finding: the peer might only receive."""
+    if observed.expected is None:
         return
-    for peer in _of_role(seen, seen.intent.role):
+    for peer in _of_role(observed, observed.expected.role):
         if not peer.messages and not peer.head and not peer.received_bytes and peer.up_ns:
-            lasted = ((peer.down_ns or seen.ended_ns) - peer.up_ns) / NS_PER_S
+            lasted = ((peer.down_ns or observed.ended_ns) - peer.up_ns) / NS_PER_S
             yield RuleMatch(peer.name, f"{peer.name} is connected, but sent nothing in {lasted:.1f} s")
 
 
-def leaves(seen: Observer) -> Iterator[RuleMatch]:
-    """In a recording once is an accident: people stop programs; a program that cannot read on comes again and again."""
-    gone: dict[tuple[str, int], list[RuleMatch]] = {}
-    for peer in seen.peers.values():
+def disconnects_at_version(observed: Observer) -> Iterator[RuleMatch]:
+    """A peer disconnects immediately after a message.
+
+    In a recording one case is not a finding, because people stop programs.  A program that cannot read a header version
+    reconnects and disconnects again and again.
+    """
+    matches: dict[tuple[str, int], list[RuleMatch]] = {}
+    for peer in observed.peers.values():
         if not peer.down_ns or not peer.reason.startswith(("closed by the peer", "receiving failed")):
             continue
         for version, sent_ns in peer.first_sent_ns.items():
             after_ns = peer.down_ns - sent_ns
-            if not peer.received_versions[version] and 0 <= after_ns <= AT_ONCE_NS:
+            if not peer.received_versions[version] and 0 <= after_ns <= IMMEDIATE_NS:
                 text = f"{peer.name} disconnected {ms(after_ns)} after its first message of header version {version}"
                 if peer.received_versions:
                     text += f"; it sends version {min(peer.received_versions)}"
                 host = peer.address.rpartition(":")[0]
-                gone.setdefault((host, version), []).append(RuleMatch(peer.name, text, {"version": version}))
-    for hits in gone.values():
-        if seen.intent or len(hits) >= OFTEN:
-            yield hits[0]
+                matches.setdefault((host, version), []).append(RuleMatch(peer.name, text, {"version": version}))
+    for cases in matches.values():
+        if observed.expected or len(cases) >= MIN_SHORT_LINKS:
+            yield cases[0]
 
 
-def cut(seen: Observer) -> Iterator[RuleMatch]:
-    for peer in seen.peers.values():
-        if peer.head and is_openigtlink(peer.head) and peer.head_why != "too_large":
-            noted = seen.noted[peer.head_why]
+def incomplete(observed: Observer) -> Iterator[RuleMatch]:
+    for peer in observed.peers.values():
+        if peer.head and is_openigtlink(peer.head) and peer.head_code != "too_large":
+            noted = observed.notes[peer.head_code]
             yield RuleMatch(peer.name, noted.first.text, {"head": peer.head.hex()})
 
 
-def too_large(seen: Observer) -> Iterator[RuleMatch]:
-    for peer in seen.peers.values():
-        if peer.head_why == "too_large" and is_openigtlink(peer.head):
-            yield RuleMatch(peer.name, seen.noted["too_large"].first.text, {"head": peer.head.hex()})
+def too_large(observed: Observer) -> Iterator[RuleMatch]:
+    for peer in observed.peers.values():
+        if peer.head_code == "too_large" and is_openigtlink(peer.head):
+            yield RuleMatch(peer.name, observed.notes["too_large"].first.text, {"head": peer.head.hex()})
 
 
-def slow(seen: Observer) -> Iterator[RuleMatch]:
+def slow_reader(observed: Observer) -> Iterator[RuleMatch]:
     for code in ("queue_full", "queue_drop"):
-        if noted := seen.noted.get(code):
+        if noted := observed.notes.get(code):
             yield RuleMatch(str(noted.first.data.get("peer", "")), noted.first.text)
             return
 
 
-def comes_and_goes(seen: Observer) -> Iterator[RuleMatch]:
+def short_links(observed: Observer) -> Iterator[RuleMatch]:
     short: dict[str, int] = {}
-    for peer in seen.peers.values():
+    for peer in observed.peers.values():
         if peer.up_ns and peer.down_ns and peer.down_ns - peer.up_ns < SHORT_NS:
             host = peer.address.rpartition(":")[0]
             short[host] = short.get(host, 0) + 1
     for host, number in short.items():
-        if number >= OFTEN:
+        if number >= MIN_SHORT_LINKS:
             yield RuleMatch(host, f"{number} links with {host} lasted less than {SHORT_NS / NS_PER_S:g} s")
 
 
@@ -200,10 +207,10 @@ def comes_and_goes(seen: Observer) -> Iterator[RuleMatch]:
 def each_stream(
     applies: Callable[[ObservedStream], int], text: Callable[[ObservedStream], str]
 ) -> Callable[[Observer], Iterator[RuleMatch]]:
-    """A check of one stream after the other: it applies where the first gives a number, of messages mostly."""
+    """Return a check of each stream: a match if ``applies`` returns a positive count, described by ``text``."""
 
-    def check(seen: Observer) -> Iterator[RuleMatch]:
-        for stream in seen.streams.values():
+    def check(observed: Observer) -> Iterator[RuleMatch]:
+        for stream in observed.streams.values():
             if number := applies(stream):
                 yield RuleMatch(stream.name, text(stream), {"link": stream.link, "count": int(number)})
 
@@ -214,8 +221,8 @@ def wrong_versions(stream: ObservedStream) -> list[int]:
     return sorted(set(stream.versions) - set(HEADER_VERSIONS))
 
 
-def mixed_versions(seen: Observer) -> Iterator[RuleMatch]:
-    for peer in seen.peers.values():
+def mixed_versions(observed: Observer) -> Iterator[RuleMatch]:
+    for peer in observed.peers.values():
         if len([version for version in peer.received_versions if version in HEADER_VERSIONS]) > 1:
             counts = ", ".join(
                 f"{count} of version {version}" for version, count in sorted(peer.received_versions.items())
@@ -250,11 +257,15 @@ def is_old(stream: ObservedStream) -> int:
 
 
 def is_coarse(stream: ObservedStream) -> int:
-    """What comes at even times has even stamps; what comes at odd times, and has even stamps, was rounded."""
+    """Return the number of coarse stamps: repeated ones, or all if they are rounded.
+
+    Stamps at multiples of a step are not necessarily rounded: messages can be sent at these times.  In that case their
+    age is nearly constant.
+    """
     timing = stream.timing
-    if timing.stamped < FEW_STAMPS:
+    if timing.stamped < MIN_STAMPS:
         return 0
-    if timing.repeated * STILL >= timing.stamped:
+    if timing.repeated * REPEATED_ONE_IN >= timing.stamped:
         return timing.repeated
     rounded = timing.step_ns >= COARSE_NS and 2 * (timing.most_ns - timing.least_ns) >= timing.step_ns
     return timing.stamped if rounded else 0
@@ -277,12 +288,12 @@ def is_full(stream: ObservedStream) -> int:
 
 
 def is_dialogue(stream: ObservedStream) -> bool:
-    """Whether it is about the conversation, and no stream of data."""
+    """Return whether the stream is queries, commands or status, and not data."""
     return stream.type.startswith(("GET_", "STT_", "STP_", "RTS_")) or stream.type in {"COMMAND", "STATUS"}
 
 
-def same_names(seen: Observer) -> Iterator[RuleMatch]:
-    streams = seen.streams.values()
+def same_names(observed: Observer) -> Iterator[RuleMatch]:
+    streams = observed.streams.values()
     for stream in streams:
         if len(stream.full_names) > 1:
             names = " and ".join(map(repr, sorted(stream.full_names)))
@@ -292,25 +303,25 @@ def same_names(seen: Observer) -> Iterator[RuleMatch]:
         if stream.device and not is_dialogue(stream):
             links.setdefault(stream.name, set()).add(stream.link)
     for name, numbers in links.items():
-        there = [number for number in numbers if _together(seen, number, numbers)]
-        if len(there) > 1:
+        concurrent = [number for number in numbers if _is_concurrent(observed, number, numbers)]
+        if len(concurrent) > 1:
             yield RuleMatch(
-                name, f"{len(there)} peers send {name} at the same time; receivers treat them as one stream"
+                name, f"{len(concurrent)} peers send {name} at the same time; receivers treat them as one stream"
             )
 
 
-def _together(seen: Observer, number: int, others: set[int]) -> bool:
-    """Whether the peer was there at the same time as another of them: one that comes back is one peer."""
-    mine = seen.peer(number)
+def _is_concurrent(observed: Observer, number: int, others: set[int]) -> bool:
+    """Return whether the link existed at the same time as another of them: a peer that reconnects is one peer."""
+    link = observed.peer(number)
     return any(
-        mine.up_ns <= (other.down_ns or seen.ended_ns) and other.up_ns <= (mine.down_ns or seen.ended_ns)
-        for other in (seen.peer(one) for one in others if one != number)
+        link.up_ns <= (other.down_ns or observed.ended_ns) and other.up_ns <= (link.down_ns or observed.ended_ns)
+        for other in (observed.peer(one) for one in others if one != number)
     )
 
 
-def same_tokens(seen: Observer) -> Iterator[RuleMatch]:
+def same_tokens(observed: Observer) -> Iterator[RuleMatch]:
     devices: dict[str, set[str]] = {}
-    for stream in seen.streams.values():
+    for stream in observed.streams.values():
         devices.setdefault(topic_token(stream.device), set()).add(stream.device)
     for token, names in devices.items():
         if len(names) > 1:
@@ -318,10 +329,10 @@ def same_tokens(seen: Observer) -> Iterator[RuleMatch]:
             yield RuleMatch(token, f"{text}; the second one gets a hash")
 
 
-def odd_name(stream: ObservedStream) -> int:
+def has_invalid_name(stream: ObservedStream) -> int:
     raw = stream.raw_device + stream.raw_type
-    odd = "\x00" in raw or not all(char.isprintable() for char in raw)
-    return stream.messages if odd else 0
+    invalid = "\x00" in raw or not all(char.isprintable() for char in raw)
+    return stream.messages if invalid else 0
 
 
 # ── content ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -329,7 +340,7 @@ def odd_name(stream: ObservedStream) -> int:
 
 def is_small(stream: ObservedStream) -> int:
     lengths = stream.lengths
-    few = lengths.messages < FEW_POSES if lengths.poses else lengths.positions < FEW_POSES
+    few = lengths.messages < MIN_POSES if lengths.poses else lengths.positions < MIN_POSES
     return 0 if few or not lengths.moved or not 0 < lengths.largest < SMALL_MM else lengths.messages
 
 
@@ -339,7 +350,7 @@ def is_fine(stream: ObservedStream) -> int:
 
 
 def has_gap(stream: ObservedStream) -> int:
-    if stream.messages < RHYTHM:
+    if stream.messages < MIN_MESSAGES:
         return 0
     mean_ns = (stream.last_ns - stream.first_ns) / (stream.messages - 1)
     return int(stream.longest_pause_ns > max(GAP_FACTOR * mean_ns, GAP_NS))
@@ -348,73 +359,73 @@ def has_gap(stream: ObservedStream) -> int:
 # ── ROS ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def qos_clash(seen: Observer) -> Iterator[RuleMatch]:
-    for clash in seen.graph.clashes() if seen.graph else ():
+def qos_clash(observed: Observer) -> Iterator[RuleMatch]:
+    for clash in observed.graph.clashes() if observed.graph else ():
         text = f"no messages from {clash.publisher} to {clash.subscriber}: {clash.why}"
         yield RuleMatch(clash.topic, text, {"publisher": clash.publisher, "subscriber": clash.subscriber})
-    if noted := seen.noted.get("ros_incompatible_qos"):
+    if noted := observed.notes.get("ros_incompatible_qos"):
         yield RuleMatch(noted.first.stream, noted.first.text, {"count": noted.count})
 
 
-def unconverted(seen: Observer) -> Iterator[RuleMatch]:
-    for topic, kind in sorted(seen.graph.unconverted.items()) if seen.graph else ():
+def unconverted(observed: Observer) -> Iterator[RuleMatch]:
+    for topic, kind in sorted(observed.graph.unconverted.items()) if observed.graph else ():
         yield RuleMatch(topic, f"{topic} is configured to be sent to OpenIGTLink, but {kind} has no conversion")
-    noted = seen.noted.get("no_conversion")
+    noted = observed.notes.get("no_conversion")
     if noted and noted.first.stream.startswith("/"):
         yield RuleMatch(noted.first.stream, noted.first.text, {"count": noted.count})
 
 
-def no_subscriber(seen: Observer) -> Iterator[RuleMatch]:
-    for topic in seen.graph.without_subscriber() if seen.graph else ():
+def no_subscriber(observed: Observer) -> Iterator[RuleMatch]:
+    for topic in observed.graph.without_subscriber() if observed.graph else ():
         yield RuleMatch(topic, f"{topic} has no subscriber in ROS")
 
 
-def nothing_out(seen: Observer) -> Iterator[RuleMatch]:
-    if seen.graph is not None and not seen.graph.sent:
+def nothing_out(observed: Observer) -> Iterator[RuleMatch]:
+    if observed.graph is not None and not observed.graph.sent:
         yield RuleMatch("/igtl/out", "no ROS node publishes a topic that the gateway sends to OpenIGTLink")
 
 
-def ros_refused(seen: Observer) -> Iterator[RuleMatch]:
+def ros_refused(observed: Observer) -> Iterator[RuleMatch]:
     for code in ("ros_unknown_type", "ros_refused"):
-        if noted := seen.noted.get(code):
+        if noted := observed.notes.get(code):
             yield RuleMatch(noted.first.stream, noted.first.text, {"count": noted.count})
 
 
 # ── the recording ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def damaged(seen: Observer) -> Iterator[RuleMatch]:
-    if seen.damage:
-        yield RuleMatch("recording", seen.damage)
+def damaged(observed: Observer) -> Iterator[RuleMatch]:
+    if observed.damage:
+        yield RuleMatch("recording", observed.damage)
 
 
-def lost(seen: Observer) -> Iterator[RuleMatch]:
-    for what, number in seen.losses.items():
+def lost(observed: Observer) -> Iterator[RuleMatch]:
+    for what, number in observed.losses.items():
         yield RuleMatch(what, f"{number:,} messages lost: {what}", {"count": number})
 
 
-def crowded(seen: Observer) -> Iterator[RuleMatch]:
-    if seen.crowded:
+def too_many_streams(observed: Observer) -> Iterator[RuleMatch]:
+    if observed.too_many_streams:
         yield RuleMatch("streams", f"more than {MAX_STREAMS:,} streams or links: the others were not checked")
 
 
-def no_messages(seen: Observer) -> Iterator[RuleMatch]:
-    if seen.intent is None and not seen.streams:
+def no_messages(observed: Observer) -> Iterator[RuleMatch]:
+    if observed.expected is None and not observed.streams:
         yield RuleMatch("recording", "the recording has no OpenIGTLink messages from peers: most rules do not apply")
 
 
-#: Codes of notes that a rule of their own tells of, or that say what the messages themselves show.
-_TOLD = frozenset({
+#: Codes of notes that have a rule, or whose cause a rule finds in the messages themselves.
+_COVERED = frozenset({
     "accept_failed", "bad_crc", "connect_failed", "listen_failed", "malformed", "no_conversion", "queue_drop",
     "queue_full", "refused", "ros_incompatible_qos", "ros_refused", "ros_unknown_type", "stalled", "too_large",
     "truncated",
 })  # fmt: skip
 
 
-def other_notes(seen: Observer) -> Iterator[RuleMatch]:
-    streams = seen.streams.values()
+def other_notes(observed: Observer) -> Iterator[RuleMatch]:
+    streams = observed.streams.values()
     explained = {one.name for one in streams if one.not_finite or one.not_orthonormal or one.mirrored}
-    for code, noted in seen.noted.items():
-        if code not in _TOLD and noted.first.level >= Level.WARN and noted.first.stream not in explained:
+    for code, noted in observed.notes.items():
+        if code not in _COVERED and noted.first.level >= Level.WARN and noted.first.stream not in explained:
             where = visible(noted.first.stream) or code
             yield RuleMatch(where, f"{noted.first.text} ({code})", {"code": code, "count": noted.count})

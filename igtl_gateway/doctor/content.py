@@ -1,4 +1,4 @@
-"""What the rules want to know of a message's content: lengths, rotations, names."""
+"""Measurements of a message's content for the rules: lengths, rotations, names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
 from igtl_gateway.wire.transform import Position, Transform
 
-#: Positions looked at in one message: enough to tell metres from millimetres in a cloud of a million points.
+#: Maximum number of positions of a message that are measured: enough to distinguish metres and millimetres.
 MAX_POSITIONS = 10_000
 Floats = npt.NDArray[np.float64]
 _NO_FLOATS: Floats = np.empty((0, 3))
@@ -30,14 +30,14 @@ def _none() -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class ContentMeasures:
-    """Of one message.
+    """The measurements of one message.
 
     Attributes:
         positions: (n, 3), in the unit of the message.
-        pose: they are those of poses, one message after the other, and not of a shape.
-        rotations: (n, 3, 3); columns are directions.
-        quaternions: (n, 4).
-        spacing: of an image: its three distances between pixels.
+        pose: whether the positions are those of poses, not of a shape.
+        rotations: (n, 3, 3) matrices; their columns are directions.
+        quaternions: (n, 4) x, y, z, w.
+        spacing: of an image: three distances between pixels, in the unit of the message.
         full_names: names of elements that fill their field.
     """
 
@@ -51,8 +51,8 @@ class ContentMeasures:
     @property
     @ieee_754
     def is_finite(self) -> bool:
-        """Whether all numbers are numbers."""
-        # float32 on the wire, so that no sum of numbers is infinite
+        """Whether there is no NaN or infinity."""
+        # numbers are float32 on the wire, so a sum of finite ones is finite
         return math.isfinite(self.positions.sum() + self.rotations.sum() + self.quaternions.sum())
 
 
@@ -61,7 +61,7 @@ NOTHING = ContentMeasures()
 
 @ieee_754
 def measure_content(content: Body) -> ContentMeasures:
-    """The lengths, rotations and names in a content; nothing where it has none."""
+    """Return the lengths, rotations and names of a content; ``NOTHING`` if its type has none."""
     match content:
         case Transform():
             return _matrices(_floats(content.wire_matrix).reshape(1, 12))
@@ -70,16 +70,16 @@ def measure_content(content: Body) -> ContentMeasures:
                 _floats(content.position).reshape(1, 3), True, quaternions=_floats([content.quaternion])
             )
         case TrackingData():
-            return _matrices(_floats(content.elements["matrix"]), _full(content))
+            return _matrices(_floats(content.elements["matrix"]), _full_names(content))
         case QuaternionTrackingData():
             elements = content.elements
             return ContentMeasures(
                 _floats(elements["position"]),
                 quaternions=_floats(elements["quaternion"]),
-                full_names=_full(content),
+                full_names=_full_names(content),
             )
         case Points():
-            return ContentMeasures(_floats(content.elements["position"]), False, full_names=_full(content))
+            return ContentMeasures(_floats(content.elements["position"]), False, full_names=_full_names(content))
         case PolyData():
             return ContentMeasures(_floats(content.points[:MAX_POSITIONS]), False)
         case Image():
@@ -95,11 +95,11 @@ def _floats(values: Any) -> Floats:
 
 def _matrices(matrices: Floats, full_names: tuple[str, ...] = ()) -> ContentMeasures:
     parts = matrices.reshape(-1, 4, 3)
-    # the wire has columns, one after the other
+    # the matrix is column by column on the wire
     return ContentMeasures(parts[:, 3], True, parts[:, :3].transpose(0, 2, 1), full_names=full_names)
 
 
-def _full(content: Elements) -> tuple[str, ...]:
-    """NumPy leaves out the zeros at the end, so what is as long as its field has none."""
+def _full_names(content: Elements) -> tuple[str, ...]:
+    """Return the names without a final zero: NumPy removes zeros at the end, so these are as long as their field."""
     names = content.elements["name"][:MAX_POSITIONS]
     return tuple(name.decode("utf-8", "replace") for name in names.tolist() if len(name) == names.dtype.itemsize)

@@ -1,4 +1,4 @@
-"""Who meets whom in the ROS graph: the gateway's topics, as they are and as they will be, and those of others."""
+"""Publishers and subscriptions of the ROS graph on the gateway's topics, including topics of expected devices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.gateway import Gateway
 from igtl_gateway.qos import Endpoint, Qos, incompatible
 
-#: Where the gateway publishes and listens unless it is configured otherwise.
+#: Prefixes of the topics that the gateway publishes and subscribes to by default.
 IN, OUT = "/igtl/in/", "/igtl/out/"
 
 
@@ -23,7 +23,7 @@ class PublishedTopic:
 
 @dataclass(frozen=True, slots=True)
 class QosClash:
-    """A publisher and a subscription between which nothing passes, and why."""
+    """A publisher and a subscription that are incompatible, with the reason."""
 
     topic: str
     publisher: str
@@ -33,13 +33,13 @@ class QosClash:
 
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """What there is on the gateway's topics.
+    """The publishers and subscriptions on the gateway's topics.
 
     Attributes:
         offers: topic → what the gateway publishes there.
-        endpoints: the publishers and subscriptions of others on topics of the gateway; a running bridge is one of them.
-        unconverted: topic → type that the gateway is to send, but nothing converts.
-        sent: topics that the gateway sends.
+        endpoints: publishers and subscriptions of other nodes on topics of the gateway; also those of a running bridge.
+        unconverted: topic → type that the gateway is configured to send, but that has no conversion.
+        sent: topics that the gateway sends to peers.
     """
 
     offers: Mapping[str, PublishedTopic]
@@ -49,7 +49,7 @@ class Graph:
 
     @classmethod
     def of(cls, gateway: Gateway, published: Mapping[str, str], endpoints: Iterable[Endpoint]) -> Graph:
-        """Out of the whole graph what concerns the gateway, which has ``published`` (topic → type) so far."""
+        """Select the part of the ROS graph that concerns a gateway which has ``published`` (topic → type) so far."""
         offers = {topic: PublishedTopic(kind, qos) for topic, kind in published.items() if (qos := gateway.qos(topic))}
         chosen, unconverted, sent = [], {}, set()
         for endpoint in endpoints:
@@ -65,7 +65,7 @@ class Graph:
         return cls(offers, chosen, unconverted, frozenset(sent))
 
     def clashes(self) -> Iterator[QosClash]:
-        """Pairs that the middleware keeps apart.  The gateway's own subscriptions adapt to what is offered."""
+        """Yield the pairs that the middleware does not connect.  The gateway's subscriptions adapt to publishers."""
         pairs: dict[tuple[str, str, str], QosClash] = {}
         for reader in self.endpoints:
             if reader.publishes:
@@ -81,15 +81,15 @@ class Graph:
         yield from pairs.values()
 
     def without_subscriber(self) -> list[str]:
-        """Topics that the gateway has something for and nobody subscribes to."""
+        """Return the topics that the gateway publishes and that have no subscriber."""
         subscribed = {one.topic for one in self.endpoints if not one.publishes}
         return sorted(topic for topic in self.offers if topic not in subscribed)
 
 
 def _offer(topic: str, kind: str) -> PublishedTopic | None:
-    """What the gateway would publish on a topic of a device that has not been seen yet, by the end of its name.
+    """Return what the gateway would publish on the topic of a device that has not sent yet; None if it is not one.
 
-    A topic is offered with the type that its subscriber expects, where the table has that type for it.
+    The last part of the topic decides.  The type is the one that the subscriber expects, if the table has it.
     """
     last = topic.rpartition("/")[2]
     rows = [row for row in TO_ROS if not row.topic and row.kind == last]

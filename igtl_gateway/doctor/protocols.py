@@ -1,4 +1,4 @@
-"""Whose language it is, by the first bytes: OpenIGTLink, or one of the protocols that ports are mixed up with."""
+"""Detection of the protocol by its first bytes: OpenIGTLink, or one whose port is often confused with it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 from igtl_gateway.wire.header import DEVICE_NAME_AT, TYPE
 
-#: A type name in its 12 bytes: letters, digits and _, up to the first zero if there is one.
+#: A type name in its 12 bytes: letters, digits and _, up to the first zero or the end.
 _TYPE = re.compile(rb"[A-Za-z][A-Za-z0-9_]*(\x00.*)?", re.ASCII | re.DOTALL)
 _PRINTABLE = re.compile(rb"[\t\r\n -~]+")
-#: Bytes of text that are no accident.
+#: Number of printable bytes that are text and not a coincidence.
 _TEXT = 8
 
 
@@ -23,11 +23,11 @@ def _has(*words: bytes) -> Callable[[bytes], bool]:
 
 
 def _is_http2(head: bytes) -> bool:
-    """A frame of settings: three bytes of length, type 4, stream 0."""
+    """Return whether it begins with a SETTINGS frame: three bytes of length, type 4, stream 0."""
     return len(head) >= 9 and head[:2] == b"\0\0" and head[3] == 4 and head[5:9] == bytes(4)
 
 
-#: What it is, and how it is known by its first bytes; the first that fits counts.
+#: Name of a protocol, and the test of its first bytes; the first match counts.
 PROTOCOLS: tuple[tuple[str, Callable[[bytes], bool]], ...] = (
     ("SSH", _begins(b"SSH-")),
     ("HTTP (a web server, a ROS 1 master, rosbridge or Foxglove)", _begins(b"HTTP/", b"<!DOCTYPE", b"<html", b"<?xml")),
@@ -46,18 +46,18 @@ PROTOCOLS: tuple[tuple[str, Callable[[bytes], bool]], ...] = (
 
 
 def is_openigtlink(head: bytes) -> bool:
-    """Whether these first bytes of a message (up to 58) may be its header: a type name stands at its place.
+    """Return whether these first bytes (up to 58) can be a message header: they have a type name at its offset.
 
-    Of less than a type name only the header version can be judged.
+    If they end before the type name does, only the header version is checked.
     """
     if len(head) < DEVICE_NAME_AT:
         return head[:1] in (b"", b"\0") and head[1:2] in (b"", b"\1", b"\2")
-    # a version of two letters is the beginning of a text
+    # a printable version means text
     return _TYPE.fullmatch(head[TYPE]) is not None and not _PRINTABLE.fullmatch(head[:DEVICE_NAME_AT])
 
 
 def protocol_of(head: bytes) -> str:
-    """What speaks like this, for people; ``""`` if it is not known."""
+    """Return the name of the protocol with these first bytes; ``""`` if it is unknown."""
     for name, fits in PROTOCOLS:
         if fits(head):
             return name

@@ -1,4 +1,4 @@
-"""What is told in the end: peers, streams, findings, and the probable cause."""
+"""The report of ``doctor`` and ``lint``: peers, streams, findings, and the probable cause."""
 
 from __future__ import annotations
 
@@ -6,33 +6,34 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from igtl_gateway.doctor.observer import ObservedStream, Observer
+from igtl_gateway.doctor.observations import ObservedStream
+from igtl_gateway.doctor.observer import Observer
 from igtl_gateway.doctor.rules import RuleFinding, Severity, judge
 
-#: Findings of one rule that are told one by one to people; the rest are counted.
+#: Maximum number of findings of one rule that are printed; the others are counted.
 SHOWN = 3
 
 
 @dataclass(frozen=True, slots=True)
 class DoctorReport:
-    """The judgement on a session.
+    """The findings about a session.
 
     Attributes:
-        seen: what it rests on.
+        observed: the observations.
         findings: in the order of the rules.
     """
 
-    seen: Observer
+    observed: Observer
     findings: tuple[RuleFinding, ...]
 
     @classmethod
-    def of(cls, seen: Observer) -> DoctorReport:
-        """Judge what was seen."""
-        return cls(seen, tuple(judge(seen)))
+    def of(cls, observed: Observer) -> DoctorReport:
+        """Apply the rules to the observations."""
+        return cls(observed, tuple(judge(observed)))
 
     @property
     def cause(self) -> RuleFinding | None:
-        """The finding that explains most: the first error, else the first warning."""
+        """The finding that explains most: the first error, or the first warning if there is no error."""
         for severity in (Severity.ERROR, Severity.WARNING):
             for finding in self.findings:
                 if finding.rule.severity is severity:
@@ -45,10 +46,10 @@ class DoctorReport:
         return any(finding.rule.severity is Severity.ERROR for finding in self.findings)
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON values."""
-        seen, cause = self.seen, self.cause
+        """Return the report as JSON values."""
+        observed, cause = self.observed, self.cause
         return {
-            "nothing_arrives": not seen.good,
+            "nothing_arrives": not observed.good,
             "cause": cause.to_dict() if cause else None,
             "findings": [finding.to_dict() for finding in self.findings],
             "peers": [
@@ -63,40 +64,40 @@ class DoctorReport:
                     },
                     "reason": peer.reason,
                 }
-                for peer in seen.peers.values()
+                for peer in observed.peers.values()
             ],
-            "streams": [_stream(stream) for stream in seen.streams.values()],
+            "streams": [_stream(stream) for stream in observed.streams.values()],
         }
 
     def lines(self) -> Iterator[str]:
-        """For people."""
-        for peer in self.seen.peers.values():
+        """Yield the lines that are printed."""
+        for peer in self.observed.peers.values():
             side = "client" if peer.role == "server" else "server"
             versions = ", ".join(f"header version {version}" for version in sorted(peer.received_versions))
-            text = f"{peer.messages:,} message{'' if peer.messages == 1 else 's'}"
-            yield f"  {peer.name}: {side}; {text}{', ' if versions else ''}{versions}"
-        width = max((len(stream.name) for stream in self.seen.streams.values()), default=0)
-        for stream in self.seen.streams.values():
+            count = f"{peer.messages:,} message{'' if peer.messages == 1 else 's'}"
+            yield f"  {peer.name}: {side}; {count}{', ' if versions else ''}{versions}"
+        width = max((len(stream.name) for stream in self.observed.streams.values()), default=0)
+        for stream in self.observed.streams.values():
             rate = f"{stream.rate_hz:,.1f} Hz" if stream.rate_hz else ""
             facts = _stream(stream)
             yield f"  {stream.name:<{width}} {stream.messages:>7,} {rate:>10}  {facts['crc']}, {stream.timing}"
         last, number = "", 0
         for finding in self.findings:
-            rule, hit = finding.rule, finding.hit
+            rule, match = finding.rule, finding.match
             number = number + 1 if rule.id == last else 1
             if number == 1:
                 yield f"{rule.severity.value.upper():<7} {rule.id}  {rule.title}"
                 yield f"        {rule.advice}  [{rule.section}]"
             if number <= SHOWN:
-                yield f"        - {hit.where}: {hit.text}"
+                yield f"        - {match.where}: {match.text}"
             elif number == SHOWN + 1:
                 more = sum(other.rule is rule for other in self.findings) - SHOWN
                 yield f"        - and {more:,} more, see --json"
             last = rule.id
         cause = self.cause
         if cause:
-            why = "probable cause" if not self.seen.good else "most important finding"
-            yield f"{why}: {cause.rule.title} ({cause.rule.id}): {cause.hit.text}"
+            why = "probable cause" if not self.observed.good else "most important finding"
+            yield f"{why}: {cause.rule.title} ({cause.rule.id}): {cause.match.text}"
         else:
             yield "no problems found"
 

@@ -1,7 +1,7 @@
-"""The rules: one table, each row with the check that applies it.
+"""The rules: one table, each row with its check.
 
-The order is that of the causes: where nothing arrives, the first finding in the table explains it, and what comes
-further down may follow from it.
+Causes precede their effects: if nothing arrives, the first finding in the table explains it, and later ones can be
+consequences.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from igtl_gateway.doctor.observer import Observer
 
 
 class Severity(Enum):
-    """How bad it is; the letter stands in the number of the rule."""
+    """The severity of a rule; its first letter is in the number of the rule."""
 
-    ERROR = "error"  #: messages do not get through, or are wrong
-    WARNING = "warning"  #: they get through, and may mislead
-    INFO = "info"  #: good to know
+    ERROR = "error"  #: messages are lost or wrong
+    WARNING = "warning"  #: messages arrive but might mislead
+    INFO = "info"  #: information
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +29,11 @@ class Rule:
     """A row of the table.
 
     Attributes:
-        id: ``IGTL-E101``: letter of the severity, and a number that never changes its meaning.
-        title: what it finds, in a few words.
-        section: where the protocol (``Protocol/….md`` of OpenIGTLink) or our own documents say so.
+        id: such as ``IGTL-E101``: letter of the severity, and a number that never changes its meaning.
+        title: the finding in a few words.
+        section: of the protocol (``Protocol/….md`` of OpenIGTLink) or of this project's documents.
         advice: what to do.
-        check: gives the cases.
+        check: yields the cases.
     """
 
     id: str
@@ -49,23 +49,23 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class RuleFinding:
-    """A rule that applied, and where."""
+    """A case of a rule."""
 
     rule: Rule
-    hit: RuleMatch
+    match: RuleMatch
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON values."""
-        rule, hit = self.rule, self.hit
+        """Return the finding as JSON values."""
+        rule, match = self.rule, self.match
         return {
             "id": rule.id,
             "severity": rule.severity.value,
             "title": rule.title,
-            "where": hit.where,
-            "text": hit.text,
+            "where": match.where,
+            "text": match.text,
             "advice": rule.advice,
             "section": rule.section,
-            "data": hit.data,
+            "data": match.data,
         }
 
 
@@ -109,7 +109,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-E105", "no client connects", f"{DOCTOR}: Roles",
         "start the peer as a client of this address; a loopback address is reachable from this machine only",
-        checks.nobody_connects,
+        checks.no_client,
     ),
     Rule(
         "IGTL-E107", "another protocol, or message boundaries lost", HEADER,
@@ -134,7 +134,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-E203", "the peer disconnects at a header version", f"{HEADER}: Version number",
         "the peer reads only the other version: choose its `profile`, or set the version in its settings",
-        checks.leaves,
+        checks.disconnects_at_version,
     ),
     Rule(
         "IGTL-E206", "CRC not written", f"{HEADER}: CRC",
@@ -246,7 +246,7 @@ RULES: tuple[Rule, ...] = (
         "IGTL-W404", "invalid bytes in a name", f"{HEADER}: Device name",
         "pad names with zeros, and use UTF-8",
         each_stream(
-            checks.odd_name,
+            checks.has_invalid_name,
             lambda one: f"the name {one.raw_device!r} has bytes after a NUL, or unprintable bytes",
         ),
     ),
@@ -306,15 +306,15 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W109", "incomplete message", HEADER,
         "check the sender: it stopped or lost its link inside a message, or announces a larger body than it sends",
-        checks.cut,
+        checks.incomplete,
     ),
     Rule(
         "IGTL-W112", "connects and disconnects repeatedly", f"{DOCTOR}: Roles",
-        "check the peer's log: it connects, and disconnects immediately", checks.comes_and_goes,
+        "check the peer's log: it connects, and disconnects immediately", checks.short_links,
     ),
     Rule(
         "IGTL-W114", "the peer reads too slowly", "docs/performance.md",
-        "send less, or let the peer read faster; until then old poses and images are dropped", checks.slow,
+        "send less, or let the peer read faster; until then old poses and images are dropped", checks.slow_reader,
     ),
     Rule(
         "IGTL-W204", "both header versions", f"{HEADER}: Version number",
@@ -344,7 +344,7 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-W702", "too many streams or links", f"{DOCTOR}: Limits",
-        "use fixed device names; a peer sends a new name for each message", checks.crowded,
+        "use fixed device names; a peer sends a new name for each message", checks.too_many_streams,
     ),
     Rule(
         "IGTL-I603", "ROS: no subscriber", f"{DOCTOR}: ROS graph",
@@ -361,6 +361,6 @@ RULES: tuple[Rule, ...] = (
 )  # fmt: skip
 
 
-def judge(seen: Observer) -> list[RuleFinding]:
-    """All findings, in the order of the table."""
-    return [RuleFinding(rule, hit) for rule in RULES for hit in rule.check(seen)]
+def judge(observed: Observer) -> list[RuleFinding]:
+    """Return all findings, in the order of the table."""
+    return [RuleFinding(rule, match) for rule in RULES for match in rule.check(observed)]

@@ -191,7 +191,7 @@ def test_what_is_found(name: str) -> None:
 
 def test_texts_name_what_was_found() -> None:
     made = poses(scene(CLIENT), [0.1 + step / 100 for step in STEPS], stamp_ns=0)
-    texts = {finding.rule.id: finding.hit.text for finding in judge(made.seen)}
+    texts = {finding.rule.id: finding.match.text for finding in judge(made.seen)}
     assert texts["IGTL-W501"].startswith("all 12 positions are within 0.514 mm of the origin")
     assert texts["IGTL-W301"] == "12 of 12 messages have the stamp 0 (unset)"
 
