@@ -1,6 +1,6 @@
-"""Tests without hardware, for authors of programs that talk to the gateway: a pytest plugin and what is behind it.
+"""Tests without hardware, for authors of programs that communicate with the gateway: a pytest plugin and its classes.
 
-The fixtures are in ``plugin`` and found by pytest by themselves where igtl-gateway is installed: ``igtl_replay``
-(``peer``: a recording as an OpenIGTLink peer), ``igtl_gateway`` (``gateway``: the real core on manual time) and
-``assert_session_equal`` (``compare``).  docs/testing.md is the guide.  Nothing here is imported before it is used.
+pytest loads ``plugin`` automatically if igtl-gateway is installed.  Its fixtures are ``igtl_replay`` (``peer``: a
+recording as an OpenIGTLink peer), ``igtl_gateway`` (``gateway``: the core of the gateway on manual time) and
+``assert_session_equal`` (``compare``).  They import their modules when they are used.  The guide is docs/testing.md.
 """

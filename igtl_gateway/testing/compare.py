@@ -1,8 +1,7 @@
-"""Whether two sessions say the same, stream by stream, and in words where they do not.
+"""Comparison of two sessions, stream by stream, with a description of the differences.
 
-Compared are the messages of each stream in their order: bytes first, and where these differ the decoded values
-(``replay.compare``).  When a message was recorded, by whom it came (numbers of links) and notes are not compared:
-they differ from run to run.
+The messages of each stream are compared in their order: first the bytes, and if these differ, the decoded values
+(``replay.compare``).  Gateway times, link numbers and notes are not compared: they differ from run to run.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ from igtl_gateway.testing.gateway import ManualGateway, recorded_config
 #: A recording, a gateway on manual time, or the entries of a session.
 Session = Path | str | ManualGateway | Iterable[Entry]
 
-#: So many differences are told; all are counted.
-MAX_TOLD = 10
+#: Maximum number of differences that are listed; the others are counted.
+MAX_LISTED = 10
 
 _KINDS = {
     Kind.IGTL_IN: "OpenIGTLink in",
@@ -39,16 +38,16 @@ _Stream = tuple[Kind, str]
 
 @dataclass(frozen=True, slots=True)
 class _Rules:
-    """What counts."""
+    """What is left out or tolerated."""
 
-    streams: Sequence[str]  #: globs of those that are left out
-    fields: Sequence[str]  #: the same of fields
+    streams: Sequence[str]  #: globs of streams that are left out
+    fields: Sequence[str]  #: globs of fields that are left out
     tolerance: Tolerance
 
 
 @dataclass(slots=True)
 class _Side:
-    """The messages of a session by stream, and what reads them."""
+    """The messages of a session by stream, and their decoder."""
 
     name: str
     decoder: LeafDecoder
@@ -70,8 +69,8 @@ def assert_session_equal(
         ignore: globs of streams that are left out: topics or ``TYPE/device`` (``*`` one level, ``**`` any).
         ignore_fields: globs of fields that may differ, such as ``"timestamp"`` or ``"header.stamp"``; their paths are
             those that a failure names.
-        tolerance_mm: how far positions and points may be apart, in millimetres, whatever unit they are in.
-        tolerance_deg: the same for rotations, in degrees.
+        tolerance_mm: tolerance of positions and points in millimetres, independent of their unit.
+        tolerance_deg: tolerance of rotations in degrees.
 
     Raises AssertionError with the first differences; UnsupportedRecording or DamagedRecording.
     """
@@ -81,8 +80,8 @@ def assert_session_equal(
     for stream in sorted(one.streams.keys() | other.streams.keys(), key=lambda stream: (stream[0].value, stream[1])):
         differences += _differences(stream, one, other, rules)
     if differences:
-        more = f"\n  … and {len(differences) - MAX_TOLD} more" if len(differences) > MAX_TOLD else ""
-        lines = "".join(f"\n  {line}" for line in differences[:MAX_TOLD])
+        more = f"\n  … and {len(differences) - MAX_LISTED} more" if len(differences) > MAX_LISTED else ""
+        lines = "".join(f"\n  {line}" for line in differences[:MAX_LISTED])
         raise AssertionError(f"sessions differ ({one.name} was expected, {other.name} found):{lines}{more}")
 
 
@@ -91,18 +90,17 @@ def _side(session: Session, rules: _Rules) -> _Side:
         with SessionFile.open(session) as file:
             config = recorded_config(file)
             side = _Side(str(session), _decoder(file.definitions, config))
-            _sort(file.entries(), rules, side)
+            _add_entries(file.entries(), rules, side)
         return side
-    by_hand = isinstance(session, ManualGateway)
     entries = session.log if isinstance(session, ManualGateway) else list(session)
     types = {entry.type for entry in entries if entry.kind in (Kind.ROS_IN, Kind.ROS_OUT)}
     finder = RosTypes()
     definitions = {name: found.text for name in sorted(types) if (found := finder.find(name))}
     side = _Side(
-        "the gateway of the test" if by_hand else "the entries of the test",
+        "the gateway of the test" if isinstance(session, ManualGateway) else "the entries of the test",
         _decoder(definitions, session.config if isinstance(session, ManualGateway) else Config()),
     )
-    _sort(entries, rules, side)
+    _add_entries(entries, rules, side)
     return side
 
 
@@ -110,14 +108,14 @@ def _decoder(definitions: dict[str, str], config: Config) -> LeafDecoder:
     return LeafDecoder(definitions, LengthUnits(config.ros_unit, config.igtl_unit))
 
 
-def _sort(entries: Iterable[Entry], rules: _Rules, side: _Side) -> None:
+def _add_entries(entries: Iterable[Entry], rules: _Rules, side: _Side) -> None:
     for entry in entries:
         if entry.kind in _KINDS and not any(matches(glob, entry.channel) for glob in rules.streams):
             side.streams.setdefault((entry.kind, entry.channel), []).append(entry)
 
 
 def _differences(stream: _Stream, one: _Side, other: _Side, rules: _Rules) -> list[str]:
-    """What differs in a stream, a line each."""
+    """Return the differences of a stream, one line each."""
     name = f"{_KINDS[stream[0]]} {stream[1]}"
     expected, found = one.streams.get(stream, []), other.streams.get(stream, [])
     differences = []
@@ -137,14 +135,14 @@ def _differences(stream: _Stream, one: _Side, other: _Side, rules: _Rules) -> li
 
 
 def _leaves(side: _Side, entry: Entry, rules: _Rules) -> Iterator[tuple[str, Any]]:
-    """The values of a message that count, with their paths."""
+    """Yield the paths and values of a message, without the fields that are left out."""
     for path, value in side.decoder.leaves(entry):
         if not any(matches(glob, path) for glob in rules.fields):
             yield path, value
 
 
 def _difference(one: Iterator[tuple[str, Any]], other: Iterator[tuple[str, Any]], rules: _Rules) -> str | None:
-    """The first difference that counts, ``""`` if there is none, None where the bytes have to tell."""
+    """Return the first difference beyond the tolerance, ``""`` without one, None if the bytes must be compared."""
     try:
         delta = compare_values(one, other, rules.tolerance)
     except Undecodable:

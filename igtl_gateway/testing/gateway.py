@@ -1,7 +1,7 @@
-"""The gateway on manual time: the very core that the bridge runs, fed by a test instead of by sockets and ROS.
+"""The gateway on manual time: the core of the bridge, with the inputs of a test instead of sockets and ROS.
 
-No socket, no ROS and no clock: what comes out depends on what was fed alone, so that a test of it never waits and
-never flickers.
+There is no socket, no ROS and no clock.  The outputs depend only on the inputs, so tests never wait and are
+reproducible.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.testing.rostypes import unpack
 from igtl_gateway.wire import Message, decode, encode
 
-#: When a session begins, unless told otherwise: 2026-01-01T00:00:00Z.
+#: Default time at which a session begins: 2026-01-01T00:00:00Z.
 START_NS = 1_767_225_600_000_000_000
 
-#: How soon a gateway that is still due is asked again, as the bridge does.
+#: Interval of ticks while the gateway stays due, as in the bridge.
 _TICK_NS = 50_000_000
 
 _MESSAGES_IN = frozenset({Kind.IGTL_IN, Kind.ROS_IN})
@@ -39,12 +39,12 @@ _INPUTS = frozenset(kind for kind in Kind if kind.is_input)
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """An OpenIGTLink message that went out.
+    """An OpenIGTLink message that the gateway sent.
 
     Attributes:
         stream: ``TYPE/device``.
         data: all of its bytes.
-        links: the peers that got it.
+        links: the links that it was sent to.
     """
 
     stream: str
@@ -53,13 +53,13 @@ class Sent:
 
     @property
     def message(self) -> Message:
-        """Decoded, CRC checked.  Raises WireError."""
+        """The decoded message; the CRC is checked.  Raises WireError."""
         return decode(self.data)
 
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """A ROS message that was published; ``cdr`` is what ``rclpy.serialization.deserialize_message`` takes."""
+    """A ROS message that the gateway published; ``rclpy.serialization.deserialize_message`` accepts ``cdr``."""
 
     topic: str
     type: str
@@ -67,7 +67,7 @@ class Published:
 
     @property
     def message(self) -> Any:
-        """Decoded, as a class of ``convert.rosmsg``, ``convert.common_msgs`` or ``convert.igtl_msgs``.
+        """The decoded message, a class of ``convert.rosmsg``, ``convert.common_msgs`` or ``convert.igtl_msgs``.
 
         Raises ConfigError for a type that the gateway does not know.
         """
@@ -75,42 +75,42 @@ class Published:
 
 
 class Outputs:
-    """What one or several inputs caused, in order; ``entries`` are the lines of the session log."""
+    """The outputs of one or several inputs, in order; ``entries`` are those of the session log."""
 
     def __init__(self, entries: Iterable[Entry]) -> None:
         self.entries = [entry for entry in entries if not entry.kind.is_input]
 
     def igtl(self, stream: str = "**") -> list[Sent]:
-        """The OpenIGTLink messages whose ``TYPE/device`` fits the glob, such as ``"TRANSFORM/*"``."""
+        """Return the OpenIGTLink messages whose ``TYPE/device`` matches the glob, such as ``"TRANSFORM/*"``."""
         found = (entry for entry in self.entries if entry.kind is Kind.IGTL_OUT and matches(stream, entry.channel))
         return [Sent(entry.channel, entry.data(), entry.links) for entry in found]
 
     def ros(self, topic: str = "**") -> list[Published]:
-        """The ROS messages whose topic fits the glob, such as ``"/igtl/in/**"``."""
+        """Return the ROS messages whose topic matches the glob, such as ``"/igtl/in/**"``."""
         found = (entry for entry in self.entries if entry.kind is Kind.ROS_OUT and matches(topic, entry.channel))
         return [Published(entry.channel, entry.type, entry.data()) for entry in found]
 
     def notes(self, code: str = "**") -> list[Note]:
-        """What the gateway had to say, such as ``"bad_crc"``."""
+        """Return the notes whose code matches the glob, such as ``"bad_crc"``."""
         notes = (Note.unpack(entry.data()) for entry in self.entries if entry.kind is Kind.NOTE)
         return [note for note in notes if matches(code, note.code)]
 
 
 class ManualGateway:
-    """A gateway whose inputs and time are the test's.
+    """A gateway whose inputs and time come from a test.
 
     Attributes:
-        config: what it was made with.
-        now_ns: its time, UTC nanoseconds; it stands still except for ``advance`` and ``play``.
-        log: everything so far, inputs and outputs: a session as it would be recorded.
+        config: the configuration in use.
+        now_ns: gateway time, UTC nanoseconds; only ``advance`` and ``play`` change it.
+        log: all inputs and outputs: the session as it would be recorded.
 
     Args:
-        config: a ``Config``; or a path: of a configuration file, or of a recording (``.mcap``) for what was in force
-            that day; or None for the default one.
-        start_ns: the time at which it begins.
-        settings: of ``[gateway]`` and rows, by name; they go before those of ``config``.
+        config: a ``Config``; or the path of a configuration file; or the path of a recording (``.mcap``), for the
+            recorded configuration; or None for the default configuration.
+        start_ns: gateway time at the beginning, UTC.
+        settings: of ``[gateway]`` and rows, by name; they override those of ``config``.
 
-    Raises ConfigError for a setting that is wrong, UnsupportedRecording or DamagedRecording.
+    Raises ConfigError for an invalid setting, UnsupportedRecording or DamagedRecording.
     """
 
     def __init__(self, config: Config | Path | str | None = None, *, start_ns: int = START_NS, **settings: Any) -> None:
@@ -124,11 +124,11 @@ class ManualGateway:
 
     @property
     def outputs(self) -> Outputs:
-        """Everything that it said so far."""
+        """All outputs since the beginning."""
         return Outputs(self.log)
 
     def connect(self, **facts: Any) -> int:
-        """A peer connects; gives the number of its link.  ``facts``: ``peer`` (its address), ``role`` …"""
+        """Connect a peer and return the number of its link.  ``facts``: ``peer`` (its address), ``role`` …"""
         self._links += 1
         known = {"peer": f"127.0.0.1:{50_000 + self._links}", "local": "127.0.0.1:18944", "role": "server"}
         note = Note(Level.INFO, LINK_UP, "connected", data=known | facts)
@@ -136,27 +136,27 @@ class ManualGateway:
         return self._links
 
     def disconnect(self, link: int) -> Outputs:
-        """A peer goes."""
+        """Disconnect a peer."""
         return self._feed(Kind.LINK, (Note(Level.INFO, LINK_DOWN, "disconnected").pack(),), links=(link,))
 
     def from_peer(self, message: Message | bytes, link: int | None = None) -> Outputs:
-        """A peer sends one whole message; without ``link`` the one that connected last does (and connects, if none)."""
+        """Feed a complete message of a peer; by default of the last connected peer, which is connected if necessary."""
         if link is None:
             link = self._links or self.connect()
         data = message if isinstance(message, bytes) else join(encode(message))
         return self._feed(Kind.IGTL_IN, (data,), links=(link,))
 
     def from_ros(self, topic: str, message: RosMessage | bytes, ros_type: str = "", source_ns: int = 0) -> Outputs:
-        """A ROS node publishes a message: a class of ``convert.rosmsg`` and its like, or CDR and the type's name.
+        """Feed a message of a ROS node: an object such as those of ``convert.rosmsg``, or CDR and the name of the type.
 
-        With rclpy, CDR is what ``rclpy.serialization.serialize_message`` gives.
+        With rclpy, ``rclpy.serialization.serialize_message`` returns CDR.
         """
         if isinstance(message, bytes):
             return self._feed(Kind.ROS_IN, (message,), topic, ros_type, source_ns=source_ns)
         return self._feed(Kind.ROS_IN, (message.pack(),), topic, message.TYPE, source_ns=source_ns)
 
     def advance(self, seconds: float) -> Outputs:
-        """Time passes: what waits for it (time-outs, pings) happens at its moment."""
+        """Advance the gateway time; timeouts and pings occur when they are due."""
         first, end_ns = len(self.log), self.now_ns + round(seconds * NS_PER_S)
         due_ns = self._gateway.due_ns
         while due_ns is not None and due_ns <= end_ns:
@@ -169,7 +169,7 @@ class ManualGateway:
         return Outputs(self.log[first:])
 
     def play(self, recording: Path | str, streams: Sequence[str] = ()) -> Outputs:
-        """Feed the inputs of a recording at their moments; of messages only those of streams that fit a glob.
+        """Feed the inputs of a recording at their times; of messages only those of streams that match a glob.
 
         Raises UnsupportedRecording or DamagedRecording.
         """
@@ -177,7 +177,7 @@ class ManualGateway:
         with SessionFile.open(recording) as file:
             for entry in file.prologue():
                 self._replay(entry)
-            del self.log[first:]  # what was before: its state counts, its words were said that day
+            del self.log[first:]  # the prologue only sets the state; its outputs belong to the original session
             wanted = {entry.seq for entry in select_entries(file.entries(), _MESSAGES_IN, streams)} if streams else None
             for entry in select_entries(file.entries(), _INPUTS):
                 if wanted is not None and entry.kind in _MESSAGES_IN and entry.seq not in wanted:
@@ -192,7 +192,7 @@ class ManualGateway:
         self._feed(entry.kind, entry.payload, entry.channel, entry.type, entry.links, entry.source_ns)
 
     def save(self, path: Path | str, *, overwrite: bool = False) -> None:
-        """Write the log as a recording, to be replayed, verified or compared with.  Raises RecordingError."""
+        """Write the log as a recording, for replay, verification or comparison.  Raises RecordingError."""
         session = {"igtl_gateway_version": __version__, "config": json.dumps(self.config.to_dict(), sort_keys=True)}
         writer = SessionWriter(
             Path(path),
@@ -222,7 +222,7 @@ class ManualGateway:
 
 
 def config_of(config: Config | Path | str) -> Config:
-    """A configuration as it is, of a configuration file, or of a recording."""
+    """Return the given configuration, or that of a configuration file or of a recording.  Raises ConfigError."""
     if isinstance(config, Config):
         return config
     path = Path(config)
@@ -233,5 +233,5 @@ def config_of(config: Config | Path | str) -> Config:
 
 
 def recorded_config(file: SessionFile) -> Config:
-    """The configuration that was in force; the default one where the recording tells none.  Raises ConfigError."""
+    """Return the recorded configuration; the default one if the recording has none.  Raises ConfigError."""
     return Config.from_dict(json.loads(file.session.get("config", "{}")))

@@ -1,4 +1,4 @@
-"""A recording as a peer: it serves, or connects to, the program under test and says what was said that day."""
+"""A recording as a peer: it listens for the program under test, or connects to it, and sends recorded messages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.testing.gateway import config_of, recorded_config
 from igtl_gateway.wire import Header, Message, decode, encode
 
-#: Far longer than anything takes: reaching it is a failure of the program under test.
+#: Default timeout, far longer than any expected delay: reaching it is a failure of the program under test.
 TIMEOUT_S = 20.0
 
 Side = Literal["gateway", "peers"]
@@ -35,22 +35,24 @@ class ReplayPeer:
     """An OpenIGTLink peer that plays a recording; a context manager.
 
     Attributes:
-        host, port: where it listens, or where it connects to.
-        received: what the program under test sent, decoded, in order.
-        notes: what happened besides: links, and messages that could not be decoded.
-        sent: messages played so far.
-        faults: what ``fault`` did so far, by its name.
+        host, port: the address that it listens on or connects to.
+        received: decoded messages of the program under test, in order.
+        notes: link events, and messages that could not be decoded.
+        sent: number of messages that were sent.
+        faults: number of applied faults, by name.
 
     Args:
-        recording: a recording of ours, or an MCAP file of ROS messages alone, which go through the gateway.
-        streams: globs of what is played: ``TYPE/device`` or the device name; all if none.
+        recording: a session file; or an MCAP file with ROS messages only, which the gateway converts.
+        streams: globs of the streams to play, ``TYPE/device`` or the device name; all by default.
         rate: recorded seconds per second; None: as fast as the program reads.
-        header: 1 or 2: header version of all messages; None: as recorded.
-        side: ``"gateway"``: play what was sent to the peers of that day, ``"peers"``: what they sent.  Of a recording
-            of ``bridge --relay`` the words of the server are played, and to ``connect`` those of the client.
-        config: of a recording without OpenIGTLink messages, instead of the recorded one: a ``Config`` or a file.
-        connect: (host, port) to connect to, again and again until it is there; None: serve at a free port.
-        fault, seed: play it over a bad line: ``"loss=1%,corrupt=0.5%"``, as ``igtl-gateway replay --fault --seed``.
+        header: header version of all messages, 1 or 2; None: as recorded.
+        side: ``"gateway"``: play the messages that the gateway sent to peers; ``"peers"``: play those that the peers
+            sent.  Of a recording of ``bridge --relay`` the messages of the server are played, or with ``connect``
+            those of the client.
+        config: configuration for a recording without OpenIGTLink messages, instead of the recorded one: a ``Config``
+            or a file.
+        connect: (host, port) to connect to, with retries until there is a server; None: listen on a free port.
+        fault, seed: fault injection such as ``"loss=1%,corrupt=0.5%"``, as ``igtl-gateway replay --fault --seed``.
 
     Raises UnsupportedRecording, DamagedRecording or ConfigError.
     """
@@ -104,41 +106,43 @@ class ReplayPeer:
         self._edge.start()
 
     def wait_connected(self, count: int = 1, timeout_s: float = TIMEOUT_S) -> None:
-        """Wait until so many programs are connected.  Raises TimeoutError."""
+        """Wait until ``count`` programs are connected.  Raises TimeoutError."""
         if not self._edge.wait_links(count, timeout_s):
-            raise TimeoutError(f"not {count} connected with {self.host}:{self.port} within {timeout_s:g} s")
+            raise TimeoutError(
+                f"{self.host}:{self.port}: not {count} program{'s' * (count != 1)} connected within {timeout_s:g} s"
+            )
 
     def play(self) -> None:
-        """Begin to play, to all that are connected; again, from the start, when it was done."""
+        """Start to play to all connected programs; after the end of a playback, start again from the beginning."""
         with self._changed:
             if self._playing:
-                raise RuntimeError("it plays already; wait_done() first")
+                raise RuntimeError("found a playback in progress, expected none; call wait_done() first")
             self._playing, self._played, self._failure, self.sent = True, False, None, 0
         self._player = threading.Thread(target=self._play, name="igtl-replay", daemon=True)
         self._player.start()
 
     @property
     def done(self) -> bool:
-        """Whether all was sent."""
+        """Whether all messages were sent."""
         return self._played
 
     def wait_done(self, timeout_s: float = TIMEOUT_S) -> None:
-        """Wait until all was sent.  Raises TimeoutError, or what was found wrong with the recording."""
-        self._wait(lambda: not self._playing, f"all played ({self.sent} messages so far)", timeout_s)
+        """Wait until all messages are sent.  Raises TimeoutError, or the error of the recording."""
+        self._wait(lambda: not self._playing, f"all messages sent ({self.sent} so far)", timeout_s)
         if self._failure:
             raise self._failure
 
     def wait_received(self, count: int = 1, type_name: str = "", timeout_s: float = TIMEOUT_S) -> list[Message]:
-        """The first ``count`` messages (of that type) from the program, waited for.  Raises TimeoutError."""
+        """Wait for ``count`` messages (of this type) from the program, and return them.  Raises TimeoutError."""
 
         def found() -> list[Message]:
             return [message for message in self.received if type_name in ("", message.type)]
 
-        self._wait(lambda: len(found()) >= count, f"{count} messages {type_name}".rstrip(), timeout_s)
+        self._wait(lambda: len(found()) >= count, f"{count} messages {type_name}".rstrip() + " received", timeout_s)
         return found()[:count]
 
     def close(self) -> None:
-        """Disconnect; may be called twice."""
+        """Disconnect; may be called more than once."""
         self._stop.set()
         self._edge.stop()
         if self._player:
@@ -153,18 +157,18 @@ class ReplayPeer:
     ) -> None:
         self.close()
 
-    def _wait(self, condition: Callable[[], bool], what: str, timeout_s: float) -> None:
+    def _wait(self, condition: Callable[[], bool], state: str, timeout_s: float) -> None:
         with self._changed:
             if not self._changed.wait_for(condition, timeout_s):
-                told = "; ".join(note.text for note in self.notes[-5:])
-                raise TimeoutError(f"not {what} within {timeout_s:g} s.  What happened last: {told or 'nothing'}")
+                notes = "; ".join(note.text for note in self.notes[-5:])
+                raise TimeoutError(f"not {state} within {timeout_s:g} s; last notes: {notes or 'none'}")
 
     # ── the player's thread ─────────────────────────────────────────────────────────────────────────────────────
 
     def _play(self) -> None:
         try:
             self._send_all()
-        except Exception as error:  # of the recording: raised where the test waits
+        except Exception as error:  # of the recording: wait_done() raises it in the thread of the test
             self._failure = error
         with self._changed:
             self._playing, self._played = False, self._failure is None and not self._stop.is_set()
@@ -173,7 +177,7 @@ class ReplayPeer:
     def _send_all(self) -> None:
         origin: tuple[int, int] | None = None
         disconnect = disconnector(self._edge, self._stop)
-        for entry in self._faulty(self._formed(entry) for entry in self._entries()):
+        for entry in self._faulty(self._with_header_version(entry) for entry in self._entries()):
             if self._rate is not None:
                 origin = origin or (entry.stamp_ns, self._clock.monotonic_ns())
                 due_ns = origin[1] + round((entry.stamp_ns - origin[0]) / self._rate)
@@ -188,7 +192,7 @@ class ReplayPeer:
         self._edge.flush(TIMEOUT_S)
 
     def _entries(self) -> Iterator[Entry]:
-        """What is played, in order."""
+        """Return the messages to play, in order."""
         present = {channel.kind for channel in self._file.channels if channel.count}
         entries: Iterable[Entry] = chain(self._file.prologue(), self._file.entries())
         if self._side == "peers":
@@ -200,10 +204,10 @@ class ReplayPeer:
         outputs = select_entries(
             entries if self._config.relay else first_form_only(entries), frozenset({Kind.IGTL_OUT}), self._streams
         )
-        return (entry for entry in outputs if entry.stamp_ns >= self._file.start_ns)  # not those of its prologue
+        return (entry for entry in outputs if entry.stamp_ns >= self._file.start_ns)  # without those of the prologue
 
-    def _formed(self, entry: Entry) -> Entry:
-        """In the header version asked for; what cannot be decoded goes as it is."""
+    def _with_header_version(self, entry: Entry) -> Entry:
+        """Return the message with the requested header version; unchanged if it cannot be decoded."""
         if self._header is None:
             return entry
         data = entry.data()
@@ -221,7 +225,7 @@ class ReplayPeer:
         try:
             message = decode(data)
         except WireError as error:
-            self._on_note(0, Note(Level.ERROR, error.code, f"the program sent a message that is wrong: {error}"))
+            self._on_note(0, Note(Level.ERROR, error.code, f"the program sent an invalid message: {error}"))
             return
         with self._changed:
             self.received.append(message)

@@ -1,4 +1,4 @@
-"""The pytest plugin: three fixtures.  Loaded at the start of every pytest run, so it imports nothing by itself."""
+"""The pytest plugin: three fixtures.  pytest loads it at the start of each run, so imports are in the fixtures."""
 
 from __future__ import annotations
 
@@ -19,50 +19,50 @@ if TYPE_CHECKING:
 def _igtl_replay(request: pytest.FixtureRequest) -> Iterator[Callable[..., ReplayPeer]]:
     """``igtl_replay("star.mcap", streams=("TRANSFORM/*",))``: a peer that plays a recording; closed after the test.
 
-    The arguments are those of ``igtl_gateway.testing.peer.ReplayPeer``.  A relative path is looked for beside the
-    file of the test first.
+    The arguments are those of ``igtl_gateway.testing.peer.ReplayPeer``.  Relative paths are relative to the folder of
+    the test if the file exists there, otherwise to the working directory.
     """
     from igtl_gateway.testing.peer import ReplayPeer
 
     with ExitStack() as peers:
 
         def start(recording: Path | str, *, config: Any = None, **settings: Any) -> ReplayPeer:
-            settings["config"] = _found(request, config)
-            return peers.enter_context(ReplayPeer(_found(request, recording), **settings))
+            settings["config"] = _resolve(request, config)
+            return peers.enter_context(ReplayPeer(_resolve(request, recording), **settings))
 
         yield start
 
 
 @pytest.fixture(name="igtl_gateway")
 def _igtl_gateway(request: pytest.FixtureRequest) -> Callable[..., ManualGateway]:
-    """``igtl_gateway(ros_unit="mm")``: the gateway's core on manual time, as configured.
+    """``igtl_gateway(ros_unit="mm")``: the core of the gateway on manual time.
 
-    Either settings by name, or the path of a configuration file, or a ``Config``.
+    The argument is a ``Config`` or the path of a configuration file or recording; settings by name override it.
     """
     from igtl_gateway.testing.gateway import ManualGateway
 
     def make(config: Any = None, **settings: Any) -> ManualGateway:
-        return ManualGateway(_found(request, config), **settings)
+        return ManualGateway(_resolve(request, config), **settings)
 
     return make
 
 
 @pytest.fixture(name="assert_session_equal")
 def _assert_session_equal(request: pytest.FixtureRequest) -> Callable[..., None]:
-    """``assert_session_equal("golden.mcap", gateway, tolerance_mm=0.01)``: fails and says where two sessions differ.
+    """``assert_session_equal("golden.mcap", gateway, tolerance_mm=0.01)``: fails with a list of the differences.
 
     The arguments are those of ``igtl_gateway.testing.compare.assert_session_equal``.
     """
     from igtl_gateway.testing.compare import assert_session_equal
 
     def check(expected: Session, found: Session, **settings: Any) -> None:
-        assert_session_equal(_found(request, expected), _found(request, found), **settings)
+        assert_session_equal(_resolve(request, expected), _resolve(request, found), **settings)
 
     return check
 
 
-def _found(request: pytest.FixtureRequest, given: Any) -> Any:
-    """A path that names a file beside the test as that file; all else as it is."""
+def _resolve(request: pytest.FixtureRequest, given: Any) -> Any:
+    """Return the path of a file in the folder of the test; other paths and other arguments unchanged."""
     if isinstance(given, str | Path) and (beside := request.path.parent / given).exists():
         return beside
     return given

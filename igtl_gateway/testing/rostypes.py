@@ -1,4 +1,4 @@
-"""Which class reads the messages of a ROS type: all that the gateway receives or publishes."""
+"""The classes of all ROS types that the gateway receives or publishes, by the name of the type."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CLASSES = {kind.TYPE: kind for kind in _ALL}
 
 
 def unpack(ros_type: str, cdr: Buffer) -> RosMessage:
-    """The message in ``cdr``.  Raises ConfigError for a type that the gateway does not know."""
+    """Decode ``cdr``.  Raises ConfigError for a type that the gateway does not know."""
     kind = CLASSES.get(ros_type)
     if kind is None:
         raise ConfigError(f"found a message of type {ros_type}, expected one of {', '.join(sorted(CLASSES))}")

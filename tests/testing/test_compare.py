@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
-from igtl_gateway.testing.compare import MAX_TOLD, assert_session_equal
+from igtl_gateway.testing.compare import MAX_LISTED, assert_session_equal
 from igtl_gateway.testing.gateway import START_NS, ManualGateway
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.text import Status, String
@@ -91,5 +91,5 @@ def test_bytes_that_decode_to_the_same_are_not_the_same() -> None:
 
 def test_many_differences_are_counted_and_some_told() -> None:
     told = differences(session(count=30), session(count=30, x=0.2))
-    assert told.count("\n") == MAX_TOLD + 1
+    assert told.count("\n") == MAX_LISTED + 1
     assert "more" in told.splitlines()[-1]
