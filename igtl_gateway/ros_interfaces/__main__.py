@@ -1,4 +1,4 @@
-"""``python -m igtl_gateway.ros_interfaces``: compile all packages ahead of their first import; say where they are."""
+"""``python -m igtl_gateway.ros_interfaces``: compile all packages before their first import; print their folders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _STAND_INS = Path(__file__).parent / "python"
 
 
 def main() -> int:
-    """One line for each package; 1 if there is one that cannot be imported here."""
+    """Print one line for each package; return 1 if at least one cannot be imported, otherwise 0."""
     failed = False
     for package in PACKAGES:
         real = find_spec(package)

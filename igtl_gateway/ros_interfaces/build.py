@@ -1,11 +1,11 @@
-"""Compiles a ROS 2 interface package to one Python extension, without ament and CMake.
+"""Compile a ROS 2 interface package to one Python extension, without ament and CMake.
 
-    python -P build.py PACKAGE DEFINITIONS PREFIX WORK    gives WORK/result/PACKAGE
+    python -P build.py PACKAGE DEFINITIONS PREFIX WORK    writes WORK/result/PACKAGE
 
-Run as a program, in a process of its own.  Strategy: the code generators that the ROS wheels carry are called as
-CMake would call them, for messages and services.  All that they make for C, Python and the two type supports that
-rmw_fastrtps_cpp asks for goes into one extension ``PACKAGE_s__rosidl_typesupport_c``, where ``dispatch.h`` takes
-the place of the one generator that is left out, rosidl_typesupport_c's.
+It runs as a program, in a separate process.  Strategy: call the code generators of the ROS wheels with the arguments
+that CMake would use, for messages and services.  Their code for C, Python and the two type supports that
+rmw_fastrtps_cpp requests is compiled to one extension ``PACKAGE_s__rosidl_typesupport_c``.  ``dispatch.h`` replaces the
+generator of rosidl_typesupport_c, which is not called.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-#: Generator → the header with its visibility macros, which CMake would configure.
+#: Generator → the header with its visibility macros, from a template that CMake would fill in.
 _VISIBILITY = {
     generator: f"{generator}__visibility_control.h"
     for generator in ("rosidl_generator_c", "rosidl_typesupport_introspection_c", "rosidl_typesupport_fastrtps_c")
 }
 
-#: Libraries of every package of definitions, ``lib{package}__{this}.so``.
+#: Libraries of each interface package: ``lib{package}__{name}.so`` for these names.
 _LIBRARIES_OF_A_PACKAGE = (
     "rosidl_generator_c",
     "rosidl_generator_py",
@@ -52,13 +52,13 @@ _DISPATCH = Path(__file__).with_name("dispatch.h")
 
 @dataclass(frozen=True, slots=True)
 class Package:
-    """What is compiled, and where.
+    """An interface package, and the folders of its compilation.
 
     Attributes:
         name: of the package.
-        definitions: its folder, with ``msg/*.msg`` and ``srv/*.srv``.
-        prefix: folder with the wheels' ``share``, ``include`` and ``lib``.
-        work: folder for all that is made.
+        definitions: folder with ``msg/*.msg`` and ``srv/*.srv``.
+        prefix: folder with ``share``, ``include`` and ``lib`` of the wheels.
+        work: folder for all generated files.
         interfaces: the definition files, relative to ``definitions``.
     """
 
@@ -70,25 +70,25 @@ class Package:
 
     @property
     def generated(self) -> Path:
-        """The folder of the generated code: a Python package, and C headers by ``PACKAGE/...``."""
+        """The folder of the generated code: a Python package, and C headers that are included as ``PACKAGE/...``."""
         return self.work / self.name
 
     @property
     def introspection(self) -> Path:
-        """The same for one generator, whose files have the names of another's."""
+        """The folder for the code of the introspection generator: its files have the names of another generator's."""
         return self.work / "introspection" / self.name
 
     @property
     def kinds(self) -> list[str]:
-        """``msg``, ``srv``: the subfolders there are."""
+        """The existing subfolders: ``msg``, ``srv``."""
         return sorted({path.parts[0] for path in self.interfaces})
 
     def idl(self, interface: Path) -> Path:
-        """The generated IDL of a definition."""
+        """Return the path of the generated IDL of a definition."""
         return self.generated / interface.with_suffix(".idl")
 
     def arguments(self, file: str, generator: str = "", **more: object) -> str:
-        """The arguments of a generator, as the JSON file that it wants; its path."""
+        """Write the arguments of a generator to a JSON file, and return its path."""
         content: dict[str, object] = {
             "package_name": self.name,
             "output_dir": str(self.generated),
@@ -105,10 +105,10 @@ class Package:
 
 
 def generate(package: Package) -> None:
-    """All C, C++ and Python of the package, below ``package.generated``."""
+    """Generate all C, C++ and Python code of the package, below ``package.generated``."""
     import rosidl_parser.parser
 
-    # Six generators parse every file again, which is half of all the time.  Before they take hold of the function:
+    # Six generators parse each file again: half of the total time.  Patch the parser before they import it.
     rosidl_parser.parser.parse_idl_file = _once_per_file(rosidl_parser.parser.parse_idl_file)
     from rosidl_adapter import convert_to_idl
     from rosidl_generator_type_description import generate_type_hash
@@ -119,14 +119,14 @@ def generate(package: Package) -> None:
     share = package.prefix / "share"
     others = [f"{path.name}:{path}" for path in share.iterdir() if path.name != package.name]
     generate_type_hash(package.arguments("type_hash", include_paths=others))
-    # those of msg in any case: what is generated for services includes them, too
+    # always those of msg: the code for services includes them too
     for kind in {*package.kinds, "msg"}:
         (package.generated / kind).mkdir(exist_ok=True)
         for generator, header in _VISIBILITY.items():
             text = (share / generator / "resource" / f"{header}.in").read_text()
             text = text.replace("@PROJECT_NAME@", package.name).replace("@PROJECT_NAME_UPPER@", package.name.upper())
             (package.generated / kind / header).write_text(text)
-    # Processes, because generators keep global state; forked, so that they know the parsed files.
+    # Processes, because generators have global state; forked, so that they inherit the parsed files.
     context = multiprocessing.get_context("fork")
     with context.Pool(os.cpu_count()) as pool:
         pool.starmap(_generate, [(package, name) for name in _GENERATORS], chunksize=1)
@@ -179,7 +179,7 @@ def _generate_python(package: Package) -> None:
     generate_py(package.arguments("python", "rosidl_generator_py"), ["rosidl_typesupport_c"])
 
 
-#: The longest first.
+#: The slowest generator is the first.
 _GENERATORS: dict[str, Callable[[Package], None]] = {
     "python": _generate_python,
     "c": _generate_c,
@@ -193,7 +193,7 @@ def _generate(package: Package, name: str) -> None:
 
 
 def _dispatch(package: Package) -> str:
-    """C code that finds the type supports of every interface."""
+    """Return C code that finds the type supports of each interface."""
     from rosidl_pycommon import convert_camel_case_to_lower_case_underscore as lower
 
     lines = [f'#include "{_DISPATCH}"']
@@ -206,7 +206,7 @@ def _dispatch(package: Package) -> str:
 
 
 def compile_extension(package: Package) -> Path:
-    """The extension, from all that has been generated."""
+    """Compile the generated code, and return the path of the extension."""
     import numpy as np
 
     root = package.prefix / "include"
@@ -227,13 +227,12 @@ def compile_extension(package: Package) -> Path:
 
 
 def _units(package: Package) -> list[Path]:
-    """What is compiled: many generated files in one go, since most of the time goes into the same headers."""
+    """Return the translation units: many generated files in each, because most of the time is for common headers."""
     folders = (package.generated, package.introspection)
     sources = [path for folder in folders for path in sorted(folder.rglob("*")) if path.suffix in {".c", ".cpp"}]
     groups: dict[str, list[Path]] = {}
     for source in sources:
-        # ..._s.c, __functions.c, __type_support.c, __type_support_c.cpp; files named otherwise stay by themselves,
-        # and so do descriptions, which define the same static names.
+        # Other files are units of their own, for example descriptions, which define equal static names.
         match = re.search(r"(__functions\.c|__type_support\.c|__type_support_c\.cpp|_s\.c)$", source.name)
         groups.setdefault(match[1] if match else str(source), []).append(source)
     units = []
@@ -244,15 +243,15 @@ def _units(package: Package) -> list[Path]:
         unit = package.work / f"all{name}"
         unit.write_text("".join(f'#include "{member}"\n' for member in members))
         units.append(unit)
-    # The C++ one takes longest.
+    # The C++ unit is the slowest, so it is the first.
     return sorted(units, key=lambda unit: unit.suffix != ".cpp")
 
 
 def _compile(source: Path, options: list[str]) -> Path:
     compiler = ["gcc", "-std=gnu11"] if source.suffix == ".c" else ["g++", "-std=c++17"]
-    made = source.with_suffix(f"{source.suffix}.o")
-    _run([*compiler, *options, "-c", source, "-o", made])
-    return made
+    compiled = source.with_suffix(f"{source.suffix}.o")
+    _run([*compiler, *options, "-c", source, "-o", compiled])
+    return compiled
 
 
 def _run(command: list[str | Path]) -> None:
@@ -262,15 +261,15 @@ def _run(command: list[str | Path]) -> None:
 
 
 def _needed(package: Package) -> set[str]:
-    """The packages whose interfaces are used."""
-    texts = [package.idl(interface).read_text("iso-8859-1") for interface in package.interfaces]
-    found = {name for text in texts for name in re.findall(r'#include "(\w+)/msg/', text)}
+    """Return the packages whose interfaces this package uses."""
+    definitions = [package.idl(interface).read_text("iso-8859-1") for interface in package.interfaces]
+    found = {name for text in definitions for name in re.findall(r'#include "(\w+)/msg/', text)}
     services = {"service_msgs", "builtin_interfaces"} if "srv" in package.kinds else set()
     return (found | services) - {package.name}
 
 
 def main(arguments: list[str]) -> None:
-    """Compile and lay out what an import needs, and the definitions for programs that look for them."""
+    """Compile the package, and copy the files for its import, with the definitions for programs that read them."""
     name, definitions, prefix, work = arguments
     folder = Path(definitions).resolve()
     files = sorted([*folder.glob("msg/*.msg"), *folder.glob("srv/*.srv")])

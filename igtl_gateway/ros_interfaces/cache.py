@@ -1,12 +1,12 @@
-"""Compiled packages, kept with the environment that they were compiled for.
+"""Cache of compiled packages, stored with the environment that they are compiled for.
 
-``ROOT/KEY/PACKAGE`` is a compiled package.  The key is a hash of all that goes into it, so it is never out of date
-and never has to be checked: what is there is right.  ROOT is in the environment itself or, where that may not be
-written, in the user's cache folder.
+``ROOT/KEY/PACKAGE`` is a compiled package.  The key is a hash of everything that the package depends on, so an existing
+package is always up to date.  ROOT is in the environment itself, or in the user's cache folder if the environment is
+not writable.
 
-Many processes may import a package for the first time at once: one compiles under a lock, the others wait for it.
-It compiles beside the place where the package belongs and renames it at the end, so a package that can be seen is
-complete, whatever happens to the process.
+Many processes can import a package for the first time at once: one compiles it under a lock, and the others wait.
+It compiles in a work folder and renames the result at the end, so an existing package is complete, even if the process
+is killed.
 """
 
 from __future__ import annotations
@@ -27,59 +27,62 @@ from igtl_gateway.ros_interfaces.definitions import definition_folder, interface
 
 _BUILD = Path(__file__).with_name("build.py")
 _SOURCES = (_BUILD, _BUILD.with_name("dispatch.h"))
-#: Only the ROS wheels have it, and only with them do we compile: a sourced ROS 2 has colcon for that.
-_MARK_OF_THE_WHEELS = "ros_wheels_bootstrapper"
-#: One of the wheels without which nothing can be compiled.
-_A_GENERATOR = "rosidl_generator_py"
+#: A module of the ROS wheels.  Only with them packages are compiled: a sourced ROS 2 has colcon for this.
+_WHEEL_MODULE = "ros_wheels_bootstrapper"
+#: One of the code generators, to find the folder of the wheels.
+_GENERATOR = "rosidl_generator_py"
 
 
 def package_path(package: str) -> list[str]:
-    """The ``__path__`` of ``package``, which is compiled first where it has to be.
+    """Return the ``__path__`` of ``package``; compile it first if necessary.
 
     Raises:
-        ImportError: this cannot be done here; one sentence says why.
+        ImportError: the package cannot be compiled; the text is one sentence with the reason.
     """
     return [str(compiled(package, cache_folders()))]
 
 
 def cache_folders() -> list[Path]:
-    """Where compiled packages may be, the preferred place first."""
-    of_user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return [Path(sys.prefix) / "share" / "igtl_gateway" / "ros_interfaces", of_user / "igtl_gateway" / "ros_interfaces"]
+    """Return the folders for compiled packages, the preferred one first."""
+    user_cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return [
+        Path(sys.prefix) / "share" / "igtl_gateway" / "ros_interfaces",
+        user_cache / "igtl_gateway" / "ros_interfaces",
+    ]
 
 
 def compiled(package: str, folders: Sequence[Path]) -> Path:
-    """The folder of the compiled ``package``: found in one of ``folders``, or else made in the first that lets us.
+    """Return the folder of the compiled ``package``: an existing one, or a new one in the first writable folder.
 
     Raises:
         ImportError: as in :func:`package_path`.
     """
     wheels = _wheels(package)
-    wanted = Path(_key(package, wheels)) / package
-    found = next((folder / wanted for folder in folders if (folder / wanted).is_dir()), None)
+    path = Path(_key(package, wheels)) / package
+    found = next((folder / path for folder in folders if (folder / path).is_dir()), None)
     if found:
         return found
     _check_compiler(package)
     root = next((folder for folder in folders if _is_writable(folder)), None)
     if root is None:
         places = " nor ".join(map(str, folders))
-        raise ImportError(f"{package} has to be compiled once, but neither {places} can be written", name=package)
+        raise ImportError(f"{package} must be compiled once, but neither {places} is writable", name=package)
     with _locked(root / f"{package}.lock") as lock:
-        if not (root / wanted).is_dir():
-            # One at a time by the lock, so what lies there is left over from a process that was killed.
+        if not (root / path).is_dir():
+            # The lock excludes other processes, so an existing work folder is from a process that was killed.
             work = root / f"{package}.work"
             shutil.rmtree(work, ignore_errors=True)
             _compile(package, _prefix(wheels), work, lock)
-            (root / wanted).parent.mkdir(exist_ok=True)
-            (work / "result" / package).rename(root / wanted)
+            (root / path).parent.mkdir(exist_ok=True)
+            (work / "result" / package).rename(root / path)
             shutil.rmtree(work)
-    return root / wanted
+    return root / path
 
 
 def _wheels(package: str) -> Path:
-    """The folder of Python packages that the ROS wheels are in; ImportError without them."""
-    generator = find_spec(_A_GENERATOR)
-    if find_spec(_MARK_OF_THE_WHEELS) and generator and generator.origin:
+    """Return the folder with the Python packages of the ROS wheels.  Raises ImportError without them."""
+    generator = find_spec(_GENERATOR)
+    if find_spec(_WHEEL_MODULE) and generator and generator.origin:
         return Path(generator.origin).parents[1]
     if find_spec("rclpy") is None:
         raise ImportError(f"{package} needs ROS 2: {missing('rclpy')}", name=package)
@@ -91,12 +94,12 @@ def _wheels(package: str) -> Path:
 
 
 def _prefix(wheels: Path) -> Path:
-    """The folder below which they have put ``share``, ``include`` and ``lib``."""
-    return next(folder for folder in wheels.parents if (folder / "share" / _A_GENERATOR).is_dir())
+    """Return the folder with ``share``, ``include`` and ``lib`` of the wheels."""
+    return next(folder for folder in wheels.parents if (folder / "share" / _GENERATOR).is_dir())
 
 
 def _key(package: str, wheels: Path) -> str:
-    """A name that changes with all that the compiled package depends on."""
+    """Return a hash of everything that the compiled package depends on."""
     versions = sorted(path.name for kind in ("ros_*", "numpy-*") for path in wheels.glob(f"{kind}.dist-info"))
     parts: list[object] = [wheels, sys.version, sysconfig.get_config_var("EXT_SUFFIX"), versions]
     for path in [*_SOURCES, *interface_files(package)]:
@@ -113,7 +116,7 @@ def _check_compiler(package: str) -> None:
         names = " and ".join(name for name, _ in missing)
         advice = " ".join(dict.fromkeys(debian for _, debian in missing))
         raise ImportError(
-            f"{package} has to be compiled once, but there is no {names} (Debian and Ubuntu: apt install {advice})",
+            f"{package} must be compiled once, but there is no {names} (Debian and Ubuntu: apt install {advice})",
             name=package,
         )
 
@@ -128,8 +131,8 @@ def _is_writable(folder: Path) -> bool:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[int]:
-    """Alone among all processes; the kernel opens the lock when nobody holds the descriptor any more."""
-    import fcntl  # not on Windows, where no wheel of ROS brings us here
+    """Lock the file against other processes; the kernel releases the lock when the last descriptor is closed."""
+    import fcntl  # not available on Windows, for which there are no ROS wheels
 
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -137,12 +140,12 @@ def _locked(path: Path) -> Iterator[int]:
 
 
 def _compile(package: str, prefix: Path, work: Path, lock: int) -> None:
-    """Compile into ``work/result/PACKAGE``, in a process of its own: the generators print and keep global state.
+    """Compile to ``work/result/PACKAGE`` in a separate process: the generators print and have global state.
 
-    That process holds the lock, too: should we be killed, the next one must not work in the same folder beside it.
+    The new process inherits the lock: if this process is killed, no other one may use the same work folder.
     """
-    sys.stderr.write(f"{package}: compiling it, once for this environment ...\n")
-    # -P: the folder of build.py is not to be searched for modules
+    sys.stderr.write(f"{package}: compiling, once for this environment ...\n")
+    # -P: modules must not be imported from the folder of build.py
     command: list[str | Path] = [sys.executable, "-P", _BUILD, package, definition_folder(package), prefix, work]
     run = subprocess.run(
         command,

@@ -1,4 +1,4 @@
-"""Where the definitions of the packages are."""
+"""The folders and files of the interface definitions."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from pathlib import Path
 #: The packages with a stand-in in ``python/``.
 PACKAGES = ("igtl_msgs", "tf2_msgs", "foxglove_msgs", "rosbag2_interfaces")
 
-#: Where they are, as ``PACKAGE/msg/NAME.msg``.  In the source tree igtl_msgs is an ordinary ROS package beside ours;
-#: the wheel has it among the others.
+#: Folders with ``PACKAGE/msg/NAME.msg``.  In the source tree igtl_msgs is an ordinary ROS package in ros2/; in the
+#: wheel it is with the others.
 SHARES = (Path(__file__).parent / "definitions", Path(__file__).parents[2] / "ros2")
 
 
 def definition_folder(package: str) -> Path:
-    """The folder of ``package``, one of :data:`PACKAGES`."""
+    """Return the folder of ``package``, one of :data:`PACKAGES`."""
     return next(share / package for share in SHARES if (share / package).is_dir())
 
 
 def interface_files(package: str) -> list[Path]:
-    """Its ``.msg`` and ``.srv`` files, messages first, by name."""
+    """Return the ``.msg`` and ``.srv`` files of ``package``, messages first, sorted by name."""
     folder = definition_folder(package)
     return [*sorted(folder.glob("msg/*.msg")), *sorted(folder.glob("srv/*.srv"))]

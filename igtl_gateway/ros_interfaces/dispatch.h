@@ -1,7 +1,7 @@
-/* MESSAGE(package, msg, Name) and SERVICE(package, srv, Name): the handle that Python hands to rclpy.
+/* MESSAGE(package, msg, Name) and SERVICE(package, srv, Name): the handle that Python passes to rclpy.
 
-   It says which function of the same extension gives the type support that a middleware asks for by name.
-   (rosidl_typesupport_c's own code would look for it in shared libraries, which we do not have.) */
+   It contains the function of this extension that returns the type support which a middleware requests by name.
+   (The code of rosidl_typesupport_c would search for it in shared libraries, which do not exist here.) */
 
 #include <string.h>
 #include "rosidl_runtime_c/message_type_support_struct.h"
@@ -29,7 +29,7 @@
     return NULL; \
   }
 
-#define GIVE(Handle, SUPPORT, package, kind, name) \
+#define DEFINE_HANDLE_GETTER(Handle, SUPPORT, package, kind, name) \
   const Handle * SUPPORT(rosidl_typesupport_c, package, kind, name)(void) \
   { \
     return &name ## __handle; \
@@ -45,7 +45,7 @@
   static const rosidl_message_type_support_t name ## __handle = { \
     "rosidl_typesupport_c", NULL, name ## __find, DESCRIPTION(package, kind, name) \
   }; \
-  GIVE(rosidl_message_type_support_t, MESSAGE_SUPPORT, package, kind, name)
+  DEFINE_HANDLE_GETTER(rosidl_message_type_support_t, MESSAGE_SUPPORT, package, kind, name)
 
 #define SERVICE(package, kind, name) \
   MESSAGE(package, kind, name ## _Request) \
@@ -61,4 +61,4 @@
       rosidl_typesupport_c, package, kind, name), \
     DESCRIPTION(package, kind, name) \
   }; \
-  GIVE(rosidl_service_type_support_t, SERVICE_SUPPORT, package, kind, name)
+  DEFINE_HANDLE_GETTER(rosidl_service_type_support_t, SERVICE_SUPPORT, package, kind, name)
