@@ -11,7 +11,7 @@ from typing import Any
 
 from igtl_gateway.cli.common import config_to_run, count_text
 from igtl_gateway.cli.options import RECORDING_OR_BAG, add_json, add_streams, default
-from igtl_gateway.cli.terminal import cell, print_json, print_line, width
+from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance
@@ -101,10 +101,7 @@ def _print(options: argparse.Namespace, report: DiffReport) -> None:
         print_line(f"  stamps in messages: B is {_signed(report.stamp_offset_ns)} later")
     title = ("stream", "A", "B", "missing", "extra", "different", "mm", "deg", "offset", "jitter")
     rows = [title, *(_row(stream, report) for stream in report.streams)]
-    widths = [width(row[column] for row in rows) for column in range(len(title))]
-    for row in rows:
-        cells = [text.rjust(columns) for text, columns in zip(row[1:], widths[1:], strict=True)]
-        print_line(f"  {cell(row[0], widths[0])}  {'  '.join(cells)}".rstrip())
+    print_line(*aligned(rows, left=1))
     for stream in report.streams:
         for line in _places(stream):
             print_line(f"{stream.kind} {stream.stream}".rstrip() + f": {line}")

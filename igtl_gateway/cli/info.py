@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from collections import Counter
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.info_summary import ContentSummary, StreamSummary
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.options import add_file, add_json
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
 from igtl_gateway.errors import BeingRecorded, DamagedRecording, LimitExceeded
-from igtl_gateway.session.clocksteps import ClockStep, without_jump
-from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.session.timing import StampTiming, best
 from igtl_gateway.sessionfile import facts, layout
 from igtl_gateway.sessionfile.index import recover_hint
 from igtl_gateway.sessionfile.reader import PartSummary, SessionFile
@@ -36,170 +33,14 @@ EXAMPLES = """\
   # a split recording as a whole, and its parts
   igtl-gateway info out"""
 
-#: A gap is a pause of more than this number of mean intervals, and of more than a second.
-_GAP_FACTOR = 10
-_GAP_MIN_NS = NS_PER_S
-#: Messages that make a stream with a rhythm; fewer are events.
-_RHYTHM = 20
 _NS_PER_MS = 1_000_000
 
 _NOT_YET = "   unknown: the ledger is written when the recording ends"
-
-#: Number of messages whose age is stored; a longer session must not cost memory.
-_MAX_AGES = 100_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, "recording, directory of a split recording, or MCAP file of rosbag2")
     add_json(parser)
-
-
-@dataclass(slots=True)
-class StreamSummary:
-    """The summary of one stream; times in UTC ns of the gateway."""
-
-    kind: Kind
-    channel: str
-    type: str
-    messages: int = 0
-    bytes: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
-    longest_pause_ns: int = 0
-    unstamped: int = 0
-    ages_ns: list[int] = field(default_factory=list)  # of the first _MAX_AGES messages
-
-    def add(self, entry: Entry, ahead_ns: int) -> None:
-        if self.messages:
-            self.longest_pause_ns = max(self.longest_pause_ns, entry.stamp_ns - self.last_ns)
-        else:
-            self.first_ns = entry.stamp_ns
-        self.last_ns = entry.stamp_ns
-        self.messages += 1
-        self.bytes += entry.size
-        if entry.kind.is_input:
-            if not entry.source_ns:
-                self.unstamped += 1
-            elif len(self.ages_ns) < _MAX_AGES:
-                self.ages_ns.append(entry.stamp_ns - ahead_ns - entry.source_ns)
-
-    @property
-    def rate_hz(self) -> float:
-        """Mean rate between the first and the last message; 0 where all are of one moment."""
-        span_ns = self.last_ns - self.first_ns
-        return (self.messages - 1) * NS_PER_S / span_ns if span_ns >= _NS_PER_MS else 0.0
-
-    @property
-    def has_gap(self) -> bool:
-        span_ns = self.last_ns - self.first_ns
-        mean_ns = span_ns / (self.messages - 1) if self.messages >= _RHYTHM else 0
-        return bool(mean_ns) and self.longest_pause_ns > max(_GAP_FACTOR * mean_ns, _GAP_MIN_NS)
-
-    @property
-    def age_ms(self) -> tuple[float, float] | None:
-        """Median of the ages of an input stream's messages when they arrive, and the largest less the smallest."""
-        if not self.ages_ns:
-            return None
-        ages = sorted(self.ages_ns)
-        return ages[len(ages) // 2] / _NS_PER_MS, (ages[-1] - ages[0]) / _NS_PER_MS
-
-    @property
-    def stamps(self) -> str:
-        """Quality of the senders' stamps of an input stream: how old the messages are when they arrive."""
-        if not self.kind.is_input:
-            return ""
-        if self.age_ms is None:
-            return "unstamped"
-        median_ms, range_ms = self.age_ms
-        text = f"median age {median_ms:,.1f} ms (max - min {range_ms:,.1f} ms)"
-        return text + (f", {self.unstamped:,} unstamped" if self.unstamped else "")
-
-    def to_dict(self) -> dict[str, Any]:
-        median_ms, range_ms = self.age_ms or (None, None)
-        return {
-            "direction": self.kind.value,
-            "stream": self.channel,
-            "type": self.type,
-            "messages": self.messages,
-            "bytes": self.bytes,
-            "rate_hz": round(self.rate_hz, 3),
-            "longest_pause_s": self.longest_pause_ns / NS_PER_S,
-            "gap": self.has_gap,
-            "stamps": self.stamps,
-            "age_median_ms": median_ms,
-            "age_max_minus_min_ms": range_ms,
-        }
-
-
-@dataclass(slots=True)
-class ContentSummary:
-    """The summary of all entries."""
-
-    streams: dict[tuple[Kind, str, str], StreamSummary] = field(default_factory=dict)
-    notes: list[tuple[int, Kind, Note]] = field(default_factory=list)
-    problems: Counter[str] = field(default_factory=Counter)
-    clocks: dict[int, dict[str, StampTiming]] = field(default_factory=dict)  # link (0: ROS) → stream → its stamps
-    addresses: dict[int, str] = field(default_factory=dict)
-    entries: int = 0
-    steps: list[ClockStep] = field(default_factory=list)
-
-    @property
-    def ahead_ns(self) -> int:
-        """By how much gateway time is ahead of the host's clock."""
-        return self.steps[-1].ahead_ns if self.steps else 0
-
-    @classmethod
-    def of(cls, entries: Iterable[Entry]) -> ContentSummary:
-        """Read all entries."""
-        content = cls()
-        for entry in entries:
-            content.entries += 1
-            if entry.kind in DIRECTIONS:
-                key = (entry.kind, entry.channel, entry.type)
-                stream = content.streams.get(key)
-                if stream is None:
-                    stream = content.streams[key] = StreamSummary(*key)
-                stream.add(entry, content.ahead_ns)
-                if entry.kind.is_input:
-                    content.add_stamp(entry)
-            else:
-                note = Note.of(entry.data())
-                if entry.kind is Kind.LINK and "peer" in note.data:
-                    content.addresses.update(dict.fromkeys(entry.links, str(note.data["peer"])))
-                if note.level >= Level.WARN:
-                    content.problems[note.code] += 1
-                content.notes.append((entry.stamp_ns, entry.kind, note))
-                if step := ClockStep.of(entry):
-                    content.apply_clock_step(step)
-        return content
-
-    def apply_clock_step(self, step: ClockStep) -> None:
-        """Apply a step of the host's clock: it is not a pause, and the estimates of other clocks restart."""
-        self.steps.append(step)
-        for stream in self.streams.values():
-            without_jump(stream, step)
-        for streams in self.clocks.values():
-            for timing in streams.values():
-                timing.reset()
-
-    def add_stamp(self, entry: Entry) -> None:
-        """Add the stamp of an input to the estimate of its sender's clock."""
-        streams = self.clocks.setdefault(entry.links[0] if entry.links else 0, {})
-        timing = streams.get(entry.channel)
-        if timing is None:
-            timing = streams[entry.channel] = StampTiming()
-        timing.add(entry.source_ns, entry.stamp_ns - self.ahead_ns)
-
-    def clock_summaries(self) -> list[dict[str, Any]]:
-        """Return the clock of each peer, from its best stream; ROS counts as a peer."""
-        summary = []
-        for link, streams in sorted(self.clocks.items()):
-            timing = best(streams.values())
-            if timing:
-                stream = next(name for name, one in streams.items() if one is timing)
-                peer = self.addresses.get(link, "ROS" if link == 0 else "")
-                summary.append({"link": link, "peer": peer, "stream": stream, "text": str(timing)} | timing.to_dict())
-        return summary
 
 
 def run(options: argparse.Namespace) -> int:

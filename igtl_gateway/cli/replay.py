@@ -10,10 +10,10 @@ from typing import Any
 from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.player_services import PlayerServices
-from igtl_gateway.app.replay_account import ReplayAccount, account_lines
+from igtl_gateway.app.replay_account import ReplayAccount
 from igtl_gateway.app.replay_plan import plan_replay, planned_entries
 from igtl_gateway.cli import admission
-from igtl_gateway.cli.common import config_to_run, count_text, size_text, stop_event
+from igtl_gateway.cli.common import config_to_run, stop_event
 from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, can_read_keys, keyboard, read_lines
 from igtl_gateway.cli.options import (
     RECORDING_OR_BAG,
@@ -26,13 +26,14 @@ from igtl_gateway.cli.options import (
     add_streams,
     default,
 )
+from igtl_gateway.cli.replay_report import print_report
 from igtl_gateway.cli.replay_sides import ReplaySides, open_sides
 from igtl_gateway.cli.routes import add_send, with_sends
-from igtl_gateway.cli.terminal import cell, print_json, print_line
+from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.errors import ConfigError, GatewayError
-from igtl_gateway.faults import CLOCK_STEP, LOSS, Fate, Faults
+from igtl_gateway.faults import CLOCK_STEP, Fate, Faults
 from igtl_gateway.replay.moment import moment
 from igtl_gateway.replay.playback import checked_rate
 from igtl_gateway.replay.restamp import MODES, Restamper
@@ -220,7 +221,7 @@ def run(options: argparse.Namespace) -> int:
         complete = False
 
         def report() -> None:
-            _report(options, player, side, complete, faulty, account, start_ns is not None or end_ns is not None)
+            print_report(options, player, side, complete, faulty, account, start_ns is not None or end_ns is not None)
 
         # when the edges are closed: what still left then counts as sent, and what did not does not
         at_end.callback(report)
@@ -348,80 +349,3 @@ def _print_fault(options: argparse.Namespace, fate: Fate[Entry]) -> None:
 def _at(file: SessionFile, recorded_ns: int | None) -> str:
     """A moment for people, from the beginning of the file."""
     return "the beginning" if recorded_ns is None else f"{(recorded_ns - file.start_ns) / NS_PER_S:+.3f} s"
-
-
-def _report(
-    options: argparse.Namespace,
-    player: Player,
-    side: ReplaySides,
-    complete: bool,
-    faulty: FaultyFeed | None,
-    account: ReplayAccount,
-    partial: bool,
-) -> None:
-    """Print what was sent, what was not and why; after the edges are closed."""
-    played = player.played
-    refused = dict(played.refused)
-    for stream, number in side.failed().items():  # those that were held for their subscribers, and failed then
-        if later := number - sum(many for (name, _), many in played.refused.items() if name == stream):
-            refused[stream, "ROS did not take it"] = later
-    failed = sum(refused.values()) - played.refused.total()
-    undelivered, single = side.undelivered()
-    facts = None
-    if account.passes == 1:  # a loop or a jump sends messages again
-        facts = account.facts(
-            played,
-            failed=failed,
-            left=undelivered if single else 0,
-            lost=faulty.counts[LOSS] if faulty else 0,
-            partial=partial,
-            stopped=not complete,
-        )
-    if options.json:
-        result: dict[str, Any] = {
-            "file": str(options.file),
-            "complete": complete,
-            "messages": played.messages - failed,
-            "bytes": played.bytes,
-            "unheard": played.unheard,
-            "undelivered": undelivered,
-            "refused": [
-                {"stream": stream, "messages": number, "reason": reason}
-                for (stream, reason), number in sorted(refused.items())
-            ],
-            "sha256": played.digest,
-            "streams": played.by_stream,
-            "account": facts,
-        }
-        if options.to == "both":
-            result["sides"] = {
-                name: {"messages": part.messages, "bytes": part.bytes, "sha256": part.digest}
-                for name, part in sorted(player.sides.items())
-            }
-        if faulty:
-            result["faults"] = {"fault": options.fault, "seed": options.seed, "counts": faulty.counts}
-        print_json(result)
-        return
-    sent = count_text(played.messages - failed, "message")
-    print_line(f"{'sent' if complete else 'stopped after'} {sent}, {size_text(played.bytes)}")
-    if played.unheard:
-        print_line(f"  {played.unheard:,} of them while no peer was connected")
-    if undelivered:
-        print_line(f"  {undelivered:,} of them were still queued when their peer disconnected")
-    if faulty:
-        counts = faulty.counts
-        hit = ", ".join(f"{name} {counts[name]:,}" for name in sorted(counts) if name != "messages" and counts[name])
-        print_line(
-            f"faults (seed {options.seed}): of {count_text(counts['messages'], 'message')}: {hit or 'none affected'}"
-        )
-    for stream, number in sorted(played.by_stream.items()):
-        print_line(f"  {cell(stream, 40)} {number:>8,}")
-    for line in account_lines(facts) if facts else ():
-        print_line(line)
-    for (stream, reason), number in sorted(refused.items()):
-        print_line(f"! not published: {count_text(number, 'message')} of {stream}: {reason}")
-    if options.to == "both" and played.digest:
-        for name, part in sorted(player.sides.items()):
-            print_line(f"{name}: sha256 {part.digest}")
-    if played.digest:
-        print_line(f"sha256 {played.digest}")

@@ -10,7 +10,7 @@ import argparse
 import os
 import shutil
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, TextIO
 
 from igtl_gateway.errors import OutputError
@@ -78,6 +78,25 @@ def width(texts: Iterable[str], title: str = "") -> int:
 def cell(text: str, columns: int = 0) -> str:
     """Return an untrusted string as it stands in a column of a table."""
     return _printable_line(text).ljust(columns)
+
+
+def aligned(rows: Sequence[Sequence[str]], left: int = 1, indent: str = "  ") -> list[str]:
+    """Return the lines of a table.
+
+    Args:
+        rows: cells, the first row being the titles; all rows have the same number of cells.
+        left: this number of columns is aligned on the left, the others, which hold numbers, on the right.
+        indent: what each line begins with.
+    """
+    widths = [width(row[column] for row in rows) for column in range(len(rows[0]))]
+    return [
+        indent
+        + "  ".join(
+            cell(text, columns) if number < left else cell(text).rjust(columns)
+            for number, (text, columns) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 class Parser(argparse.ArgumentParser):

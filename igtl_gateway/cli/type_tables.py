@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
+from igtl_gateway.cli.terminal import aligned
 from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import Query
 from igtl_gateway.convert.profiles import AUTO
@@ -44,15 +43,18 @@ def types() -> list[str]:
     """Return all conversions as the lines of two tables, one for each direction."""
     lines = ["OpenIGTLink -> ROS: topic /igtl/in/<device>/<kind>", ""]
     rows = [(_names(row.igtl_types), row.topic or row.kind, row.message.TYPE, _role(row)) for row in TO_ROS]
-    lines += _table(("type", "kind", "ROS message", ""), rows)
+    lines += aligned([("type", "kind", "ROS message", ""), *rows], left=4)
     lines += ["", "ROS -> OpenIGTLink: topic /igtl/out/<device>, or --send TOPIC=DEVICE[:TYPE]", ""]
     by_type: dict[str, list[str]] = {}
     for out in TO_IGTL:
         by_type.setdefault(out.message.TYPE, []).append(out.igtl_type)
     by_type[Query.TYPE] = ["GET_, STT_, STP_, RTS_"]
-    return lines + _table(
-        ("ROS message", "type", "on request"),
-        [(ros_type, default, ", ".join(others)) for ros_type, (default, *others) in by_type.items()],
+    return lines + aligned(
+        [
+            ("ROS message", "type", "on request"),
+            *((ros_type, default, ", ".join(others)) for ros_type, (default, *others) in by_type.items()),
+        ],
+        left=3,
     )
 
 
@@ -62,9 +64,3 @@ def _names(igtl_types: tuple[str, ...]) -> str:
 
 def _role(row: ConversionToRos) -> str:
     return "on request (--kinds)" if row.role is Role.ON_REQUEST else ""
-
-
-def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
-    widths = [max(len(row[column]) for row in (head, *rows)) for column in range(len(head))]
-    cells = (zip(row, widths, strict=True) for row in (head, *rows))
-    return ["  " + "  ".join(text.ljust(width) for text, width in row).rstrip() for row in cells]

@@ -12,7 +12,17 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import main
-from igtl_gateway.cli.terminal import LONGEST_LINE, Parser, cell, live_line, print_json, print_line, print_text, width
+from igtl_gateway.cli.terminal import (
+    LONGEST_LINE,
+    Parser,
+    aligned,
+    cell,
+    live_line,
+    print_json,
+    print_line,
+    print_text,
+    width,
+)
 from igtl_gateway.errors import OutputError
 
 NAUGHTY = "/a\x1b]0;owned\x07\n\x1b[2Jverified: all 9 outputs equal\r\u202e"
@@ -174,3 +184,8 @@ def test_output_that_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdout", Full())
     with pytest.raises(OutputError, match="standard output: No space"):
         print_line("a")
+
+
+def test_a_table_has_text_on_the_left_and_numbers_on_the_right() -> None:
+    rows = [("stream", "A"), ("STRING/a\nb", "1,200"), ("/tf", "")]
+    assert aligned(rows) == ["  stream             A", "  STRING/a\\nb  1,200", "  /tf"]
