@@ -19,6 +19,7 @@ from fastcrc import crc64
 
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role, row_to_igtl
 from igtl_gateway.wire import decode
+from igtl_gateway.wire.registry import describe_content
 from tests.integration.bridge import Bridge, RawPeer, RosClient, Wire, extended, free_port, header, unextended
 from tests.peers import only, reference
 from tests.peers.reference import ReferencePeer
@@ -1330,7 +1331,7 @@ def test_what_the_node_publishes_is_what_peers_get(world: World, one: Sent) -> N
     got = world.listener.receive(one.device, one.type)
     assert (got.version, got.crc_ok) == (1, True)
     message = decode(got.data)
-    check(message.content.describe(), one.content)
+    check(describe_content(message.content), one.content)
     if one.stamped:
         assert message.ticks == TICKS
     else:
