@@ -1,1 +1,1 @@
-"""Other programs' files: into sessions, and out of sessions.  One module per format; see ``docs/formats.md``."""
+"""Import from and export to the file formats of other programs, one module per format; see ``docs/formats.md``."""

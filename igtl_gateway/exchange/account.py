@@ -1,4 +1,4 @@
-"""The account of an export: for every stream, declared = written + left out, and why."""
+"""The account of an export: for each stream, declared = written + left out, with reasons."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 from igtl_gateway.exchange.source import ImportedStream
 from igtl_gateway.session.entry import Entry, Kind
 
-#: Reasons that a row tells apart: those of hostile files can all be different.
+#: Different reasons that a row lists: an untrusted file could cause a different one for each message.
 _MAX_REASONS = 5
 
 
 @dataclass(slots=True)
 class ExportedStream(ImportedStream):
-    """The account of one stream, or of one sort of parts of its messages: declared = taken + left out.
+    """The account of one stream, or of one kind of parts of its messages: declared = taken + left out.
 
     Attributes:
-        failed: how many of those left out should have been written, but could not be.
-        reasons: how many were left out for each reason; ``why`` is the same as text.
+        failed: number of those left out that should have been written, but could not be.
+        reasons: reason → number left out; ``why`` has the same as text.
     """
 
     failed: int = 0
@@ -25,11 +25,11 @@ class ExportedStream(ImportedStream):
 
     @property
     def good(self) -> bool:
-        """Whether everything is accounted for and nothing failed."""
+        """Return whether the sums close and nothing failed."""
         return not self.failed and self.declared == self.taken + self.left_out
 
     def leave_out(self, why: str, count: int = 1) -> None:
-        """Count what the format has no place for."""
+        """Count messages or parts that the format cannot represent."""
         self.left_out += count
         if why not in self.reasons and len(self.reasons) >= _MAX_REASONS:
             why = "other reasons"
@@ -37,21 +37,21 @@ class ExportedStream(ImportedStream):
         self.why = why if len(self.reasons) == 1 else "; ".join(f"{n:,}: {why}" for why, n in self.reasons.items())
 
     def fail(self, why: str) -> None:
-        """Count what should be written but cannot be."""
+        """Count a message that should be written but cannot be."""
         self.failed += 1
         self.leave_out(why)
 
 
 @dataclass(slots=True)
 class ExportAccount:
-    """What became of the streams that were asked for.
+    """The account of the selected streams.
 
     Attributes:
-        rows: by stream: what the session has, what was written, what was left out and why.
-        parts: the same for parts of messages that the format cannot hold all of: attributes, points, cells.
-        others: messages of the chosen streams that are not for this format, counted by type.
+        rows: for each stream the number of messages in the session, written, and left out with a reason.
+        parts: the same for parts of messages that the format represents only in part: attributes, points, cells.
+        others: messages of the selected streams whose type does not fit the format: type → number.
         files: number of files written.
-        notes: what else people should know.
+        notes: further facts for people.
     """
 
     rows: list[ExportedStream] = field(default_factory=list)
@@ -63,7 +63,7 @@ class ExportAccount:
     _by_part: dict[tuple[Kind, str, str, str], ExportedStream] = field(default_factory=dict)
 
     def row(self, entry: Entry) -> ExportedStream:
-        """The row of an entry's stream, with the entry counted as one that the session has."""
+        """Return the row of an entry's stream; counts the entry as declared."""
         key = (entry.kind, entry.channel, entry.type)
         row = self._by_stream.get(key)
         if row is None:
@@ -73,7 +73,7 @@ class ExportAccount:
         return row
 
     def part(self, entry: Entry, unit: str) -> ExportedStream:
-        """The row of one sort of parts of a stream's messages; ``unit`` names it: ``attributes``."""
+        """Return the row of one kind of parts of a stream's messages; ``unit`` names the kind: ``attributes``."""
         key = (entry.kind, entry.channel, entry.type, unit)
         row = self._by_part.get(key)
         if row is None:

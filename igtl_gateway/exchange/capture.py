@@ -1,8 +1,8 @@
 """Raw OpenIGTLink bytes of one direction (``.igtl``): ``NAME.c2s.igtl`` from client to server, ``NAME.s2c.igtl`` back.
 
-Each message is where its header's stamp says, if that is set and not before the one before; else a millisecond
-later.  Messages are taken as they are, damaged ones too.  The account is in bytes: what is not a whole message at
-the end of the file is missing in it.
+A message has the time of its header's stamp if that is set and later than the previous message; otherwise it is placed
+1 ms after the previous message.  Messages are imported unchanged, damaged ones too.  The account is in bytes: an
+incomplete message at the end of the file is missing in it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from igtl_gateway.untrusted import files
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.header import DEVICE_NAME_AT, HEADER_SIZE, HEADER_VERSIONS, Header
 
-#: Streams with a row of their own.
+#: Number of streams with a row of their own.
 MAX_STREAMS = 10_000
 _LINK = 1
 _READ = 1 << 16
@@ -80,11 +80,11 @@ class Capture(NonRosSource):
         try:
             while data := self._stream.read(_READ):
                 yield from framer.feed(data)
-            yield from framer.received(0)  # raises what the last bytes announced
+            yield from framer.received(0)  # raises if the last bytes begin a message that is too large
         except MessageTooLarge as error:
             raise DamagedRecording(f"{self._path}: after {self._row.taken} bytes: {error}") from None
         if framer.pending:
-            self._row.why = f"ends inside a message, of which {framer.pending} bytes are there"
+            self._row.why = f"ends inside a message, after {framer.pending} bytes of it"
 
     def close(self) -> None:
         """Close the file."""
@@ -92,7 +92,7 @@ class Capture(NonRosSource):
 
 
 def looks_like_igtl(start: bytes) -> bool:
-    """Whether these bytes may begin an OpenIGTLink message: a known version, and a type name."""
+    """Return whether the bytes can begin an OpenIGTLink message: they have a known version and a type name."""
     if len(start) < HEADER_SIZE:
         return False
     header = Header.unpack(start)
@@ -100,7 +100,7 @@ def looks_like_igtl(start: bytes) -> bool:
 
 
 def count_message(streams: dict[str, ImportedStream], rows: list[ImportedStream], item: ImportedItem) -> None:
-    """Count a message in the row of its stream, which is made at the first; nobody declared how many there are."""
+    """Count a message in the row of its stream; the first one creates the row.  The file declares no numbers."""
     row = streams.get(item.channel)
     if row is None and len(streams) >= MAX_STREAMS:
         row = streams.get("")

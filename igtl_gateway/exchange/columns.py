@@ -1,9 +1,9 @@
-"""The columns of a table: a message as cells whose names say the unit.
+"""The columns of a table: a message as cells whose names contain the unit.
 
-A name is the path of the field, with dots, and its unit where the protocol or the message definition fixes one:
-``x_mm``, ``transform.translation.x_m``, ``angular.z_rad_s``.  Stamps and durations of ROS become one whole number of
-nanoseconds: ``header.stamp_ns``.  Quaternions, rows of rotations, colours and counts have no unit.  A joint may turn or
-slide, and SENSOR has its unit in the message, so these have none either.
+A name is the path of the field, with dots, and its unit if the protocol or the message definition fixes one: ``x_mm``,
+``transform.translation.x_m``, ``angular.z_rad_s``.  Stamps and durations of ROS become one integer in nanoseconds:
+``header.stamp_ns``.  Quaternions, rows of rotation matrices, colours and counts have no unit.  The names of joint
+values and of SENSOR values have no unit either: a joint can rotate or slide, and SENSOR has its unit in the message.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from igtl_gateway.untrusted import limits
 
 Cells = dict[str, Any]
 
-#: Columns of every table; a field of such a name gets an underscore.
+#: First columns of every table; an underscore is appended to a field of such a name.
 HEAD = ("entry", "time_ns", "source_ns", "item")
-#: Longer rows of numbers are no columns.
+#: Longest array of numbers that becomes columns.
 MAX_NUMBERS = 64
-#: Columns of one table.
+#: Largest number of columns of a table.
 MAX_COLUMNS = 2048
 
 
 class TooLong(Exception):
-    """A message that does not fit a table."""
+    """A message that does not fit in a table."""
 
 
 # -- OpenIGTLink --------------------------------------------------------------------------------------------------
@@ -44,7 +44,7 @@ _ROTATION = tuple(f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)
 #: Twelve numbers in the order of the wire: columns of the rotation, then the translation.
 _WIRE_MATRIX = (*(f"r{row}{column}" for column in (1, 2, 3) for row in (1, 2, 3)), *_XYZ_MM)
 
-#: Field of a description → names of the numbers in it.
+#: Field of a described message → names of the numbers in it.
 _NUMBERS: dict[str, tuple[str, ...]] = {
     "position": _XYZ_MM,
     "entry": _XYZ_MM,
@@ -52,34 +52,34 @@ _NUMBERS: dict[str, tuple[str, ...]] = {
     "wire_matrix": _WIRE_MATRIX,
     "quaternion": ("x", "y", "z", "w"),
 }
-#: Field of a description → its name with the unit.
+#: Field of a described message → its name with the unit.
 _NAMED = {"diameter": "diameter_mm", "focal_length": "focal_length_mm", "resolution": "resolution_ms"}
-_AS_IT_IS = LengthUnits("mm", "mm")
+_MILLIMETRES = LengthUnits("mm", "mm")
 
 
-def of_description(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of an OpenIGTLink message, as ``describe`` gives them, with their units; matrices as poses."""
+def name_igtl_fields(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of an OpenIGTLink message, given by ``describe``, named with units; matrices become poses."""
     named: dict[str, Any] = {}
     for name, value in fields.items():
         if name == "matrix" and isinstance(value, list):
             named |= _pose(value)
         elif isinstance(value, dict):
-            named |= {f"{name}_ns": _nanoseconds(value)} if value.keys() == _TIME else {name: of_description(value)}
+            named |= {f"{name}_ns": _nanoseconds(value)} if value.keys() == _TIME else {name: name_igtl_fields(value)}
         elif isinstance(value, list) and name in _NUMBERS and len(value) == len(_NUMBERS[name]):
             named[name] = dict(zip(_NUMBERS[name], value, strict=True))
         elif isinstance(value, list):
-            named[name] = [of_description(one) if isinstance(one, dict) else one for one in value]
+            named[name] = [name_igtl_fields(one) if isinstance(one, dict) else one for one in value]
         else:
             named[_NAMED.get(name, name)] = value
     return named
 
 
 def _pose(rows: list[list[float]]) -> dict[str, Any]:
-    """A 4 × 4 matrix as position, quaternion and rotation; without quaternion where it is no rotation."""
+    """Return position, quaternion and rotation of a 4 × 4 matrix; an empty quaternion if it is not orthonormal."""
     matrix = tuple(rows[row][column] for column in range(4) for row in range(3))
     named: dict[str, Any] = dict(zip(_XYZ_MM, matrix[9:], strict=True))
     try:
-        pose = pose_of_matrix(matrix, ToRosContext("", 0, "", "", _AS_IT_IS), "TRANSFORM")
+        pose = pose_of_matrix(matrix, ToRosContext("", 0, "", "", _MILLIMETRES), "TRANSFORM")
         named |= zip(_QUATERNION, pose[3:], strict=True)
     except ConversionError:
         named |= dict.fromkeys(_QUATERNION, "")
@@ -90,10 +90,10 @@ def _pose(rows: list[list[float]]) -> dict[str, Any]:
 
 _TIME = {"sec", "nanosec"}
 _TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
-#: Types whose numbers have the unit of the field that holds them; a point that no field qualifies is in metres.
+#: Types whose numbers have the unit of the field that contains them → the unit if that field has none.
 _INHERIT = {"Vector3": "", "Point": "m", "Point32": "m"}
 
-#: package/Type → field → unit, after REP 103 and the comments of the message definitions.
+#: package/Type → field → unit, from REP 103 and the comments of the message definitions.
 _UNITS: dict[str, dict[str, str]] = {
     "geometry_msgs/Transform": {"translation": "m"},
     "geometry_msgs/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
@@ -132,38 +132,38 @@ _UNITS: dict[str, dict[str, str]] = {
 }
 
 
-def of_message(store: Typestore, value: Any) -> Any:
-    """A message of rosbags' as a dict of its fields with their units; constants are left out."""
-    return _Namer(store).named(value, "")
+def name_ros_fields(store: Typestore, value: Any) -> Any:
+    """Return the fields of a message decoded by rosbags, named with units and without constants."""
+    return _FieldNamer(store).name_fields(value, "")
 
 
-class _Namer:
-    """Names the fields of one message; what holds for a type is found out once."""
+class _FieldNamer:
+    """Names the fields of one message with their units; caches the names of each type."""
 
     def __init__(self, store: Typestore) -> None:
         self._store = store
         self._plans: dict[tuple[str, str], list[tuple[str, str, str]]] = {}
 
-    def named(self, value: Any, unit: str) -> Any:
+    def name_fields(self, value: Any, unit: str) -> Any:
         ros_type = getattr(value, "__msgtype__", "")
         if not ros_type:
-            return [self.named(one, unit) for one in value] if isinstance(value, list) else value
+            return [self.name_fields(one, unit) for one in value] if isinstance(value, list) else value
         named: dict[str, Any] = {}
-        for field, attribute, of_field in self._plan(ros_type, unit):
+        for field, attribute, field_unit in self._plan(ros_type, unit):
             inner = getattr(value, attribute)
             if isinstance(inner, float | int | str):
-                named[f"{field}_{of_field}" if of_field else field] = inner
+                named[f"{field}_{field_unit}" if field_unit else field] = inner
             elif getattr(inner, "__msgtype__", "") in _TIMES:
                 named[f"{field}_ns"] = inner.sec * NS_PER_S + inner.nanosec
             else:
                 one = inner[0] if isinstance(inner, list) and inner else inner
                 is_message = hasattr(one, "__msgtype__")
-                key = field if is_message or not of_field else f"{field}_{of_field}"
-                named[key] = self.named(inner, of_field)
+                key = field if is_message or not field_unit else f"{field}_{field_unit}"
+                named[key] = self.name_fields(inner, field_unit)
         return named
 
     def _plan(self, ros_type: str, unit: str) -> list[tuple[str, str, str]]:
-        """Field, attribute of rosbags' class, and unit of each field of a type inside a field of some unit."""
+        """Return name, attribute in rosbags and unit of each field of a type; ``unit`` is that of the parent field."""
         if (ros_type, unit) not in self._plans:
             package, _, name = ros_type.partition("/msg/")
             own = _UNITS.get(f"{package}/{name}", {})
@@ -182,15 +182,16 @@ def _nanoseconds(value: Mapping[str, int]) -> int:
 # -- cells --------------------------------------------------------------------------------------------------------
 
 
-def listed(fields: Mapping[str, Any], size: int = 0) -> Iterator[Cells]:
-    """The rows of a message: one for each element where a field of it is a list of things, else one.
+def table_rows(fields: Mapping[str, Any], size: int = 0) -> Iterator[Cells]:
+    """Yield the rows of a message: one for each element if a field is a list of messages, otherwise one.
 
     Args:
-        size: bytes of the message; the rest of its fields, which every row repeats, is bounded by it.
+        fields: the fields, named with units.
+        size: bytes of the message; it bounds the other fields, which every row repeats.
 
     Raises TooLong.
     """
-    lists = [name for name, value in fields.items() if _is_list_of_things(value)]
+    lists = [name for name, value in fields.items() if _is_list_of_messages(value)]
     rest = dict(_bounded(_cells("", {name: value for name, value in fields.items() if name not in lists})))
     if not lists:
         yield rest
@@ -216,12 +217,12 @@ def _bounded(cells: Iterator[tuple[str, Any]]) -> Iterator[tuple[str, Any]]:
         yield cell
 
 
-def _is_list_of_things(value: Any) -> bool:
+def _is_list_of_messages(value: Any) -> bool:
     return isinstance(value, list) and bool(value) and all(isinstance(one, dict) for one in value)
 
 
 def _cells(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Columns and values of a field.  Raises TooLong."""
+    """Yield the columns and values of a field.  Raises TooLong."""
     if isinstance(value, np.ndarray | bytes | memoryview):
         _check_length(name, len(value), "numbers")
         value = value.tolist() if isinstance(value, np.ndarray) else list(value)

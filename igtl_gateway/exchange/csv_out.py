@@ -1,13 +1,13 @@
-"""Export to CSV: one file per stream, one row per message; several where a message lists several things.
+"""Export to CSV: one file per stream, with a row per message, or per element if a message contains a list.
 
-Columns: ``entry`` (its number in the session), ``time_ns`` (gateway, UTC), ``source_ns`` (the sender's stamp, empty if
-unset), ``item`` (place in the list, where there is one), then the fields of the message; ``exchange/columns.py`` says
-how they and their units are named.  Numbers are as in the message: those of OpenIGTLink in millimetres.  Images,
-surfaces and other long rows of numbers are left out: they do not fit a table.
+Columns: ``entry`` (entry number in the session), ``time_ns`` (gateway time, UTC), ``source_ns`` (the sender's stamp,
+empty if unset), ``item`` (index in the list, if there is one), then the fields of the message, named by
+``exchange/columns.py``.  Numbers are those of the message: OpenIGTLink in millimetres.  Images, surfaces and other long
+arrays of numbers are left out, because they do not fit in a table.
 
-A file has the columns of all its messages: where a later message brings a new one, the file is written anew in the end.
-Text is kept as it came.  A spreadsheet takes cells that begin with ``=``, ``+``, ``-`` or ``@`` for formulas, so the
-account notes how many there are.
+A file has the columns of all its messages: if a later message adds a column, the file is written again at the end.
+Text is exported as received.  Spreadsheet programs interpret cells that begin with ``=``, ``+``, ``-`` or ``@`` as
+formulas, so a note has their number.
 """
 
 from __future__ import annotations
@@ -20,7 +20,15 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from igtl_gateway.exchange.account import ExportAccount
-from igtl_gateway.exchange.columns import HEAD, MAX_COLUMNS, Cells, TooLong, listed, of_description, of_message
+from igtl_gateway.exchange.columns import (
+    HEAD,
+    MAX_COLUMNS,
+    Cells,
+    TooLong,
+    name_igtl_fields,
+    name_ros_fields,
+    table_rows,
+)
 from igtl_gateway.exchange.folder import FileNames, Folder, failure_text, new_folder
 from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.session.entry import Entry, Kind
@@ -28,21 +36,21 @@ from igtl_gateway.untrusted.decoding import MessageDecoder
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.registry import describe_content
 
-#: Files that are open at once; a session has some dozens of streams.
+#: Files that are open at the same time; a usual session has a few dozen streams.
 _MAX_FILES = 500
-#: Larger messages are not taken apart: each element of a list costs some hundred bytes of memory.
+#: Larger messages are not decoded: each element of a list needs a few hundred bytes of memory.
 _MAX_BYTES = 8 << 20
-#: Characters of one cell: bytes are shown as hexadecimal digits or as numbers.
+#: Characters of one cell: bytes are written as hexadecimal digits or as numbers.
 _MAX_FIELD = 8 * _MAX_BYTES
 
-#: Types that are not read at all: their content is in their pixels and points.
+#: Types that are not decoded: their content is pixels or points.
 _NO_TABLES = frozenset({"IMAGE", "POLYDATA", "VIDEO", "COLORT", "COLORTABLE", "NDARRAY"})
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _UNWRITABLE = re.compile(r"[\x00\ud800-\udfff]")
 
 
 def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
-    """Write the folder ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
+    """Write the directory ``out``.  Raises UnsupportedRecording if it is not empty; OSError."""
     account, names = ExportAccount(), FileNames()
     tables: dict[str, _Table] = {}
     read = _RowReader(recording.definitions)
@@ -61,7 +69,7 @@ def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> ExportA
             except TooLong as error:
                 row.leave_out(str(error))
                 continue
-            except Exception as error:  # whatever decoding makes of a damaged message costs that message
+            except Exception as error:  # decoding raises many types of errors; only this message is left out
                 row.fail(failure_text(error))
                 continue
             if name not in tables:
@@ -75,13 +83,13 @@ def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> ExportA
     if formulas := sum(table.formulas for table in tables.values()):
         account.notes.append(
             f"text cells that begin with = + - or @: {formulas:,}; "
-            "spreadsheets take those for formulas, import such columns as text"
+            "spreadsheet programs interpret them as formulas; import these columns as text"
         )
     return account
 
 
 class _Table:
-    """A file that is being written; its columns grow."""
+    """A file that is being written; later messages can add columns."""
 
     def __init__(self, lines: list[Cells]) -> None:
         self.formulas = 0
@@ -89,7 +97,7 @@ class _Table:
         self._head_columns = len(self._columns)
 
     def open(self, folder: Folder, name: str) -> io.TextIOWrapper:
-        """Create the file and write its header; the caller closes it."""
+        """Create the file and write its header row; the caller closes it."""
         self._path = folder.path / name
         self._stream = io.TextIOWrapper(folder.create(name), "utf-8", newline="")
         self._writer = csv.writer(self._stream)
@@ -98,7 +106,7 @@ class _Table:
         return self._stream
 
     def columns_with(self, lines: list[Cells]) -> dict[str, None]:
-        """The columns that the table has with some more rows.  Raises TooLong."""
+        """Return the columns of the table after adding some rows.  Raises TooLong."""
         new = [name for line in lines for name in line if name not in self._columns]
         if not new:
             return self._columns
@@ -108,7 +116,7 @@ class _Table:
         return columns
 
     def write(self, columns: dict[str, None], entry: Entry, lines: list[Cells]) -> None:
-        """Write the rows of a message; ``columns`` are those of ``columns_with``."""
+        """Write the rows of a message; ``columns`` are the result of ``columns_with``."""
         self._columns = columns
         head = {"entry": entry.seq, "time_ns": entry.stamp_ns, "source_ns": entry.source_ns or ""}
         for line in lines:
@@ -121,7 +129,7 @@ class _Table:
         return _UNWRITABLE.sub("\ufffd", value)
 
     def finish(self) -> None:
-        """Close the file, with the names of all columns in its first row."""
+        """Close the file; write it again if columns were added after its header row."""
         self._stream.close()
         if len(self._columns) == self._head_columns:
             return
@@ -144,23 +152,23 @@ class _Table:
 
 
 class _RowReader:
-    """Messages as rows of cells."""
+    """Decodes messages to rows of cells."""
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
         self._definitions = definitions
         self._decoder = MessageDecoder(lambda ros_type: definitions.get(ros_type, ""))
 
     def rows(self, entry: Entry) -> Iterator[Cells]:
-        """Raises TooLong, and whatever the decoders raise."""
+        """Yield the rows of a message.  Raises TooLong, and the errors of the decoders."""
         if entry.size > _MAX_BYTES:
-            raise TooLong(f"found messages of more than {_MAX_BYTES >> 20} MiB, expected less in a table")
+            raise TooLong(f"found messages of more than {_MAX_BYTES >> 20} MiB, expected at most that in a table")
         if entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT):
             if entry.type in _NO_TABLES:
-                raise TooLong("pixels, points or cells are no table: see the other formats")
-            fields = of_description(describe_content(decode(entry.data()).content))
+                raise TooLong("pixels, points and cells do not fit in a table; use another format")
+            fields = name_igtl_fields(describe_content(decode(entry.data()).content))
         elif not self._definitions.get(entry.type):
             raise TooLong("the session has no definition of its type")
         else:
             message = self._decoder.decode(entry.type, entry.data())
-            fields = of_message(self._decoder.store(entry.type), message)
-        yield from listed(fields, entry.size)
+            fields = name_ros_fields(self._decoder.store(entry.type), message)
+        yield from table_rows(fields, entry.size)

@@ -1,4 +1,4 @@
-"""The folder that an export writes: new or empty, with file names that the names in a session cannot lead out of it."""
+"""The directory that an export writes: new or empty; no stream name in a session can place a file outside it."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.session.entry import Entry, Kind
 
-#: Characters of a stream's name that a file's name keeps.
+#: Characters of a stream's name that a file name can contain.
 _MAX_NAME = 100
 
 
 class Folder:
-    """The files of an export; see :func:`new_folder`."""
+    """The files of an export in a directory; see :func:`new_folder`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._made: list[Path] = []
+        self._created: list[Path] = []
 
     def create(self, name: str) -> BinaryIO:
-        """A new file, open for writing.  Raises OSError."""
+        """Create a file and return it, open for writing.  Raises OSError."""
         path = self.path / name
         stream = path.open("xb")
-        self._made.append(path)
+        self._created.append(path)
         return stream
 
     def remove(self) -> None:
         """Remove the files that were created."""
-        for path in self._made:
+        for path in self._created:
             path.unlink(missing_ok=True)
 
 
 @contextmanager
 def new_folder(path: Path, account: ExportAccount) -> Iterator[Folder]:
-    """A folder for the files of an export: new, or empty.
+    """Context manager for the directory of an export: it creates the directory, or uses an empty one.
 
-    After an error, or where the account has no message that was written, it is as it was before.
+    After an error, or if the account has no written message, it removes the files, and the directory if it created it.
 
-    Raises UnsupportedRecording where there are files in it, GatewayError where it cannot be made.
+    Raises UnsupportedRecording if the directory is not empty, GatewayError if it cannot be created.
     """
     is_new = not path.exists()
     try:
@@ -53,7 +53,7 @@ def new_folder(path: Path, account: ExportAccount) -> Iterator[Folder]:
     except OSError as error:
         raise GatewayError(f"cannot write to {path}: {error.strerror}") from None
     if filled:
-        raise UnsupportedRecording(f"{path}: found a folder with files in it, expected a new or an empty one")
+        raise UnsupportedRecording(f"{path}: found a directory with files in it, expected a new or empty directory")
     folder, is_whole = Folder(path), False
     try:
         yield folder
@@ -67,13 +67,13 @@ def new_folder(path: Path, account: ExportAccount) -> Iterator[Folder]:
 
 
 def file_name(entry: Entry) -> str:
-    """Name for the files of an entry's stream: kind, type and device or topic; ASCII letters, digits, _ and -."""
+    """Return the file name of an entry's stream: kind, type and device or topic; ASCII letters, digits, _ and -."""
     token = re.sub(r"[^A-Za-z0-9_-]+", "_", entry.channel).strip("_")[:_MAX_NAME]
     return f"{entry.kind.value}.{token or 'unnamed'}"
 
 
 class FileNames:
-    """Gives each stream a file name of its own, also where upper and lower case are the same."""
+    """Assigns a unique file name to each stream, unique also if upper and lower case are equal."""
 
     def __init__(self) -> None:
         self._names: dict[tuple[Kind, str, str], str] = {}
@@ -81,7 +81,7 @@ class FileNames:
         self._numbers: dict[str, int] = {}
 
     def of(self, entry: Entry) -> str:
-        """Name without suffix; the same for all entries of a stream."""
+        """Return the name without suffix of an entry's stream."""
         key = (entry.kind, entry.channel, entry.type)
         if key not in self._names:
             name = wanted = file_name(entry)
@@ -98,7 +98,7 @@ class FileNames:
 Content = TypeVar("Content")
 
 
-def one_file_each(
+def export_one_file_each(
     recording: Recording,
     out: Path,
     globs: Sequence[str],
@@ -108,16 +108,19 @@ def one_file_each(
     parts: Callable[[Content], Iterable[Buffer]],
     count: Callable[[Content, Entry, ExportAccount], None] | None = None,
 ) -> ExportAccount:
-    """Write the folder ``out`` with a file for each message of some types.
+    """Write the directory ``out`` with one file for each message of some types.
 
     Args:
+        recording: the session.
+        out: a new or empty directory.
+        globs: select streams; empty = all.
         types: OpenIGTLink and ROS types of the messages.
-        suffix: of the files.
-        read: the content of a message; an error that it raises is the reason why the message is left out.
-        parts: the bytes of a file.
-        count: counts in the account the parts of a written message.
+        suffix: suffix of the file names.
+        read: returns the content of a message; if it raises an error, the message is left out with this reason.
+        parts: returns the bytes of a file.
+        count: counts the parts of a written message in the account.
 
-    Raises UnsupportedRecording where the folder is not empty; OSError.
+    Raises UnsupportedRecording if the directory is not empty; OSError.
     """
     account, names = ExportAccount(), FileNames()
     with new_folder(out, account) as folder:
@@ -126,7 +129,7 @@ def one_file_each(
             try:
                 content = read(entry)
                 buffers = list(parts(content))
-            except Exception as error:  # whatever decoding makes of a damaged message costs that message
+            except Exception as error:  # decoding raises many types of errors; only this message is left out
                 row.fail(failure_text(error))
                 continue
             with folder.create(f"{names.of(entry)}.{row.declared:06}.{suffix}") as stream:
@@ -139,7 +142,7 @@ def one_file_each(
 
 
 def failure_text(error: Exception) -> str:
-    """Why a message is not written: the error's own words where it is ours, else with its type."""
+    """Return why a message is not written: the text of our own errors, otherwise type and text of the error."""
     if isinstance(error, GatewayError | ValueError) and str(error):
         return str(error)
     return f"cannot be decoded: {type(error).__name__}: {error}"

@@ -1,4 +1,4 @@
-"""The table of formats that can be imported, told by content first and by name where the content says nothing."""
+"""The table of formats that can be imported; the first bytes determine the format, except for ``.zstd``."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ _META_KEYS = (b"ObjectType", b"NDims", b"DimSize")
 
 @dataclass(frozen=True, slots=True)
 class ImportFormat:
-    """A kind of file.
+    """A file format that can be imported.
 
     Attributes:
-        name: for the command line and for programs.
-        suffixes: how such files are usually named.
-        recognise: by the first bytes of a file.
-        open: with the moment that times without a date count from, in UTC ns (None: the format's own choice).
+        name: stable name for the command line and for programs.
+        suffixes: usual suffixes of such files.
+        recognise: returns whether the first bytes of a file are of this format.
+        open: opens a file, given the epoch in UTC ns from which times without a date count (None: the default of the
+            format).
     """
 
     name: str
@@ -62,9 +63,9 @@ FORMATS = (
 
 
 def open_source(path: Path, epoch_ns: int | None = None) -> Source:
-    """Open a file, or the directory of a rosbag2 recording, of whatever format it is.
+    """Open a file, or the directory of a rosbag2 recording, in any format of the table.
 
-    Raises UnsupportedRecording (not there, unknown, of the wrong kind) or DamagedRecording.
+    Raises UnsupportedRecording (no such file, unknown or unsupported format) or DamagedRecording.
     """
     if not path.exists():
         raise UnsupportedRecording(f"{path}: no such file")

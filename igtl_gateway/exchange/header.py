@@ -1,6 +1,6 @@
-"""What MetaImage and NRRD headers have in common: lines of text, and fields of frames named ``Seq_Frame0012_…``.
+"""The common part of MetaImage and NRRD headers: lines of text, and fields of frames named ``Seq_Frame0012_…``.
 
-What a header may cost is bounded: ``free`` bytes in all, ``count`` fields, and the time of a file of its size.
+The limits bound a header: ``free`` bytes in total, ``count`` fields, and the reading time for a file of its size.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ Frames = dict[int, dict[str, str]]
 
 @dataclass(slots=True)
 class ImageFileHeader:
-    """A header that was read: fields as they stand there, and of the frames by number.
+    """The fields of a header, unchanged.
 
     Attributes:
-        fields: of the whole file.
-        frames: of each frame that has fields.
-        end: offset of the first byte behind the header.
+        fields: fields of the whole file.
+        frames: frame number → fields of the frame; frames without fields are missing.
+        end: offset of the first byte after the header.
     """
 
     fields: dict[str, str] = field(default_factory=dict)
@@ -34,7 +34,7 @@ class ImageFileHeader:
     end: int = 0
 
     def add(self, key: str, value: str) -> None:
-        """Take a field in."""
+        """Add a field."""
         found = _FRAME_FIELD.fullmatch(key)
         if found:
             self.frames.setdefault(int(found[1]), {})[found[2]] = value
@@ -44,13 +44,13 @@ class ImageFileHeader:
 
 @dataclass(frozen=True, slots=True)
 class ImageFile:
-    """What an importer of images needs to know of a file.
+    """The header of an image file, for the importer.
 
     Attributes:
-        fields: of the header.
-        frames: fields of the frames, by number; empty for a plain image.
-        raster: the pixels.
-        notes: what people should know.
+        fields: fields of the header.
+        frames: frame number → fields of the frame; empty for a plain image.
+        raster: layout of the pixels.
+        notes: further facts for people.
     """
 
     fields: dict[str, str]
@@ -60,7 +60,7 @@ class ImageFile:
 
 
 def header_lines(stream: BinaryIO, where: str) -> Iterator[str]:
-    """Header lines; the stream stands behind each as it is given.  Raises LimitExceeded."""
+    """Yield the lines of a header; the position of the stream is after the line.  Raises LimitExceeded."""
     bound, size = limits.current_limits(), 0
     deadline = limits.Deadline(os.fstat(stream.fileno()).st_size)
     for count in range(1, bound.count + 2):

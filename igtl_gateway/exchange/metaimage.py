@@ -1,9 +1,9 @@
-"""MetaImage headers: ``.mha`` with the pixels behind them, ``.mhd`` with the pixels in a file beside.
+"""Reads MetaImage headers: ``.mha`` with the pixels after them, ``.mhd`` with the pixels in another file.
 
-Geometry is ITK's: row *i* of TransformMatrix is the direction of axis *i*, Offset the centre of the first voxel,
-ElementSpacing the distance between voxels, all in LPS millimetres whatever AnatomicalOrientation says.  Axes are those
-of PLUS: ``Kinds`` names them (``domain``, ``list`` or ``time``, ``vector``); without it the last one is time where
-frames have fields, and the fourth one is time where they have none.
+The geometry is that of ITK: row *i* of TransformMatrix is the direction of axis *i*, Offset the centre of the first
+voxel, ElementSpacing the distance of voxels, all in LPS millimetres, independent of AnatomicalOrientation.  The axes
+are those of PLUS: ``Kinds`` names them (``domain``, ``list`` or ``time``, ``vector``).  Without ``Kinds`` the last
+axis is time if frames have fields; otherwise a fourth axis is time.
 """
 
 from __future__ import annotations
@@ -38,24 +38,24 @@ _TYPES = {
     "MET_USHORT": "u2",
     "MET_INT": "i4",
     "MET_UINT": "u4",
-    "MET_LONG": "i4",  # four bytes in MetaIO, whatever the machine
+    "MET_LONG": "i4",  # four bytes in MetaIO on every machine
     "MET_ULONG": "u4",
     "MET_LONG_LONG": "i8",
     "MET_ULONG_LONG": "u8",
     "MET_FLOAT": "f4",
     "MET_DOUBLE": "f8",
 }
-#: numpy's name of a type without byte order → MetaIO's.
+#: numpy's name of a type, without byte order → name in MetaIO.
 MET_NAMES = {dtype: name for name, dtype in _TYPES.items() if name not in {"MET_LONG", "MET_ULONG"}}
 _KINDS = {"domain": SPACE, "space": SPACE, "list": FRAME, "time": FRAME, "vector": COMPONENT}
-#: Words of MetaIO for the same field; the first that is there counts.
+#: Names of the same field in MetaIO; the first name that the header contains is used.
 _OFFSET = ("Offset", "Position", "Origin")
 _DIRECTIONS = ("TransformMatrix", "Rotation", "Orientation")
 _SPACING = ("ElementSpacing", "ElementSize")
 
 
 def read_metaimage(path: Path, stream: BinaryIO) -> ImageFile:
-    """The header.  Raises DamagedRecording, UnsupportedRecording or LimitExceeded."""
+    """Read the header.  Raises DamagedRecording, UnsupportedRecording or LimitExceeded."""
     header = _read(path, stream)
     where = str(path)
     fields, notes = header.fields, list[str]()
@@ -64,7 +64,7 @@ def read_metaimage(path: Path, stream: BinaryIO) -> ImageFile:
     if COMPONENT not in roles:
         channels = parse_whole(fields.get("ElementNumberOfChannels", "1"), "ElementNumberOfChannels", where)
         roles, sizes = [COMPONENT, *roles], [channels, *sizes]
-    if _dims(fields, where) == len(roles) and FRAME not in roles:  # PLUS: one frame, still with an axis of time
+    if _dims(fields, where) == len(roles) and FRAME not in roles:  # PLUS: one frame, but with a time axis
         roles, sizes = [*roles, FRAME], [*sizes, 1]
     axes = check_axes(roles, sizes, where)
     spatial = [role for role in roles if role != COMPONENT]
@@ -85,7 +85,7 @@ def read_metaimage(path: Path, stream: BinaryIO) -> ImageFile:
 
 
 def _read(path: Path, stream: BinaryIO) -> ImageFileHeader:
-    """``Key = value`` lines, the last one ElementDataFile."""
+    """Read ``Key = value`` lines up to ElementDataFile, which is the last."""
     header = ImageFileHeader()
     for line in header_lines(stream, str(path)):
         key, equals, value = (part.strip() for part in line.partition("="))
@@ -114,8 +114,8 @@ def _roles(fields: dict[str, str], frames: Frames, sizes: list[int], where: str,
             )
         roles = [_KINDS[kind.lower()] for kind in kinds]
         if not frames and roles == [SPACE, SPACE, FRAME] and sizes[2] > 1:
-            # what PLUS wrote of its reconstructed volumes before it had a third domain
-            notes.append("Kinds calls the third axis a list, but no frame has fields: taken as one volume")
+            # older versions of PLUS wrote reconstructed volumes in this way
+            notes.append("Kinds declares the third axis as list, but no frame has fields: imported as one volume")
             return [SPACE, SPACE, SPACE]
         return fourth_axis_as_time(roles, notes)
     if frames and len(sizes) > 2:
@@ -143,7 +143,7 @@ def _flag(fields: dict[str, str], *keys: str) -> bool:
 
 
 def _data(path: Path, fields: dict[str, str], end: int, where: str) -> tuple[Path, int]:
-    """The file with the pixels, and where they begin in it."""
+    """Return the file with the pixels, and the offset of the first one."""
     name = fields["ElementDataFile"]
     skip = parse_whole(fields.get("HeaderSize", "0"), "HeaderSize", where)
     if name.upper() == "LOCAL":
@@ -156,7 +156,7 @@ def _data(path: Path, fields: dict[str, str], end: int, where: str) -> tuple[Pat
 
 
 def _floats(fields: dict[str, str], keys: tuple[str, ...], count: int, where: str) -> list[float]:
-    """Numbers of the first of these fields; none where there is none."""
+    """Return the numbers of the first of these fields that the header contains; empty for none."""
     key = next((key for key in keys if key in fields), "")
     values = [parse_number(word, key, where) for word in fields.get(key, "").split()]
     if values and len(values) < count:
@@ -165,16 +165,16 @@ def _floats(fields: dict[str, str], keys: tuple[str, ...], count: int, where: st
 
 
 def _placement(fields: dict[str, str], roles: list[str], where: str, notes: list[str]) -> ImagePlacement | None:
-    """Where the image lies; None where no field says so.
+    """Return position and orientation of the image; None if no field contains them.
 
-    A slice in a file of three axes, the last one time, has three coordinates in each row: it lies in space.
+    If the third of three axes is time, the three numbers of a row are spatial coordinates: slices can be oblique.
     """
     dims = len(roles)
     offset = _floats(fields, _OFFSET, dims, where)
     spacing = _floats(fields, _SPACING, dims, where)
     matrix = _floats(fields, _DIRECTIONS, dims * dims, where)
     if not (offset or spacing or matrix):
-        notes.append("the header does not say where the image lies: it is centred, with voxels of 1 mm")
+        notes.append("the header has no position: the image is centred, with voxels of 1 mm")
         return None
     offset, spacing = offset or [0.0] * dims, spacing or [1.0] * dims
     matrix = matrix or [float(i == j) for i in range(dims) for j in range(dims)]
@@ -190,13 +190,13 @@ def _placement(fields: dict[str, str], roles: list[str], where: str, notes: list
     elif any(
         abs(matrix[axis * dims + other]) > 1e-9 for axis in spaces for other in range(dims) if other not in spaces
     ):
-        raise UnsupportedRecording(f"{where}: TransformMatrix: found axes of space with a part in time, expected none")
+        raise UnsupportedRecording(f"{where}: TransformMatrix: found spatial axes with a time component, expected none")
     axes = [[matrix[axis * dims + other] * spacing[axis] for other in coordinates] for axis in spaces]
     return ImagePlacement.of_file(axes, [offset[axis] for axis in coordinates], "LPS", where)
 
 
 def _times(fields: dict[str, str], roles: list[str], count: int, where: str) -> tuple[float, ...]:
-    """Seconds of the frames of a plain image with four axes, by its spacing in time."""
+    """Return the times of the frames of a plain image with four axes, in seconds, from its time spacing."""
     step = (_floats(fields, _SPACING, len(roles), where) or [0.0] * len(roles))[roles.index(FRAME)]
     if not 0 < step < MAX_STEP_S or count > limits.current_limits().count:
         return ()

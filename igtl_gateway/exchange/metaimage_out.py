@@ -1,8 +1,9 @@
-"""The header of a tracked sequence as MetaImage, such that PLUS, 3D Slicer, ITK and VTK read the same of it.
+"""Builds the MetaImage header of a tracked sequence, which PLUS, 3D Slicer, ITK and VTK interpret equally.
 
-PLUS's reader (IGSIO) wants ``ObjectType`` first, lines below 1,000 characters, 2 to 4 dimensions, an orientation and a
-type of the ultrasound image that it knows, and little-endian pixels, whose order it does not look up.  ITK reads row
-*i* of TransformMatrix as the direction of axis *i*, in LPS.  ``docs/formats.md`` has the table; a test holds it.
+PLUS's reader (IGSIO) requires ``ObjectType`` first, lines below 1,000 characters, 2 to 4 dimensions, a known
+orientation and type of the ultrasound image, and little-endian pixels: it ignores the byte order field.  ITK reads row
+*i* of TransformMatrix as the direction of axis *i*, in LPS.  ``docs/formats.md`` has the table of rules; a test checks
+it.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ from igtl_gateway.exchange.metaimage import MET_NAMES
 from igtl_gateway.exchange.placement import ImagePlacement, Vector
 from igtl_gateway.wire.image import SCALARS, Image
 
-#: Orientations of ultrasound images that PLUS knows, by the axes along rows and columns: Marked or Unmarked side, Far
-#: or Near, Ascending or Descending.
+#: Orientations of ultrasound images in PLUS, by the axes along rows and columns: Marked or Unmarked side, Far or Near,
+#: Ascending or Descending.
 ORIENTATIONS = (
     *("UF", "UN", "MF", "MN", "FU", "NU", "FM", "NM"),
     *("UFA", "UNA", "MFA", "MNA", "UFD", "UND", "MFD", "MND"),
     *("AMF", "AUF", "AMN", "AUN"),
 )
-#: Types of ultrasound images that PLUS knows.
+#: Types of ultrasound images in PLUS.
 IMAGE_TYPES = ("BRIGHTNESS", "RF_REAL", "RF_IQ_LINE", "RF_I_LINE_Q_LINE", "RGB_COLOR")
-#: Replaced once the pixels are packed.
+#: Field that is filled in after the pixels are compressed, and the width of its value.
 SIZE_KEY, SIZE_WIDTH = "CompressedDataSize = ", 20
 
-#: What NRRD files of PLUS call the same fields.
-_IN_NRRD = {
+#: Field of MetaImage → name of the field in NRRD files of PLUS.
+_NRRD_NAMES = {
     "UltrasoundImageOrientation": "ultrasound image orientation",
     "UltrasoundImageType": "ultrasound image type",
 }
@@ -38,21 +39,21 @@ _UNPLACED = ImagePlacement(((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 def metaimage_header(
     image: Image | None, place: ImagePlacement | None, count: int, session: Mapping[str, str], epoch: str
 ) -> list[str]:
-    """The lines before the fields of the frames.
+    """Return the lines before the fields of the frames.
 
     Args:
-        image: any of the sequence; None where it has transforms only: then a pixel stands for each image.
-        place: of all frames; None writes ITK's identity.
-        count: of frames.
-        session: facts of the session, which may have the header that the sequence came from.
-        epoch: the whole field that says what times count from.
+        image: any image of the sequence; None if it has only transforms: each frame then has one pixel.
+        place: position and orientation of all frames; None writes ITK's identity.
+        count: number of frames.
+        session: metadata of the session; that of an imported session contains the header of the source.
+        epoch: the complete line of the field with the epoch of the times.
 
-    A slice keeps its direction in space, although the third axis is time: rows have three coordinates.  One frame has
-    no axis of time.
+    A slice keeps its direction in space, although the third axis is time: rows have three coordinates.  A single frame
+    has no time axis.
     """
     size = list(image.dimensions if image else (1, 1, 1))
-    listed = count > 1
-    if listed:
+    has_time_axis = count > 1
+    if has_time_axis:
         size = [*(size if size[2] > 1 else size[:2]), count]
     axes, origin = (place or _UNPLACED).in_space("LPS")
     lengths = [math.hypot(*axis) for axis in axes]
@@ -61,7 +62,7 @@ def metaimage_header(
     matrix = [[directions[i][j] if i < 3 and j < 3 else float(i == j) for j in range(dims)] for i in range(dims)]
     known = _source_header(session)
     components = image.num_components if image else 1
-    kinds = [*(["domain"] * (dims - listed)), *(["list"] * listed)]
+    kinds = [*(["domain"] * (dims - has_time_axis)), *(["list"] * has_time_axis)]
     return [
         "ObjectType = Image",
         f"NDims = {dims}",
@@ -85,24 +86,20 @@ def metaimage_header(
 
 
 def _type(known: Mapping[str, str], components: int) -> str:
-    """The type of the source, where it fits the number of components."""
+    """Return the image type of the source if it fits the number of components, otherwise a default."""
     default = "RGB_COLOR" if components == 3 else "BRIGHTNESS"
     found = _source_value(known, "UltrasoundImageType", IMAGE_TYPES, default)
     return found if (found == "RGB_COLOR") == (components == 3) else default
 
 
 def _source_value(header: Mapping[str, str], key: str, good: tuple[str, ...], default: str) -> str:
-    """A value of the source's header, MetaImage's or NRRD's name of it, that PLUS knows."""
-    nrrd = {
-        "UltrasoundImageOrientation": "ultrasound image orientation",
-        "UltrasoundImageType": "ultrasound image type",
-    }
-    found = header.get(key, header.get(nrrd[key], "")).upper()
+    """Return a field of the source's header, by its name in MetaImage or NRRD, if PLUS knows the value."""
+    found = header.get(key, header.get(_NRRD_NAMES[key], "")).upper()
     return found if found in good else default
 
 
 def _source_header(session: Mapping[str, str]) -> dict[str, str]:
-    """The header of the sequence that the session was imported from, if it was one."""
+    """Return the header of the sequence that the session was imported from; empty for other sessions."""
     try:
         header = json.loads(session.get("sequence_header", "{}"))
     except (ValueError, RecursionError):

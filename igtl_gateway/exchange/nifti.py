@@ -1,8 +1,9 @@
-"""NIfTI headers, ``.nii`` and ``.nii.gz``, versions 1 and 2, read with nibabel (the extra ``nifti``).
+"""Reads NIfTI headers, ``.nii`` and ``.nii.gz``, versions 1 and 2, with nibabel (the extra ``nifti``).
 
-The place is that of sform where ``sform_code`` is set, else of qform, in RAS; without both the axes are taken as ITK
-takes them, left, posterior, superior from 0.  The fourth axis is time, ``pixdim[4]`` apart; the fifth is the values of
-a voxel.  ``scl_slope`` and ``scl_inter`` are noted and not applied.  Document: nifti1.h of the NIfTI working group.
+The position is that of sform if ``sform_code`` is set, otherwise that of qform, in RAS.  Without both, the axes are
+left, posterior, superior with the origin 0, as in ITK.  The fourth axis is time with the step ``pixdim[4]``; the fifth
+axis is the values of a voxel.  ``scl_slope`` and ``scl_inter`` are reported in a note and not applied.  Document:
+nifti1.h of the NIfTI working group.
 """
 
 from __future__ import annotations
@@ -22,20 +23,21 @@ from igtl_gateway.extras import missing
 from igtl_gateway.untrusted import limits
 
 _GZIP = b"\x1f\x8b"
+#: sizeof_hdr, in bytes → version.
 _SIZES = {348: 1, 540: 2}
 #: Bytes of a header of version 2, the longer one.
 _HEADER = 540
 _ROLES = (SPACE, SPACE, SPACE, FRAME, COMPONENT)
-#: Low three bits of xyzt_units: → millimetres; the next three: → seconds.
+#: Units in xyzt_units: the low three bits → millimetres, the next three bits → seconds.
 _MILLIMETRES = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 0.001}
 _SECONDS = {0: 1.0, 8: 1.0, 16: 1e-3, 24: 1e-6}
-#: Values that are several numbers of one type: their number, and the type.
+#: Data types of several numbers → their count, and the type of each.
 _COMPOUND = {"complex64": (2, "f4"), "complex128": (2, "f8"), "rgb": (3, "u1"), "rgba": (4, "u1")}
 _PLAIN = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
 
 
 def looks_like_nifti(start: bytes) -> bool:
-    """By the first 512 bytes of a file, packed or not."""
+    """Return whether the first 512 bytes of a file are NIfTI, compressed or not."""
     data = start
     if start.startswith(_GZIP):
         try:
@@ -46,7 +48,10 @@ def looks_like_nifti(start: bytes) -> bool:
 
 
 def read_nifti(path: Path, stream: BinaryIO) -> ImageFile:
-    """The header.  Raises DamagedRecording, UnsupportedRecording, LimitExceeded, or Unavailable without nibabel."""
+    """Read the header.
+
+    Raises DamagedRecording, UnsupportedRecording, LimitExceeded, or Unavailable without nibabel.
+    """
     where = str(path)
     start = stream.read(1 << 16)
     packed = start.startswith(_GZIP)
@@ -65,7 +70,7 @@ def read_nifti(path: Path, stream: BinaryIO) -> ImageFile:
         roles, shape = [COMPONENT, *roles], [components, *shape]
     magic = bytes(header["magic"].tobytes())
     if magic.startswith(b"ni"):
-        raise UnsupportedRecording(f"{where}: found the header of a pair (.hdr and .img), expected one file, .nii")
+        raise UnsupportedRecording(f"{where}: found the header of a pair (.hdr and .img), expected one .nii file")
     offset = float(header["vox_offset"])
     if not (math.isfinite(offset) and offset == int(offset) and 0 <= offset < 1 << 40):
         raise DamagedRecording(f"{where}: vox_offset: found {offset:g}, expected a number of bytes")
@@ -92,7 +97,7 @@ def read_nifti(path: Path, stream: BinaryIO) -> ImageFile:
 
 
 def _header(start: bytes, where: str) -> tuple[Any, str]:
-    """The header by nibabel, and the byte order of the file."""
+    """Return the header, decoded by nibabel, and the byte order of the file, ``<`` or ``>``."""
     try:
         from nibabel.nifti1 import Nifti1Header
         from nibabel.nifti2 import Nifti2Header
@@ -110,7 +115,7 @@ def _header(start: bytes, where: str) -> tuple[Any, str]:
 
 
 def _dtype(header: Any, where: str) -> tuple[int, str]:
-    """Number of values of a voxel, and their type."""
+    """Return the number of values of a voxel, and their type."""
     try:
         dtype = header.get_data_dtype()
     except Exception:
@@ -126,14 +131,14 @@ def _dtype(header: Any, where: str) -> tuple[int, str]:
     raise UnsupportedRecording(f"{where}: datatype: found {code}, expected integers, float32, float64, RGB or RGBA")
 
 
-@np.errstate(all="ignore")  # what is not finite is refused below; numpy would print a warning as well
+@np.errstate(all="ignore")  # of_file rejects NaN and infinity; numpy would also print a warning
 def _placement(header: Any, axes: int, where: str, notes: list[str]) -> ImagePlacement:
     scale = _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
     codes = {name: int(header[f"{name}_code"]) for name in ("sform", "qform")}
     if codes["sform"] > 0:
         affine = header.get_sform()
         if codes["qform"] > 0 and not np.allclose(affine, header.get_qform(), atol=1e-3):
-            notes.append("sform and qform differ: the place is that of sform")
+            notes.append("sform and qform differ: the position is that of sform")
     elif codes["qform"] > 0:
         affine = header.get_qform()
     else:

@@ -1,8 +1,9 @@
-"""NRRD headers: ``.nrrd`` with the pixels behind them, ``.nhdr`` with the pixels in a file beside.
+"""Reads NRRD headers: ``.nrrd`` with the pixels after them, ``.nhdr`` with the pixels in another file.
 
-``kinds`` name the axes: ``domain`` and ``space`` are space, ``list`` and ``time`` are frames, all others are the values
-of a pixel; without kinds an axis with the direction ``none`` is one or the other by where it stands.  Geometry is
-that of ``space``; like ITK, we take a space that is not one of the patient, or has no name, as LPS.
+``kinds`` name the axes: ``domain`` and ``space`` are spatial, ``list`` and ``time`` are frames, all others are the
+values of a pixel.  Without ``kinds``, an axis with the direction ``none`` is frames if it is the last one, otherwise
+the values of a pixel.  The geometry is that of ``space``.  As in ITK, a space without a name, or one that is not
+anatomical, is LPS.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ _TYPES = {
     "double": "f8",
 }
 _PACKINGS = {"raw": RAW, "gzip": ZLIB, "gz": ZLIB, "bzip2": BZIP2, "bz2": BZIP2}
-#: Spaces of the patient → their orientation; a trailing ``-time`` or ``T`` adds a fourth coordinate.
+#: Anatomical spaces → their orientation; a trailing ``-time`` or ``T`` adds a fourth coordinate.
 _SPACES = {
     "right-anterior-superior": "RAS",
     "ras": "RAS",
@@ -58,17 +59,17 @@ _SPACES = {
     "left-posterior-superior": "LPS",
     "lps": "LPS",
 }
-#: Spaces with axes of another thing than the patient.
+#: Spaces that are not anatomical.
 _OTHER_SPACES = ("scanner-xyz", "3d-right-handed", "3d-left-handed")
 _FRAME_KINDS, _SPACE_KINDS = ("list", "time"), ("domain", "space")
 _UNKNOWN_KINDS = ("???", "none", "")
 _VECTOR = re.compile(r"none|\(([^()]*)\)")
-#: Seconds in the units that programs give to an axis of time.
+#: Units that programs use for a time axis → seconds.
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6}
 
 
 def read_nrrd(path: Path, stream: BinaryIO) -> ImageFile:
-    """The header.  Raises DamagedRecording, UnsupportedRecording or LimitExceeded."""
+    """Read the header.  Raises DamagedRecording, UnsupportedRecording or LimitExceeded."""
     header, where = _read(path, stream), str(path)
     fields, notes = header.fields, list[str]()
     sizes = [parse_whole(word, "sizes", where) for word in fields.get("sizes", "").split()[:17]]
@@ -96,7 +97,7 @@ def read_nrrd(path: Path, stream: BinaryIO) -> ImageFile:
 
 
 def _read(path: Path, stream: BinaryIO) -> ImageFileHeader:
-    """``field: value`` and ``key:=value`` lines up to an empty one, or to the end of a detached header."""
+    """Read ``field: value`` and ``key:=value`` lines up to an empty line, or to the end of a detached header."""
     header = ImageFileHeader()
     for line in header_lines(stream, str(path)):
         if not line:
@@ -116,7 +117,7 @@ def _read(path: Path, stream: BinaryIO) -> ImageFileHeader:
 
 
 def _vectors(fields: dict[str, str], count: int, where: str) -> list[list[float] | None]:
-    """``space directions`` of each axis; None for ``none`` and for (nan,nan,nan); all None where there is no field."""
+    """Return ``space directions`` of each axis; None for ``none``, (nan,nan,nan) and a header without the field."""
     text = fields.get("space directions", "")
     if not text:
         return [None] * count
@@ -135,7 +136,7 @@ def _roles(
 ) -> list[str]:
     kinds = fields.get("kinds", "").lower().split() or ["???"] * count
     if len(kinds) != count:
-        raise DamagedRecording(f"{where}: kinds: found {len(kinds)} of them, expected {count}")
+        raise DamagedRecording(f"{where}: kinds: found {len(kinds)} words, expected {count}")
     directed = any(vector is not None for vector in vectors)
     roles = []
     for axis, (kind, vector) in enumerate(zip(kinds, vectors, strict=True)):
@@ -172,7 +173,7 @@ def _packing(fields: dict[str, str], where: str) -> str:
 
 
 def _data(path: Path, fields: dict[str, str], end: int, where: str) -> tuple[Path, int, int]:
-    """The file with the pixels, where they begin in it, and the unpacked bytes before them."""
+    """Return the file with the pixels, their offset in it, and the number of decompressed bytes before them."""
     name = fields.get("data file", "")
     skip = parse_whole(fields.get("byte skip", "0"), "byte skip", where)
     packed = _packing(fields, where) != RAW
@@ -197,17 +198,19 @@ def _placement(
     if not directions:
         return _undirected_placement(fields, spaces, len(roles), where, notes)
     if len(directions) != len(spaces):
-        raise DamagedRecording(f"{where}: space directions: found none for an axis of space, expected a vector")
+        raise DamagedRecording(f"{where}: space directions: found none for a spatial axis, expected a vector")
     dims = {len(vector) for vector in directions}
     text = fields.get("space origin", "")
     origin = [parse_number(word, "space origin", where) for word in text.strip(" ()").split(",") if word.strip()]
     count = dims.pop()
     if dims or not 2 <= count <= 4 or (origin and len(origin) != count):
         raise DamagedRecording(
-            f"{where}: found {len(origin)} numbers of origin and directions of {count}, expected 2 … 4, all the same"
+            f"{where}: found an origin of {len(origin)} numbers and directions of {count}, expected 2 … 4 for all"
         )
     if count == 4 and any(abs(vector[3]) > 1e-9 for vector in directions):
-        raise UnsupportedRecording(f"{where}: space directions: found axes of space with a part in time, expected none")
+        raise UnsupportedRecording(
+            f"{where}: space directions: found spatial axes with a time component, expected none"
+        )
     if not origin or any(map(math.isnan, origin)):
         origin = [0.0] * count
         notes.append("the header has no space origin: the first voxel is at 0")
@@ -232,10 +235,10 @@ def _space(fields: dict[str, str], where: str, notes: list[str]) -> str:
 def _undirected_placement(
     fields: dict[str, str], spaces: list[int], count: int, where: str, notes: list[str]
 ) -> ImagePlacement | None:
-    """Of ``spacings`` and ``axis mins``, which know no directions."""
+    """Return the position from ``spacings`` and ``axis mins``, which have no directions; None without spacings."""
     words = fields.get("spacings", "").split()
     if not words:
-        notes.append("the header does not say where the image lies: it is centred, with voxels of 1 mm")
+        notes.append("the header has no position: the image is centred, with voxels of 1 mm")
         return None
     if len(words) != count:
         raise DamagedRecording(f"{where}: spacings: found {len(words)} numbers, expected {count}")
@@ -245,7 +248,7 @@ def _undirected_placement(
     mins = fields.get("axis mins", "").split()
     first = [parse_number(mins[axis], "axis mins", where) for axis in spaces] if len(mins) == count else []
     centred = "node" not in (fields.get("centers", "") or fields.get("centerings", "")).lower()
-    # cells begin half a step before their centre
+    # the minimum of cell-centred samples is half a step before the first centre
     origin = [low + (step / 2 if centred else 0.0) for low, step in zip(first, steps, strict=True)] if first else []
     axes: list[Vector] = [(steps[0], 0.0, 0.0), (0.0, steps[1], 0.0)]
     if len(steps) == 3:
@@ -262,7 +265,7 @@ def _times(
     where: str,
     notes: list[str],
 ) -> tuple[float, ...]:
-    """Seconds of the frames, as Slicer's ``axis 3 index values`` have them, or by an even step."""
+    """Return the times of the frames in seconds, from Slicer's ``axis 3 index values`` or from a constant step."""
     if FRAME not in roles or sizes[roles.index(FRAME)] > limits.current_limits().count:
         return ()
     axis = roles.index(FRAME)
@@ -273,7 +276,7 @@ def _times(
         scale = _SECONDS.get(unit.lower(), 1.0 if "time" in label.lower() else 0.0)
         if scale:
             return tuple(parse_number(value, f"axis {axis} index values", where) * scale for value in values)
-        notes.append(f"index values of the frames ({label[:40] or 'no label'}, {unit[:20] or 'no unit'}) are no times")
+        notes.append(f"index values of the frames ({label[:40] or 'no label'}, {unit[:20] or 'no unit'}) are not times")
         return ()
     vector = vectors[axis]
     words = fields.get("spacings", "").split()
@@ -282,6 +285,6 @@ def _times(
 
 
 def _word(text: str, axis: int) -> str:
-    """The quoted word of an axis."""
+    """Return the quoted word of an axis; ``""`` if there is none."""
     words = re.findall(r'"([^"]*)"', text)
     return words[axis] if axis < len(words) else ""

@@ -1,16 +1,16 @@
 """Captured network traffic (``.pcap``, ``.pcapng``): the OpenIGTLink messages in its TCP connections.
 
-Both directions of every connection are reassembled by sequence number: repeated and overlapping segments count
-once, early segments wait.  Each direction is a peer with its own link, as for a gateway between the two.
-A message has the time of the packet that completed it.  Connections that do not begin with an OpenIGTLink header
-are left out and listed.  The account is in bytes by direction: it compares the range of the sequence numbers with the
-bytes of complete messages, so a packet that was not captured is visible.
+Both directions of every connection are reassembled by sequence number: repeated and overlapping segments count once,
+segments that arrive early wait.  Each direction is a peer with its own link, as for a gateway between the two
+programs.  A message has the time of the packet that completed it.  Connections that do not begin with an OpenIGTLink
+header are left out and listed.  The account is in bytes by direction: it compares the range of the sequence numbers
+with the bytes of complete messages, so a packet that was not captured is visible.
 
-Bounds, each counted in the account: at most ``MAX_WAITING`` bytes wait for missing segments in all connections together
-(a segment counts ``_SEGMENT_COST`` more), and ``MAX_BEGUN`` bytes are used for incomplete messages.  Beyond that, the
-direction that uses most is given up.  ``MAX_OPEN`` connections are followed at the same time; beyond that, the one
-without traffic for the longest time is closed.  Beyond ``MAX_ROWS`` rows all further connections share two rows:
-OpenIGTLink, and other protocols.
+The account counts what each bound leaves out.  In all connections together, at most ``MAX_WAITING`` bytes wait for
+missing segments (a segment counts ``_SEGMENT_COST`` more), and at most ``MAX_BEGUN`` bytes are used for incomplete
+messages.  Beyond that, the direction that uses most memory is given up.  At most ``MAX_OPEN`` connections are followed
+at the same time; for a further one, the connection without traffic for the longest time is closed.  Beyond
+``MAX_ROWS`` rows all further connections share two rows: OpenIGTLink, and other protocols.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from igtl_gateway.exchange.source import (
 from igtl_gateway.wire import HEADER_SIZE
 from igtl_gateway.wire.framer import Framer
 
-#: What may wait for missing segments: more than the largest TCP window of a usual host.
+#: Bytes that may wait for missing segments: more than the largest TCP window of a usual host.
 MAX_WAITING = 32 << 20
-#: Connections that are followed at once, and rows of the account.
+#: Connections that are followed at the same time, and rows of the account.
 MAX_OPEN, MAX_ROWS = 1_000, 2_000
-#: Room for messages that have begun, in all connections together.
+#: Bytes for incomplete messages, in all connections together.
 MAX_BEGUN = 512 << 20
-#: What a waiting segment takes besides its bytes.
+#: Memory of a waiting segment in addition to its bytes.
 _SEGMENT_COST = 256
-#: Link types that a note lists.
+#: Number of link types that a note lists.
 _MAX_NAMED = 5
 IGTL_PORT = 18944
 
@@ -56,7 +56,7 @@ _SEQUENCES = 1 << 32
 
 @dataclass(slots=True)
 class _Direction:
-    """One direction of a connection; sequence numbers are counted from the first byte, without wrapping."""
+    """One direction of a connection; offsets are counted from its first byte, without wrapping."""
 
     link: int
     name: str
@@ -64,19 +64,19 @@ class _Direction:
     is_listed: bool
     start: int | None = None  # sequence number of the first byte
     taken: int = 0  # bytes in order
-    end: int = 0  # the furthest byte that was seen
+    end: int = 0  # offset after the last received byte
     waiting: dict[int, bytes] = field(default_factory=dict)
-    order: list[int] = field(default_factory=list)  # of what waits, a heap
+    order: list[int] = field(default_factory=list)  # offsets of the waiting segments, a heap
     waiting_cost: int = 0
-    framer: Framer | None = None  # of OpenIGTLink only
-    begun: int = 0  # bytes of the framer's storage
-    head: bytes = b""  # the first bytes, until they tell whether this is OpenIGTLink
+    framer: Framer | None = None  # for OpenIGTLink only
+    begun: int = 0  # bytes that the framer uses
+    head: bytes = b""  # the first bytes, until they suffice to detect OpenIGTLink
     is_igtl: bool | None = None
     given_up: bool = False
     ended: bool = False
 
     def place(self, segment: Segment) -> int:
-        """Where the segment's first byte lies, counted from the start of the direction."""
+        """Return the offset of the segment's first byte from the start of the direction."""
         seq = segment.seq + (1 if segment.flags & SYN else 0)
         if self.start is None:
             self.start = seq % _SEQUENCES
@@ -84,7 +84,7 @@ class _Direction:
         return self.taken + (near if near < _SEQUENCES // 2 else near - _SEQUENCES)
 
     def in_order(self, at: int, data: bytes) -> bytes:
-        """What can be read on, now that ``data`` is there."""
+        """Add the bytes of a segment at offset ``at``; return the bytes that are in order and were not returned yet."""
         if data:
             self.end = max(self.end, at + len(data))
         if self.given_up or not data or at + len(data) <= self.taken:
@@ -110,6 +110,7 @@ class _Direction:
         return b"".join(parts)
 
     def give_up(self, why: str) -> None:
+        """Stop reading this direction and release its memory; ``why`` goes to its row."""
         self.given_up, self.row.why = True, why
         self.waiting.clear()
         self.order.clear()
@@ -125,7 +126,7 @@ class _Connection:
 
 
 class Pcap(NonRosSource):
-    """An open capture of packets.  Raises UnsupportedRecording, Unavailable: see ``PacketFile``."""
+    """An open capture of packets.  Raises UnsupportedRecording and Unavailable like ``PacketFile``."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"captured packets {path.name}", {"imported_format": "pcap"})
@@ -138,7 +139,7 @@ class Pcap(NonRosSource):
         self._segments = Segments(self._file.packets())
 
     def items(self) -> Iterator[ImportedItem]:
-        connections = self._connections  # the one that was silent for longest comes first
+        connections = self._connections  # ordered by the time of the last packet, oldest first
         for segment in self._segments:
             key = frozenset((segment.source, segment.target))
             connection = connections.pop(key, None)
@@ -148,9 +149,10 @@ class Pcap(NonRosSource):
                 connection = None
             if connection is None:
                 if segment.flags & RST or not (segment.data or segment.flags & SYN):
-                    continue  # what is left of a connection that has ended
+                    continue  # late packets of a closed connection
                 if len(connections) >= MAX_OPEN:
-                    yield from self._close(connections.pop(next(iter(connections))), "silent for longest of too many")
+                    oldest = connections.pop(next(iter(connections)))
+                    yield from self._close(oldest, f"no traffic for the longest time of {MAX_OPEN} connections")
                     self._dropped += 1
                 connection = self._connect(segment)
             connections[key] = connection
@@ -162,13 +164,13 @@ class Pcap(NonRosSource):
             yield from self._close(connection, "the end of the file")
         if self._dropped:
             self.notes.append(
-                f"{self._dropped} connections were closed early: at most {MAX_OPEN} are followed at once, "
-                "and that which was silent for longest makes room"
+                f"{self._dropped} connections were closed early: at most {MAX_OPEN} are followed at the same time, "
+                "so the one without traffic for the longest time is closed for a further one"
             )
         if self._segments.cut:
-            self.notes.append(f"{self._segments.cut} packets were captured in part only")
+            self.notes.append(f"{self._segments.cut} packets were captured only in part")
         if self._segments.fragments:
-            self.notes.append(f"{self._segments.fragments} fragments of IP packets are not put together")
+            self.notes.append(f"{self._segments.fragments} fragments of IP packets are not reassembled")
         if others := self._file.other_links:
             kinds = ", ".join(str(link_type) for link_type, _ in others.most_common(_MAX_NAMED))
             self.notes.append(f"{others.total()} packets of other link types ({kinds}) are left out")
@@ -199,7 +201,7 @@ class Pcap(NonRosSource):
         data = direction.in_order(at, segment.data)
         self._waiting += direction.waiting_cost - held
         if self._waiting > MAX_WAITING:
-            self._make_room("waiting_cost", "too much waits for a segment that is missing")
+            self._make_room("waiting_cost", "too many bytes wait for a missing segment")
         if segment.flags & FIN and direction.taken >= at + len(segment.data):
             direction.ended = True
         for message in self._framed(direction, data):
@@ -226,17 +228,17 @@ class Pcap(NonRosSource):
         framer, before = direction.framer, direction.begun
         try:
             yield from framer.feed(data)
-            yield from framer.received(0)  # raises what the last bytes announced
+            yield from framer.received(0)  # raises if the last bytes begin a message that is too large
             direction.begun = framer.pending + len(framer.buffer())
             self._begun += direction.begun - before
             if self._begun > MAX_BEGUN:
-                self._make_room("begun", "too many messages have begun and do not end")
+                self._make_room("begun", "too many bytes of incomplete messages")
         except MessageTooLarge as error:
             self._begun -= before
             direction.give_up(str(error))
 
     def _make_room(self, what: str, why: str) -> None:
-        """Give up the direction that holds most."""
+        """Give up the direction with the highest value of the attribute ``what``, in bytes."""
         directions = [one for connection in self._connections.values() for one in connection.directions.values()]
         most = max(directions, key=lambda one: int(getattr(one, what)))
         self._waiting -= most.waiting_cost
@@ -250,15 +252,15 @@ class Pcap(NonRosSource):
             self._waiting -= direction.waiting_cost
             self._begun -= direction.begun
             if not direction.end:
-                row.why = "nothing was sent"
+                row.why = "no data was sent"
             elif direction.given_up:
-                pass  # and the row says why
+                pass  # the row has the reason
             elif not direction.is_igtl:
                 row.left_out, row.why = row.declared, "not OpenIGTLink"
             elif direction.waiting:
                 row.why = f"a segment is missing after {direction.taken} bytes"
             elif direction.framer and direction.framer.pending and not row.why:
-                row.why = f"ends inside a message, of which {direction.framer.pending} bytes are there"
+                row.why = f"ends inside a message, after {direction.framer.pending} bytes of it"
             if not direction.is_listed:
                 self._add(row, is_igtl=bool(direction.is_igtl))
             if source in connection.up:
@@ -283,12 +285,12 @@ class Pcap(NonRosSource):
 
 
 def _is_new(connection: _Connection, segment: Segment) -> bool:
-    """Whether a SYN opens another connection between the same ports, rather than being sent again."""
+    """Return whether a SYN opens a new connection between the same ports; False for a retransmitted SYN."""
     start = connection.directions[segment.source].start
     return start is None or (segment.seq + 1) % _SEQUENCES != start
 
 
-@lru_cache(maxsize=4_096)  # asked for several times in each connection
+@lru_cache(maxsize=4_096)  # used several times for each connection
 def _text(address: Address) -> str:
     host = ipaddress.ip_address(address[0])
     return f"[{host}]:{address[1]}" if host.version == 6 else f"{host}:{address[1]}"

@@ -1,10 +1,10 @@
-"""Packets of a capture file: pcap of tcpdump, and pcapng, Wireshark's default, with python-pcapng (extra ``pcap``).
+"""Reads packets from a capture file: pcap of tcpdump, or pcapng of Wireshark with python-pcapng (extra ``pcap``).
 
 python-pcapng decodes the blocks of pcapng, in linear time.  It reads as many bytes as a block claims, so its stream
 refuses more than ``MAX_PACKET``.  It gets only the blocks that are needed: it would store the statistics of every
 interface, also of invented ones, and would reject a file for a host name that is not UTF-8.
 
-Other libraries were measured, too.  The reader of dpkt supports one interface, has times in ``float``, and needs
+Other libraries were measured too.  The reader of dpkt supports one interface, has times in ``float``, and needs
 quadratic time for the options of a block (17 s for 1 MiB).  scapy truncates packets at 65,535 bytes, mixes the
 interfaces of different sections, and has a licence (GPL 2) that does not fit this project.
 
@@ -32,7 +32,7 @@ MAX_PACKET = 1 << 22
 MAX_INTERFACES = 10_000
 
 PCAPNG = b"\x0a\x0d\x0d\x0a"
-#: First four bytes of pcap → byte order, and nanoseconds of a unit of the time stamp's second word.
+#: First four bytes of pcap → byte order, and the unit of the second word of a time stamp in nanoseconds.
 MAGICS = {
     b"\xd4\xc3\xb2\xa1": ("<", 1000),
     b"\xa1\xb2\xc3\xd4": (">", 1000),
@@ -52,10 +52,10 @@ class Packet:
     """A captured packet.
 
     Attributes:
-        time_ns: UTC; that of the packet before for a block without a time.
-        link_type: how ``data`` begins, as numbered by tcpdump.org (LINKTYPE).
+        time_ns: UTC; for a block without a time that of the previous packet.
+        link_type: kind of the header at the start of ``data``, by its number at tcpdump.org (LINKTYPE).
         data: the captured bytes.
-        is_cut: whether the packet was longer.
+        is_cut: whether the sent packet was longer than the captured bytes.
     """
 
     time_ns: int
@@ -65,7 +65,7 @@ class Packet:
 
 
 def is_capture(start: bytes) -> bool:
-    """Whether these are the first bytes of pcap or pcapng."""
+    """Return whether these are the first bytes of pcap or pcapng."""
     return start[:4] in MAGICS or start[:4] == PCAPNG
 
 
@@ -74,10 +74,10 @@ class PacketFile:
 
     Args:
         path: the file.
-        link_types: those that the caller reads.
+        link_types: link types that the caller can read.
 
     Attributes:
-        other_links: packets of pcapng by link type that were left out, because it is not in ``link_types``.
+        other_links: link type → number of pcapng packets left out because it is not in ``link_types``.
 
     Raises:
         UnsupportedRecording: neither pcap nor pcapng, or pcap of another link type.
@@ -114,7 +114,7 @@ class PacketFile:
         return self._pcap_packets(struct.Struct(f"{order}4I"), unit_ns, link_type)
 
     def packets(self) -> Iterator[Packet]:
-        """All packets once, in the order of the file.  Raises DamagedRecording, LimitExceeded."""
+        """Return an iterator over the packets in the order of the file.  Raises DamagedRecording, LimitExceeded."""
         return self._packets
 
     def close(self) -> None:
@@ -153,7 +153,7 @@ class PacketFile:
 
 @dataclass(frozen=True, slots=True)
 class _Interface:
-    """An interface of pcapng: ``offset_s`` seconds, plus units of which ``units`` are a second."""
+    """An interface of pcapng: time = ``offset_s`` seconds + ticks, of which ``units`` are a second."""
 
     link_type: int
     units: int
@@ -167,7 +167,7 @@ class _Interface:
 
 
 class _BoundedStream:
-    """A file for a library that reads as many bytes as the file claims."""
+    """A file that rejects long reads, for a library that reads as many bytes as the file claims."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
@@ -182,7 +182,7 @@ class _BoundedStream:
 def _packet_blocks(
     stream: BinaryIO, path: str, deadline: limits.Deadline
 ) -> Iterator[tuple[str, _Interface, int | None, Any]]:
-    """Place, interface, time and block of each packet; times are counted in the interface's units."""
+    """Yield place, interface, time and block of each packet; the time is in the units of the interface, or None."""
     bounded = _BoundedStream(stream)
     blocks = _blocks(bounded)
     interfaces: list[_Interface] = []
@@ -196,17 +196,17 @@ def _packet_blocks(
             kind, block = next(blocks, (None, None))
         except DamagedRecording as error:
             raise DamagedRecording(f"{place}: {error}") from None
-        except Exception as error:  # whatever the library raises
+        except Exception as error:  # the library raises many types of errors
             raise DamagedRecording(f"{place}: {type(error).__name__}: {error}") from error
         if kind is None:
-            if stream.tell() != start:  # the library takes a cut for the end
+            if stream.tell() != start:  # the library treats a truncated block as the end of the file
                 raise DamagedRecording(f"{place}: cut off")
             return
         if kind == _SECTION:
             interfaces = []
         elif kind == _INTERFACE:
             if len(interfaces) >= MAX_INTERFACES:
-                raise DamagedRecording(f"{place}: found an interface more, expected at most {MAX_INTERFACES}")
+                raise DamagedRecording(f"{place}: found another interface, expected at most {MAX_INTERFACES}")
             interfaces.append(_interface(block))
         elif block is not None:
             if block.interface_id >= len(interfaces):
@@ -219,7 +219,7 @@ def _packet_blocks(
 
 
 def _blocks(stream: _BoundedStream) -> Iterator[tuple[int, Any]]:
-    """Kind and contents of each block; the contents of an unknown kind are None."""
+    """Yield kind and contents of each block; the contents of a kind that is not needed are None."""
     from pcapng.blocks import KNOWN_BLOCKS, SectionHeader
     from pcapng.exceptions import StreamEmpty
     from pcapng.structs import read_block_data, read_int, read_section_header

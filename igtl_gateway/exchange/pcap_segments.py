@@ -1,7 +1,7 @@
-"""TCP segments in captured packets: the fields of the link, network and transport headers that are needed here.
+"""Decodes TCP segments in captured packets: the fields of link, network and transport headers that are needed here.
 
-dpkt was measured for this: it needs five times as long, decodes every other protocol in a packet as well, and a chain
-of IPv6 headers costs it quadratic time (0.4 s for a packet of 256 KiB).
+dpkt was measured too: it needs five times as long, decodes every other protocol in a packet as well, and needs
+quadratic time for a chain of IPv6 headers (0.4 s for a packet of 256 KiB).
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from igtl_gateway.exchange.pcap_file import Packet
 
 FIN, SYN, RST, ACK = 0x01, 0x02, 0x04, 0x10
 
-#: Link type → bytes before the network layer and where in them its type is (None: the IP version is used).
+#: Link type → bytes before the network layer, and offset of its EtherType (None: the IP version is used).
 LINKS = {
     0: (4, None),  # BSD loopback
     1: (14, 12),  # Ethernet
-    12: (0, None),  # raw IP, as OpenBSD numbers it
+    12: (0, None),  # raw IP, by its number in OpenBSD
     14: (0, None),
     101: (0, None),  # raw IP
     108: (4, None),  # OpenBSD loopback
@@ -33,13 +33,13 @@ _VLAN = (0x8100, 0x88A8)
 _EXTENSIONS = (0, 43, 60)
 _TCP, _FRAGMENT = 6, 44
 
-#: IP address, packed, and port.
+#: IP address, 4 or 16 bytes, and port.
 Address = tuple[bytes, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A TCP segment at ``time_ns``."""
+    """A TCP segment; ``time_ns`` is the time of its packet, UTC."""
 
     time_ns: int
     source: Address
@@ -74,7 +74,7 @@ class Segments:
                 yield segment
 
     def _segment(self, packet: Packet) -> Segment | None:
-        """The TCP segment of a packet, or None."""
+        """Return the TCP segment of a packet, or None."""
         data = packet.data
         at, type_at = LINKS[packet.link_type]
         version = data[at] >> 4
@@ -89,7 +89,7 @@ class Segments:
             (total,) = struct.unpack_from(">H", ip, 2)
             fragment = struct.unpack_from(">H", ip, 6)[0] & 0x3FFF
             protocol, offset, source, target = ip[9], (ip[0] & 15) * 4, ip[12:16], ip[16:20]
-            end = total or len(ip)  # 0: the network card divides it
+            end = total or len(ip)  # 0: segmentation by the network card
         elif version == 6:
             (payload,) = struct.unpack_from(">H", ip, 4)
             protocol, offset, source, target, fragment = ip[6], 40, ip[8:24], ip[24:40], 0

@@ -1,8 +1,8 @@
-"""The pixels of a file, frame by frame, as an IMAGE has them: components fastest, then columns, rows, slices.
+"""Reads the pixels of a file, frame by frame, in the order of IMAGE: components fastest, then columns, rows, slices.
 
-Frames that follow each other in the file are read one at a time.  Where the axis of frames is not the slowest the
-whole is read, within the limit of memory.  Values stay as they are; 64-bit whole numbers become float64, which IMAGE
-has, where every value of a frame stays the same.
+Consecutive frames in the file are read one at a time.  If the frame axis is not the slowest, all frames are read,
+within the limit ``memory``.  Values are not changed.  64-bit integers become float64, which IMAGE supports, if float64
+represents every value of a frame exactly.
 """
 
 from __future__ import annotations
@@ -21,38 +21,38 @@ from igtl_gateway.exchange.source import library_errors_as_damage
 from igtl_gateway.untrusted import files, limits
 
 _READ = 1 << 20
-#: Up to here float64 holds every whole number.
+#: Up to this value float64 represents every integer.
 _EXACT = 1 << 53
 
 
 def read_frames(raster: Raster, notes: list[str]) -> Iterator[bytes]:
-    """The frames in order; ``notes`` gets what is behind the last one.
+    """Yield the frames in order; add a note to ``notes`` if there are bytes after the last one.
 
-    Raises DamagedRecording where pixels are missing, LimitExceeded.
+    Raises DamagedRecording if pixels are missing, LimitExceeded.
     """
     packed = files.size_of(raster.data)
     check_room(raster, packed)
     deadline = limits.Deadline(packed)
     with files.open_file(raster.data) as stream:
-        pieces = _Pieces(raster, stream, packed)
-        pieces.drop(raster.skip)
+        pixels = _PixelStream(raster, stream, packed)
+        pixels.skip(raster.skip)
         if all(axis.role != FRAME or axis.size == 1 for axis in raster.axes[:-1]):
             for index in range(raster.frames):
                 deadline.check(raster.where)
-                yield _ordered(raster, pieces.read(raster.frame_bytes, f"frame {index}"), index, framed=False)
-            pieces.note_rest(notes)
+                yield _ordered(raster, pixels.read(raster.frame_bytes, f"frame {index}"), index, framed=False)
+            pixels.note_rest(notes)
             return
         total = raster.frame_bytes * raster.frames
-        limits.check_limit("memory", total, f"{raster.where}: bytes of all frames, which are not one after the other")
-        data = pieces.read(total, "all frames")
-        pieces.note_rest(notes)
+        limits.check_limit("memory", total, f"{raster.where}: bytes of all frames, which are not consecutive")
+        data = pixels.read(total, "all frames")
+        pixels.note_rest(notes)
         for index in range(raster.frames):
             deadline.check(raster.where)
             yield _ordered(raster, data, index, framed=True)
 
 
 def _ordered(raster: Raster, data: bytes, index: int, *, framed: bool) -> bytes:
-    """One frame with its components fastest; ``framed``: ``data`` is all frames."""
+    """Return frame ``index`` with its components fastest; ``framed``: ``data`` has all frames, not only this one."""
     axes = [axis for axis in raster.axes if framed or axis.role != FRAME]
     order = [number for number, axis in enumerate(axes) if axis.role == COMPONENT]
     if not framed and order in ([], [0]) and raster.dtype not in WIDER:
@@ -71,17 +71,17 @@ def _ordered(raster: Raster, data: bytes, index: int, *, framed: bool) -> bytes:
 
 
 def _widened(values: npt.NDArray[Any], raster: Raster, index: int) -> npt.NDArray[Any]:
-    """64-bit whole numbers as float64 of the same byte order.  Raises DamagedRecording where they do not fit."""
+    """Return 64-bit integers as float64 of the same byte order.  Raises DamagedRecording if one is not exact."""
     low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
     if not -_EXACT <= low <= high <= _EXACT:
         raise DamagedRecording(
-            f"{raster.where}: frame {index}: found 64-bit integers, {low} … {high}, expected integers within "
-            "±2^53, which float64 holds: IMAGE has no such type"
+            f"{raster.where}: frame {index}: found 64-bit integers from {low} to {high}, expected values within "
+            "±2^53, which float64 represents exactly; IMAGE has no 64-bit integers"
         )
     return values.astype((">" if raster.big_endian else "<") + WIDER[raster.dtype])
 
 
-class _Unpacker(Protocol):
+class _Decompressor(Protocol):
     @property
     def eof(self) -> bool: ...
     @property
@@ -89,8 +89,8 @@ class _Unpacker(Protocol):
     def decompress(self, data: bytes, max_length: int, /) -> bytes: ...
 
 
-class _Pieces:
-    """Bytes of the pixels, one piece after the other."""
+class _PixelStream:
+    """The decompressed bytes of a pixel file, from the first pixel."""
 
     def __init__(self, raster: Raster, stream: BinaryIO, size: int) -> None:
         self._raster, self._stream = raster, stream
@@ -98,13 +98,14 @@ class _Pieces:
         if offset < 0:
             offset = max(size - raster.frame_bytes * raster.frames, 0)
         stream.seek(offset)
-        self._unpacker: _Unpacker | None = None if raster.packing == RAW else self._new()
+        self._decompressor: _Decompressor | None = None if raster.packing == RAW else self._new_decompressor()
         self._waiting = b""
 
-    def _new(self) -> _Unpacker:
+    def _new_decompressor(self) -> _Decompressor:
         return bz2.BZ2Decompressor() if self._raster.packing == BZIP2 else zlib.decompressobj(zlib.MAX_WBITS | 32)
 
     def read(self, size: int, what: str) -> bytes:
+        """Return exactly ``size`` bytes.  Raises DamagedRecording; ``what`` names them in the error."""
         data = bytearray()
         with library_errors_as_damage(self._raster.data):
             while len(data) < size:
@@ -116,37 +117,37 @@ class _Pieces:
                 data += part
         return bytes(data)
 
-    def drop(self, size: int) -> None:
-        """Read over ``size`` bytes."""
+    def skip(self, size: int) -> None:
+        """Skip ``size`` bytes."""
         while size > 0:
             part = min(size, _READ)
             self.read(part, "bytes before the pixels")
             size -= part
 
     def note_rest(self, notes: list[str]) -> None:
-        """Note that there is more than the header says."""
+        """Add a note if there are bytes after the last pixel."""
         try:
             more = self._read_some(1)
         except (OSError, ValueError, EOFError, zlib.error):
             more = b"?"
         if more.strip():
-            notes.append("bytes behind the last pixel that the header announces are ignored")
+            notes.append("bytes after the last pixel that the header declares are ignored")
 
     def _read_some(self, missing: int) -> bytes:
-        """Between 1 and ``missing`` bytes; none at the end."""
-        if self._unpacker is None:
+        """Return between 1 and ``missing`` bytes; none at the end."""
+        if self._decompressor is None:
             return self._stream.read(min(missing, _READ))
         while True:
-            if self._unpacker.eof:  # gzip files may have several members
-                self._waiting = self._unpacker.unused_data + self._waiting or self._stream.read(_READ)
+            if self._decompressor.eof:  # gzip files can have several members
+                self._waiting = self._decompressor.unused_data + self._waiting or self._stream.read(_READ)
                 if not self._waiting.strip(b"\0"):
                     return b""
-                self._unpacker = self._new()
-            if not self._waiting and getattr(self._unpacker, "needs_input", True):
+                self._decompressor = self._new_decompressor()
+            if not self._waiting and getattr(self._decompressor, "needs_input", True):
                 self._waiting = self._stream.read(_READ)
                 if not self._waiting:
                     return b""
-            part = self._unpacker.decompress(self._waiting, min(missing, _READ))
-            self._waiting = getattr(self._unpacker, "unconsumed_tail", b"")
+            part = self._decompressor.decompress(self._waiting, min(missing, _READ))
+            self._waiting = getattr(self._decompressor, "unconsumed_tail", b"")
             if part:
                 return part

@@ -1,10 +1,10 @@
-"""Where an image lies in the patient: axes and first voxel of a file ⇄ the matrix of an IMAGE.
+"""Position and orientation of an image in the patient: axes and first voxel of a file ⇄ the matrix of an IMAGE.
 
-Files have the vector from voxel to voxel along each axis and the centre of the first voxel, in a space that the format
-names.  IMAGE has the vectors T, S, N and the centre of the volume, in millimetres, here always RAS.  ITK's convention
-holds for both MetaImage and NRRD: a space without a name is LPS.
+Files contain the vector from voxel to voxel along each axis and the centre of the first voxel, in a space that the
+format names.  IMAGE contains the vectors T, S, N and the centre of the volume, in millimetres, here always RAS.  The
+convention of ITK applies to MetaImage and NRRD: a space without a name is LPS.
 
-Plain arithmetic on float64.  A place is exact to float32: 0.02 µm at 300 mm.
+The arithmetic is float64.  A position is exact to the resolution of float32: 0.02 µm at 300 mm.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from igtl_gateway.wire.image import LPS, RAS, Image
 Vector = tuple[float, float, float]
 
 _FLOAT32_MAX = 3.4028234e38
-#: Triple product of unit vectors below which three axes lie in one plane: float32 rounds a right angle to 1e-7.
+#: Triple product of unit vectors below which three axes are coplanar: float32 rounds a right angle to 1e-7.
 _FLAT = 1e-5
 
-#: Sign of each coordinate on the way to RAS, by the orientation of the space.
+#: Orientation of a space → sign of each coordinate for the conversion to RAS.
 SIGNS: dict[str, Vector] = {
     "RAS": (1.0, 1.0, 1.0),
     "LAS": (-1.0, 1.0, 1.0),
@@ -36,7 +36,7 @@ class ImagePlacement:
     """Axes and origin of an image in RAS, millimetres.
 
     Attributes:
-        axes: from voxel to voxel along columns, rows and slices.
+        axes: vectors from voxel to voxel along columns, rows and slices.
         origin: centre of the first voxel.
     """
 
@@ -45,10 +45,10 @@ class ImagePlacement:
 
     @classmethod
     def of_file(cls, axes: Sequence[Sequence[float]], origin: Sequence[float], space: str, where: str) -> Self:
-        """Of 2 or 3 axes with 2 or 3 coordinates each, in ``space`` (a key of SIGNS).
+        """Build it from 2 or 3 axes with 2 or 3 coordinates each, in ``space`` (a key of SIGNS).
 
-        A slice gets the unit normal as its third axis.  Raises DamagedRecording where numbers are not finite, or where
-        axes have no length or lie in one plane.
+        A slice gets the unit normal as its third axis.  Raises DamagedRecording if numbers are not finite, or if axes
+        have zero length or are coplanar.
         """
         signs = SIGNS[space]
         turned = [_change_space(axis, signs) for axis in axes]
@@ -65,9 +65,9 @@ class ImagePlacement:
 
     @classmethod
     def of_image(cls, image: Image) -> Self | None:
-        """Of an IMAGE, whole or in part; None where its matrix places no image.
+        """Build it from an IMAGE, complete or partial; None if its matrix is invalid.
 
-        A single slice whose third axis has no length, or lies in the slice, gets the unit normal.
+        A single slice whose third axis has zero length, or lies in the slice, gets the unit normal.
         """
         matrix = image.wire_matrix
         if not all(map(math.isfinite, matrix)):
@@ -81,28 +81,28 @@ class ImagePlacement:
         return cls((i, j, k), _moved(centre, (i, j, k), image.dimensions, -1.0))
 
     def wire_matrix(self, size: Sequence[int], where: str) -> tuple[float, ...]:
-        """The 12 numbers of an IMAGE in RAS.  Raises DamagedRecording where float32 cannot hold them."""
+        """Return the 12 numbers of an IMAGE in RAS.  Raises DamagedRecording if they exceed the range of float32."""
         matrix = (*self.axes[0], *self.axes[1], *self.axes[2], *_moved(self.origin, self.axes, size, 1.0))
         if not all(abs(value) < _FLOAT32_MAX for value in matrix):
-            raise DamagedRecording(f"{where}: found a place of {matrix}, expected numbers within float32")
+            raise DamagedRecording(f"{where}: found the matrix {matrix}, expected numbers in the range of float32")
         return matrix
 
     def in_space(self, space: str) -> tuple[tuple[Vector, Vector, Vector], Vector]:
-        """Axes and origin in ``space``: the inverse of ``of_file``."""
+        """Return axes and origin in ``space``: the inverse of ``of_file``."""
         signs = SIGNS[space]
         i, j, k = (_change_space(axis, signs) for axis in self.axes)
         return (i, j, k), _change_space(self.origin, signs)
 
 
 def has_own_normal(image: Image) -> bool:
-    """Whether the third axis of an IMAGE with a place is its own, rather than the normal of its slice."""
+    """Return whether the matrix of an IMAGE is valid with its own third axis, without the normal of the slice."""
     place = ImagePlacement.of_image(image)
     signs = SIGNS["LPS" if image.coordinate == LPS else "RAS"]
     return place is not None and place.axes[2] == _change_space(image.wire_matrix[6:9], signs)
 
 
 def normal(i: Vector, j: Vector) -> Vector | None:
-    """The unit vector that completes a right-handed system; None where ``i`` and ``j`` span no plane."""
+    """Return the unit vector that completes a right-handed system; None if ``i`` and ``j`` are parallel or zero."""
     cross = (i[1] * j[2] - i[2] * j[1], i[2] * j[0] - i[0] * j[2], i[0] * j[1] - i[1] * j[0])
     length, scale = math.hypot(*cross), math.hypot(*i) * math.hypot(*j)
     if not scale or length / scale < _FLAT:
@@ -111,7 +111,7 @@ def normal(i: Vector, j: Vector) -> Vector | None:
 
 
 def is_degenerate(axes: Sequence[Vector]) -> bool:
-    """Whether three axes lie in one plane, or one has no length: ITK refuses such an image."""
+    """Return whether three axes are coplanar, or one has zero length: ITK rejects such an image."""
     lengths = [math.hypot(*axis) for axis in axes]
     if not all(lengths):
         return True
@@ -121,13 +121,13 @@ def is_degenerate(axes: Sequence[Vector]) -> bool:
 
 
 def _change_space(vector: Sequence[float], signs: Vector) -> Vector:
-    """Another space's coordinates; a missing third one is 0.  Adding 0.0 leaves no negative zero."""
+    """Return coordinates in another space; a missing third one is 0.  Adding 0.0 removes negative zeros."""
     x, y, z = (*vector, 0.0)[:3]
     return x * signs[0] + 0.0, y * signs[1] + 0.0, z * signs[2] + 0.0
 
 
 def _moved(start: Vector, axes: Sequence[Vector], size: Sequence[int], sign: float) -> Vector:
-    """From the first voxel to the centre of the volume (sign 1), or back (-1)."""
+    """Move a point from the first voxel to the centre of the volume (sign 1), or back (-1)."""
     x, y, z = (
         start[row] + sign * sum((count - 1) / 2 * axis[row] for count, axis in zip(size, axes, strict=True))
         for row in range(3)
@@ -135,5 +135,5 @@ def _moved(start: Vector, axes: Sequence[Vector], size: Sequence[int], sign: flo
     return x, y, z
 
 
-#: What an IMAGE of an imported file is in.
+#: Coordinate system of an IMAGE from an imported file.
 COORDINATE = RAS

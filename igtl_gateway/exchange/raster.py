@@ -1,7 +1,8 @@
-"""What a header says of pixels, whichever format it is in: which axis is what, number type, packing, place.
+"""Layout of the pixels of a file, independent of its format: roles of the axes, number type, compression, position.
 
-Axes stand in the order of the file, fastest first.  Each is one of three: *space* (columns, rows, slices in this
-order), *component* (values of one pixel) or *frame* (images over time).  ``docs/formats.md`` says how the formats tell.
+Axes have the order of the file, fastest first.  Each has one of three roles: *space* (columns, rows, slices in this
+order), *component* (values of one pixel) or *frame* (images over time).  ``docs/formats.md`` has the rules by which the
+formats declare the roles.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from igtl_gateway.untrusted import limits
 SPACE, COMPONENT, FRAME = "space", "component", "frame"
 RAW, ZLIB, BZIP2 = "raw", "zlib", "bzip2"
 
-#: Fields of IMAGE: sizes are u16, the number of components is u8.
+#: Ranges of the fields of IMAGE: sizes are u16, the number of components is u8.
 _MAX_SIZE, _MAX_COMPONENTS = 65_535, 255
-#: A distance in time that is a distance in time.
+#: Upper bound of a plausible time step of frames, in seconds.
 MAX_STEP_S = 1e6
-#: Types that IMAGE does not have → what holds their values; a value that does not fit is an error.
+#: Types that IMAGE does not support → type for their values; a value that is not exact is an error.
 WIDER = {"i8": "f8", "u8": "f8"}
 
 
@@ -42,14 +43,14 @@ class Raster:
     Attributes:
         where: the file with the header, for errors.
         axes: in the order of the file, fastest first; checked.
-        dtype: numpy's name without byte order; ``""`` where the file has no pixels.
-        big_endian: of the pixels.
-        packing: RAW, ZLIB (gzip, too) or BZIP2.
+        dtype: numpy's name without byte order; ``""`` if the file has no pixels.
+        big_endian: whether the byte order of the pixels is big-endian.
+        packing: compression: RAW, ZLIB (also for gzip) or BZIP2.
         data: the file with the pixels.
-        offset: of the first byte there; -1: the pixels are the end of the file.
-        place: of the first frame, and so of all; None where the header says nothing.
-        skip: unpacked bytes before the first pixel, where the pixels are packed.
-        times_s: when each frame was taken, as far as the header (not the fields of frames) says; seconds.
+        offset: offset of the first byte in that file; -1: the pixels are the end of the file.
+        place: position and orientation of all frames; None if the header contains none.
+        skip: for compressed pixels the number of decompressed bytes before the first pixel.
+        times_s: time of each frame in seconds, from the header but not from fields of frames; empty if unknown.
     """
 
     where: str
@@ -65,7 +66,7 @@ class Raster:
 
     @property
     def size(self) -> tuple[int, int, int]:
-        """Columns, rows, slices."""
+        """Return the numbers of columns, rows and slices."""
         x, y, z = (*(axis.size for axis in self.axes if axis.role == SPACE), 1)[:3]
         return x, y, z
 
@@ -79,19 +80,19 @@ class Raster:
 
     @property
     def frame_bytes(self) -> int:
-        """Bytes of one frame in the file; 0 where there are no pixels."""
+        """Return the size of one frame in the file in bytes; 0 without pixels."""
         return math.prod(self.size) * self.components * np.dtype(self.dtype).itemsize if self.dtype else 0
 
 
 def check_axes(roles: list[str], sizes: list[int], where: str) -> tuple[Axis, ...]:
-    """Axes, checked against what an IMAGE holds.  Raises DamagedRecording, UnsupportedRecording or LimitExceeded."""
+    """Return the axes if IMAGE can represent them.  Raises DamagedRecording, UnsupportedRecording or LimitExceeded."""
     axes = tuple(Axis(role, size) for role, size in zip(roles, sizes, strict=True))
     spaces = [axis.size for axis in axes if axis.role == SPACE]
     if any(size < 0 for size in sizes):
         raise DamagedRecording(f"{where}: found sizes {_sizes_text(sizes)}, expected 0 or more")
     if not 2 <= len(spaces) <= 3 or roles.count(FRAME) > 1:
         raise UnsupportedRecording(
-            f"{where}: found axes {', '.join(roles)}, expected 2 or 3 of space and at most one of time"
+            f"{where}: found axes {', '.join(roles)}, expected 2 or 3 spatial axes and at most one time axis"
         )
     if max(spaces) > _MAX_SIZE:
         raise UnsupportedRecording(f"{where}: found sizes {_sizes_text(spaces)}, expected at most {_MAX_SIZE} (IMAGE)")
@@ -104,16 +105,16 @@ def check_axes(roles: list[str], sizes: list[int], where: str) -> tuple[Axis, ..
 
 
 def fourth_axis_as_time(roles: list[str], notes: list[str]) -> list[str]:
-    """Roles in which a fourth axis of space is time: an IMAGE has three."""
+    """Return the roles with a fourth spatial axis as time, because IMAGE has three; adds a note."""
     if roles.count(SPACE) != 4 or FRAME in roles:
         return roles
-    notes.append("the fourth axis is taken as time")
+    notes.append("the fourth axis is imported as time")
     last = len(roles) - 1 - roles[::-1].index(SPACE)
     return [*roles[:last], FRAME, *roles[last + 1 :]]
 
 
 def parse_number(word: str, what: str, where: str) -> float:
-    """A number of a header.  Raises DamagedRecording."""
+    """Parse a number of a header.  Raises DamagedRecording."""
     try:
         return float(word)
     except ValueError:
@@ -121,7 +122,7 @@ def parse_number(word: str, what: str, where: str) -> float:
 
 
 def parse_whole(word: str, what: str, where: str) -> int:
-    """A whole number of a header, of at most 18 digits.  Raises DamagedRecording."""
+    """Parse an integer of a header, of at most 18 digits.  Raises DamagedRecording."""
     digits = word.removeprefix("-").removeprefix("+")
     if not (digits.isascii() and digits.isdigit() and len(digits) <= 18):
         raise DamagedRecording(f"{where}: {what}: found {word[:40]!r}, expected an integer")
@@ -129,12 +130,12 @@ def parse_whole(word: str, what: str, where: str) -> int:
 
 
 def check_room(raster: Raster, packed: int) -> None:
-    """Raise LimitExceeded where the pixels take more memory than they may, or unpack to too much."""
+    """Check memory and decompressed size of the pixels; ``packed`` is the file size in bytes.  Raises LimitExceeded."""
     limits.check_limit("memory", raster.frame_bytes, f"{raster.where}: bytes of a frame")
     if raster.packing != RAW:
         total = raster.skip + raster.frame_bytes * raster.frames
         allowed = max(limits.current_limits().free, limits.current_limits().ratio * packed)
-        limits.check_limit("ratio", total, f"{raster.where}: {packed} packed bytes, unpacked", allowed)
+        limits.check_limit("ratio", total, f"{raster.where}: decompressed from {packed} bytes", allowed)
 
 
 def _sizes_text(sizes: list[int]) -> str:

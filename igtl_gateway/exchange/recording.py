@@ -1,4 +1,4 @@
-"""What exporters need of a session file, and how they choose from it."""
+"""The interface of a session file that exporters use, and the selection of its entries."""
 
 from __future__ import annotations
 
@@ -67,13 +67,17 @@ def chosen_entries(
     account: ExportAccount | None = None,
     types: Container[str] | None = None,
 ) -> Iterator[Entry]:
-    """Entries of some kinds whose stream fits a glob, if there is any: ``TYPE/device``, the device alone, or the topic.
+    """Yield the entries of some kinds whose stream matches a glob: by ``TYPE/device``, the device or the topic.
 
-    Of a message that went out in both header versions, the first form; ``account`` counts the other one as left out.
+    Of a message that was sent in both header versions only the first form is yielded; ``account`` counts the second
+    form as left out.
 
     Args:
-        account: counts what fits a glob and is not given.
-        types: only these types of messages.
+        recording: the session.
+        kinds: kinds of entries.
+        globs: select streams; empty = all.
+        account: counts the entries that match a glob but are not yielded.
+        types: select message types; None = all.
     """
     wanted, fitting = frozenset(kinds), dict[tuple[Kind, str], bool]()
     forms = _VersionFilter()
@@ -99,7 +103,7 @@ def chosen_entries(
 
 
 def count_skipped(recording: Recording, globs: Sequence[str], account: ExportAccount) -> None:
-    """Count as left out the channels of the file that cannot be read, such as those that are not CDR."""
+    """Count as left out the channels of the file that cannot be read, such as those with an encoding other than CDR."""
     for channel in recording.skipped:
         if channel.count and matches_stream(channel.topic, Kind.ROS_IN, globs):
             row = ExportedStream(channel.topic, channel.count, channel.type)
@@ -108,28 +112,28 @@ def count_skipped(recording: Recording, globs: Sequence[str], account: ExportAcc
 
 
 class _VersionFilter:
-    """The messages that one input caused, to find those that went out in both header versions."""
+    """The messages that one input caused, to find those that were sent in both header versions."""
 
     def __init__(self) -> None:
         self._first: dict[str, Entry] = {}
         self._versions: dict[tuple[str, int, bytes], set[int]] = {}
 
     def repeat(self, entry: Entry) -> bool:
-        """Whether a message with this device, stamp and content went out before in the other header version."""
+        """Return whether a message with this device, stamp and content was sent before in the other header version."""
         first = self._first.setdefault(entry.channel, entry)
         if first is entry:
-            return False  # what most inputs cause is one message: nothing to compare
+            return False  # most inputs cause one message, which needs no comparison
         self._note(first)
         return len(self._note(entry)) > 1
 
     def _note(self, entry: Entry) -> set[int]:
-        """The header versions in which this message went out so far."""
+        """Add a message; return the header versions in which it was sent so far."""
         data = memoryview(entry.data())
         try:
             header, body = Header.unpack(data), data[HEADER_SIZE:]
             content = ExtendedHeader.unpack(body).split(body)[0] if header.version > 1 else body
         except WireError:
-            return set()  # a damaged message is no form of another
+            return set()  # a damaged message is not a second form of another one
         key = entry.channel, header.ticks, blake2b(content).digest()
         versions = self._versions.setdefault(key, set())
         versions.add(header.version)
@@ -137,13 +141,13 @@ class _VersionFilter:
 
 
 def matches_stream(channel: str, kind: Kind, globs: Sequence[str]) -> bool:
-    """Whether a stream fits a glob, or there is none.  Notes are of no stream and always do."""
+    """Return whether a stream matches a glob, or there are no globs.  Notes have no stream and always match."""
     if not globs or not channel:
         return True
     names = (channel, channel.partition("/")[2]) if kind in IGTL_KINDS else (channel,)
     return any(matches(glob, name) for glob in globs for name in names)
 
 
-def time_of(entry: Entry) -> int:
-    """The sender's stamp, or else when it arrived; UTC ns."""
+def message_time_ns(entry: Entry) -> int:
+    """Return the source stamp of an entry, or its gateway time if that is unset; UTC ns."""
     return entry.source_ns or entry.stamp_ns

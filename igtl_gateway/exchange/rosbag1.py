@@ -1,10 +1,10 @@
-"""ROS 1 bags (``.bag``, also with bz2 and lz4 chunks): every message as the CDR of its ROS 2 type.
+"""Import of ROS 1 bags (``.bag``, also with bz2 and lz4 chunks): every message becomes CDR of its ROS 2 type.
 
-Where ROS 2 has the type, a message is moved over field by field: ``std_msgs/Header`` loses ``seq``, renamed fields
-(``CameraInfo`` D → d) follow, and ``tf/tfMessage`` becomes ``tf2_msgs/TFMessage``.  Other types keep their own
-definition, as ``package/msg/Name``.  Fields without a counterpart are named.
+If ROS 2 has the type, the message is converted field by field: ``std_msgs/Header`` loses ``seq``, renamed fields
+(``CameraInfo`` D → d) are converted, and ``tf/tfMessage`` becomes ``tf2_msgs/TFMessage``.  Other types keep their own
+definition, as ``package/msg/Name``.  A note lists the fields without a counterpart.
 
-A definition that cannot be used costs its own topics: they are left out, and the row says why.
+If a definition cannot be used, only its topics are left out, and their rows have the reason.
 
 Memory: that of ``rosbag1_file``, and one message.
 """
@@ -31,7 +31,7 @@ from igtl_gateway.untrusted.decoding import new_store, register_types
 from igtl_gateway.untrusted.definition_checks import Types, weight
 from igtl_gateway.untrusted.elements import ElementCounter
 
-#: Types that have another name in ROS 2.
+#: Type → its different name in ROS 2.
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
 _HEADER = "std_msgs/msg/Header"
@@ -61,7 +61,7 @@ class Rosbag1(NonRosSource):
             for number, count in chunk.counts.items():
                 declared[number] = declared.get(number, 0) + count
         rows: dict[tuple[str, str], ImportedStream] = {}
-        made: dict[tuple[str, str], tuple[_Convert | None, str]] = {}
+        converters: dict[tuple[str, str], tuple[_Convert | None, str]] = {}
         for connection in self._bag.connections:
             topic = "/" + "/".join(word for word in connection.topic.split("/") if word)
             name = ros2_name(connection.ros1_type)
@@ -69,26 +69,26 @@ class Rosbag1(NonRosSource):
             row = rows.setdefault((topic, ros_type), ImportedStream(topic, 0, ros_type))
             row.declared += declared.get(connection.number, 0)
             key = (name, connection.definition)
-            if key not in made:
-                made[key] = self._converter(connection, name, ros_type)
-            convert, why = made[key]
+            if key not in converters:
+                converters[key] = self._converter(connection, name, ros_type)
+            convert, why = converters[key]
             if convert is None:
                 row.left_out += declared.get(connection.number, 0)
                 row.why = why
-            if connection.latching or topic == "/tf_static":  # whose publishers always latch
+            if connection.latching or topic == "/tf_static":  # its publishers always latch
                 self._latched.add((topic, ros_type))
             self._converters[connection.number] = (topic, ros_type, row, convert)
         self.rows = [rows[key] for key in sorted(rows)]
 
     def _converter(self, connection: BagConnection, name: str, ros_type: str) -> tuple[_Convert | None, str]:
-        """What makes CDR of this connection's messages; or None, and why nothing can."""
+        """Return the function that converts messages of a connection to CDR and ``""``; or None and the reason."""
         try:
             types = definitions.parse_definition(connection.definition, name)
             source = new_store()
             source.fielddefs.update(types)
             if ros_type not in self._target.fielddefs:
                 own = definitions.parse_definition(definitions.definition_text(source.fielddefs, name), ros_type)
-                # what ROS 2 knows stays as ROS 2 has it, such as the Header
+                # types that ROS 2 has, such as Header, keep the definition of ROS 2
                 self._register(self._target, {key: fields for key, fields in own.items() if key not in self._known})
             if is_same_wireformat(source, self._target, name, ros_type):
                 return partial(self._target.ros1_to_cdr, typename=ros_type), ""
@@ -111,15 +111,16 @@ class Rosbag1(NonRosSource):
         for message in self._bag.messages():
             if message.connection not in self._converters:
                 raise DamagedRecording(
-                    f"{self.title}: found a message of connection {message.connection}, which the index does not have"
+                    f"{self.title}: found a message of connection {message.connection}, which is not in the index"
                 )
             topic, ros_type, row, convert = self._converters[message.connection]
             if convert is None:
                 continue
             try:
                 payload = convert(message.data)
-            except Exception as error:  # of generated code: whatever it makes of damaged bytes
-                row.why = f"not convertible, the first at {message.time_ns} ns: {type(error).__name__}: {error}"
+            except Exception as error:  # generated code raises many types of errors for damaged bytes
+                reason = f"{type(error).__name__}: {error}"
+                row.why = f"some cannot be converted, the latest at {message.time_ns} ns: {reason}"
                 continue
             row.taken += 1
             yield ImportedItem(message.time_ns, Kind.ROS_IN, payload, topic, ros_type)
@@ -134,14 +135,14 @@ class Rosbag1(NonRosSource):
         try:
             return definitions.definition_text(types, ros_type), definitions.type_hash(types, ros_type)
         except (TypesysError, KeyError):
-            return None  # a type that it needs is missing
+            return None  # the definition of a nested type is missing
 
     def close(self) -> None:
         self._bag.close()
 
 
 def ros2_name(ros1_type: str) -> str:
-    """``package/Name`` as ``package/msg/Name``."""
+    """Return ``package/Name`` as ``package/msg/Name``."""
     package, slash, name = ros1_type.partition("/")
     return f"{package}/msg/{name}" if slash and "/" not in name else ros1_type
 
@@ -149,11 +150,11 @@ def ros2_name(ros1_type: str) -> str:
 def lost_fields(
     source: Typestore, target: Typestore, old: str, new: str, seen: frozenset[str] = frozenset()
 ) -> set[str]:
-    """Fields of ``old`` that ``new`` does not take over, as ``Type.field``; the Header's ``seq`` is known to go."""
+    """Return the fields of ``old`` without a counterpart in ``new``, as ``Type.field``; except ``seq`` of Header."""
     if old == _HEADER or old in seen:
         return set()
     before, after = dict(source.fielddefs[old][1]), dict(target.fielddefs[new][1])
-    free = [kind for name, kind in after.items() if name not in before]  # where a renamed field may have gone
+    free = [kind for name, kind in after.items() if name not in before]  # possible new names of renamed fields
     lost = set()
     for name, kind in before.items():
         if name not in after:
@@ -169,7 +170,7 @@ def lost_fields(
 
 
 def _name_in(kind: Any) -> str:
-    """The message type that a field holds, alone or many of; ``""`` for plain ones."""
+    """Return the message type of a field, of a single message or an array; ``""`` for basic types."""
     kind = kind[1][0] if isinstance(kind[1], tuple) and isinstance(kind[1][0], tuple) else kind
     return kind[1] if isinstance(kind[1], str) else ""
 

@@ -1,9 +1,10 @@
-"""The records of a ROS 1 bag, format 2.0 (``#ROSBAG V2.0``, wiki.ros.org/Bags/Format/2.0), within the limits.
+"""Reads the records of a ROS 1 bag, format 2.0 (``#ROSBAG V2.0``, wiki.ros.org/Bags/Format/2.0), within the limits.
 
-The index at the end tells the connections and the chunks; each chunk is unpacked once and read through, so that an
-index which repeats chunks or messages multiplies nothing.  Chunks that overlap in time are merged.
+The index at the end of the file lists the connections and the chunks.  Each chunk is decompressed once and read
+completely, so an index that repeats chunks or messages does not multiply the work.  Chunks that overlap in time are
+merged.
 
-Memory: the chunks that overlap at one moment, at most the limit ``free`` where there are several.
+Memory: the chunks that overlap at one time; if these are several, at most the limit ``free``.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from igtl_gateway.untrusted import files, limits, unpack
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 5, 6, 7
-#: Of a record's header: a few fields of a few bytes each, and the name of a topic.
+#: Largest header of a record in bytes: a few fields of a few bytes each, and the name of a topic.
 _MAX_HEADER = 1 << 16
 
 _U32, _U64, _TIME, _PAIR = struct.Struct("<I"), struct.Struct("<Q"), struct.Struct("<II"), struct.Struct("<II")
@@ -29,7 +30,7 @@ _PACKINGS: dict[bytes, unpack.Packing] = {b"none": "", b"bz2": "bz2", b"lz4": "l
 
 @dataclass(frozen=True, slots=True)
 class BagConnection:
-    """A publisher's connection: topic and type as ROS 1 has them, with the type's definition."""
+    """A publisher's connection: topic and type as in ROS 1, with the definition of the type."""
 
     number: int
     topic: str
@@ -40,7 +41,13 @@ class BagConnection:
 
 @dataclass(frozen=True, slots=True)
 class ChunkInfo:
-    """Where a chunk is, the time of its first message in ns, and its messages by connection."""
+    """A chunk in the index.
+
+    Attributes:
+        at: offset of the chunk in the file.
+        start_ns: time of its first message.
+        counts: connection → number of messages.
+    """
 
     at: int
     start_ns: int
@@ -48,7 +55,7 @@ class ChunkInfo:
 
 
 class BagMessage(NamedTuple):
-    """A message; sorted by time, and in the order of the file where times are equal."""
+    """A message; sorts by time, and by the order in the file if times are equal."""
 
     time_ns: int
     order: int
@@ -77,7 +84,7 @@ class BagFile:
         self._stream.close()
 
     def messages(self) -> Iterator[BagMessage]:
-        """All messages in order of time.  Raises DamagedRecording."""
+        """Yield all messages in the order of time.  Raises DamagedRecording."""
         chunks = sorted(self.chunks, key=lambda chunk: (chunk.start_ns, chunk.at))
         waiting: list[tuple[int, int, int, Iterator[BagMessage], BagMessage]] = []
         held = 0
@@ -115,7 +122,7 @@ class BagFile:
             *(self._u32(head, name) for name in (b"conn_count", b"chunk_count")),
         )
         if not index:
-            raise DamagedRecording(f"{self._path}: has no index, so recording was cut off: `rosbag reindex` makes one")
+            raise DamagedRecording(f"{self._path}: found no index, expected one; run: rosbag reindex {self._path}")
         if index > self._size:
             raise DamagedRecording(f"{self._path}: cut off: found {self._size} bytes, expected an index at {index}")
         limits.check_limit("topics", connections, f"{self._path}: connections")
@@ -124,9 +131,9 @@ class BagFile:
         self.connections = [self._connection() for _ in range(connections)]
         self.chunks = [self._chunk_info() for _ in range(chunks)]
         if len({chunk.at for chunk in self.chunks}) < chunks:
-            raise DamagedRecording(f"{self._path}: index: found a chunk twice, expected each once")
+            raise DamagedRecording(f"{self._path}: index: found a chunk twice, expected each chunk once")
         if len({one.number for one in self.connections}) < connections:
-            raise DamagedRecording(f"{self._path}: index: found a connection twice, expected each once")
+            raise DamagedRecording(f"{self._path}: index: found a connection twice, expected each connection once")
 
     def _connection(self) -> BagConnection:
         head = self._header(_CONNECTION)
@@ -145,23 +152,25 @@ class BagFile:
     def _chunk_info(self) -> ChunkInfo:
         head = self._header(_CHUNK_INFO)
         version, count = self._u32(head, b"ver"), self._u32(head, b"count")
-        data = self._read(self._length("a chunk's entry"), "a chunk's entry")
+        data = self._read(self._length("the index entry of a chunk"), "the index entry of a chunk")
         if version != 1 or len(data) != count * _PAIR.size:
-            raise DamagedRecording(f"{self._place()}: found a chunk's entry of another form than that of version 1")
+            raise DamagedRecording(
+                f"{self._place()}: found an index entry of a chunk in another layout, expected version 1"
+            )
         start_ns = self._time(head, b"start_time") if count else 0
         return ChunkInfo(self._u64(head, b"chunk_pos"), start_ns, dict(_PAIR.iter_unpack(data)))
 
     # -- chunks --------------------------------------------------------------------------------------------------
 
     def _chunk(self, chunk: ChunkInfo, index: int) -> tuple[list[BagMessage], int]:
-        """The messages of a chunk in order of time, and its size."""
+        """Return the messages of a chunk in the order of time, and its decompressed size in bytes."""
         self._deadline.check(str(self._path))
         self._stream.seek(min(chunk.at, self._size))
         head = self._header(_CHUNK)
         place = f"{self._path}: chunk {index + 1} of {len(self.chunks)} at byte {chunk.at}"
         how, size = head.get(b"compression", b""), self._u32(head, b"size")
         if how not in _PACKINGS:
-            raise UnsupportedRecording(f"{place}: found the compression {how[:20]!r}, expected none, bz2 or lz4")
+            raise UnsupportedRecording(f"{place}: found compression {how[:20]!r}, expected none, bz2 or lz4")
         packed = self._read(self._length("a chunk"), "a chunk")
         data = unpack.unpack_within_limits(_PACKINGS[how], packed, size, place) if _PACKINGS[how] else packed
         return sorted(self._messages(data, index << 32, place)), len(data)
@@ -178,7 +187,7 @@ class BagFile:
                 raise DamagedRecording(f"{place}: ends inside a record") from None
             at += 4
             if length > len(data) - at:
-                raise DamagedRecording(f"{place}: found a record of {length} bytes, {len(data) - at} are left")
+                raise DamagedRecording(f"{place}: found a record of {length} bytes, {len(data) - at} bytes remain")
             count += 1
             if count > most:
                 limits.check_limit("count", count, f"{place}: records")
@@ -209,7 +218,7 @@ class BagFile:
             name, equals, value = data[at + 4 : at + 4 + size].partition(b"=")
             at += 4 + size
             if not equals or at > len(data):
-                raise DamagedRecording(f"{self._place()}: found fields of a header that do not fit into it")
+                raise DamagedRecording(f"{self._place()}: found a header field that exceeds its header")
             found[name] = value
         return found
 
@@ -219,7 +228,7 @@ class BagFile:
     def _read(self, size: int, what: str) -> bytes:
         left = self._size - self._stream.tell()
         if size > left:
-            raise DamagedRecording(f"{self._place()}: cut off: {what} has {size} bytes, {left} are left")
+            raise DamagedRecording(f"{self._place()}: cut off: {what} has {size} bytes, {left} bytes remain")
         limits.check_limit("memory", size, f"{self._place()}: {what}")
         data = self._stream.read(size)
         if len(data) < size:

@@ -1,9 +1,8 @@
-"""rosbag2 recordings: directories and single files, sqlite3 and MCAP storage, split or not, zstd by file or message.
+"""Import of rosbag2 recordings: directories and files, sqlite3 and MCAP storage, split or not, zstd by file or message.
 
-The storage files themselves are read, not what ``metadata.yaml`` says of them; its counts and serialization formats
-are what the import is held against.  Channels that are no topics, such as service events, are left out by name, and
-messages with a time that no session can hold are missing in the account.  Parts of a split recording are merged in
-order of time.
+The storage files are authoritative; the import is compared with the counts and serialization formats in
+``metadata.yaml``.  Channels that are not topics, such as service events, are left out and listed.  Messages with a time
+outside the range of a session are missing in the account.  Parts of a split recording are merged in the order of time.
 
 Memory: one message of each part, and one chunk of MCAP files.
 """
@@ -33,19 +32,27 @@ from igtl_gateway.sessionfile.records import Malformed
 from igtl_gateway.untrusted import files, limits
 from igtl_gateway.untrusted.unpack import unpack_zstd_file, unpack_zstd_of_any_size
 
-#: Times in ns that a session can hold; the rest is damage, or units of something else.
+#: Upper bound of times in a session, in ns; a larger time is damage, or has another unit.
 _MAX_NS = 1 << 62
 _ROS_TYPE = re.compile(r"\w+/msg/\w+", re.ASCII)
 
 
 class _StorageFile(Protocol):
-    """One storage file: what it declares by topic, and what of it cannot be read."""
+    """One storage file.
+
+    Attributes:
+        counts: number of messages by topic and type.
+        skipped: topic and type that cannot be read → reason.
+        qos: QoS profiles as in the file, by topic and type.
+        formats: serialization format by topic and type.
+        definitions: type → text and encoding of its definition.
+    """
 
     counts: Counter[Key]
     skipped: dict[Key, str]
     qos: dict[Key, str]
-    formats: dict[Key, str]  # serialization formats
-    definitions: dict[str, tuple[str, str]]  # type → text, encoding
+    formats: dict[Key, str]
+    definitions: dict[str, tuple[str, str]]
 
     def messages(self) -> Iterator[Message]: ...
 
@@ -75,24 +82,24 @@ class Rosbag2(NonRosSource):
         with files.open_file(plain) as stream:
             start = stream.read(16)
         is_sqlite = start.startswith(b"SQLite format 3\0")
-        storage, told = "sqlite3" if is_sqlite else "mcap", self._metadata.storage
-        if told not in ("", storage):
-            self.notes.append(f"{METADATA} has the storage {told}, but {path.name} is {storage}")
+        storage, declared = "sqlite3" if is_sqlite else "mcap", self._metadata.storage
+        if declared not in ("", storage):
+            self.notes.append(f"{METADATA} declares the storage {declared}, but {path.name} is {storage}")
         return SqliteStorage(plain, _unreadable) if is_sqlite else _Mcap(plain)
 
     def _unpack(self, path: Path) -> Path:
-        """A packed storage file, unpacked for as long as this is open."""
+        """Decompress a storage file to a temporary file, which exists until ``close``."""
         if self._unpacked is None:
             self._unpacked = tempfile.TemporaryDirectory(prefix="igtl-gateway-import-")
         plain, size = Path(self._unpacked.name, f"{len(self._parts)}-{path.stem[-100:]}"), files.size_of(path)
         bounds = limits.current_limits()
-        # it goes to the disk, so that the limit of memory says nothing of it
+        # the file is on disk, so the limit of memory does not apply
         allowed = min(max(bounds.free, bounds.ratio * size), shutil.disk_usage(self._unpacked.name).free // 2)
         try:
             with files.open_file(path) as packed, plain.open("wb") as out:
                 unpack_zstd_file(packed, out, size, allowed, str(path))
         except OSError as error:
-            raise DamagedRecording(f"{path}: cannot be unpacked: {error.strerror or error}") from None
+            raise DamagedRecording(f"{path}: cannot be decompressed: {error.strerror or error}") from None
         return plain
 
     def _account(self) -> None:
@@ -110,13 +117,13 @@ class Rosbag2(NonRosSource):
             row.left_out = stored[key] if key in skipped else 0
             self._rows[key] = row
             if metadata.found and key not in metadata.counts:
-                self.notes.append(f"{METADATA} does not name {key[0]} ({stored[key]} stored)")
+                self.notes.append(f"{METADATA} does not list {key[0]} ({stored[key]} messages stored)")
             elif row.declared != stored[key]:
-                self.notes.append(f"{METADATA} declares {row.declared} of {key[0]}, {stored[key]} are stored")
+                self.notes.append(f"{METADATA} declares {row.declared} messages of {key[0]}, {stored[key]} are stored")
             declared, found = metadata.formats.get(key, ""), formats.get(key, "")
             if declared and found and declared != found:
                 self.notes.append(
-                    f"{METADATA} says that {key[0]} is serialized as {declared!r}, its storage {found!r}: "
+                    f"{METADATA} declares the serialization {declared!r} of {key[0]}, its storage {found!r}: "
                     + ("left out" if key in skipped else f"read as {found!r}")
                 )
         self.rows = list(self._rows.values())
@@ -127,7 +134,7 @@ class Rosbag2(NonRosSource):
         for time_ns, key, data, source_ns in heapq.merge(*(part.messages() for part in self._parts), key=_time):
             row, payload = self._rows[key], data
             if not 0 <= time_ns < _MAX_NS:
-                row.why = "some have no bytes, or a time that is not between 1970 and 2116"
+                row.why = "some have no bytes, or a time outside 1970 to 2116"
                 continue
             if self._metadata.by_message:
                 place = f"{self._path}: {key[0]} at {time_ns} ns"
@@ -168,7 +175,7 @@ def _time(message: Message) -> int:
 
 
 def _unreadable(ros_type: str, encoding: str) -> str:
-    """Why a channel is no topic that can be read; ``""`` if it is one."""
+    """Return why a channel cannot be read as a topic; ``""`` if it can."""
     if encoding != layout.MESSAGE_ENCODING:
         return f"encoding {encoding!r}, not cdr"
     if ros_type.endswith("_Event") and "/srv/" in ros_type:
@@ -198,7 +205,7 @@ class _Mcap:
     def _open(self) -> None:
         self._index = index = read_index(self._path, self._stream)
         if any(place.name == layout.SESSION_METADATA for place in index.metadata):
-            raise UnsupportedRecording(f"{self._path}: is a session of igtl-gateway already")
+            raise UnsupportedRecording(f"{self._path}: found a session of igtl-gateway, which needs no import")
         for channel in index.channels.values():
             schema = index.schemas.get(channel.schema_id)
             ros_type = schema.name if schema else ""
@@ -219,7 +226,7 @@ class _Mcap:
             for _, rows in message_rows(self._stream, self._index, str(self._path)):
                 for channel, _, log_ns, publish_ns, start, end, data in rows or ():
                     if key := self._keys.get(channel):
-                        # MCAP says publish_time = log_time for "not set"
+                        # publish_time = log_time means "unset" in MCAP
                         yield log_ns, key, data[start:end], publish_ns if publish_ns != log_ns else 0
         except Malformed as error:
             raise DamagedRecording(f"{self._path}: {error}{recover_hint(self._path)}") from None

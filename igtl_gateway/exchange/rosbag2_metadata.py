@@ -1,6 +1,6 @@
-"""``metadata.yaml`` of rosbag2: which files a recording has, and what it declares of its topics.
+"""Reads ``metadata.yaml`` of rosbag2: the files of a recording, and the declared counts and formats of its topics.
 
-What it says is held against the storage files; where its own shape is wrong, the place is named.
+The importer compares these with the storage files.  Errors name the place in ``metadata.yaml``.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class BagMetadata:
-    """What the file declares.
+    """The content of ``metadata.yaml``.
 
     Attributes:
-        found: whether there is one.
-        names: storage files.
-        storage: ``sqlite3`` or ``mcap``; ``""`` where it does not say.
-        by_message: whether each message is packed.
-        counts: messages by topic.
-        formats: serialization format by topic.
+        found: whether the file exists.
+        names: names of the storage files.
+        storage: ``sqlite3`` or ``mcap``; ``""`` if unset.
+        by_message: whether each message is compressed by itself.
+        counts: number of messages by topic and type.
+        formats: serialization format by topic and type.
     """
 
     found: bool = False
@@ -45,7 +45,7 @@ class BagMetadata:
 
 
 def read_metadata(folder: Path) -> BagMetadata:
-    """That of a recording's folder.  Raises UnsupportedRecording, DamagedRecording."""
+    """Read the metadata of a recording's directory.  Raises UnsupportedRecording, DamagedRecording."""
     path = folder / METADATA
     if not path.exists() and not path.is_symlink():
         return BagMetadata()
@@ -78,15 +78,15 @@ def read_metadata(folder: Path) -> BagMetadata:
 
 
 def storage_files(folder: Path, metadata: BagMetadata) -> list[Path]:
-    """The storage files of a recording: those that its metadata names, else all that lie in the folder.
+    """Return the storage files of a recording: those in its metadata, or without names all in the directory.
 
-    Old metadata puts the folder's name in front; what is opened lies in the folder, whatever a name says.
+    Old metadata contains the name of the directory before that of the file.  Only files in the directory are opened.
     Raises DamagedRecording, UnsupportedRecording.
     """
     limits.check_limit("count", len(metadata.names), f"{folder / METADATA}: files")
     names = [PurePosixPath(name).name for name in metadata.names]
     if len(set(names)) < len(names):
-        raise DamagedRecording(f"{folder / METADATA}: found a file twice, expected each once")
+        raise DamagedRecording(f"{folder / METADATA}: found a file twice, expected each file once")
     if missing := [name for name in names if not name or not _exists(folder / name)]:
         more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
         raise DamagedRecording(f"{folder}: found no {', '.join(missing[:5])}{more}, which {METADATA} names")
@@ -94,25 +94,25 @@ def storage_files(folder: Path, metadata: BagMetadata) -> list[Path]:
         return [files.sibling_file(folder / METADATA, name) for name in names]
     found = sorted((file for file in folder.iterdir() if file.name.endswith(_SUFFIXES)), key=_natural)
     if not found:
-        raise UnsupportedRecording(f"{folder}: found no .mcap or .db3 file in it, expected a rosbag2 recording")
+        raise UnsupportedRecording(f"{folder}: found no .mcap or .db3 file, expected a rosbag2 recording")
     return found
 
 
 def _exists(path: Path) -> bool:
     try:
         return path.exists() or path.is_symlink()
-    except (OSError, ValueError):  # a name that no file can have
+    except (OSError, ValueError):  # the name is invalid for files
         return False
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """``bag_10`` after ``bag_9``."""
+    """Return a sort key by which ``bag_10`` is after ``bag_9``."""
     words = re.split(r"([0-9]{1,18})", path.name)
     return [(int(word), "") if word.isascii() and word.isdigit() else (0, word) for word in words]
 
 
 class _ShapeReader:
-    """Values of the shape that they should have."""
+    """Checks the types of values; raises DamagedRecording with the place in the file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -132,7 +132,7 @@ class _ShapeReader:
 
     def text(self, value: Any, at: str) -> str:
         if not isinstance(value, str):
-            raise self._wrong(value, at, "a text")
+            raise self._wrong(value, at, "a string")
         return value
 
     def number(self, value: Any, at: str) -> int:

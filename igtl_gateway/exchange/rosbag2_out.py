@@ -1,6 +1,6 @@
-"""Export to rosbag2: a directory with one MCAP file and its ``metadata.yaml``, the ROS topics of a session.
+"""Export to rosbag2: a directory with one MCAP file and its ``metadata.yaml``, with the ROS topics of a session.
 
-Messages are copied byte for byte with both of their times.  What OpenIGTLink said stays behind, and so do notes.
+Messages are copied byte for byte with both times.  OpenIGTLink messages and notes are not exported.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from igtl_gateway.sessionfile import layout
 _CHUNK_BYTES = 1 << 20
 _VERSION = 8
 
-#: Policy → rmw's number.
+#: Policy → number in rmw.
 _NUMBERS = {
     "keep_last": 1,
     "keep_all": 2,
@@ -40,7 +40,7 @@ _POLICY = re.compile(rf"^([ -]*(?:history|reliability|durability|liveliness): )(
 
 
 def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
-    """Write the directory ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
+    """Write the directory ``out``.  Raises UnsupportedRecording if it is not empty; OSError."""
     account = ExportAccount()
     name = f"{out.resolve().name or 'rosbag2'}_0.mcap"
     topics: dict[tuple[str, str], _BagTopic] = {}
@@ -68,10 +68,10 @@ def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> Exp
                 row.taken += 1
                 topic.count += 1
                 first, last = first or entry.stamp_ns, entry.stamp_ns
-            # Jazzy and later take the version of what channels say from here
+            # Jazzy and later read the version of the metadata of channels from here
             inner = _metadata(name, first, last, list(topics.values())).split("\n", 1)[1]
             writer.add_metadata("rosbag2", {"serialized_metadata": textwrap.dedent(inner), "ROS_DISTRO": "jazzy"})
-            # one of each, or judges of MCAP files complain
+            # at least one metadata record and one attachment, which checkers of MCAP files expect
             writer.add_metadata("igtl_gateway.export", {"igtl_gateway_version": __version__})
             session = json.dumps(dict(recording.session), sort_keys=True)
             writer.add_attachment(0, 0, "session.json", "application/json", session.encode())
@@ -84,7 +84,7 @@ def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> Exp
 
 @dataclass(slots=True)
 class _BagTopic:
-    """A channel of the bag: its number there, its facts for ``metadata.yaml``, and its messages so far."""
+    """A channel of the bag: its id, its facts for ``metadata.yaml``, and the number of messages so far."""
 
     channel: int
     name: str
@@ -103,7 +103,7 @@ class _TopicRegistry:
         self._schemas: dict[str, tuple[int, str] | DamagedRecording] = {}
 
     def topic(self, name: str, ros_type: str) -> _BagTopic:
-        """A new channel.  Raises DamagedRecording for a type whose definition is none, or above the limits."""
+        """Register a channel.  Raises DamagedRecording if the definition of the type is invalid or above the limits."""
         if ros_type not in self._schemas:
             self._schemas[ros_type] = self._schema(ros_type)
         schema = self._schemas[ros_type]
@@ -122,20 +122,20 @@ class _TopicRegistry:
             return error
         text, type_hash = found or ("", "")
         if not text:
-            self._account.notes.append(f"{ros_type}: the session has no definition of it")
+            self._account.notes.append(f"{ros_type}: the session has no definition of this type")
         encoding = layout.SCHEMA_ENCODING if text else ""
         return self._writer.register_schema(ros_type, encoding, text.encode()), type_hash
 
 
 def numbered_qos(text: str) -> str:
-    """Profiles with rmw's numbers for the names of policies."""
+    """Return QoS profiles with the numbers of rmw instead of the names of policies."""
     return _POLICY.sub(lambda match: f"{match[1]}{_NUMBERS[match[2]]}", text)
 
 
 def _metadata(name: str, first: int, last: int, topics: list[_BagTopic]) -> str:
-    """Version 8 of rosbag2's side file, that of Iron: Humble reads it too, and Jazzy and later know the older form.
+    """Return ``metadata.yaml`` version 8, that of Iron, which Humble, Jazzy and later also read.
 
-    They tell by the version that profiles are a text, with numbers for policies; Humble and Iron refuse names.
+    In this version QoS profiles are a string with numbers for policies; Humble and Iron reject names.
     """
     total = sum(topic.count for topic in topics)
     lines = [
@@ -179,7 +179,7 @@ def _metadata(name: str, first: int, last: int, topics: list[_BagTopic]) -> str:
 
 
 def _yaml(text: str) -> str:
-    """A JSON string is a YAML string, but for letters beyond U+FFFF, which YAML does not write as two halves."""
+    """Return text as a YAML string: a JSON string, but without surrogate pairs for characters above U+FFFF."""
     pairs = re.compile(r"\\u(d[89ab][0-9a-f]{2})\\u(d[c-f][0-9a-f]{2})")
 
     def whole(match: re.Match[str]) -> str:

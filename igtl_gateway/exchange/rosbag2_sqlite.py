@@ -1,8 +1,8 @@
-"""A storage file of rosbag2 in SQLite, opened so that nothing of it or beside it changes, and that it runs no code.
+"""Reads a storage file of rosbag2 in SQLite without changing any file and without running code of the file.
 
-``topics``, ``messages`` and ``message_definitions`` must be plain tables: a view in their place is a program, which
-may have no end.  An authorizer refuses everything but reading columns of these tables, and the work of each query is
-bounded by the size of the file: pages that are used many times over would make rows without end.
+``topics``, ``messages`` and ``message_definitions`` must be plain tables: a view instead is a program, which might not
+end.  An authorizer refuses everything except reading columns of these tables.  The size of the file bounds the work of
+each query, because pages that are used many times would produce endless rows.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from igtl_gateway.errors import DamagedRecording, LimitExceeded, RecordingError
 from igtl_gateway.exchange.rosbag2_metadata import Key
 from igtl_gateway.untrusted import files, limits
 
-#: A message of a storage file: time, key, bytes, the sender's stamp or 0.
+#: A message of a storage file: time in UTC ns, key, bytes, source stamp in UTC ns or 0.
 Message = tuple[int, Key, bytes, int]
 
 _TABLES = ("topics", "messages", "message_definitions")
 _FUNCTIONS = frozenset({"count", "sum", "length", "typeof"})
 _PRAGMAS = frozenset({"table_xinfo"})
 _READABLE = frozenset({*_TABLES, "sqlite_master", ""})
-#: Steps of SQLite's machine between two looks at the bound, at least allowed, and for each byte of the file.
+#: Steps of SQLite's virtual machine: between two checks, allowed for each file, and allowed in addition per byte.
 _EVERY, _STEPS, _STEPS_PER_BYTE = 20_000, 2_000_000, 20
-#: The time of a row that has none.
+#: Time of a row without a valid time.
 NO_TIME = -1
 
 
 class SqliteStorage:
-    """One storage file: what it declares by topic, and what of it cannot be read.
+    """One storage file in SQLite; its attributes are those of ``_StorageFile`` in ``exchange/rosbag2``.
 
     Args:
         path: the file.
-        unreadable: why messages of a type and serialization format cannot be read; ``""`` where they can.
+        unreadable: returns why messages of a type and serialization format cannot be read; ``""`` if they can.
     """
 
     def __init__(self, path: Path, unreadable: Callable[[str, str], str]) -> None:
@@ -62,7 +62,10 @@ class SqliteStorage:
             raise self._damaged(error) from None
 
     def messages(self) -> Iterator[Message]:
-        """All of them in order of time; ``NO_TIME`` for those without a time or bytes.  Raises DamagedRecording."""
+        """Yield all messages in the order of time.  Raises DamagedRecording.
+
+        The time is ``NO_TIME`` if time or bytes are missing.
+        """
         self._steps = 0
         taken = 0
         try:
@@ -74,7 +77,7 @@ class SqliteStorage:
                 is_whole = isinstance(time_ns, int) and isinstance(data, bytes)
                 taken += len(data) + 1 if is_whole else 1
                 if taken > self._stored:
-                    raise DamagedRecording(f"{self._path}: found messages twice, expected each once")
+                    raise DamagedRecording(f"{self._path}: found messages twice, expected each message once")
                 yield (time_ns, key, data, 0) if is_whole else (NO_TIME, key, b"", 0)
         except (sqlite3.Error, OverflowError) as error:
             raise self._damaged(error) from None
@@ -114,22 +117,22 @@ class SqliteStorage:
         for name in _TABLES:
             kind, sql = kinds.get(name, ("nothing", ""))
             if kind == "nothing" and name == "message_definitions":
-                continue  # before Jazzy
+                continue  # versions before Jazzy have no such table
             if kind != "table" or not sql.upper().startswith("CREATE TABLE"):
                 found = {"table": "a virtual table", "view": "a view"}.get(kind, kind)
                 raise DamagedRecording(f"{self._path}: found {found} named {name}, expected a table")
 
     def _columns(self, table: str) -> set[str]:
-        """Names of the plain columns.  Raises DamagedRecording for computed ones."""
+        """Return the names of the columns.  Raises DamagedRecording for computed ones."""
         found = self._rows(f"PRAGMA table_xinfo({table})")
         if any(row[6] for row in found):
             raise DamagedRecording(f"{self._path}: found computed columns in {table}, expected plain ones")
         return {str(row[1]) for row in found}
 
     def _count(self) -> None:
-        """Messages and bytes by topic, which together are no more than the file."""
+        """Count messages by topic; check that their bytes are not more than the file."""
         if not {"id", "topic_id", "timestamp", "data"} <= self._columns("messages"):
-            raise DamagedRecording(f"{self._path}: messages: found other columns than those of rosbag2")
+            raise DamagedRecording(f"{self._path}: messages: found other columns, expected those of rosbag2")
         self._counted: dict[Any, int] = {}
         for number, count, size in self._rows(
             "SELECT topic_id, count(*), sum(length(data)) FROM messages GROUP BY topic_id", "topics"
@@ -138,7 +141,7 @@ class SqliteStorage:
             self._stored += int(size or 0) + count
         if self._stored > self._size:
             raise DamagedRecording(
-                f"{self._path}: messages: found {self._stored} bytes in a file of {self._size}: pages are used twice"
+                f"{self._path}: messages: found {self._stored} bytes, expected at most the file size {self._size}"
             )
 
     def _add_topic(self, number: Any, topic: str, ros_type: str, encoding: str, profiles: str) -> None:
@@ -159,7 +162,7 @@ class SqliteStorage:
         return rows
 
     def _exceeds_work(self) -> int:
-        """Whether a query does more than a file of this size can need."""
+        """Return whether the queries need more steps than allowed for a file of this size; SQLite then stops."""
         self._steps += _EVERY
         return int(self._steps > self._allowed)
 
@@ -169,7 +172,7 @@ class SqliteStorage:
 
     def _damaged(self, error: Exception) -> DamagedRecording:
         if self._steps > self._allowed:
-            return LimitExceeded(f"{self._path}: found more work than a file of {self._size} bytes can need")
+            return LimitExceeded(f"{self._path}: found queries of more than {self._allowed} steps, expected fewer")
         reason = str(error)
         if "malformed" in reason or "not a database" in reason:
             return DamagedRecording(f"{self._path}: cut off or damaged: SQLite reports: {reason}")

@@ -1,12 +1,14 @@
-"""Images and tracked sequences: MetaImage, NRRD and NIfTI as IMAGE and TRANSFORM.
+"""Import of images and tracked sequences: MetaImage, NRRD and NIfTI become IMAGE and TRANSFORM.
 
 A *tracked sequence* of PLUS or 3D Slicer has images over time and fields ``Seq_Frame0012_ProbeToTrackerTransform`` in
-its header.  Frame by frame it becomes what the tracker and the ultrasound machine sent: a TRANSFORM for each transform
-whose status is OK, named as in the file without ``Transform``, then an IMAGE named ``Image``, all with the frame's
-own stamp.  A *plain image* (slice, volume, volumes over time) becomes an IMAGE for each frame.
+its header.  Each frame becomes the messages of the tracker and the ultrasound machine: a TRANSFORM for each transform
+whose status is OK, named as in the file without ``Transform``, then an IMAGE named ``Image``, all with the stamp of the
+frame.  A *plain image* (slice, volume, volumes over time) becomes an IMAGE for each frame.
 
-Every IMAGE has the place that the header states, in RAS.  Pixels stay as they are, byte order included; the header's
-other fields are kept in the session.  Frames are seconds from some start: ``epoch_ns`` says when that was.
+Every IMAGE has the position of the header, in RAS.  Pixels are not changed, nor is their byte order; the session
+metadata contains the other fields of the header.  Times of frames are seconds from a start time, which is
+``epoch_ns``.
+
 Memory: the header, and one frame.
 """
 
@@ -43,30 +45,30 @@ from igtl_gateway.wire.fields import cut_text
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, SCALARS, Image
 from igtl_gateway.wire.transform import Transform
 
-#: What a file without any other word counts from: 2000-01-01T00:00:00Z.
+#: Default epoch of the times in a file: 2000-01-01T00:00:00Z.
 DEFAULT_EPOCH_NS = 946_684_800 * NS_PER_S
-#: Header field of our own exports, in UTC nanoseconds.
+#: Header field of our own exports with the epoch, UTC ns.
 EPOCH_FIELD = "IgtlGatewayEpochNs"
-#: Code of the note that says that a transform is not valid from now on.
+#: Code of the note at the frame where a transform becomes invalid.
 TRANSFORM_STATUS = "transform_status"
 IMAGE_DEVICE = "Image"
 OK = "OK"
-#: Status of a frame's image: PLUS writes the first in MetaImage, the second in NRRD.
+#: Fields with the status of a frame's image: PLUS writes the first in MetaImage, the second in NRRD.
 _IMAGE_STATUS = ("ImageStatus", "Status")
 _TIMESTAMP = "Timestamp"
 
 _LINK = 1
-#: Where the stamps of OpenIGTLink end, in 2106.
+#: End of the range of OpenIGTLink stamps, in 2106; UTC ns.
 _STAMPS_END = NS_PER_S << 32
-#: Characters of a header's field that the session keeps.
-_KEPT = 10_000
+#: Longest header field that the session metadata contains, in characters.
+_MAX_FIELD_CHARS = 10_000
 _SCALAR_OF = {dtype: number for number, dtype in SCALARS.items()}
 
 Reader = Callable[[Path, BinaryIO], ImageFile]
 
 
 class Sequence(NonRosSource):
-    """An open file.  Raises DamagedRecording, or UnsupportedRecording for what an IMAGE cannot hold."""
+    """An open file.  Raises DamagedRecording, or UnsupportedRecording if IMAGE cannot represent its pixels."""
 
     def __init__(self, path: Path, epoch_ns: int | None = None, read: Reader | None = None) -> None:
         super().__init__("", {})
@@ -84,13 +86,14 @@ class Sequence(NonRosSource):
         self._frames = self._numbered(imported)
         self.title = f"{'tracked sequence' if tracked else 'image'} {path.name}"
         self.epoch_ns = self._epoch(imported.fields) if epoch_ns is None else epoch_ns
-        kept = {key: value for key, value in imported.fields.items() if len(value) <= _KEPT}
-        if left := sorted(imported.fields.keys() - kept.keys()):
-            self.notes.append(f"fields of the header that are not kept, above {_KEPT} characters: {_listed(left)}")
+        stored_fields = {key: value for key, value in imported.fields.items() if len(value) <= _MAX_FIELD_CHARS}
+        if left := sorted(imported.fields.keys() - stored_fields.keys()):
+            names = _shortened(left)
+            self.notes.append(f"header fields of more than {_MAX_FIELD_CHARS} characters are not imported: {names}")
         self.facts |= {
             "imported_format": "sequence" if tracked else "image",
             "sequence_epoch_ns": str(self.epoch_ns),
-            "sequence_header": json.dumps(kept, sort_keys=True),
+            "sequence_header": json.dumps(stored_fields, sort_keys=True),
         }
         self._transform_rows = self._rows_of_transforms()
         self._image_row = ImportedStream(IMAGE_DEVICE, raster.frames, "IMAGE")
@@ -102,7 +105,7 @@ class Sequence(NonRosSource):
         self._note_differences()
 
     def _numbered(self, imported: ImageFile) -> dict[int, dict[str, str]]:
-        """Fields of the frames by index; numbers of what was cut from a sequence need not begin at 0."""
+        """Return the fields of the frames by index; in an excerpt of a sequence the numbers do not begin at 0."""
         numbers, frames = sorted(imported.frames), self._raster.frames
         if numbers and numbers[-1] >= frames > numbers[-1] - numbers[0]:
             return {number - numbers[0]: imported.frames[number] for number in numbers}
@@ -126,20 +129,20 @@ class Sequence(NonRosSource):
         self._devices = _device_names(sorted(rows))
         for name, device in self._devices.items():
             if device != name:
-                self.notes.append(f"{name}: cut to {device}, a device name has at most 20 bytes")
+                self.notes.append(f"{name}: shortened to {device}, because a device name has at most 20 bytes")
         return dict(sorted(rows.items()))
 
     def _note_differences(self) -> None:
-        """Notes on what does not come over as it stands."""
+        """Add notes on everything that is not imported unchanged."""
         raster = self._raster
         extra = {name for fields in self._frames.values() for name in fields} - {_TIMESTAMP, *_IMAGE_STATUS}
         extra -= {f"{name}Transform{end}" for name in self._devices for end in ("", "Status")}
         if extra:
-            self.notes.append(f"fields of frames that are not kept: {_listed(sorted(extra))}")
+            self.notes.append(f"fields of frames that are not imported: {_shortened(sorted(extra))}")
         if self._frames and (len(self._frames) != raster.frames or max(self._frames) >= raster.frames):
-            self.notes.append(f"{raster.frames} frames declared, fields of {len(self._frames)} of them")
+            self.notes.append(f"{raster.frames} frames declared, but {len(self._frames)} frames have fields")
         if not self._tracked and raster.frames > 1 and not raster.times_s:
-            self.notes.append("the frames have no times: they are a nanosecond apart")
+            self.notes.append("the frames have no times: they are placed 1 ns apart")
         if (orientation := _source_orientation(self._fields)) and raster.frame_bytes:
             self.notes.append(
                 f"ultrasound images keep the orientation {orientation[:20]}, as in the file; "
@@ -157,7 +160,7 @@ class Sequence(NonRosSource):
         count = raster.frames if raster.frame_bytes else 0
         start_ns = time_ns = self._time_ns(0, self.epoch_ns)
         yield link_up_item(start_ns, _LINK, peer)
-        yield note_item(start_ns, "imported", f"imported from {self._path.name}: nothing of this was sent to a gateway")
+        yield note_item(start_ns, "imported", f"imported from {self._path.name}; no gateway received these messages")
         self._stampless = 0
         invalid: set[str] = set()
         for index in self._indices(count):
@@ -175,19 +178,19 @@ class Sequence(NonRosSource):
             message = Message("IMAGE", IMAGE_DEVICE, self._image(data), ns_to_ticks(time_ns))
             yield peer_item(time_ns, _LINK, join(encode(message)))
         yield link_down_item(time_ns, _LINK, peer, "the end of the file")
-        next(images, None)  # notes what lies behind the last frame
+        next(images, None)  # adds a note if there is data after the last frame
         if self._stampless:
-            self.notes.append(f"frames without a time stamp: {self._stampless}; they have that of the frame before")
+            self.notes.append(f"frames without a time stamp: {self._stampless}; they get that of the previous frame")
 
     def _indices(self, images: int) -> Iterator[int]:
-        """Frames with pixels or fields, in order."""
+        """Yield the indices of frames with pixels or fields, in order."""
         yield from range(images)
         yield from (index for index in self._frames if index >= images)
 
     def _transforms(
         self, index: int, time_ns: int, fields: dict[str, str], invalid: set[str]
     ) -> Iterator[ImportedItem]:
-        """The TRANSFORMs of a frame; ``invalid`` has the names of those that are not OK by now."""
+        """Yield the TRANSFORMs of a frame; ``invalid`` is updated: names of transforms whose last status is not OK."""
         ticks = ns_to_ticks(time_ns)
         for name in _transforms_of(fields):
             device, status = self._devices[name], _transform_status(fields, name)
@@ -199,12 +202,12 @@ class Sequence(NonRosSource):
                 yield peer_item(time_ns, _LINK, join(encode(Message("TRANSFORM", device, content, ticks))))
             elif name not in invalid:
                 invalid.add(name)
-                text = f"{name} is {status} from frame {index} on"
+                text = f"{name} has the status {status} from frame {index}"
                 data: dict[str, object] = {"status": status, "transform": name}
                 yield note_item(time_ns, TRANSFORM_STATUS, text, stream=f"TRANSFORM/{device}", data=data)
 
     def _time_ns(self, index: int, before_ns: int) -> int:
-        """When a frame was taken; a frame without a stamp is as late as the one before."""
+        """Return the time of a frame, UTC ns; ``before_ns``, that of the previous frame, if it has no stamp."""
         times = self._raster.times_s
         text = self._frames.get(index, {}).get(_TIMESTAMP, repr(times[index]) if index < len(times) else "")
         try:
@@ -214,11 +217,11 @@ class Sequence(NonRosSource):
         if not seconds.is_finite():
             self._stampless += self._tracked
             return before_ns
-        # a number of seconds with twelve digits is past every stamp; larger powers of ten must not be multiplied out
+        # 10^12 s is later than every stamp; a larger power of ten must not be computed as an integer
         time_ns = self.epoch_ns + int(seconds * NS_PER_S) if seconds.adjusted() < 12 else _STAMPS_END
         if not 0 <= time_ns < _STAMPS_END:
             raise DamagedRecording(
-                f"{self._path}: frame {index}: found time stamp {text[:40]}, expected a time between 1970 and 2106"
+                f"{self._path}: frame {index}: found time stamp {text[:40]}, expected a time from 1970 to 2106"
             )
         return time_ns
 
@@ -235,7 +238,7 @@ class Sequence(NonRosSource):
         )
 
     def close(self) -> None:
-        """Nothing is open between the items."""
+        """Do nothing: no file is open outside ``items``."""
 
 
 def _image_status(fields: dict[str, str]) -> str:
@@ -243,32 +246,32 @@ def _image_status(fields: dict[str, str]) -> str:
 
 
 def _transform_status(fields: dict[str, str], name: str) -> str:
-    """As the file has it, in capitals; PLUS reads either case."""
+    """Return the status in upper case, because PLUS ignores the case."""
     return fields.get(f"{name}TransformStatus", OK).upper()
 
 
 def _source_orientation(fields: dict[str, str]) -> str:
-    """The orientation of ultrasound images in the file, where PLUS turns them as it reads them; else ``""``."""
+    """Return the orientation of ultrasound images in the file if PLUS turns them when it reads it, else ``""``."""
     values = {key.lower().replace(" ", ""): value.upper() for key, value in fields.items()}
     orientation = values.get("ultrasoundimageorientation", "XX")
-    kept = ("FM",) if values.get("ultrasoundimagetype", "").startswith("RF") else ("MF", "MFA")
-    return "" if orientation in {"XX", *kept} else orientation
+    unchanged = ("FM",) if values.get("ultrasoundimagetype", "").startswith("RF") else ("MF", "MFA")
+    return "" if orientation in {"XX", *unchanged} else orientation
 
 
 def _transforms_of(fields: dict[str, str]) -> list[str]:
-    """Names of the transforms of a frame."""
+    """Return the names of the transforms of a frame."""
     return sorted(name.removesuffix("Transform") for name in fields if name.endswith("Transform"))
 
 
-def _listed(names: list[str]) -> str:
-    """Some of the names."""
+def _shortened(names: list[str]) -> str:
+    """Return the first names as text, with the number of further ones."""
     more = f" and {len(names) - 12} more" if len(names) > 12 else ""
     return ", ".join(name[:60] for name in names[:12]) + more
 
 
 def _device_names(names: list[str]) -> dict[str, str]:
-    """Name in the file → device name of at most 20 bytes, all different."""
-    made: dict[str, str] = {}
+    """Return name in the file → device name of at most 20 bytes, all different."""
+    devices: dict[str, str] = {}
     taken: set[str] = set()
     last: dict[str, int] = {}
     for name in names:
@@ -278,9 +281,9 @@ def _device_names(names: list[str]) -> dict[str, str]:
             number += 1
             device = f"{cut_text(name, 20 - len(str(number)))}{number}"
         last[cut] = number
-        made[name] = device
+        devices[name] = device
         taken.add(device)
-    return made
+    return devices
 
 
 def _matrix(text: str, place: str) -> list[list[float]]:

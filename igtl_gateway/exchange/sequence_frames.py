@@ -1,8 +1,8 @@
-"""The frames of a session: an IMAGE with every TRANSFORM as it was at that moment.
+"""The frames of a session for the export of a sequence: an IMAGE, with the state of every TRANSFORM at its time.
 
-A transform is the last one before the image, and OK unless it is more than a second old, was said to be invalid, is not
-finite, or has not come yet.  Without images a frame is a moment at which transforms came.  Times are the senders'
-stamps, where set.  The account counts what is in a frame: a TRANSFORM that is in none is left out.
+The value of a transform is the latest one before the image.  It is OK unless it is older than a second, was marked
+invalid, is not finite, or was not received yet.  Without images, a frame is a time at which transforms were received.
+Times are source stamps if set.  The account counts a TRANSFORM as written if it is in a frame, otherwise as left out.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.exchange.folder import failure_text
-from igtl_gateway.exchange.recording import Recording, chosen_entries, matches_stream, time_of
+from igtl_gateway.exchange.recording import Recording, chosen_entries, matches_stream, message_time_ns
 from igtl_gateway.exchange.sequence import TRANSFORM_STATUS
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
@@ -25,17 +25,26 @@ from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.transform import Transform
 
-#: A transform that is older than this when an image is taken is not valid any more.
+#: Largest age of a valid transform at the time of the image.
 MAX_AGE_NS = NS_PER_S
-#: Types of a sequence; a note of the edge has none.
+#: Message types in a sequence; a note of the edge has no type.
 _TYPES = frozenset({"IMAGE", "TRANSFORM", ""})
-#: What stands for a matrix that is not known.
+#: Matrix of a transform without a valid value.
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"
 
 
 @dataclass(slots=True)
 class _Tracked:
-    """The last word on a transform; ``why`` it is not in a frame, as long as it is in none."""
+    """The latest value of a transform.
+
+    Attributes:
+        time_ns: UTC.
+        matrix: the 16 numbers, row by row.
+        valid: whether the value can be used.
+        row: row of its stream in the account; None before the first message.
+        why: reason if the message is in no frame.
+        held: whether the message is in a frame.
+    """
 
     time_ns: int = 0
     matrix: str = IDENTITY
@@ -45,7 +54,7 @@ class _Tracked:
     held: bool = False
 
     def done(self) -> None:
-        """Another one took its place, or the session ended."""
+        """Count the message as left out if it is in no frame; called for a newer message and at the end."""
         if self.row and not self.held:
             self.row.leave_out(self.why)
 
@@ -57,7 +66,7 @@ class SequenceFrame:
     Attributes:
         time_ns: UTC.
         transforms: name → (the 16 numbers in a row, whether they are valid).
-        image: None in a session of transforms only.
+        image: None in a session without images.
     """
 
     time_ns: int
@@ -67,12 +76,12 @@ class SequenceFrame:
 
 @dataclass(slots=True)
 class SequenceSurvey:
-    """What going through all frames told.
+    """Facts about all frames, from one pass.
 
     Attributes:
-        frames: number of them.
-        valid: frames in which each transform is OK, by name.
-        matrices: of the images, with their coordinate system.
+        frames: number of frames.
+        valid: name of a transform → number of frames in which it is OK.
+        matrices: coordinate system and matrix of the images.
     """
 
     frames: int = 0
@@ -81,9 +90,16 @@ class SequenceSurvey:
 
 
 class SequenceFrames:
-    """The frames of a session; each call of ``frames`` goes through all of it.
+    """The frames of a session; each call of ``frames`` reads the complete session.
 
-    Raises UnsupportedRecording without any IMAGE or TRANSFORM, ConfigError where there are several IMAGE streams.
+    Attributes:
+        account: the account of the export.
+        kind: kind of the exported entries: messages from peers, or those to peers if there are no others.
+        images: the IMAGE stream, or empty.
+        names: TRANSFORM stream → name of the transform in the file.
+        first: the first image, which determines the format of all; None before the first pass.
+
+    Raises UnsupportedRecording without any IMAGE or TRANSFORM, ConfigError for several IMAGE streams.
     """
 
     def __init__(self, recording: Recording, globs: Sequence[str]) -> None:
@@ -105,7 +121,7 @@ class SequenceFrames:
         if len(self.images) > 1:
             raise ConfigError(f"--streams: found {', '.join(self.images)}, expected one IMAGE and its TRANSFORMs")
         self.names: dict[str, str] = {}
-        # those that never were valid are in it, too
+        # includes transforms that were never valid
         for stream in sorted({*streams, *invalid}):
             if stream.startswith("TRANSFORM/"):
                 name = re.sub(r"[^A-Za-z0-9]", "", stream.partition("/")[2]) or "Unnamed"
@@ -115,9 +131,9 @@ class SequenceFrames:
         self.first: Image | None = None
 
     def frames(self, account: ExportAccount) -> Iterator[SequenceFrame]:
-        """All frames; ``account`` counts what is in them."""
+        """Yield all frames; ``account`` counts the messages in them."""
         tracked = {stream: _Tracked() for stream in self.names}
-        moment: int | None = None  # of the frame that is being put together, where there are no images
+        moment: int | None = None  # time of the incomplete frame, if there are no images
         for entry in chosen_entries(self._recording, (self.kind, Kind.EDGE_NOTE), self._globs, account, _TYPES):
             if entry.kind is Kind.EDGE_NOTE:
                 if (stream := _invalid_stream(entry)) in tracked:
@@ -129,24 +145,24 @@ class SequenceFrames:
             row = account.row(entry)
             try:
                 content = decode(entry.data()).content
-            except Exception as error:  # whatever decoding makes of a damaged message costs that message
+            except Exception as error:  # decoding raises many types of errors; only this message is left out
                 row.fail(failure_text(error))
                 continue
             if isinstance(content, Transform):
-                at = time_of(entry)
+                at = message_time_ns(entry)
                 if not self.images and moment is not None and at != moment:
                     yield self._frame(moment, tracked, None)
                 moment = at
                 tracked[entry.channel].done()
                 tracked[entry.channel] = _tracked(content, at, row, "images" if self.images else "moments")
             elif isinstance(content, Image):
-                if why := self._unlike(content):
+                if why := self._mismatch(content):
                     row.fail(why)
                     continue
                 row.taken += 1
-                yield self._frame(time_of(entry), tracked, content)
+                yield self._frame(message_time_ns(entry), tracked, content)
             else:
-                row.fail("not decoded")
+                row.fail("its content is not decoded")
         if not self.images and moment is not None:
             yield self._frame(moment, tracked, None)
         for one in tracked.values():
@@ -164,8 +180,8 @@ class SequenceFrames:
                 one.why = f"older than {MAX_AGE_NS // NS_PER_S} s at the next image"
         return SequenceFrame(time_ns, result, image)
 
-    def found(self) -> SequenceSurvey:
-        """Go through all frames once."""
+    def survey(self) -> SequenceSurvey:
+        """Read all frames once and return facts about them."""
         result = SequenceSurvey(valid=dict.fromkeys(self.names.values(), 0))
         for frame in self.frames(ExportAccount()):
             result.frames += 1
@@ -175,27 +191,27 @@ class SequenceFrames:
                 result.matrices.add((frame.image.coordinate, frame.image.wire_matrix))
         return result
 
-    def _unlike(self, image: Image) -> str:
-        """Why an image cannot be a frame of this sequence; ``""`` if it can."""
+    def _mismatch(self, image: Image) -> str:
+        """Return why an image cannot be a frame of this sequence; ``""`` if it can."""
         if image.sub_size != image.dimensions or not math.prod(image.dimensions):
             return "part of an image, or empty"
         if self.first is None:
             self.first = image
         first = self.first
         mine, its = ((one.dimensions, one.scalar_type, one.num_components) for one in (first, image))
-        return "" if mine == its else f"unlike the first image of {first.dimensions}"
+        return "" if mine == its else f"size or pixel type differs from the first image of {first.dimensions}"
 
 
 def _tracked(content: Transform, at: int, row: ExportedStream, frames: str) -> _Tracked:
-    """A transform that came; one with numbers that are not finite stands as the identity, INVALID."""
+    """Return the state after a TRANSFORM; if its numbers are not finite, the identity, which is not valid."""
     if not all(map(math.isfinite, content.wire_matrix)):
         return _Tracked(at, row=row, why="not finite")
     text = " ".join(f"{value:.9g}" for matrix_row in content.rows for value in matrix_row)
-    return _Tracked(at, text, True, row, f"between two {frames}: a frame has the last one before it")
+    return _Tracked(at, text, True, row, f"between two {frames}: a frame contains the latest transform before it")
 
 
 def _invalid_stream(entry: Entry) -> str:
-    """The stream that a note calls invalid; ``""`` for other notes."""
+    """Return the stream that a note marks as invalid; ``""`` for other notes."""
     payload: Buffer = entry.data()
     if TRANSFORM_STATUS.encode() not in bytes(payload):
         return ""

@@ -1,8 +1,8 @@
 """Export to a tracked-ultrasound sequence (``.igs.mha``) as PLUS and 3D Slicer read it.
 
-Pixels are written little-endian and packed by zlib.  The file has one place for all images.  Where they move, it has
-none, and each frame has its own as ``ImageToRasTransform``.  Components and scalar type are those of the first image,
-and images unlike it are left out.
+Pixels are little-endian and compressed with zlib.  The header has one position for all images.  If the images move, the
+header has none, and each frame has an ``ImageToRasTransform``.  Size, components and scalar type are those of the first
+image; images that differ from it are left out.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from igtl_gateway.exchange.sequence_frames import IDENTITY, SequenceFrame, Seque
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.image import BIG_ENDIAN, SCALARS, Image
 
-#: Name of the transform from pixels to RAS millimetres, where images move.
+#: Name of the transform from pixels to RAS millimetres, used if images move.
 _IMAGE_PLACE = "ImageToRas"
-#: What stands for a frame without an image.
+#: Pixel of a frame without an image.
 _NO_PIXEL = b"\0"
 
 
 def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
-    """Write the file ``out``, which must not be there.  Raises UnsupportedRecording, ConfigError, OSError."""
+    """Write the file ``out``, which must not exist.  Raises UnsupportedRecording, ConfigError, OSError."""
     sequence = SequenceFrames(recording, globs)
-    found = sequence.found()
-    if not found.frames:
-        raise UnsupportedRecording("found no whole IMAGE and no TRANSFORM that can be read, expected at least one")
+    survey = sequence.survey()
+    if not survey.frames:
+        raise UnsupportedRecording("found neither a complete IMAGE nor a readable TRANSFORM, expected at least one")
     given = recording.session.get("sequence_epoch_ns", "")
     epoch_ns = int(given) if given.isascii() and given.isdigit() and len(given) < 20 else 0
     account = sequence.account
     account.files = 1
-    first, moving = sequence.first, len(found.matrices) > 1
+    first, moving = sequence.first, len(survey.matrices) > 1
     place = ImagePlacement.of_image(first) if first and not moving else None
     epoch = f"{EPOCH_FIELD} = {epoch_ns}"
     with out.open("xb") as stream, _removed_on_error(out):
-        text = "\n".join(metaimage_header(first, place, found.frames, recording.session, epoch)) + "\n"
+        text = "\n".join(metaimage_header(first, place, survey.frames, recording.session, epoch)) + "\n"
         size_at = text.index(SIZE_KEY) + len(SIZE_KEY)
         stream.write(text.encode("ascii", "replace"))
         for number, frame in enumerate(sequence.frames(account)):
@@ -60,23 +60,21 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ex
         size = stream.tell() - start
         stream.seek(size_at)
         stream.write(f"{size:<{SIZE_WIDTH}}".encode())
-    for name, valid in found.valid.items():
-        account.notes.append(f"{name}Transform: OK in {valid} of {found.frames} frames")
+    for name, valid in survey.valid.items():
+        account.notes.append(f"{name}Transform: OK in {valid} of {survey.frames} frames")
     if moving:
         account.notes.append(
             f"the images move: the pose of each is its {_IMAGE_PLACE}Transform (pixels to RAS, mm), "
             "and the header has none"
         )
     elif first and not place:
-        account.notes.append(
-            "the matrix of the images is not a pose (axes without length, in one plane, or not finite)"
-        )
+        account.notes.append("the matrix of the images is invalid (axes of zero length, coplanar, or not finite)")
     return account
 
 
 @contextmanager
 def _removed_on_error(path: Path) -> Iterator[None]:
-    """Around the writing of a file: half a sequence is none."""
+    """Context manager that removes an incomplete file."""
     try:
         yield
     except BaseException:
@@ -85,7 +83,7 @@ def _removed_on_error(path: Path) -> Iterator[None]:
 
 
 def _pixels(image: Image) -> Buffer:
-    """Little-endian, which PLUS takes for granted."""
+    """Return the pixels in little-endian byte order, which PLUS requires."""
     if image.endian != BIG_ENDIAN or np.dtype(SCALARS[image.scalar_type]).itemsize == 1:
         return image.pixels
     return image.array.byteswap().tobytes()
@@ -105,6 +103,6 @@ def _fields(frame: SequenceFrame, epoch_ns: int, moving: bool) -> Iterator[str]:
 
 
 def _matrix(place: ImagePlacement) -> str:
-    """From voxel numbers to RAS millimetres."""
+    """Return the matrix from voxel indices to RAS millimetres, row by row."""
     columns = (*place.axes, place.origin)
     return " ".join(f"{column[row]:.9g}" for row in range(3) for column in columns) + " 0 0 0 1"

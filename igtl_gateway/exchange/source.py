@@ -1,8 +1,8 @@
-"""What every importer gives: items in the order of time, and an account of what the source declared.
+"""The interface of all importers: items in the order of time, and an account of the declared messages.
 
-An importer reads a file of another program as a stream of :class:`ImportedItem`, with bounded memory, and keeps count.
-:func:`numbered` makes entries of a session of them.  The gateway is not asked: an imported session has inputs
-only, and whoever wants outputs replays it through the gateway.
+An importer reads a file of another program as a stream of :class:`ImportedItem`, with bounded memory, and counts them.
+:func:`numbered` converts them to the entries of a session.  An imported session has only inputs, because the gateway
+does not process them; a replay through the gateway computes the outputs.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MESSAGES, BYTES = "messages", "bytes"
 
 @dataclass(frozen=True, slots=True)
 class ImportedItem:
-    """An input at ``time_ns`` (UTC); the other fields as those of ``Entry``."""
+    """An input at ``time_ns`` (UTC); the other fields are those of ``Entry``."""
 
     time_ns: int
     kind: Kind
@@ -41,12 +41,13 @@ class ImportedStream:
     """The account of one stream, in messages or in bytes.
 
     Attributes:
-        stream: its name in the source.
-        declared: what the source says it has.
+        stream: name in the source.
+        declared: number that the source declares.
         type: message type.
-        taken: what came over.
-        left_out: what was left out on purpose, and ``why``.
-        unit: of all numbers.
+        taken: number imported.
+        left_out: number left out deliberately.
+        why: reason for the difference, for people.
+        unit: unit of all numbers: MESSAGES, BYTES or a kind of parts.
     """
 
     stream: str
@@ -59,7 +60,7 @@ class ImportedStream:
 
     @property
     def good(self) -> bool:
-        """Whether everything that the source declared is accounted for."""
+        """Return whether all declared messages were imported or left out."""
         return self.declared == self.taken + self.left_out
 
 
@@ -67,10 +68,10 @@ class Source(Protocol):
     """An open file of another program; a context manager by ``close``.
 
     Attributes:
-        title: what it is, for people.
-        facts: what the session should remember of it.
-        rows: the account; final once ``items`` is exhausted.
-        notes: what else people should know.
+        title: kind and name of the file, for people.
+        facts: metadata for the session.
+        rows: the account; complete when ``items`` is exhausted.
+        notes: further facts for people.
     """
 
     title: str
@@ -79,15 +80,15 @@ class Source(Protocol):
     notes: list[str]
 
     def items(self) -> Iterator[ImportedItem]:
-        """Everything, in order.  Raises DamagedRecording where the file cannot be read any further."""
+        """Yield all items in order.  Raises DamagedRecording at the first place that cannot be read."""
         ...
 
     def qos_of(self, topic: str, ros_type: str) -> Qos | None:
-        """Quality of service of a ROS topic; None where the file does not say."""
+        """Return the quality of service of a ROS topic; None if the file does not contain it."""
         ...
 
     def definition_of(self, ros_type: str) -> tuple[str, str] | None:
-        """``ros2msg`` text and hash (or ``""``) of a ROS type, where the file has one."""
+        """Return ``ros2msg`` text and hash (or ``""``) of a ROS type; None if the file does not contain them."""
         ...
 
     def close(self) -> None:
@@ -97,7 +98,7 @@ class Source(Protocol):
 
 @dataclass(slots=True)
 class NonRosSource:
-    """What the importers of files without ROS have in common: nothing to say of topics and types."""
+    """Base class of importers, with the defaults for files without ROS topics and types."""
 
     title: str = ""
     facts: dict[str, str] = field(default_factory=dict)
@@ -112,7 +113,7 @@ class NonRosSource:
 
 
 def numbered(items: Iterable[ImportedItem]) -> Iterator[Entry]:
-    """The entries of a session; what is not later than the one before gets the next nanosecond."""
+    """Yield the entries of a session; an item that is not later than the previous one is placed 1 ns after it."""
     stamp_ns = -1
     for seq, item in enumerate(items, 1):
         stamp_ns = max(item.time_ns, stamp_ns + 1)
@@ -122,19 +123,19 @@ def numbered(items: Iterable[ImportedItem]) -> Iterator[Entry]:
 
 
 def peer_item(time_ns: int, link: int, message: Buffer) -> ImportedItem:
-    """A message of an OpenIGTLink peer, named and stamped by its header."""
+    """Return the item of a message from an OpenIGTLink peer, with stream and source stamp from its header."""
     stream, igtl_type, source_ns = header_names(message)
     return ImportedItem(time_ns, Kind.IGTL_IN, message, stream, igtl_type, (link,), source_ns)
 
 
 def link_up_item(time_ns: int, link: int, facts: dict[str, str]) -> ImportedItem:
-    """A peer came; ``facts`` has ``peer``, ``local`` and ``role`` (ours)."""
+    """Return the item of a connected peer; ``facts`` contains ``peer``, ``local`` and the gateway's ``role``."""
     note = Note(Level.INFO, LINK_UP, f"{facts['peer']} connected", data=dict(facts))
     return ImportedItem(time_ns, Kind.LINK, note.pack(), links=(link,))
 
 
 def link_down_item(time_ns: int, link: int, facts: dict[str, str], reason: str) -> ImportedItem:
-    """A peer went."""
+    """Return the item of a disconnected peer."""
     note = Note(Level.INFO, LINK_DOWN, f"{facts['peer']} disconnected: {reason}", data={**facts, "reason": reason})
     return ImportedItem(time_ns, Kind.LINK, note.pack(), links=(link,))
 
@@ -142,13 +143,13 @@ def link_down_item(time_ns: int, link: int, facts: dict[str, str], reason: str) 
 def note_item(
     time_ns: int, code: str, text: str, *, stream: str = "", data: dict[str, object] | None = None
 ) -> ImportedItem:
-    """Something that the source tells besides messages."""
+    """Return the item of a note for a fact of the source that is not a message."""
     return ImportedItem(time_ns, Kind.EDGE_NOTE, Note(Level.INFO, code, text, stream, dict(data or {})).pack())
 
 
 @contextmanager
 def library_errors_as_damage(path: Path) -> Iterator[None]:
-    """Around what reads foreign bytes: whatever a library makes of damaged ones becomes DamagedRecording."""
+    """Context manager that converts the errors of libraries for untrusted bytes to DamagedRecording."""
     try:
         yield
     except GatewayError:

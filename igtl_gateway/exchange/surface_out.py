@@ -1,9 +1,10 @@
 """Export to PLY or legacy VTK: one binary file per message of POLYDATA, PointCloud2, Mesh, Marker, igtl_msgs/PolyData.
 
-Whatever the message, it is first what the gateway would send as POLYDATA: points in millimetres.  PLY (little-endian)
-has points, colours, normals and polygons; VTK (big-endian, as its format asks) has lines, strips and all attributes
-of points and cells besides.  What a format has no place for is counted: points without finite coordinates, cells, and
-attributes whose number of values is neither that of the points nor, for attributes of cells, that of the cells.
+Each message is first converted to the POLYDATA that the gateway would send: points in millimetres.  PLY
+(little-endian) contains points, colours, normals and polygons.  VTK (big-endian, as its format requires) contains also
+lines, strips and all attributes of points and cells.  The account counts what a format cannot represent: points
+without finite coordinates, cells, and attributes whose number of values is not that of the points or, for attributes
+of cells, that of the cells.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from igtl_gateway.convert.rosmsg import Marker, Mesh, PointCloud2
 from igtl_gateway.convert.surfaces import marker_to_igtl, mesh_to_igtl
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.exchange.account import ExportAccount
-from igtl_gateway.exchange.folder import one_file_each
+from igtl_gateway.exchange.folder import export_one_file_each
 from igtl_gateway.exchange.recording import Recording
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire import decode
@@ -40,7 +41,7 @@ _TO_POLYDATA: dict[str, Callable[[bytes, ToIgtlContext], ConvertedMessage]] = {
 _READ = frozenset({"POLYDATA", PointCloud2.TYPE, *_TO_POLYDATA})
 _SECTIONS = ("vertex cells", "lines", "polygons", "triangle strips")
 _POLYGONS = 2
-#: Notes on what conversions changed: those of hostile files can all be different.
+#: Number of notes on changes by conversions: an untrusted file could cause a different one for each message.
 _MAX_NOTES = 20
 
 
@@ -50,8 +51,8 @@ class ExportSurface:
 
     Attributes:
         content: points in millimetres, cells, attributes.
-        holes: points of the message that have no finite coordinates and are not in ``content``.
-        warnings: what the conversion changed.
+        holes: number of points of the message without finite coordinates, which are not in ``content``.
+        warnings: changes by the conversion, for people.
     """
 
     content: PolyData
@@ -61,24 +62,29 @@ class ExportSurface:
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """A file, and how many parts of the message are in it or, with a reason, are not."""
+    """The bytes of a file, and the account of the parts of its message.
+
+    Attributes:
+        data: the bytes.
+        parts: kind of parts, number, and the reason why they are left out; ``""`` if they are written.
+    """
 
     data: bytes
     parts: tuple[tuple[str, int, str], ...]
 
 
 def export_ply(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
-    """Write the folder ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
-    return one_file_each(recording, out, globs, _READ, "ply", lambda entry: _file(entry, ply), _data, _count)
+    """Write the directory ``out``.  Raises UnsupportedRecording if it is not empty; OSError."""
+    return export_one_file_each(recording, out, globs, _READ, "ply", lambda entry: _file(entry, ply), _data, _count)
 
 
 def export_vtk(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
-    """As ``export_ply``."""
-    return one_file_each(recording, out, globs, _READ, "vtk", lambda entry: _file(entry, vtk), _data, _count)
+    """Write the directory ``out``.  Raises the errors of ``export_ply``."""
+    return export_one_file_each(recording, out, globs, _READ, "vtk", lambda entry: _file(entry, vtk), _data, _count)
 
 
 def export_surface_of(entry: Entry) -> ExportSurface:
-    """The surface or cloud of a message.  Raises WireError or ConversionError where it has none."""
+    """Return the surface or cloud of a message.  Raises WireError or ConversionError if it contains none."""
     to, holes = ToIgtlContext(), 0
     if entry.type == PointCloud2.TYPE:
         message = PointCloud2.unpack(entry.data())
@@ -121,13 +127,13 @@ def _count(file: tuple[ExportSurface, WrittenFile], entry: Entry, account: Expor
 
 
 def ply(content: PolyData) -> WrittenFile:
-    """A PLY file, binary little-endian: vertices with normals and colours, faces."""
+    """Build a PLY file, binary little-endian: vertices with normals and colours, faces."""
     count = len(content.points)
     columns: dict[str, tuple[str, Array]] = {
         name: ("float", content.points[:, axis].astype("<f4")) for axis, name in enumerate("xyz")
     }
     parts = [
-        (unit, cells.count, "" if index == _POLYGONS else "PLY has none")
+        (unit, cells.count, "" if index == _POLYGONS else "PLY has no cells of this kind")
         for index, (unit, cells) in enumerate(zip(_SECTIONS, content.cells, strict=True))
     ]
     for attribute in content.attributes:
@@ -141,7 +147,7 @@ def ply(content: PolyData) -> WrittenFile:
             names = ("red", "green", "blue", "alpha")[: colours.shape[1]]
             columns |= {name: ("uint8", colours[:, axis]) for axis, name in enumerate(names)}
         else:
-            why = "PLY has one set of colours and normals of points"
+            why = "PLY has only one set of colours and normals of points"
         parts.append(("attributes", 1, why))
     vertices = np.empty(count, [(name, values.dtype) for name, (_, values) in columns.items()])
     for name, (_, values) in columns.items():
@@ -163,7 +169,7 @@ def ply(content: PolyData) -> WrittenFile:
 
 
 def vtk(content: PolyData) -> WrittenFile:
-    """A legacy VTK file, version 3.0, binary (big-endian)."""
+    """Build a legacy VTK file, version 3.0, binary (big-endian)."""
     head = "# vtk DataFile Version 3.0\nigtl-gateway, millimetres\nBINARY\nDATASET POLYDATA\n"
     data = [f"{head}POINTS {len(content.points)} float\n".encode(), content.points.astype(">f4").tobytes(), b"\n"]
     for name, cells in zip(("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS"), content.cells, strict=True):
@@ -182,7 +188,7 @@ def vtk(content: PolyData) -> WrittenFile:
 
 
 def _misfit(attribute: Attribute, content: PolyData) -> str:
-    """Why an attribute belongs to no points or cells; ``""`` where it does."""
+    """Return why an attribute does not fit its points or cells; ``""`` if it does."""
     of_cells = bool(attribute.type & CELL)
     count = sum(cells.count for cells in content.cells) if of_cells else len(content.points)
     if not attribute.components:
@@ -200,7 +206,7 @@ def _fields(head: str, attributes: list[Attribute]) -> Iterator[bytes]:
     taken: set[str] = set()
     for number, attribute in enumerate(attributes):
         values, name = attribute.values, attribute.name or f"attribute{number}"
-        while name in taken:  # VTK keeps one array of a name
+        while name in taken:  # VTK requires unique names
             name += "_"
         taken.add(name)
         yield f"{_encoded(name)} {values.shape[1]} {values.shape[0]} float\n".encode()
@@ -208,7 +214,7 @@ def _fields(head: str, attributes: list[Attribute]) -> Iterator[bytes]:
 
 
 def _encoded(name: str) -> str:
-    """A name as VTK's own writer has it: blanks, quotes, per cent and what is not ASCII as ``%XX``."""
+    """Return a name as VTK's own writer encodes it: blanks, quotes, per cent and non-ASCII bytes as ``%XX``."""
     return "".join(
         chr(byte) if 32 < byte < 127 and byte not in b'"%' else f"%{byte:02X}"
         for byte in name.encode("utf-8", "surrogateescape")

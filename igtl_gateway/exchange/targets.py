@@ -17,14 +17,19 @@ from igtl_gateway.exchange.volume_out import export_nrrd
 
 @dataclass(frozen=True, slots=True)
 class ExportFormat:
-    """A format: what of a session goes there, and what does it."""
+    """A format that a session can be exported to.
+
+    Attributes:
+        text: the exported content, for the help text.
+        export: writes the files and returns the account.
+    """
 
     text: str
     export: Callable[[Recording, Path, Sequence[str]], ExportAccount]
 
 
 def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
-    """Write a recording to ``out`` in a format of the table, and count what was written and what was left out.
+    """Write a recording to ``out`` in a format of the table, and return the account.
 
     Raises GatewayError and OSError.
     """
@@ -38,6 +43,6 @@ TARGETS = {
     "igs.mha": ExportFormat("an IMAGE and its TRANSFORMs, as one tracked sequence", export_sequence),
     "csv": ExportFormat("poses, strings, numbers: a directory with one table per stream", export_csv),
     "ply": ExportFormat("surfaces and clouds: a directory with one file per message", export_ply),
-    "vtk": ExportFormat("the same with all attributes", export_vtk),
+    "vtk": ExportFormat("surfaces and clouds with all attributes: a directory with one file per message", export_vtk),
     "nrrd": ExportFormat("images and volumes: a directory with one file per message", export_nrrd),
 }

@@ -1,10 +1,10 @@
-"""Export to NRRD: one file per IMAGE, igtl_msgs/Volume or sensor_msgs/Image, with its place in the patient.
+"""Export to NRRD: one file per IMAGE, igtl_msgs/Volume or sensor_msgs/Image, with position and orientation.
 
-``space`` is right-anterior-superior or left-posterior-superior, as the message has it; ``space directions`` and
-``space origin`` (centre of the first voxel) are in millimetres.  A sensor_msgs/Image has no place: it lies centred,
-with pixels of one millimetre.  An IMAGE whose matrix is no place (axes without length, in one plane, or not finite) has
-spacings of one instead, and is noted; a slice without a third axis gets its normal.  Pixels are not packed and keep
-their byte order.
+``space`` is right-anterior-superior or left-posterior-superior, as in the message; ``space directions`` and
+``space origin`` (centre of the first voxel) are in millimetres.  A sensor_msgs/Image has no position: it is centred,
+with pixels of 1 mm.  If the matrix of an IMAGE is invalid (axes of zero length, coplanar, or not finite), the file has
+spacings of 1 instead, and a note reports it; a slice without a third axis gets its normal.  Pixels are not compressed
+and keep their byte order.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.convert.volumes import volume_to_image
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.exchange.account import ExportAccount
-from igtl_gateway.exchange.folder import one_file_each
+from igtl_gateway.exchange.folder import export_one_file_each
 from igtl_gateway.exchange.placement import ImagePlacement, Vector, has_own_normal
 from igtl_gateway.exchange.recording import Recording
 from igtl_gateway.session.entry import Entry
@@ -39,7 +39,7 @@ _SPACES = {"LPS": "left-posterior-superior", "RAS": "right-anterior-superior"}
 
 
 def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
-    """Write the folder ``out``.  Raises UnsupportedRecording where it is not empty; OSError."""
+    """Write the directory ``out``.  Raises UnsupportedRecording if it is not empty; OSError."""
     unplaced: Counter[str] = Counter()
     completed: Counter[str] = Counter()
 
@@ -47,15 +47,15 @@ def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Export
         unplaced[entry.channel] += ImagePlacement.of_image(image) is None
         completed[entry.channel] += ImagePlacement.of_image(image) is not None and not has_own_normal(image)
 
-    account = one_file_each(
+    account = export_one_file_each(
         recording, out, globs, _READ, "nrrd", _image, lambda content: (nrrd_header(content), content.pixels), count
     )
     for stream, number in sorted((+unplaced).items()):
         account.notes.append(
-            f"{stream}: {number} without a place: the matrix has axes without length, in one plane, or not finite"
+            f"{stream}: {number} without a position: invalid matrix (axes of zero length, coplanar, or not finite)"
         )
     for stream, number in sorted((+completed).items()):
-        account.notes.append(f"{stream}: {number} slices without a third axis: it is their normal, 1 mm")
+        account.notes.append(f"{stream}: {number} slices without a third axis: it is set to the normal, 1 mm")
     return account
 
 
@@ -65,14 +65,14 @@ def _image(entry: Entry) -> Image:
     else:
         content = decode(entry.data()).content
     if not isinstance(content, Image) or not content.expected_bytes:
-        raise ConversionError(f"{entry.channel}: found no pixels")
+        raise ConversionError(f"{entry.channel}: found no pixels, expected an image with pixels")
     if content.sub_size != content.dimensions:
-        raise ConversionError(f"{entry.channel}: found a part of an image, expected a whole one")
+        raise ConversionError(f"{entry.channel}: found part of an image, expected a complete one")
     return content
 
 
 def nrrd_header(image: Image) -> bytes:
-    """What stands before the pixels of an image."""
+    """Return the header before the pixels of an image."""
     place, space = ImagePlacement.of_image(image), "LPS" if image.coordinate == LPS else "RAS"
     dtype = np.dtype(SCALARS[image.scalar_type])
     kind = (
@@ -92,12 +92,12 @@ def nrrd_header(image: Image) -> bytes:
         f"kinds: {'vector ' if many else ''}domain domain domain",
         *([f"endian: {'big' if image.endian == BIG_ENDIAN else 'little'}"] if dtype.itemsize > 1 else []),
         "encoding: raw",
-        *(_placed(place, space, many=many) if place else [f"spacings: {'nan ' if many else ''}1 1 1"]),
+        *(_placement_lines(place, space, many=many) if place else [f"spacings: {'nan ' if many else ''}1 1 1"]),
     ]
     return "\n".join(lines).encode() + b"\n\n"
 
 
-def _placed(place: ImagePlacement, space: str, *, many: bool) -> list[str]:
+def _placement_lines(place: ImagePlacement, space: str, *, many: bool) -> list[str]:
     axes, origin = place.in_space(space)
     return [
         f"space directions: {'none ' if many else ''}{' '.join(map(_vector, axes))}",

@@ -127,7 +127,7 @@ def test_a_session_is_not_imported_again(tmp_path: Path, capsys: pytest.CaptureF
     source.write_bytes(message("a"))
     assert main(["import", str(source), "-o", str(tmp_path / "out.mcap")]) == 0
     assert main(["import", str(tmp_path / "out.mcap"), "-o", str(tmp_path / "again.mcap")]) == USAGE
-    assert "is a session of igtl-gateway already" in capsys.readouterr().err
+    assert "found a session of igtl-gateway, which needs no import" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

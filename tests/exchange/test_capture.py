@@ -71,7 +71,7 @@ def test_an_end_inside_a_message_is_missing_in_the_account(tmp_path: Path) -> No
     items, source = read(tmp_path / "some.igtl")
     assert len(items) == 3
     assert not source.rows[0].good
-    assert source.rows[0].why == f"ends inside a message, of which {len(message('b')) - 3} bytes are there"
+    assert source.rows[0].why == f"ends inside a message, after {len(message('b')) - 3} bytes of it"
 
 
 def test_a_size_that_cannot_be_ends_it(tmp_path: Path) -> None:

@@ -186,7 +186,8 @@ def test_formulas_are_kept_and_told(tmp_path: Path, text: str) -> None:
     )
     assert tables["STRING_Said"][0]["string"] == text
     assert account.notes == [
-        "text cells that begin with = + - or @: 1; spreadsheets take those for formulas, import such columns as text"
+        "text cells that begin with = + - or @: 1; "
+        "spreadsheet programs interpret them as formulas; import these columns as text"
     ]
 
 

@@ -80,7 +80,10 @@ def test_an_export_without_messages_leaves_nothing(tmp_path: Path) -> None:
 
 def test_what_is_there_is_not_touched(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("mine")
-    with pytest.raises(UnsupportedRecording, match="found a folder with files"), new_folder(tmp_path, ExportAccount()):
+    with (
+        pytest.raises(UnsupportedRecording, match="found a directory with files"),
+        new_folder(tmp_path, ExportAccount()),
+    ):
         pass
     with pytest.raises(GatewayError, match="cannot write"), new_folder(tmp_path / "mine", ExportAccount()):
         pass

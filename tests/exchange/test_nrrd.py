@@ -53,7 +53,7 @@ def test_less_of_a_place_is_that_of_itk(tmp_path: Path, lines: tuple[str, ...]) 
 def test_no_place_at_all_is_noted(tmp_path: Path) -> None:
     path = nrrd(tmp_path / "some.nrrd", bytes(24), *VOLUME)
     assert images_of(path)[0].wire_matrix == Image.IDENTITY
-    assert any("does not say where the image lies" in note for note in Sequence(path).notes)
+    assert any("the header has no position" in note for note in Sequence(path).notes)
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -94,10 +94,10 @@ def test_sequences_of_slicer(tmp_path: Path, first: bool) -> None:
         (("sizes: 4 -3 2",), "expected 0 or more"),
         (("sizes: 4 3 x",), "expected an integer"),
         (("sizes: 4 3 2", "kinds: domain domain"), "kinds: found 2"),
-        (("sizes: 4 3 2", "kinds: domain list list"), "axes space, time|expected 2 or 3 of space|frame"),
+        (("sizes: 4 3 2", "kinds: domain list list"), "axes space, time|expected 2 or 3 spatial axes|frame"),
         (("sizes: 4 3 2", "space: MARS"), "space: found 'MARS'"),
         (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,1,0)"), "found 2 vectors"),
-        (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,1,0) (0,1)"), "all the same"),
+        (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,1,0) (0,1)"), "4 for all"),
         (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,inf,0) (0,0,1)"), "finite"),
         (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,nan,0) (0,0,1)"), "finite"),
         (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,0,0) (0,0,1)"), "span"),

@@ -149,7 +149,7 @@ def test_fragments_of_both_versions_are_counted(tmp_path: Path) -> None:
     six = ip_packet(CLIENT_6, SERVER_6, 1, ACK, b"x")
     fragments = [four[:6] + b"\x20\x01" + four[8:], six[:6] + bytes([44]) + six[7:]]
     _, source = read(write(tmp_path / "some.pcap", fragments))
-    assert source.notes == ["2 fragments of IP packets are not put together"]
+    assert source.notes == ["2 fragments of IP packets are not reassembled"]
 
 
 @pytest.mark.parametrize("order", "<>")
@@ -195,7 +195,7 @@ def test_an_end_inside_a_message_shows(tmp_path: Path) -> None:
     items, source = read(write(tmp_path / "some.pcap", talk.packets))
     assert said(items) == [message("a")]
     assert [row.why for row in source.rows if not row.good] == [
-        f"ends inside a message, of which {len(message('b')) - 1} bytes are there"
+        f"ends inside a message, after {len(message('b')) - 1} bytes of it"
     ]
 
 
@@ -326,7 +326,7 @@ def test_gaps_without_end_cost_the_direction_that_holds_most(tmp_path: Path) -> 
         rows = {row.stream: row for row in source.rows}
     assert [bytes(item.payload) for item in items if item.kind is Kind.IGTL_IN] == [message("late")]
     row = next(row for name, row in rows.items() if name.startswith(f"{client(1)[0]}:{client(1)[1]}"))
-    assert row.why == "too much waits for a segment that is missing: given up after 0 bytes"
+    assert row.why == "too many bytes wait for a missing segment: given up after 0 bytes"
     assert not row.good
     assert time.process_time() - start < 20
 
@@ -337,7 +337,7 @@ def test_messages_that_begin_and_never_end_are_bounded(tmp_path: Path) -> None:
     begun = [Talk(client(number)).open().say(bytes(head)) for number in range(100)]
     with closing(Pcap(talks(tmp_path / "some.pcap", begun))) as source:
         assert [item.kind for item in source.items() if item.kind is Kind.IGTL_IN] == []
-        given_up = [row for row in source.rows if row.why.startswith("too many messages have begun")]
+        given_up = [row for row in source.rows if row.why.startswith("too many bytes of incomplete messages")]
     assert 50 < len(given_up) < 100
 
 

@@ -156,7 +156,7 @@ def test_simple_and_obsolete_packet_blocks(tmp_path: Path) -> None:
     items, source = items_of(tmp_path / "some.pcapng", file.data)
     assert said(items) == [message("a"), message("b"), message("c")]
     assert {item.time_ns for item in items} == {4 * SECOND}  # a simple block has no time of its own
-    assert source.notes == ["1 packets were captured in part only"]
+    assert source.notes == ["1 packets were captured only in part"]
 
 
 def test_other_blocks_and_options_do_not_matter(tmp_path: Path) -> None:

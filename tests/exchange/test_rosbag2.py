@@ -66,7 +66,9 @@ def test_parts_are_merged_by_time_and_the_metadata_is_held_against_them(tmp_path
     assert times == sorted(times)
     assert len(times) == 10
     assert not any(row.good for row in rows)  # the metadata still declares the first part's
-    assert notes == [f"{METADATA} declares {n} of {t}, {2 * n} are stored" for t, n in (("/one", 2), ("/two", 3))]
+    assert notes == [
+        f"{METADATA} declares {n} messages of {t}, {2 * n} are stored" for t, n in (("/one", 2), ("/two", 3))
+    ]
     (path / METADATA).unlink()
     items, rows, notes = read(path)
     assert (len(items), notes) == (10, [])

@@ -102,13 +102,15 @@ def test_a_serialization_format_other_than_that_of_the_storage_is_told(tmp_path:
     storage(folder / "x.db3")
     with closing(Rosbag2(folder)) as source:
         assert len(list(source.items())) == 3
-        assert source.notes == ["metadata.yaml says that /t is serialized as 'json', its storage 'cdr': read as 'cdr'"]
+        assert source.notes == [
+            "metadata.yaml declares the serialization 'json' of /t, its storage 'cdr': read as 'cdr'"
+        ]
     (folder / "x.db3").unlink()
     bag(folder)
     storage(folder / "x.db3", encoding="json")
     with closing(Rosbag2(folder)) as source:
         assert list(source.items()) == []
-        assert source.notes == ["metadata.yaml says that /t is serialized as 'cdr', its storage 'json': left out"]
+        assert source.notes == ["metadata.yaml declares the serialization 'cdr' of /t, its storage 'json': left out"]
         assert [(row.left_out, row.why) for row in source.rows] == [(3, "encoding 'json', not cdr")]
 
 
@@ -116,7 +118,7 @@ def test_a_storage_other_than_that_of_the_metadata_is_told(tmp_path: Path) -> No
     folder = bag(tmp_path / "bag", storage_identifier="mcap")
     storage(folder / "x.db3")
     with closing(Rosbag2(folder)) as source:
-        assert source.notes == ["metadata.yaml has the storage mcap, but x.db3 is sqlite3"]
+        assert source.notes == ["metadata.yaml declares the storage mcap, but x.db3 is sqlite3"]
 
 
 @pytest.mark.parametrize("told", [True, False])

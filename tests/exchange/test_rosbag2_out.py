@@ -54,7 +54,7 @@ def test_a_type_without_definition_does_not_hide_the_others(tmp_path: Path) -> N
     with Reader(bag) as reader:
         assert sorted((one.topic, one.msgcount) for one in reader.connections) == [("/other", 1), ("/said", 1)]
         assert [bytes(data) for _, _, data in reader.messages()] == [SAID, SAID]
-    assert account.notes == ["nobody_msgs/msg/Knows: the session has no definition of it"]
+    assert account.notes == ["nobody_msgs/msg/Knows: the session has no definition of this type"]
 
 
 def test_other_encodings_are_left_out_and_counted(tmp_path: Path) -> None:

@@ -177,7 +177,7 @@ def test_long_names_are_cut_and_stay_different(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"ProbeToTracker", b"SomeVeryLongNameOfAProbeToTracker"))
     told = read(path)
     assert {channel for _, channel, _ in told.transforms()} == {"TRANSFORM/SomeVeryLongNameOfAP"}
-    assert any("cut to SomeVeryLongNameOfAP" in note for note in told.source.notes)
+    assert any("shortened to SomeVeryLongNameOfAP" in note for note in told.source.notes)
 
 
 @pytest.mark.parametrize("packed", [False, True])

@@ -57,7 +57,7 @@ def test_each_reason_is_counted(tmp_path: Path) -> None:
     assert (row.declared, row.taken, row.left_out) == (5, 1, 4)
     assert row.why == (
         "1: not finite; 1: marked as invalid before the next frame; 1: older than 1 s at the next image; "
-        "1: between two images: a frame has the last one before it"
+        "1: between two images: a frame contains the latest transform before it"
     )
     statuses = [fields["ToolTransformStatus"] for fields in plus.read(path).frames.values()]
     assert statuses == ["OK", "INVALID", "INVALID", "INVALID"]
@@ -91,6 +91,6 @@ def test_images_unlike_the_first_are_missed(tmp_path: Path) -> None:
 
 def test_nothing_that_can_be_read_is_no_file(tmp_path: Path) -> None:
     part = Image((3, 2, 1), 3, bytes(3), subvol_size=(3, 1, 1))
-    with pytest.raises(UnsupportedRecording, match="no whole IMAGE"):
+    with pytest.raises(UnsupportedRecording, match="neither a complete IMAGE"):
         export_sequence(InMemory([sent(0, "Scan", "IMAGE", part)]), tmp_path / "some.igs.mha", ())
     assert not (tmp_path / "some.igs.mha").exists()

@@ -95,7 +95,7 @@ def test_ply_counts_what_it_has_no_place_for(tmp_path: Path) -> None:
     assert told(account, "attributes")[:3] == (3, 1, 2)
     assert told(account, "polygons")[:3] == (2, 2, 0)
     for unit, count in (("vertex cells", 2), ("lines", 2), ("triangle strips", 1)):
-        assert told(account, unit) == (count, 0, count, "PLY has none")
+        assert told(account, unit) == (count, 0, count, "PLY has no cells of this kind")
 
 
 @pytest.mark.parametrize(("highest", "scale"), [(1.0, 255.0), (255.0, 1.0)])
