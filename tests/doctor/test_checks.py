@@ -1,4 +1,4 @@
-"""The checks on prepared sessions: what each finds, and that it finds nothing in a healthy one."""
+"""The checks on synthetic sessions: the findings of each case, and none in a session without defects."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ def pose(x: float = 200.0, diagonal: tuple[float, float, float] = (1.0, 1.0, 1.0
 
 
 class Scene:
-    """A session by hand: each step is 20 ms after the last, and stamped 5 ms before it arrives."""
+    """A synthetic session: each entry is 20 ms after the previous one, with a stamp 5 ms before its arrival."""
 
     def __init__(self, intent: ExpectedLinks | None = None, **config: Any) -> None:
-        self.seen = Observer(Config(**config), intent)
+        self.observed = Observer(Config(**config), intent)
         self.now_ns = T0_NS
 
     def add(self, kind: Kind, data: bytes, link: int = 1, channel: str = "", source_ns: int = 0) -> Scene:
         self.now_ns += 20 * NS_PER_MS
-        self.seen.add(Entry(1, self.now_ns, kind, channel, "", (data,), (link,) if link else (), source_ns))
+        self.observed.add(Entry(1, self.now_ns, kind, channel, "", (data,), (link,) if link else (), source_ns))
         return self
 
     def up(self, link: int = 1, role: str = "server", peer: str = PEER) -> Scene:
@@ -56,9 +56,9 @@ class Scene:
         return self.add(Kind.LINK, Note(Level.INFO, LINK_DOWN, "down", data={"reason": reason, **data}).pack(), link)
 
     def note(self, code: str, link: int = 0, level: Level = Level.WARN, **data: Any) -> Scene:
-        return self.add(Kind.EDGE_NOTE, Note(level, code, f"what {code} says", "", data).pack(), link)
+        return self.add(Kind.EDGE_NOTE, Note(level, code, f"text of {code}", "", data).pack(), link)
 
-    def says(
+    def receive(
         self, content: Body, device: str = "Probe", kind: str = "TRANSFORM", age_ns: int = 5 * NS_PER_MS, **more: Any
     ) -> Scene:
         stamp_ns = self.now_ns + 20 * NS_PER_MS - age_ns
@@ -67,7 +67,7 @@ class Scene:
         message = Message(kind, device, content, ns_to_ticks(stamp_ns), **more)
         return self.add(Kind.IGTL_IN, join(encode(message)), link, f"{kind}/{device}", stamp_ns)
 
-    def hears(self, version: int, link: int = 1) -> Scene:
+    def send(self, version: int, link: int = 1) -> Scene:
         message = Message("STATUS", "", Status(1), header_version=version)
         return self.add(Kind.IGTL_OUT, join(encode(message)), link)
 
@@ -77,7 +77,7 @@ class Scene:
 
     @property
     def found(self) -> list[str]:
-        return [finding.rule.id.removeprefix("IGTL-") for finding in judge(self.seen)]
+        return [finding.rule.id.removeprefix("IGTL-") for finding in judge(self.observed)]
 
 
 CLIENT, SERVER = ExpectedLinks("client", "10.0.0.2:18944"), ExpectedLinks("server", "127.0.0.1:18944")
@@ -89,13 +89,13 @@ def scene(intent: ExpectedLinks | None = None, **config: Any) -> Scene:
 
 def poses(made: Scene, xs: Iterable[float], **more: Any) -> Scene:
     for x in xs:
-        made.says(pose(x), **more)
+        made.receive(pose(x), **more)
     return made
 
 
 def whole_seconds(made: Scene, every_ns: int) -> Scene:
     for _ in range(40):
-        made.after(every_ns - 20 * NS_PER_MS).says(pose(), stamp_ns=made.now_ns // NS_PER_S * NS_PER_S)
+        made.after(every_ns - 20 * NS_PER_MS).receive(pose(), stamp_ns=made.now_ns // NS_PER_S * NS_PER_S)
     return made
 
 
@@ -108,15 +108,15 @@ def tools(name: bytes) -> TrackingData:
 STEPS = range(12)
 FULL = (Item.of(FULL_NAME, "ReferenceFrameToStereoCamera"), Item.of(FULL_NAME, "ReferenceFrameToOther"))
 
-#: What happened → the rules that apply, in their order.
+#: Case → session, and the rules that apply, in their order.
 CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
     "healthy": (lambda: poses(scene(CLIENT), range(100, 130)).down(), []),
-    "nobody there": (lambda: Scene(CLIENT).note("connect_failed", peer="10.0.0.2:18944"), ["E101"]),
-    "never there, recorded": (lambda: Scene().note("connect_failed", peer="x"), ["E101", "I704"]),
+    "no server": (lambda: Scene(CLIENT).note("connect_failed", peer="10.0.0.2:18944"), ["E101"]),
+    "no server, recorded": (lambda: Scene().note("connect_failed", peer="x"), ["E101", "I704"]),
     "port taken": (lambda: Scene(SERVER).note("listen_failed"), ["E104"]),
     "refused": (lambda: Scene(SERVER).note("refused", peer=PEER), ["E108"]),
     "silent, recorded": (lambda: scene().down(), ["I704"]),
-    "a stranger after our role was turned": (
+    "another protocol after a change of role": (
         lambda: Scene(SERVER).up(role="client").note("truncated", 1, head=b"SSH-2.0-".hex()),
         ["E107"],
     ),
@@ -126,55 +126,55 @@ CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
     ),
     "announces too much": (lambda: poses(scene(), [1e2]).note("too_large", 1, head="0001" + b"IMAGE".hex()), ["E110"]),
     "cut": (lambda: poses(scene(), [100]).note("truncated", 1, head="0001" + b"IMAGE".hex()), ["W109"]),
-    "leaves at a version": (lambda: scene(CLIENT).hears(2).down(received_bytes=1), ["E203"]),
-    "left by chance": (lambda: poses(scene(), [100]).hears(2).down(), []),
-    "left later": (lambda: scene(CLIENT).hears(2).after(2 * NS_PER_S).down(received_bytes=1), []),
+    "leaves at a version": (lambda: scene(CLIENT).send(2).down(received_bytes=1), ["E203"]),
+    "left by chance": (lambda: poses(scene(), [100]).send(2).down(), []),
+    "left later": (lambda: scene(CLIENT).send(2).after(2 * NS_PER_S).down(received_bytes=1), []),
     "comes and goes": (
         lambda: poses(scene(), [100]).down().up(2).down(2).up(3).down(3),
         ["W112"],
     ),
     "reads slowly": (lambda: poses(scene(), [100]).note("queue_drop", peer=PEER), ["W114"]),
     "both versions": (lambda: poses(poses(scene(), [100]), [200], header_version=2), ["W204"]),
-    "type in small letters": (lambda: scene().says(Raw(b""), kind="Transform"), ["W208"]),
-    "malformed": (lambda: scene().says(Raw(b"abc")), ["E210"]),
-    "stamps stand still": (lambda: poses(scene(), STEPS, stamp_ns=T0_NS), ["W302"]),
+    "type in small letters": (lambda: scene().receive(Raw(b""), kind="Transform"), ["W208"]),
+    "malformed": (lambda: scene().receive(Raw(b"abc")), ["E210"]),
+    "stamps do not change": (lambda: poses(scene(), STEPS, stamp_ns=T0_NS), ["W302"]),
     "stamps of whole seconds": (lambda: whole_seconds(scene(), every_ns=150 * NS_PER_MS), ["W302"]),
     "stamps of a second each": (lambda: whole_seconds(scene(), every_ns=NS_PER_S), []),
     "stamps of a regular clockwork": (lambda: poses(scene(), range(100, 130), age_ns=0), []),
-    "stamps in the future": (lambda: scene().says(pose(), age_ns=-NS_PER_S), ["W303"]),
-    "stamps backwards": (lambda: scene().says(pose()).says(pose(), age_ns=100 * NS_PER_MS), ["W304"]),
-    "stamps since the start": (lambda: scene().says(pose(), stamp_ns=77 * NS_PER_S), ["W305"]),
-    "stamps old": (lambda: scene().says(pose(), age_ns=3 * NS_PER_S), ["W306"]),
-    "full name known": (lambda: scene().says(pose(), "n" * 20, header_version=2, metadata=FULL[:1]), []),
+    "stamps in the future": (lambda: scene().receive(pose(), age_ns=-NS_PER_S), ["W303"]),
+    "stamps decrease": (lambda: scene().receive(pose()).receive(pose(), age_ns=100 * NS_PER_MS), ["W304"]),
+    "stamps since the start": (lambda: scene().receive(pose(), stamp_ns=77 * NS_PER_S), ["W305"]),
+    "stamps old": (lambda: scene().receive(pose(), age_ns=3 * NS_PER_S), ["W306"]),
+    "full name known": (lambda: scene().receive(pose(), "n" * 20, header_version=2, metadata=FULL[:1]), []),
     "two under one name": (
-        lambda: scene().says(pose(), "n" * 20, header_version=2, metadata=FULL[:1])
-        .says(pose(), "n" * 20, header_version=2, metadata=FULL[1:]),
+        lambda: scene().receive(pose(), "n" * 20, header_version=2, metadata=FULL[:1])
+        .receive(pose(), "n" * 20, header_version=2, metadata=FULL[1:]),
         ["W402"],
     ),
     "two peers, one name": (lambda: poses(poses(scene().up(2), [100]), [100], link=2), ["W402"]),
     "a peer that came back": (lambda: poses(poses(scene(), [100]).down().after(NS_PER_S).up(2), [100], link=2), []),
-    "no name": (lambda: scene().says(pose(), ""), ["W403"]),
-    "bytes behind a zero": (lambda: scene().says(pose(), "Probe\0old"), ["W404"]),
-    "a name in the body": (lambda: scene().says(tools(b"t" * 20), kind="TDATA"), ["W405"]),
-    "a name in the body that fits": (lambda: scene().says(tools(b"t" * 19), kind="TDATA"), []),
-    "one topic": (lambda: scene().says(pose(), "US probe").says(pose(), "US_probe"), ["W406"]),
+    "no name": (lambda: scene().receive(pose(), ""), ["W403"]),
+    "bytes behind a zero": (lambda: scene().receive(pose(), "Probe\0old"), ["W404"]),
+    "a name in the body": (lambda: scene().receive(tools(b"t" * 20), kind="TDATA"), ["W405"]),
+    "a name in the body that fits": (lambda: scene().receive(tools(b"t" * 19), kind="TDATA"), []),
+    "one topic": (lambda: scene().receive(pose(), "US probe").receive(pose(), "US_probe"), ["W406"]),
     "metres": (lambda: poses(scene(), [0.1 + step / 100 for step in STEPS]), ["W501"]),
     "metres by configuration": (lambda: poses(scene(igtl_unit="m"), [0.1 + step / 100 for step in STEPS]), []),
     "an offset near zero that stays": (lambda: poses(scene(), [0.1] * 12), []),
-    "millimetres twice": (lambda: scene().says(pose(200_000.0)), ["W502"]),
-    "not a number": (lambda: scene().says(Position((float("nan"), 0.0, 0.0)), kind="POSITION"), ["E503"]),
+    "millimetres twice": (lambda: scene().receive(pose(200_000.0)), ["W502"]),
+    "not a number": (lambda: scene().receive(Position((float("nan"), 0.0, 0.0)), kind="POSITION"), ["E503"]),
     "both infinities": (
-        lambda: scene().says(Position((float("inf"), float("-inf"), 0.0)), kind="POSITION"),
+        lambda: scene().receive(Position((float("inf"), float("-inf"), 0.0)), kind="POSITION"),
         ["E503"],
     ),
-    "scaled": (lambda: scene().says(pose(diagonal=(2.0, 2.0, 2.0))), ["W504"]),
+    "scaled": (lambda: scene().receive(pose(diagonal=(2.0, 2.0, 2.0))), ["W504"]),
     "quaternion of no length": (
-        lambda: scene().says(Position((1e2, 0.0, 0.0), (0.0, 0.0, 0.0, 0.5)), kind="POSITION"),
+        lambda: scene().receive(Position((1e2, 0.0, 0.0), (0.0, 0.0, 0.0, 0.5)), kind="POSITION"),
         ["W504"],
     ),
-    "left-handed": (lambda: scene().says(pose(diagonal=(1.0, 1.0, -1.0))), ["W505"]),
+    "left-handed": (lambda: scene().receive(pose(diagonal=(1.0, 1.0, -1.0))), ["W505"]),
     "spacing in metres": (
-        lambda: scene().says(Image((1, 1, 1), 3, b"\0", wire_matrix=(2e-4, 0, 0, 0, 2e-4, 0, 0, 0, 2e-4, 0, 0, 0)),
+        lambda: scene().receive(Image((1, 1, 1), 3, b"\0", wire_matrix=(2e-4, 0, 0, 0, 2e-4, 0, 0, 0, 2e-4, 0, 0, 0)),
                              kind="IMAGE"),
         ["W506"],
     ),
@@ -184,34 +184,34 @@ CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_is_found(name: str) -> None:
+def test_the_findings_of_each_case(name: str) -> None:
     make, expected = CASES[name]
     assert make().found == expected
 
 
-def test_texts_name_what_was_found() -> None:
+def test_the_text_has_the_found_values() -> None:
     made = poses(scene(CLIENT), [0.1 + step / 100 for step in STEPS], stamp_ns=0)
-    texts = {finding.rule.id: finding.match.text for finding in judge(made.seen)}
+    texts = {finding.rule.id: finding.match.text for finding in judge(made.observed)}
     assert texts["IGTL-W501"].startswith("all 12 positions are within 0.514 mm of the origin")
     assert texts["IGTL-W301"] == "12 of 12 messages have the stamp 0 (unset)"
 
 
 def test_the_ledger_and_the_damage_of_a_recording() -> None:
     made = poses(scene(), [100])
-    made.seen.damage, made.seen.losses = "cut off", {"dropped on the way to link 1": 3}
+    made.observed.damage, made.observed.losses = "cut off", {"dropped on the way to link 1": 3}
     assert made.found == ["E701", "W703"]
 
 
-def test_streams_beyond_the_limit_are_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_streams_beyond_the_limit_are_not_observed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("igtl_gateway.doctor.observer.MAX_STREAMS", 3)
     made = scene()
     for number in range(5):
-        made.says(pose(), f"Probe{number}")
-    assert (made.found, len(made.seen.streams)) == (["W702"], 3)
+        made.receive(pose(), f"Probe{number}")
+    assert (made.found, len(made.observed.streams)) == (["W702"], 3)
 
 
-def test_our_own_recordings_are_without_fault() -> None:
-    """every-type has a broken message of each kind on purpose."""
+def test_the_fixtures_have_no_findings() -> None:
+    """every-type has an invalid message of each kind."""
     for path in sorted(FIXTURES.glob("*.mcap")):
         if path.stem not in {"every-type", "lego"}:  # the one for its size
             seen = Observer(Config())
@@ -232,5 +232,5 @@ def test_any_bytes_of_a_message_are_observed_without_error() -> None:
         for value in (0, 1, 255):
             made, bent = scene(), bytes(data[:place] + bytes([value]) + data[place + 1 :])
             made.add(Kind.IGTL_IN, bent)
-            judge(made.seen)
-            assert sum(peer.messages + bool(peer.head) for peer in made.seen.peers.values()) == 1
+            judge(made.observed)
+            assert sum(peer.messages + bool(peer.head) for peer in made.observed.peers.values()) == 1

@@ -1,4 +1,4 @@
-"""The gateway's topics against a graph that is written down."""
+"""The topics of the gateway in a given ROS graph."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def found(made: Graph) -> list[str]:
     return [one.rule.id.removeprefix("IGTL-") for one in judge(seen) if one.rule.id[6] == "6"]
 
 
-def test_a_subscriber_that_asks_for_what_is_not_offered() -> None:
+def test_a_subscriber_with_an_incompatible_qos() -> None:
     (clash,) = graph((PROBE, POSE, False, Qos(latched=True))).clashes()
     assert (clash.topic, clash.publisher, clash.subscriber) == (PROBE, "the gateway", "/to_0")
     assert clash.why == "durability (volatile offered, transient local asked for)"
@@ -39,27 +39,27 @@ def test_a_subscriber_of_another_type() -> None:
     assert clash.why == f"{POSE} published, {STRING} expected"
 
 
-def test_a_bridge_that_runs_counts_as_it_is() -> None:
+def test_the_endpoints_of_a_running_bridge_count() -> None:
     there = (PROBE, POSE, True, Qos(latched=True))
     assert list(graph(there, (PROBE, POSE, False, Qos(latched=True))).clashes()) == []
     (clash,) = graph((PROBE, POSE, True, Qos(reliable=False)), (PROBE, POSE, False, Qos())).clashes()
     assert (clash.publisher, clash.why) == ("/from_0", "reliability (best effort offered, reliable asked for)")
 
 
-def test_what_is_sent_and_what_cannot_be() -> None:
+def test_topics_with_and_without_a_conversion() -> None:
     best_effort = Qos(reliable=False)
     assert found(graph((OUT, POSE, True, best_effort))) == [], "the bridge adapts"
     assert found(graph((OUT, "nav_msgs/msg/Odometry", True, Qos()))) == ["W604", "I605"]
     assert found(graph((OUT, POSE, True, best_effort), (OUT, POSE, False, Qos()))) == ["E601"]
 
 
-def test_what_is_not_ours_is_left_alone() -> None:
+def test_other_topics_are_ignored() -> None:
     made = graph(("/camera", STRING, True, Qos(reliable=False)), ("/camera", STRING, False, Qos()))
     assert (made.endpoints, found(made)) == ([], ["I605"])
     assert found(graph((PROBE, POSE, False, Qos()))) == ["I605"]
 
 
-def test_nobody_listens() -> None:
+def test_no_subscriber() -> None:
     gateway = Gateway(Config())
     made = Graph.of(gateway, {"/igtl/links": "igtl_msgs/msg/LinkStatusList"}, [])
     assert (made.without_subscriber(), found(made)) == (["/igtl/links"], ["I603", "I605"])

@@ -1,4 +1,4 @@
-"""First bytes, and who says them."""
+"""Protocols and their first bytes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_other_protocols(head: bytes, name: str) -> None:
     assert name in protocol_of(head) and bool(name) == bool(protocol_of(head))
 
 
-def test_headers_are_taken_for_what_they_are() -> None:
+def test_headers_are_recognised() -> None:
     for version, kind in ((1, "TRANSFORM"), (2, "RTS_COMMAND"), (65535, "A"), (0, "lower")):
         head = Header(version, kind, "any device", 0, 1 << 40, 0).pack()
         assert is_openigtlink(head) and is_openigtlink(head[:14])

@@ -20,7 +20,7 @@ def stars() -> dict[int, star_scene.StarScene]:
 
 @pytest.fixture(scope="session")
 def scenes(stars: dict[int, star_scene.StarScene]) -> dict[int, DepthScene]:
-    """By seed: the camera's clouds, with the arm at work in front of them."""
+    """Seed → the clouds of the camera, with the moving arm in front of the tissue."""
     found = {}
     for seed, star in stars.items():
         path = star.tool(np.arange(CLOUDS) + np.float64(0.1), star.measured_plan, 1.8)

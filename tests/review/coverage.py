@@ -1,4 +1,4 @@
-"""Distances of points on a known surface, as the review finds them, with their errors."""
+"""Distances of points on a known surface, as computed by the review, with their errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _MM = 1000.0
 
 
 def covered(sensor: str, kind: str, distance_mm: int, clouds: int, scenes: int, points: int, seed: int = 0) -> Array:
-    """(scenes · points, 2): distance of a point of the true surface, and its standard error, mm."""
+    """Return (scenes · points, 2): distance of a point of the true surface, and its standard error, mm."""
     camera, found = Camera(), []
     for number in range(scenes):
         random = np.random.default_rng([seed, number, distance_mm, *sensor.encode(), *kind.encode()])

@@ -1,6 +1,6 @@
-"""Simulated depth cameras whose truth is a formula: five kinds of noise, three shapes of surface, any distance.
+"""Simulated depth cameras with a known true depth: five kinds of noise, three shapes of surface, any distance.
 
-They share no code with the review, so that a mistake in its noise model does not repeat itself here.
+They share no code with the review, so that a mistake in its noise model is not repeated here.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from igtl_gateway.review.model import Array
 
-#: Gets the true depth (height, width) in metres and a random source; returns what the camera reads, NaN = nothing.
+#: Function of the true depth (height, width) in metres and a random source; returns the readings, NaN = no depth.
 Sensor = Callable[[Array, np.random.Generator], Array]
 
 _BLUR_PX = 2.0
@@ -21,26 +21,26 @@ _BASELINE_FOCAL_M = 0.045 * 600  # baseline × focal length, m · px: a short-ra
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera that looks along z."""
+    """A pinhole camera with the viewing direction z."""
 
     height: int = 120
     width: int = 160
     focal_px: float = 600.0
 
     def rays(self) -> Array:
-        """(height, width, 2): x / z and y / z of each pixel."""
+        """Return (height, width, 2) x / z and y / z of each pixel."""
         u, v = np.meshgrid(np.arange(self.width) - self.width / 2, np.arange(self.height) - self.height / 2)
         return np.stack([u, v], -1) / self.focal_px
 
 
 @dataclass(frozen=True)
 class Sphere:
-    """A sphere of tissue, or a plane where the curvature is 0, through ``(0, 0, distance)``.
+    """A sphere of tissue, or a plane if the curvature is 0, through ``(0, 0, distance)``.
 
     Attributes:
         distance: metres along z.
         normal: unit vector towards the camera.
-        curvature: 1 / radius, 1 / metres; positive bulges towards the camera.
+        curvature: 1 / radius in 1 / metres; positive = convex towards the camera.
     """
 
     distance: float
@@ -48,7 +48,7 @@ class Sphere:
     curvature: float = 0.0
 
     def depth(self, rays: Array) -> Array:
-        """z on (…, 2) rays.  With P = z (u, v, 1), O = (0, 0, distance), n the normal and k the curvature:
+        """Return z on (…, 2) rays.  With P = z (u, v, 1), O = (0, 0, distance), n the normal and k the curvature:
         k |P − O|² + 2 n · (P − O) = 0."""
         n, k, far = np.array(self.normal), self.curvature, self.distance
         way = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], -1)
@@ -58,13 +58,13 @@ class Sphere:
         return np.asarray(2 * c / (-b + np.sqrt(np.maximum(b * b - 4 * a * c, 0.0))))
 
     def normal_at(self, point: Array) -> Array:
-        """Unit vector at a right angle to the surface, towards the camera."""
+        """Return the unit vector perpendicular to the surface, towards the camera."""
         found = np.array(self.normal) + self.curvature * (point - np.array([0, 0, self.distance]))
         return np.asarray(found / np.sqrt((found**2).sum()))
 
 
 def surface(kind: str, distance: float) -> Sphere:
-    """*flat*, *tilted* by 35°, or *curved* (radius: three tenths of the distance, 25 mm or more)."""
+    """Return a surface: *flat*, *tilted* by 35°, or *curved* (radius: three tenths of the distance, 25 mm or more)."""
     tilt = np.radians(35.0)
     match kind:
         case "flat":
@@ -81,7 +81,7 @@ def white(depth: Array, random: np.random.Generator) -> Array:
 
 
 def quantised(depth: Array, random: np.random.Generator) -> Array:
-    """Gaussian noise of 0.25 mm, then whole millimetres, as a 16-bit depth image has them."""
+    """Gaussian noise of 0.25 mm, then integer millimetres, as in a 16-bit depth image."""
     return np.asarray(np.round((depth + 0.00025 * random.standard_normal(depth.shape)) * 1000) / 1000)
 
 
@@ -92,7 +92,7 @@ def disparity(depth: Array, random: np.random.Generator) -> Array:
 
 
 def smoothed(depth: Array, random: np.random.Generator) -> Array:
-    """Noise blurred over the picture (Gaussian of 2 px), as block matching and filters leave it; 0.3 mm at 250 mm."""
+    """Noise blurred over the image (Gaussian of 2 px), as after block matching and filters; 0.3 mm at 250 mm."""
     reach = np.arange(-8, 9)
     kernel = np.exp(-0.5 * (reach / _BLUR_PX) ** 2)
     kernel /= np.sqrt((kernel**2).sum())
@@ -125,7 +125,7 @@ DISTANCES_MM = (60, 120, 250, 500, 745, 1000)
 
 
 def shots(camera: Camera, depth: Array, sensor: Sensor, clouds: int, random: np.random.Generator) -> Array:
-    """(clouds, height, width, 3) float32 points, as they would come in messages."""
+    """Return (clouds, height, width, 3) float32 points, as in messages."""
     read = sensor(np.broadcast_to(depth, (clouds, *depth.shape)), random)
     way = np.concatenate([camera.rays(), np.ones((camera.height, camera.width, 1))], -1)
     return np.asarray((way * read[..., None]).astype(np.float32))

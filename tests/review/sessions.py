@@ -1,4 +1,4 @@
-"""Made-up sessions for the tests of the review: messages as entries, and clouds whose truth is known."""
+"""Synthetic sessions for the tests of the review: messages as entries, and clouds of known surfaces."""
 
 from __future__ import annotations
 
@@ -42,26 +42,26 @@ def xyz(point: Array) -> tuple[float, float, float]:
 
 
 def rays(height: int = 60, width: int = 80, focal_px: float = 700.0) -> Array:
-    """(height, width, 3) of a pinhole camera, z = 1."""
+    """Return (height, width, 3) rays of a pinhole camera, z = 1."""
     u, v = np.meshgrid(np.arange(width) - (width - 1) / 2, np.arange(height) - (height - 1) / 2)
     return np.stack([u / focal_px, v / focal_px, np.ones_like(u)], -1)
 
 
 def dome(directions: Array, radius: float = 0.02, top: float = 0.25) -> Array:
-    """Depth of a sphere of tissue under the camera: the truth is a formula."""
+    """Return the true depth of a sphere of tissue in front of the camera, on rays."""
     centre = top + radius
     square = (directions**2).sum(axis=-1)
     return np.asarray((centre - np.sqrt(centre**2 - square * (centre**2 - radius**2))) / square)
 
 
 def on_dome(x_mm: float, y_mm: float, radius: float = 0.02, top: float = 0.25) -> Array:
-    """The point of the sphere at these x and y."""
+    """Return the point of the sphere at these x and y."""
     x, y = x_mm / 1000, y_mm / 1000
     return np.array([x, y, top + radius - np.sqrt(radius**2 - x**2 - y**2)])
 
 
 def dome_clouds(number: int, sigma: float = 0.0002, seed: int = 1) -> list[DepthCloud]:
-    """Clouds of the sphere, seen with white depth noise."""
+    """Return clouds of the sphere with white depth noise."""
     noise = np.random.default_rng(seed)
     directions = rays()
     clouds = []

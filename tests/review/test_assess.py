@@ -1,4 +1,4 @@
-"""The review as a whole: planted errors are found, and no others."""
+"""The complete review: it finds the planted errors and no others."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _levels(review: Review) -> list[str]:
 
 @pytest.fixture(scope="module")
 def reviews(scenes: dict[int, DepthScene], stars: dict[int, star_scene.StarScene]) -> dict[int, Review]:
-    """By seed: the plan as it was measured, then the true one."""
+    """Seed → review of the measured plan, then of the true plan."""
     return {
         seed: _of(
             list(scenes[seed].clouds),
@@ -67,7 +67,7 @@ def test_the_planted_stitches_are_wrong_and_no_others(seed: int, reviews: dict[i
 def test_the_distances_are_those_of_the_true_tissue(
     seed: int, reviews: dict[int, Review], stars: dict[int, star_scene.StarScene]
 ) -> None:
-    """docs/review.md: whatever the stitches' own error, the distance is right to 0.25 mm."""
+    """docs/review.md: the distance is right to 0.25 mm, independent of the error of the stitches."""
     star = stars[seed]
     for stitch, *truth in zip(reviews[seed].first.stitches, star.plan.entry, star.plan.exit, strict=True):
         for end, true in zip((stitch.entry, stitch.exit), truth, strict=True):
@@ -88,7 +88,7 @@ def test_the_noise_at_the_stitches_is_the_cameras(
             true_mm = 1000 * np.median(truth[scenes[seed].around(np.array([x, y]) / z, 0.0025 / z)])
             assert end.noise_mm == end.temporal_mm == pytest.approx(true_mm, rel=0.2)
             assert end.spatial_mm is not None
-            if stitch.number not in PLANTED:  # the edge of a wet spot is no noise, but is counted from pixel to pixel
+            if stitch.number not in PLANTED:  # the edge of a wet spot is not noise, but counts as spatial noise
                 assert 0.7 * true_mm < end.spatial_mm < true_mm
 
 
@@ -108,7 +108,7 @@ def test_any_stitch_that_is_moved_off_the_tissue_is_found(which: int, off_mm: fl
     assert review.changes[0].moved_mm == pytest.approx((0, 1.5), abs=0.05)
 
 
-def test_a_spot_that_always_reads_wrong_is_looked_at_and_the_point_on_the_tissue_is_not_wrong() -> None:
+def test_wrong_readings_in_all_clouds_are_look_and_a_point_on_the_tissue_is_not_wrong() -> None:
     clouds = dome_clouds(6)
     for cloud in clouds:
         cloud.points[((cloud.points[..., :2] - _LAST[1, :2]) ** 2).sum(axis=-1) < 0.0016**2] *= 1.008
@@ -118,8 +118,8 @@ def test_a_spot_that_always_reads_wrong_is_looked_at_and_the_point_on_the_tissue
     assert reading_mm == pytest.approx(-2.0, abs=0.2)
 
 
-def test_a_wrong_reading_that_fills_the_window_does_not_pass_in_silence() -> None:
-    """The plan was lifted from it, so plan and tissue agree: only a wider look disagrees."""
+def test_wrong_readings_that_fill_the_window_are_reported() -> None:
+    """The plan was computed from them, so plan and tissue agree: only the wider fit differs."""
     clouds = dome_clouds(6)
     for cloud in clouds:
         cloud.points[((cloud.points[..., :2] - _LAST[1, :2]) ** 2).sum(axis=-1) < 0.0035**2] *= 1.008
@@ -161,7 +161,7 @@ def test_the_cloud_for_the_viewer() -> None:
     assert np.nanmedian(found.noise_mm) == pytest.approx(0.2, rel=0.1)
 
 
-def test_missing_pixels_and_thin_clouds_are_looked_at() -> None:
+def test_missing_pixels_and_sparse_clouds_are_look() -> None:
     clouds = dome_clouds(6)
     random = np.random.default_rng(5)
     for cloud in clouds:
@@ -174,7 +174,7 @@ def test_missing_pixels_and_thin_clouds_are_looked_at() -> None:
     assert any("points/mm²" in reason for reason in stitch.reasons)
 
 
-def test_a_stitch_outside_the_picture_cannot_be_judged() -> None:
+def test_a_stitch_outside_the_image_is_not_compared() -> None:
     far = _FIRST.copy()
     far[2, 0] = 0.1
     review = _of(dome_clouds(3), (far, _LAST), limits=replace(Thresholds(), spacing=1e6, bite=1e6))
@@ -184,7 +184,7 @@ def test_a_stitch_outside_the_picture_cannot_be_judged() -> None:
 
 
 @pytest.mark.parametrize("wild", [(0.0, 0.0, 0.0), (0.0, 0.0, -0.25), (1e30, 0.0, 1e30)])
-def test_a_point_that_is_nowhere_spoils_its_own_stitch_only(wild: tuple[float, float, float]) -> None:
+def test_an_implausible_point_affects_only_its_own_stitch(wild: tuple[float, float, float]) -> None:
     first = _FIRST.copy()
     first[0] = wild
     review = _of(dome_clouds(3), (first, _LAST), limits=replace(Thresholds(), spacing=1e40, bite=1e40))
@@ -192,7 +192,7 @@ def test_a_point_that_is_nowhere_spoils_its_own_stitch_only(wild: tuple[float, f
     assert review.last.stitches[0].bite_depth_mm is None
 
 
-def test_clouds_without_any_depth_judge_nothing() -> None:
+def test_clouds_without_depth_have_no_figures() -> None:
     material = Material(plan="/plan")
     empty = np.full_like(dome_clouds(1)[0].points, np.nan)
     for stamp_ns in (1, 2, 3):
@@ -203,7 +203,7 @@ def test_clouds_without_any_depth_judge_nothing() -> None:
     assert review.cloud.positions.shape == (0, 3)
 
 
-def test_crowded_and_long_stitches_are_looked_at() -> None:
+def test_close_and_long_stitches_are_look() -> None:
     first = np.stack([on_dome(x, -3.5) for x in (-6, -3, 0, 0.8, 4)])
     last = np.stack([on_dome(x, y) for x, y in ((-6, 3.5), (-3, 3.5), (0, 3.5), (3, 3.5), (5.5, 8))])
     reasons = [stitch.reasons for stitch in _of(dome_clouds(4), (first, last)).last.stitches]
@@ -212,15 +212,15 @@ def test_crowded_and_long_stitches_are_looked_at() -> None:
     assert any(text.startswith("bite 11") for text in reasons[4])
 
 
-def test_stitches_that_were_added_and_taken_out_are_told() -> None:
+def test_added_and_removed_stitches_are_changes() -> None:
     review = _of(dome_clouds(3), (_FIRST, _LAST), (_FIRST[1:], _LAST[1:]))
     assert [(change.number, change.before, change.after) for change in review.changes] == [(1, Level.OK, None)]
     back = _of(dome_clouds(3), (_FIRST[1:], _LAST[1:]), (_FIRST, _LAST))
     assert [(change.number, change.before, change.after) for change in back.changes] == [(1, None, Level.OK)]
 
 
-def test_planned_is_compared_with_executed_in_the_frame_of_the_plan() -> None:
-    """The tool is told in the base, the camera hangs in the base; a second frame moves, too, but far away."""
+def test_the_path_of_the_tool_is_compared_in_the_frame_of_the_cloud() -> None:
+    """The base is the parent of tool and camera; another frame moves too, but far away."""
     material = Material()
     for cloud in dome_clouds(4):
         material.take(entry("/cloud", cloud_message(cloud.points, cloud.stamp_ns), cloud.stamp_ns))
@@ -250,7 +250,7 @@ def test_planned_is_compared_with_executed_in_the_frame_of_the_plan() -> None:
     assert other.driven_depth_mm is None
 
 
-def test_what_makes_figures_doubtful_is_noted() -> None:
+def test_few_clouds_and_motion_are_noted() -> None:
     assert any("only 1 cloud:" in note for note in _of(dome_clouds(1), (_FIRST, _LAST)).notes)
     clouds = dome_clouds(4)
     for number, cloud in enumerate(clouds):
@@ -259,7 +259,7 @@ def test_what_makes_figures_doubtful_is_noted() -> None:
     assert not any("moved" in note or "only" in note for note in _of(dome_clouds(4), (_FIRST, _LAST)).notes)
 
 
-def test_a_list_of_points_is_reviewed_without_what_needs_a_picture() -> None:
+def test_an_unorganised_cloud_is_reviewed_without_noise_and_missing_pixels() -> None:
     points = dome_clouds(1)[0].points.reshape(1, -1, 3)
     moved = _LAST.copy()
     moved[1, 2] += 0.002
@@ -271,7 +271,7 @@ def test_a_list_of_points_is_reviewed_without_what_needs_a_picture() -> None:
     assert not review.cloud.temporal
 
 
-def test_a_camera_of_whole_millimetres_is_looked_at() -> None:
+def test_quantised_depth_with_noise_is_look() -> None:
     """σ 0.4 mm in steps of 1 mm: most readings equal the one before, and the true noise is 0.49 mm."""
     clouds = dome_clouds(8, sigma=0.0004)
     for cloud in clouds:
@@ -285,7 +285,7 @@ def test_a_camera_of_whole_millimetres_is_looked_at() -> None:
 
 
 @pytest.mark.parametrize("sigma_mm", [0.34, 0.8])
-def test_a_plan_that_was_lifted_from_raw_readings_is_not_wrong_for_their_noise(sigma_mm: float) -> None:
+def test_the_noise_of_lifted_points_is_part_of_their_error(sigma_mm: float) -> None:
     clouds = dome_clouds(8, sigma=sigma_mm / 1000)
     raw = clouds[3].points.astype(np.float32).astype(np.float64)
     columns = np.arange(12, 72, 6)
@@ -300,7 +300,7 @@ def test_a_plan_that_was_lifted_from_raw_readings_is_not_wrong_for_their_noise(s
     assert [stitch.number for stitch in _of(clouds, (first, last)).last.wrong] == [5]
 
 
-def test_a_plan_from_a_cloud_that_is_not_in_the_file_scatters_as_a_whole() -> None:
+def test_a_plan_from_a_cloud_outside_the_file_has_a_scatter() -> None:
     raw = dome_clouds(9, sigma=0.0008)[8].points
     columns = np.arange(12, 72, 6)
     review = _of(dome_clouds(8, sigma=0.0008), (raw[18, columns], raw[42, columns]))

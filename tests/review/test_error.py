@@ -1,6 +1,6 @@
-"""The 95 % interval holds the truth in 95 of 100 cases, whatever the sensor does: simulated cameras of five kinds.
+"""The 95 % interval contains the true value in 95 of 100 cases, for five kinds of simulated cameras.
 
-The larger run with more draws is ``tools/review_coverage.py``; its table stands in docs/review.md.
+``tools/review_coverage.py`` has more draws; its table is in docs/review.md.
 """
 
 from __future__ import annotations

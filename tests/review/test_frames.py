@@ -1,4 +1,4 @@
-"""Paths of frames, against poses composed by hand."""
+"""Paths of frames, compared with poses composed by hand."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _pose(*position: float, q: tuple[float, float, float, float] = _NONE) -> Pos
 
 
 def _frames() -> FramePoses:
-    """A camera turned by a quarter about z, and a tool that goes along x of the base; 10 and 11 are stamps."""
+    """Return a camera rotated by 90° about z, and a tool that moves along x of the base; 10 and 11 are stamps."""
     frames = FramePoses()
     frames.add("base", "camera", _pose(1, 0, 0, q=_QUARTER), 10, 110, "/camera")
     frames.add("base", "tool", _pose(0, 0, 0), 10, 110, "/tool")
@@ -29,13 +29,13 @@ def _frames() -> FramePoses:
     return frames
 
 
-def test_a_path_is_told_in_another_branch_at_gateway_times() -> None:
+def test_a_path_in_another_branch_of_the_tree_has_gateway_times() -> None:
     path = _frames().path("tool", "camera")
     assert path.stamps_ns.tolist() == [110, 120]
     np.testing.assert_allclose(path.positions, [[0, 1, 0], [0, -1, 0]], atol=1e-12)
 
 
-def test_points_of_a_child_and_of_a_parent_come_back() -> None:
+def test_transforms_to_a_parent_and_to_a_child_are_inverse() -> None:
     frames, points, stamps = _frames(), np.array([[1.0, 2.0, 3.0]]), np.array([10])
     there = frames.transformed(points, "camera", "base", stamps)
     np.testing.assert_allclose(there, [[-1, 1, 3]], atol=1e-12)
@@ -44,7 +44,7 @@ def test_points_of_a_child_and_of_a_parent_come_back() -> None:
 
 
 @pytest.mark.parametrize(("stamp", "x"), [(5, 0.0), (10, 0.0), (15, 1.0), (20, 2.0), (99, 2.0)])
-def test_between_samples_is_interpolated_and_beyond_them_held(stamp: int, x: float) -> None:
+def test_poses_are_interpolated_and_constant_beyond_the_samples(stamp: int, x: float) -> None:
     found = _frames().transformed(np.zeros((1, 3)), "tool", "base", np.array([stamp]))
     np.testing.assert_allclose(found, [[x, 0, 0]], atol=1e-12)
 
@@ -57,7 +57,7 @@ def test_a_quaternion_and_its_negative_are_one_rotation() -> None:
     np.testing.assert_allclose(found, [[0, 1, 0]], atol=1e-12)
 
 
-def test_frames_that_nothing_connects_are_refused() -> None:
+def test_unconnected_frames_are_an_error() -> None:
     frames = _frames()
     frames.add("other", "probe", _pose(0, 0, 0), 1, 1, "/p")
     assert not frames.connected("probe", "tool")
@@ -66,7 +66,7 @@ def test_frames_that_nothing_connects_are_refused() -> None:
         frames.transformed(np.zeros((1, 3)), "probe", "camera", np.array([1]))
 
 
-def test_what_moves_is_known_and_what_is_no_pose_is_passed_over() -> None:
+def test_moving_frames_are_listed_and_invalid_poses_are_skipped() -> None:
     frames = _frames()
     for bad in (_pose(math.nan, 0, 0), _pose(0, 0, 0, q=(0.0, 0.0, 0.0, 0.0))):
         frames.add("base", "broken", bad, 1, 1, "/b")
@@ -76,7 +76,7 @@ def test_what_moves_is_known_and_what_is_no_pose_is_passed_over() -> None:
     assert frames.above("broken") == {"broken"}
 
 
-def test_a_ring_of_frames_ends() -> None:
+def test_a_cycle_of_frames_terminates() -> None:
     frames = FramePoses()
     frames.add("a", "b", _pose(0, 0, 0), 1, 1, "/r")
     frames.add("b", "a", _pose(0, 0, 0), 1, 1, "/r")

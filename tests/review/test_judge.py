@@ -36,7 +36,7 @@ def _level(change: dict[str, Any]) -> Level:
         ({"distance_mm": 0.99}, Level.LOOK),
         ({"distance_mm": 1.01}, Level.WRONG),
         ({"distance_mm": -1.01}, Level.WRONG),
-        ({"distance_mm": 1.5, "error_mm": 0.6}, Level.LOOK),  # far off, but who knows
+        ({"distance_mm": 1.5, "error_mm": 0.6}, Level.LOOK),  # a large distance, but uncertain
         ({"distance_mm": None}, Level.LOOK),
         ({"noise_mm": 0.41}, Level.LOOK),
         ({"noise_mm": None}, Level.OK),
@@ -51,7 +51,7 @@ def test_each_limit(change: dict[str, Any], level: Level) -> None:
     assert _level(change) is level
 
 
-def test_the_gravest_reason_comes_first_and_names_side_and_size() -> None:
+def test_the_worst_reason_is_first_and_has_side_and_distance() -> None:
     end = replace(_GOOD, distance_mm=-2.0, noise_mm=0.5, reading_mm=-1.9)
     level, texts = judge.worst_level([*judge.of_length("bite", 9.0, 6.0, 0.4), *judge.of_end("exit", end, _LIMITS)])
     assert level is Level.WRONG
@@ -61,7 +61,7 @@ def test_the_gravest_reason_comes_first_and_names_side_and_size() -> None:
     assert any("depth noise 0.50 mm" in text for text in texts)
 
 
-def test_a_length_is_usual_up_to_its_share() -> None:
+def test_a_length_is_compared_with_the_median() -> None:
     assert not list(judge.of_length("bite", 8.3, 6.0, 0.4))
-    assert not list(judge.of_length("bite", 8.3, 0.0, 0.4))  # nothing is usual of too few
+    assert not list(judge.of_length("bite", 8.3, 0.0, 0.4))  # too few stitches for a median
     assert list(judge.of_length("bite", 3.5, 6.0, 0.4))

@@ -1,4 +1,4 @@
-"""Least squares, against numpy's."""
+"""Least squares, compared with NumPy."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_the_influence_of_each_value_adds_up_to_the_solution() -> None:
     np.testing.assert_allclose(times(matrix, _VALUES), solution, atol=1e-12)
 
 
-def test_what_does_not_determine_the_unknowns_is_refused() -> None:
+def test_a_singular_system_has_no_solution() -> None:
     design = Design(np.stack([np.ones(9), np.arange(9.0), 2 * np.arange(9.0) + 1]))
     assert design.solve(np.arange(9.0), np.ones(9)) is None
     assert Design(_DESIGN.T).influence(np.zeros(40)) is None

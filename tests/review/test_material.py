@@ -1,4 +1,4 @@
-"""Streams found by what they hold, in sessions that hold more than is needed."""
+"""Selection of streams by content, in sessions with other streams."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _moved(points: Array, number: int, off: float = 0.002) -> Array:
     return moved
 
 
-def test_clouds_are_thinned_evenly_and_the_note_says_so() -> None:
+def test_clouds_are_decimated_evenly_with_a_note() -> None:
     material = _with_clouds(Material(clouds=4), 11)
     scene, topic = material.scene()
     assert topic == "/cloud"
@@ -53,7 +53,7 @@ def test_clouds_are_thinned_evenly_and_the_note_says_so() -> None:
     assert material.notes == ["4 of 11 clouds of /cloud are used, evenly distributed"]
 
 
-def test_the_picture_is_taken_and_not_the_list_and_the_largest_of_pictures() -> None:
+def test_the_largest_organised_cloud_is_selected() -> None:
     material = _with_clouds(Material(), 2, "/small")
     large = np.repeat(dome_clouds(1)[0].points, 2, axis=0)
     material.take(entry("/large", cloud_message(large, 1), 1))
@@ -66,19 +66,19 @@ def test_the_picture_is_taken_and_not_the_list_and_the_largest_of_pictures() -> 
         Material().scene()
 
 
-def test_a_camera_set_anew_begins_anew() -> None:
+def test_a_reconfigured_camera_discards_earlier_clouds() -> None:
     material = _with_clouds(Material(), 3)
     other = dome_clouds(1)[0].points[:50]
     material.take(entry("/cloud", cloud_message(other, 9 * SECOND), 9 * SECOND))
     assert [cloud.points.shape for cloud in material.scene()[0].clouds] == [(50, 80, 3)]
 
 
-def test_versions_of_a_plan_are_put_together_from_all_streams() -> None:
-    """Drawn in ROS, sent to a planner and back with a change, drawn anew; in between a plan of something else."""
+def test_versions_of_a_plan_are_collected_from_all_streams() -> None:
+    """Drawn in ROS, sent to a planner and back with a change, drawn again; in between another plan."""
     material = _with_clouds(Material())
     lines = plan_message(_FIRST, _LAST, SECOND)
     material.take(entry("/plan", lines, SECOND))
-    material.take(entry("/plan", lines, 2 * SECOND))  # latched, told twice
+    material.take(entry("/plan", lines, 2 * SECOND))  # latched, published twice
     corrected = plan_message(_FIRST.astype(np.float32), _moved(_LAST, 1), 3 * SECOND)
     material.take(entry("/igtl/in/Plan/lines", corrected, 3 * SECOND, Kind.ROS_OUT))
     material.take(entry("/plan", corrected, 4 * SECOND))
@@ -92,7 +92,7 @@ def test_versions_of_a_plan_are_put_together_from_all_streams() -> None:
     assert [(plan.topic, plan.stamp_ns // SECOND) for plan in versions] == [("/plan", 1), ("/igtl/in/Plan/lines", 3)]
 
 
-def test_without_lines_points_are_a_plan_and_what_changes_all_the_time_is_none() -> None:
+def test_points_are_a_plan_and_a_stream_that_always_changes_is_not() -> None:
     material = _with_clouds(Material())
     for number in range(5):
         noisy = np.concatenate([_FIRST, _LAST])[None] + 0.0001 * (number + 1)
@@ -108,7 +108,7 @@ def test_without_lines_points_are_a_plan_and_what_changes_all_the_time_is_none()
     assert versions[0].labels == ("0", "1", "2")
 
 
-def test_a_plan_in_another_frame_is_brought_to_the_clouds() -> None:
+def test_a_plan_in_another_frame_is_transformed() -> None:
     material = _with_clouds(Material())
     material.take(entry("/camera_pose", pose_message("base", "camera", (1, 2, 3), SECOND), SECOND))
     shift = np.array([1.0, 2.0, 3.0])
@@ -118,14 +118,14 @@ def test_a_plan_in_another_frame_is_brought_to_the_clouds() -> None:
     assert version.frame_id == "base"
 
 
-def test_a_plan_in_a_frame_that_nothing_connects_is_taken_as_it_stands_and_noted() -> None:
+def test_a_plan_in_an_unconnected_frame_is_used_unchanged_with_a_note() -> None:
     material = _with_clouds(Material())
     material.take(entry("/plan", plan_message(_FIRST, _LAST, SECOND, "Slicer"), SECOND))
     assert len(material.versions(material.scene()[0])) == 1
     assert any("as if in the frame of the cloud" in note for note in material.notes)
 
 
-def test_sessions_in_millimetres_are_read_in_metres() -> None:
+def test_sessions_in_millimetres_are_converted_to_metres() -> None:
     material = Material(unit_m=0.001)
     cloud = dome_clouds(1)[0]
     material.take(entry("/cloud", cloud_message(cloud.points * 1000, 1), 1))
@@ -137,7 +137,7 @@ def test_sessions_in_millimetres_are_read_in_metres() -> None:
     np.testing.assert_allclose(material.frames.path("tool", "camera").positions[:, 2], [0.1, 0.2])
 
 
-def test_the_tool_moves_and_is_not_what_the_camera_hangs_on() -> None:
+def test_the_tool_moves_and_is_not_an_ancestor_of_the_camera() -> None:
     def material(tool: str = "") -> Material:
         found = _with_clouds(Material(tool=tool))
         for number in range(3):
@@ -152,7 +152,7 @@ def test_the_tool_moves_and_is_not_what_the_camera_hangs_on() -> None:
         material("probe").tools("camera")
 
 
-def test_a_broken_message_costs_itself_and_is_noted_once() -> None:
+def test_an_invalid_message_is_left_out_and_noted_once() -> None:
     material = _with_clouds(Material())
     good = entry("/cloud", cloud_message(dome_clouds(1)[0].points, 9), 9)
     for _ in range(2):
@@ -161,7 +161,7 @@ def test_a_broken_message_costs_itself_and_is_noted_once() -> None:
     assert len([note for note in material.notes if note.startswith("/cloud: invalid messages are left out")]) == 1
 
 
-def test_no_plan_is_an_error_that_says_what_was_expected() -> None:
+def test_a_session_without_a_plan_is_an_error() -> None:
     material = _with_clouds(Material())
     with pytest.raises(GatewayError, match="found no suture plan, expected pairs of points on the tissue"):
         material.versions(material.scene()[0])

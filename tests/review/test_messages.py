@@ -1,4 +1,4 @@
-"""Plans, clouds and poses in each of the messages that may carry them."""
+"""Plans, clouds and poses in each message type that can contain them."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ _LINES = plan_message(_FIRST, _LAST, 5)
         pose_message("a", "b", (0, 0, 0), 5),
     ],
 )
-def test_what_has_no_pairs_is_no_plan(message: RosMessage) -> None:
+def test_a_message_without_pairs_is_not_a_plan(message: RosMessage) -> None:
     assert _plan(message) is None
 
 

@@ -1,4 +1,4 @@
-"""Estimated noise against the noise that was put in."""
+"""Estimated noise, compared with the simulated noise."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def test_white_noise_is_found_by_both(sigma: float) -> None:
         assert np.nanmean(np.abs(ratio - 1) < 0.2) > 0.97
 
 
-def test_noise_that_grows_across_the_picture_is_told_apart() -> None:
+def test_noise_that_grows_across_the_image_is_resolved() -> None:
     sigma = 0.0001 * (1 + np.arange(60) / 20)
     found = noise.between_clouds(0.25 + sigma * _RANDOM.standard_normal((12, 50, 60)))
     for column in (5, 30, 55):
         assert np.nanmedian(found[:, column]) == pytest.approx(sigma[column], rel=0.12)
 
 
-def test_a_tool_that_passes_and_gross_errors_are_no_noise() -> None:
+def test_a_passing_tool_and_gross_errors_are_not_noise() -> None:
     depths = _clouds(8, 0.0002)
     depths[3, 10:30, 20:30] -= 0.01
     wild = _RANDOM.random(depths.shape) < 0.005
@@ -46,12 +46,12 @@ def test_a_tool_that_passes_and_gross_errors_are_no_noise() -> None:
     assert np.nanmedian(ratio) == pytest.approx(1, abs=0.05)
 
 
-def test_a_breath_that_moves_all_is_no_noise() -> None:
+def test_motion_of_all_pixels_is_not_noise() -> None:
     depths = _clouds(8, 0.0002) + np.array([0, 1, 2, 1, 0, -1, -2, -1])[:, None, None] * 0.001
     assert np.nanmedian(noise.between_clouds(depths)) == pytest.approx(0.0002, rel=0.05)
 
 
-def test_where_nothing_is_seen_nothing_is_known() -> None:
+def test_pixels_without_depth_have_no_noise() -> None:
     depths = _clouds(4, 0.0002)
     depths[:, :20, :20] = np.nan
     for found in (noise.between_clouds(depths), noise.within_clouds(depths)):
@@ -81,13 +81,13 @@ def test_the_scenes_noise_is_found_within_the_bounds_of_the_manual(
     assert all(abs(np.median(layer) - 1) < 0.1 for layer in layers)
     spatial = scenes[seed].spatial
     assert spatial is not None
-    assert 0.7 < np.nanmedian(spatial / truth) < 1  # of grain larger than a pixel the neighbours know less
+    assert 0.7 < np.nanmedian(spatial / truth) < 1  # a lower bound: the noise of neighbours is correlated
 
 
 @pytest.mark.parametrize(("sigma", "true"), [(0.4, 0.494), (0.1, 0.305), (0.02, 0.289)])
 @pytest.mark.parametrize("slope", [0.0, 0.05])
-def test_in_whole_millimetres_the_rounding_counts(sigma: float, true: float, slope: float) -> None:
-    """√(σ² + q² / 12), also where most successive readings are equal and their median tells 0."""
+def test_the_noise_includes_the_rounding_error(sigma: float, true: float, slope: float) -> None:
+    """√(σ² + q² / 12), also if most successive readings are equal and their median is 0."""
     tissue = 250.3 + slope * np.mgrid[0:80, 0:90].sum(axis=0)
     depths = np.round(tissue + sigma * _RANDOM.standard_normal((8, 80, 90))) / 1000
     found = noise.total_noise(noise.between_clouds(depths, 0.001), np.array(0.001)) * 1000
@@ -95,6 +95,6 @@ def test_in_whole_millimetres_the_rounding_counts(sigma: float, true: float, slo
     assert np.nanmin(found) > 0.28
 
 
-def test_clouds_that_were_sent_twice_still_tell_their_noise() -> None:
+def test_repeated_clouds_do_not_change_the_noise() -> None:
     twice = np.repeat(_clouds(6, 0.0002), 3, axis=0)
     assert np.nanmedian(noise.between_clouds(twice)) == pytest.approx(0.0002, rel=0.05)

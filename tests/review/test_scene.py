@@ -1,4 +1,4 @@
-"""Clouds as one picture."""
+"""The depth image of several clouds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from igtl_gateway.review.scene import DepthCloud, DepthScene
 from tests.review.sessions import dome, dome_clouds, rays
 
 
-def test_the_median_takes_out_what_only_some_clouds_have() -> None:
+def test_the_median_removes_objects_of_few_clouds() -> None:
     clouds = dome_clouds(5, sigma=0.0)
     clouds[2].points[20:30, 20:30] *= 0.9  # a tool
     clouds[3].points[:5] = np.nan
@@ -28,7 +28,7 @@ def test_a_hole_in_all_clouds_has_a_ray_and_no_depth() -> None:
     assert set(scene.around(rays()[12, 12, :2], 0.0015)) == {12 * 80 + 12, 11 * 80 + 12, 13 * 80 + 12, 971, 973}
 
 
-def test_of_clouds_that_are_lists_the_last_is_used() -> None:
+def test_of_unorganised_clouds_the_last_is_used() -> None:
     lists = [DepthCloud("/c", "camera", i, i, cloud.points.reshape(1, -1, 3)) for i, cloud in enumerate(dome_clouds(3))]
     scene = DepthScene.of(lists)
     assert len(scene.clouds) == 1

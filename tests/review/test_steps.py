@@ -1,4 +1,4 @@
-"""Steps of quantised depth: found, and what they do to errors."""
+"""Steps of quantised depth: their detection, and their effect on errors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _RANDOM = np.random.default_rng(3)
 
 @pytest.mark.parametrize("kind", ["flat", "tilted", "curved"])
 @pytest.mark.parametrize("distance", [0.06, 0.25, 1.0])
-def test_whole_millimetres_are_found(kind: str, distance: float) -> None:
+def test_integer_millimetres_are_detected(kind: str, distance: float) -> None:
     camera = Camera()
     points = shots(camera, surface(kind, distance).depth(camera.rays()), quantised, 2, _RANDOM)
     assert steps.steps_of(points[..., 2]).at(np.array(distance)) == pytest.approx(0.001, rel=1e-3)
@@ -37,14 +37,14 @@ def test_continuous_depth_has_no_steps() -> None:
     assert (steps.steps_of(np.full((3, 3), np.nan)).at(np.array([0.2, np.nan])) == 0).all()
 
 
-def test_one_value_alone_is_taken_for_whole_millimetres() -> None:
-    """A flat thing at a right angle to a quiet sensor: nothing else in the file tells the step."""
+def test_a_single_value_is_assumed_to_have_steps_of_a_millimetre() -> None:
+    """A flat surface perpendicular to a sensor without noise: the file does not determine the step."""
     assert steps.steps_of(np.full((20, 20), np.float32(0.25))).at(np.array(0.25)) == pytest.approx(0.001)
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.14, 0.25, 0.4, 0.8])
-def test_noise_before_the_rounding_is_found_from_what_is_seen(sigma: float) -> None:
-    """In steps; over all places between two of them."""
+def test_noise_before_rounding_follows_from_the_observed_noise(sigma: float) -> None:
+    """In steps, over all positions between two steps."""
     place = np.linspace(0, 10, 4001)
     readings = np.round(place + sigma * _RANDOM.standard_normal((40, 4001)))
     seen = np.diff(readings, axis=0).astype(float) ** 2 / 2
@@ -55,8 +55,8 @@ def test_noise_before_the_rounding_is_found_from_what_is_seen(sigma: float) -> N
     assert steps.share_before_rounding(seen.mean(axis=0), readings.mean(axis=0)) == pytest.approx(sigma, abs=0.03)
 
 
-def test_of_one_place_the_least_noise_is_taken_that_fits() -> None:
-    """Readings that flip between two values fit any small noise, so the worst is taken."""
+def test_ambiguous_noise_before_rounding_is_the_smallest_possible() -> None:
+    """Readings that alternate between two values fit any small noise; the smallest is the worst case."""
     flips = np.where(_RANDOM.random((40, 500)) < 0.2, 1.0, 0.0)
     assert steps.share_before_rounding(flips.var(axis=0, ddof=1), flips.mean(axis=0)) == 0.0
     readings = np.round(0.4 * _RANDOM.standard_normal((40, 4000)))
@@ -65,8 +65,8 @@ def test_of_one_place_the_least_noise_is_taken_that_fits() -> None:
 
 @pytest.mark.parametrize("sigma", [0.0, 0.1, 0.3])
 @pytest.mark.parametrize("slope", [0.0, 0.02, 0.2])
-def test_the_bias_of_a_mean_is_that_of_very_many_readings(sigma: float, slope: float) -> None:
-    """Without noise it is a sawtooth, of which six waves are taken."""
+def test_the_bias_is_that_of_the_mean_of_many_readings(sigma: float, slope: float) -> None:
+    """Without noise it is a sawtooth, approximated by six harmonics."""
     place = slope * np.arange(30.0)
     turn = np.array([0.0, 0.2, 0.4])
     weights = np.full(30, 1 / 30)
@@ -75,4 +75,4 @@ def test_the_bias_of_a_mean_is_that_of_very_many_readings(sigma: float, slope: f
         readings = np.round(place + shift + sigma * _RANDOM.standard_normal((4000, 30)))
         assert bias == pytest.approx(
             np.mean(readings - place - shift), abs=0.1 if sigma == 0 else 0.01
-        )  # a sawtooth of six waves
+        )  # a sawtooth of six harmonics

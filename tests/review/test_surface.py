@@ -1,4 +1,4 @@
-"""Fitted tissue against the true one."""
+"""Fitted tissue, compared with the true tissue."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def _fit(scene: DepthScene, point: np.ndarray) -> TissueSurface:
 
 @pytest.mark.parametrize("place", [(0, 0), (6, 0), (3, -7), (-8, 5)])
 @pytest.mark.parametrize("off_mm", [-2.0, 0.0, 0.7, 3.0])
-def test_the_distance_is_at_a_right_angle_to_the_tissue(place: tuple[float, float], off_mm: float) -> None:
-    """From the sphere's centre outwards, which is on the camera's side of the tissue."""
+def test_the_distance_is_perpendicular_to_the_tissue(place: tuple[float, float], off_mm: float) -> None:
+    """Away from the centre of the sphere is the camera's side of the tissue."""
     scene = DepthScene.of(dome_clouds(8))
     on_it, centre = on_dome(*place), np.array([0, 0, 0.27])
     point = centre + (on_it - centre) * (0.02 + off_mm / 1000) / 0.02
     surface = _fit(scene, point)
-    # what is 3 mm off a curved and slanting surface has another foot than its ray
+    # at 3 mm from a curved and sloping surface the nearest point is not on the ray
     assert surface.distance(point[None])[0] * 1000 == pytest.approx(off_mm, abs=0.05 + 0.08 * abs(off_mm))
     assert surface.distance(on_it[None])[0] * 1000 == pytest.approx(0, abs=0.05 if off_mm == 0 else 0.3)
 
@@ -43,7 +43,7 @@ def test_slant_is_one_over_the_cosine_to_the_ray() -> None:
 
 @pytest.mark.parametrize("shift", [-0.002, 0.002])
 @pytest.mark.parametrize("radius_mm", [0.8, 1.6, 2.0])
-def test_a_spot_that_reads_wrong_does_not_bend_the_tissue(shift: float, radius_mm: float) -> None:
+def test_wrong_readings_in_the_centre_do_not_change_the_surface(shift: float, radius_mm: float) -> None:
     """Up to half of the window, docs/review.md."""
     clouds = dome_clouds(8)
     middle = on_dome(2, 1)
@@ -54,8 +54,8 @@ def test_a_spot_that_reads_wrong_does_not_bend_the_tissue(shift: float, radius_m
     assert abs(surface.distance(middle[None])[0]) < 0.0001
 
 
-def test_the_error_says_how_far_off_the_surface_is() -> None:
-    """Over many draws the distance of true points scatters as its error says."""
+def test_the_standard_error_is_the_scatter_of_the_distance() -> None:
+    """Over many draws the scatter of the distance of true points is its standard error."""
     found = []
     for seed in range(8):
         scene = DepthScene.of(dome_clouds(6, sigma=0.0004, seed=seed))
@@ -71,13 +71,13 @@ def test_one_cloud_has_a_larger_error_than_eight() -> None:
     assert one > 1.5 * eight > 0
 
 
-def test_a_list_of_points_is_fitted_too() -> None:
+def test_an_unorganised_cloud_is_fitted_too() -> None:
     points = dome_clouds(1)[0].points.reshape(1, -1, 3)
     surface = _fit(DepthScene.of([DepthCloud("/c", "camera", 1, 1, points)]), on_dome(4, 4))
     assert surface.distance(on_dome(4, 4)[None])[0] == pytest.approx(0, abs=0.0001)
 
 
-def test_where_there_are_too_few_points_there_is_no_surface() -> None:
+def test_too_few_points_have_no_surface() -> None:
     clouds = dome_clouds(2)
     scene = DepthScene.of(clouds)
     assert fit(scene, np.array([0.2, 0.0, 0.25]), WINDOW) is None
@@ -88,10 +88,10 @@ def test_where_there_are_too_few_points_there_is_no_surface() -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_scenes_true_plan_lies_on_the_fitted_tissue(
+def test_the_true_plan_of_the_scene_is_on_the_fitted_tissue(
     seed: int, scenes: dict[int, DepthScene], stars: dict[int, star_scene.StarScene]
 ) -> None:
-    """docs/review.md: within 0.25 mm everywhere, 0.1 mm as a rule; with six clouds and the arm in the way."""
+    """docs/review.md: within 0.25 mm everywhere, 0.1 mm typically; with six clouds and the arm in front."""
     plan = stars[seed].plan
     points = np.concatenate([plan.entry, plan.exit])
     off = np.array([_fit(scenes[seed], point).distance(point[None])[0] for point in points])

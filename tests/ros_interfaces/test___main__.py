@@ -13,13 +13,13 @@ from igtl_gateway.ros_interfaces.definitions import PACKAGES
 
 @pytest.fixture(autouse=True)
 def _only_ours(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The packages of this checkout, not imported by an earlier test."""
+    """Use the packages of this checkout, even if an earlier test imported others."""
     monkeypatch.syspath_prepend(Path(program.__file__).parent / "python")
     for package in PACKAGES:
         monkeypatch.delitem(sys.modules, package, raising=False)
 
 
-def test_every_package_is_named_with_its_place(
+def test_each_package_is_printed_with_its_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     installed = tmp_path / "tf2_msgs" / "__init__.py"
@@ -28,13 +28,15 @@ def test_every_package_is_named_with_its_place(
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(program, "package_path", lambda package: [f"/compiled/{package}"])
     assert program.main() == 0
-    told = capsys.readouterr().out.splitlines()
+    printed = capsys.readouterr().out.splitlines()
     places = {package: f"/compiled/{package}" for package in PACKAGES}
     places["tf2_msgs"] = f"{installed.parent} (installed)"
-    assert told == [f"{package}: {places[package]}" for package in PACKAGES]
+    assert printed == [f"{package}: {places[package]}" for package in PACKAGES]
 
 
-def test_a_package_that_cannot_be_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_package_that_cannot_be_compiled_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def package_path(package: str) -> list[str]:
         if package == "tf2_msgs":
             return ["/compiled/tf2_msgs"]
@@ -42,6 +44,6 @@ def test_a_package_that_cannot_be_is_said(monkeypatch: pytest.MonkeyPatch, capsy
 
     monkeypatch.setattr(program, "package_path", package_path)
     assert program.main() == 1
-    told = capsys.readouterr()
-    assert told.out == "tf2_msgs: /compiled/tf2_msgs\n"
-    assert told.err == "igtl_msgs: no compiler\nfoxglove_msgs: no compiler\nrosbag2_interfaces: no compiler\n"
+    printed = capsys.readouterr()
+    assert printed.out == "tf2_msgs: /compiled/tf2_msgs\n"
+    assert printed.err == "igtl_msgs: no compiler\nfoxglove_msgs: no compiler\nrosbag2_interfaces: no compiler\n"

@@ -1,4 +1,4 @@
-"""The compiled packages as foreign programs use them: rclpy over DDS between processes."""
+"""The compiled packages in other programs: rclpy over DDS between processes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytest.importorskip("ros_wheels_bootstrapper", reason="the packages are compiled
 pytestmark = pytest.mark.ros
 
 NODE = Path(__file__).with_name("typed_node.py")
-#: Far longer than anything takes here.
+#: Far longer than any expected delay.
 TIMEOUT_S = 20.0
 TYPES = [
     f"{package}/msg/{path.stem}" for package in PACKAGES for path in interface_files(package) if "msg" in path.parts
@@ -39,7 +39,7 @@ for package in PACKAGES:
 
 
 def sample(type_name: str, number: Iterator[int]) -> Any:
-    """A message of values that are all different."""
+    """Return a message whose values are all different."""
 
     def value(description: Any) -> Any:
         match description:
@@ -67,7 +67,7 @@ def sample(type_name: str, number: Iterator[int]) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """As ``typed_node.plain``, of rosbags' messages."""
+    """Convert messages of rosbags like ``typed_node.plain``."""
     if hasattr(value, "__msgtype__"):
         return {name: plain(getattr(value, name)) for name, _ in STORE.fielddefs[value.__msgtype__][1]}
     if isinstance(value, np.ndarray):
@@ -83,7 +83,7 @@ def topic(type_name: str) -> str:
 
 
 class Here:
-    """Our side: a node that knows no message class but sends and takes bytes."""
+    """The node of this process: it sends and receives bytes, without message classes."""
 
     def __init__(self) -> None:
         import rclpy
@@ -112,7 +112,7 @@ class Here:
             )
 
     def until(self, condition: Callable[[], bool]) -> None:
-        """Handle what arrives until it is so."""
+        """Process callbacks until the condition holds."""
         clock = self.node.get_clock()
         begin = clock.now()
         while not condition():
@@ -127,7 +127,7 @@ class Here:
 
 @pytest.fixture(scope="module")
 def there() -> Iterator[subprocess.Popen[str]]:
-    """The foreign program, already running."""
+    """The other program, after its start."""
     environment = os.environ | {"PYTHONUNBUFFERED": "1"}
     command = [sys.executable, str(NODE), *TYPES]
     with subprocess.Popen(
@@ -147,13 +147,13 @@ def here(there: subprocess.Popen[str]) -> Iterator[Here]:
 
 
 @pytest.fixture(scope="module")
-def heard(here: Here, there: subprocess.Popen[str]) -> dict[str, Any]:
-    """Type → the values that the foreign program read, after one message of each has gone there and back."""
+def decoded(here: Here, there: subprocess.Popen[str]) -> dict[str, Any]:
+    """Type → the values that the other program decoded, after a round trip of one message of each type."""
     here.until(lambda: all(publisher.get_subscription_count() for publisher in here.publishers.values()))
     here.until(lambda: all(here.node.count_publishers(topic(name) + "/back") for name in TYPES))
 
     def all_back() -> bool:
-        """Whether all are back; sends again what is not, since the other side may have been matched too late."""
+        """Return whether all are back; send the others again, because discovery might have been too late."""
         missing = [name for name in TYPES if name not in here.back]
         for name in missing:
             here.publishers[name].publish(bytes(STORE.serialize_cdr(SAMPLES[name], name)))
@@ -163,28 +163,30 @@ def heard(here: Here, there: subprocess.Popen[str]) -> dict[str, Any]:
 
     here.until(all_back)
     assert there.stdout
-    heard: dict[str, Any] = {}
-    while len(heard) < len(TYPES):
+    decoded: dict[str, Any] = {}
+    while len(decoded) < len(TYPES):
         name, values = json.loads(there.stdout.readline())
-        heard[name] = values
-    return heard
+        decoded[name] = values
+    return decoded
 
 
 @pytest.mark.parametrize("name", TYPES)
-def test_a_foreign_program_reads_and_writes_the_same_values(name: str, here: Here, heard: dict[str, Any]) -> None:
-    assert heard[name] == plain(SAMPLES[name])
+def test_another_program_reads_and_writes_equal_values(name: str, here: Here, decoded: dict[str, Any]) -> None:
+    assert decoded[name] == plain(SAMPLES[name])
     assert plain(STORE.deserialize_cdr(here.back[name], name)) == plain(SAMPLES[name])
 
 
 @pytest.mark.parametrize("name", TYPES)
-def test_the_graph_tells_the_type_hash_of_the_definition(name: str, here: Here, heard: dict[str, Any]) -> None:
+def test_the_graph_has_the_type_hash_of_the_definition(name: str, here: Here, decoded: dict[str, Any]) -> None:
     (endpoint,) = here.node.get_publishers_info_by_topic(topic(name) + "/back")
     assert endpoint.topic_type == name
-    told = endpoint.topic_type_hash
-    assert f"RIHS{told.version:02}_{bytes(told.value).hex()}" == JAZZY_HASHES.get(name, STORE.hash_rihs01(name))
+    type_hash = endpoint.topic_type_hash
+    assert f"RIHS{type_hash.version:02}_{bytes(type_hash.value).hex()}" == JAZZY_HASHES.get(
+        name, STORE.hash_rihs01(name)
+    )
 
 
-def test_a_service_of_a_foreign_program_can_be_called(here: Here, there: subprocess.Popen[str]) -> None:
+def test_a_service_of_another_program_can_be_called(here: Here, there: subprocess.Popen[str]) -> None:
     from igtl_msgs.msg import MetadataItem
     from igtl_msgs.srv import SendCommand
 

@@ -1,4 +1,4 @@
-"""First imports: many at once, and those that cannot be."""
+"""First imports: several at once, and those that fail."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ print(tf2_msgs.msg.__file__)
 
 @WHEELS
 def test_two_first_imports_at_once_compile_once(tmp_path: Path) -> None:
-    left_over = tmp_path / "tf2_msgs.work" / "tf2_msgs"  # by a process that was killed
+    left_over = tmp_path / "tf2_msgs.work" / "tf2_msgs"  # from a process that was killed
     left_over.mkdir(parents=True)
     (left_over / "dispatch.c").write_text("this is not C")
     command = [sys.executable, "-c", FIRST_IMPORT, str(tmp_path)]
@@ -39,23 +39,23 @@ def test_two_first_imports_at_once_compile_once(tmp_path: Path) -> None:
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
         for _ in range(2)
     ]
-    told = [process.communicate(timeout=100) for process in both]
-    assert [process.returncode for process in both] == [0, 0], told
-    (imported,) = {Path(out.strip()) for out, _ in told}
+    outputs = [process.communicate(timeout=100) for process in both]
+    assert [process.returncode for process in both] == [0, 0], outputs
+    (imported,) = {Path(out.strip()) for out, _ in outputs}
     assert imported.parent.parent.name == "tf2_msgs" and tmp_path in imported.parents
-    assert sum(err.count("compiling") for _, err in told) == 1
+    assert sum(err.count("compiling") for _, err in outputs) == 1
     assert {path.name for path in tmp_path.iterdir()} == {imported.parents[2].name, "tf2_msgs.lock"}
 
 
 @WHEELS
-def test_what_is_in_any_of_the_folders_is_taken(tmp_path: Path) -> None:
+def test_a_package_in_any_of_the_folders_is_used(tmp_path: Path) -> None:
     preferred, other = tmp_path / "preferred", tmp_path / "other"
     place = other / cache._key("tf2_msgs", cache._wheels("tf2_msgs")) / "tf2_msgs"
     place.mkdir(parents=True)
     assert cache.compiled("tf2_msgs", [preferred, other]) == place
 
 
-def test_another_definition_is_another_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_changed_definition_is_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     definition = tmp_path / "A.msg"
     monkeypatch.setattr(cache, "interface_files", lambda _: [definition])
     definition.write_text("int32 a\n")
@@ -66,7 +66,7 @@ def test_another_definition_is_another_package(tmp_path: Path, monkeypatch: pyte
     assert cache._key("p_msgs", tmp_path) != key
 
 
-def test_another_version_of_ros_is_another_package(tmp_path: Path) -> None:
+def test_another_version_of_ros_is_compiled_again(tmp_path: Path) -> None:
     installed = tmp_path / "ros_std_msgs-5.3.6.dist-info"
     installed.mkdir()
     key = cache._key("tf2_msgs", tmp_path)
@@ -77,7 +77,7 @@ def test_another_version_of_ros_is_another_package(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("package", "missing", "told"),
+    ("package", "missing", "outputs"),
     [
         ("igtl_msgs", ["ros_wheels_bootstrapper", "rclpy"], "igtl_msgs needs ROS 2: rclpy is not installed here"),
         ("igtl_msgs", ["ros_wheels_bootstrapper"], "ros2/igtl_msgs with colcon"),
@@ -86,13 +86,13 @@ def test_another_version_of_ros_is_another_package(tmp_path: Path) -> None:
     ids=["no ROS", "sourced ROS, ours", "sourced ROS, its own"],
 )
 def test_without_the_wheels(
-    package: str, missing: list[str], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    package: str, missing: list[str], outputs: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_DISTRO", "lyrical")
     monkeypatch.setattr(cache, "find_spec", lambda name: None if name in missing else ModuleSpec(name, None))
     with pytest.raises(ImportError) as error:
         cache.compiled(package, [tmp_path])
-    assert told in str(error.value)
+    assert outputs in str(error.value)
     assert error.value.name == package
 
 
@@ -105,7 +105,7 @@ def test_without_a_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @WHEELS
-def test_where_nothing_can_be_written(tmp_path: Path) -> None:
+def test_without_a_writable_folder(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ImportError, match=r"neither .*file/a nor .*file/b is writable"):
         cache.compiled("tf2_msgs", [tmp_path / "file" / "a", tmp_path / "file" / "b"])

@@ -1,4 +1,4 @@
-"""The definitions of our packages, and igtl_msgs as a ROS 2 package for colcon."""
+"""The definitions of the packages, and igtl_msgs as a ROS 2 package for colcon."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from igtl_gateway.sessionfile.schemas import RosTypes
 
 ROOT = Path(__file__).parents[2]
 IGTL_MSGS = ROOT / "ros2" / "igtl_msgs"
-#: Packages whose types may be used, as the wheels and every ROS 2 have them.
+#: Packages whose types may be used: the wheels and each ROS 2 installation have them.
 STANDARD = {"builtin_interfaces", "geometry_msgs", "std_msgs"}
 
 
@@ -27,8 +27,8 @@ def test_every_package_has_a_stand_in_and_definitions() -> None:
     assert definition_folder("igtl_msgs") == IGTL_MSGS
 
 
-def test_the_wheel_brings_the_definitions_and_the_search_path() -> None:
-    """Where the wheel puts what lies in ros2/ is where :data:`SHARES` and Python look for it."""
+def test_the_wheel_contains_the_definitions_and_the_search_path() -> None:
+    """The wheel installs the files of ros2/ in a folder of :data:`SHARES` and of Python's search path."""
     wheel = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]["targets"]["wheel"]
     assert ROOT / wheel["sources"]["ros2/igtl_msgs"] == SHARES[0] / "igtl_msgs"
     assert wheel["sources"]["ros2/site-packages"] == ""
@@ -62,8 +62,8 @@ def test_a_recording_has_the_definition_without_ros(name: str) -> None:
     assert definition.type_hash.startswith("RIHS01_")
 
 
-def test_compressed_video_is_foxglove_s() -> None:
-    """Names, types and order of the fields, which the type hash is made of, as in public recordings."""
+def test_compressed_video_is_that_of_foxglove() -> None:
+    """Names, types and order of the fields, which the type hash depends on, are those of public recordings."""
     (path,) = interface_files("foxglove_msgs")
     lines = [line.partition("#")[0].strip() for line in path.read_text().splitlines()]
     assert [line for line in lines if line] == [
@@ -79,7 +79,7 @@ def test_cmake_lists_every_interface_once() -> None:
     assert listed == [path.relative_to(IGTL_MSGS).as_posix() for path in interface_files("igtl_msgs")]
 
 
-def test_package_and_cmake_name_what_is_used() -> None:
+def test_package_and_cmake_list_the_used_packages() -> None:
     used = set()
     for path in interface_files("igtl_msgs"):
         used |= set(re.findall(r"^(\w+)/\w+", path.read_text("utf-8"), re.MULTILINE))
@@ -92,7 +92,7 @@ def test_package_and_cmake_name_what_is_used() -> None:
     assert set(dependencies.split()) == STANDARD
 
 
-def test_package_is_ours() -> None:
+def test_package_xml_matches_the_project() -> None:
     package = ET.parse(IGTL_MSGS / "package.xml").getroot()
     assert package.get("format") == "3"
     assert package.findtext("name") == "igtl_msgs"

@@ -1,4 +1,4 @@
-"""A foreign program that uses our message types as any user of rclpy would: by their classes.
+"""Another program, which uses the message types like any user of rclpy: by their classes.
 
     typed_node.py TYPE ...
 

@@ -1,4 +1,4 @@
-"""pytest as a user of the package runs it: in a process of its own, on a project of its own."""
+"""pytest as users of the package run it: in a separate process, on a separate project."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.integration.bridge import ROOT
 
 
 def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """pytest on a folder outside the project; the plugin is loaded by hand where it is not installed."""
+    """Run pytest in a folder outside the project; load the plugin explicitly if it is not installed."""
     installed = any(entry.value == "igtl_gateway.testing.plugin" for entry in entry_points(group="pytest11"))
     plugin = [] if installed else ["-p", "igtl_gateway.testing.plugin"]
     env = os.environ | {"PYTHONPATH": str(ROOT)}

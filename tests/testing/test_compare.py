@@ -1,4 +1,4 @@
-"""What counts as equal, and what a failure says."""
+"""Equality of sessions, and the text of a failure."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def differences(*sides: ManualGateway, **settings: object) -> str:
     return str(caught.value)
 
 
-def test_a_session_equals_itself_whenever_it_was() -> None:
+def test_sessions_with_different_gateway_times_are_equal() -> None:
     assert_session_equal(session(), session())
     assert_session_equal(session(), session(stamp_ns=START_NS + 10**12), ignore=("/igtl/links",))
     assert_session_equal(FIXTURES / "star.mcap", str(FIXTURES / "star.mcap"))
 
 
-def test_a_recording_equals_what_todays_gateway_says_to_its_inputs(tmp_path: Path) -> None:
+def test_a_recording_equals_the_outputs_for_its_inputs(tmp_path: Path) -> None:
     gateway = session()
     gateway.save(tmp_path / "golden.mcap")
     again = ManualGateway()
@@ -45,19 +45,19 @@ def test_a_recording_equals_what_todays_gateway_says_to_its_inputs(tmp_path: Pat
 
 
 def test_the_first_field_that_differs_is_named_with_both_values() -> None:
-    told = differences(session(), session(text="help!"))
-    assert "OpenIGTLink in STRING/Greeting, message 1 of 1: content.string: 'hello' expected, 'help!' found" in told
-    assert "ROS out /igtl/in/Greeting/string, message 1 of 1: data: 'hello' expected, 'help!' found" in told
-    assert "Tool" not in told
+    text = differences(session(), session(text="help!"))
+    assert "OpenIGTLink in STRING/Greeting, message 1 of 1: content.string: 'hello' expected, 'help!' found" in text
+    assert "ROS out /igtl/in/Greeting/string, message 1 of 1: data: 'hello' expected, 'help!' found" in text
+    assert "Tool" not in text
 
 
-def test_numbers_within_the_tolerance_are_the_same() -> None:
+def test_numbers_within_the_tolerance_are_equal() -> None:
     other = session(x=0.1001)  # 0.1 mm, in millimetres on one side and metres on the other
     assert_session_equal(session(), other, tolerance_mm=0.11)
-    told = differences(session(), other, tolerance_mm=0.09)
-    assert "OpenIGTLink out TRANSFORM/Tool, message 1 of 1: content.matrix: " in told
-    assert "ROS in /igtl/out/Tool, message 1 of 1: transform" in told
-    assert told.count(" mm)") == 2
+    text = differences(session(), other, tolerance_mm=0.09)
+    assert "OpenIGTLink out TRANSFORM/Tool, message 1 of 1: content.matrix: " in text
+    assert "ROS in /igtl/out/Tool, message 1 of 1: transform" in text
+    assert text.count(" mm)") == 2
 
 
 def test_a_stamp_is_a_value() -> None:
@@ -75,21 +75,21 @@ def test_fields_and_streams_can_be_left_out() -> None:
 
 
 def test_missing_messages_and_streams_are_counted() -> None:
-    told = differences(session(count=3), session(count=2))
-    assert "OpenIGTLink out TRANSFORM/Tool: 3 messages expected, 2 found" in told
+    text = differences(session(count=3), session(count=2))
+    assert "OpenIGTLink out TRANSFORM/Tool: 3 messages expected, 2 found" in text
     assert "OpenIGTLink out TRANSFORM/Tool: 3 messages expected, 0 found" in differences(
         session(count=3), session(count=0)
     )
 
 
-def test_bytes_that_decode_to_the_same_are_not_the_same() -> None:
+def test_different_bytes_with_equal_values_differ() -> None:
     one, other = ManualGateway(), ManualGateway()
     one.from_peer(b"\0\1MYSTERY\0\0\0\0\0" + b"Box" + bytes(17 + 24))
     other.from_peer(b"\0\1MYSTERY\0\0\0\0X" + b"Box" + bytes(17 + 24))
     assert "byte 13: 00 " in differences(one, other)
 
 
-def test_many_differences_are_counted_and_some_told() -> None:
-    told = differences(session(count=30), session(count=30, x=0.2))
-    assert told.count("\n") == MAX_LISTED + 1
-    assert "more" in told.splitlines()[-1]
+def test_many_differences_are_counted_and_some_listed() -> None:
+    text = differences(session(count=30), session(count=30, x=0.2))
+    assert text.count("\n") == MAX_LISTED + 1
+    assert "more" in text.splitlines()[-1]

@@ -1,4 +1,4 @@
-"""The gateway on manual time, as a user's test drives it."""
+"""The gateway on manual time, as in a test of a user."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ POSE = TransformStamped(Header(START_NS, "base"), "tool", (0.1, 0.2, 0.3), (0.0,
 HELLO = Message("STRING", "Greeting", IgtlString.of("hello"))
 
 
-def test_a_ros_message_goes_out_to_every_peer_in_millimetres() -> None:
+def test_a_ros_message_is_sent_to_all_peers_in_millimetres() -> None:
     gateway = ManualGateway()
     links = (gateway.connect(), gateway.connect())
     (sent,) = gateway.from_ros("/igtl/out/ToolToBase", POSE).igtl()
@@ -34,24 +34,24 @@ def test_a_ros_message_goes_out_to_every_peer_in_millimetres() -> None:
     assert sent.message.content.wire_matrix[9:] == pytest.approx((100.0, 200.0, 300.0))
 
 
-def test_a_peers_message_is_published_whole_or_as_its_bytes() -> None:
+def test_a_peer_sends_a_message_or_its_bytes() -> None:
     gateway = ManualGateway()
     for message in (HELLO, b"".join(encode(HELLO))):
-        (heard,) = gateway.from_peer(message).ros("/igtl/in/**")
-        assert (heard.topic, heard.message) == ("/igtl/in/Greeting/string", String("hello"))
+        (published,) = gateway.from_peer(message).ros("/igtl/in/**")
+        assert (published.topic, published.message) == ("/igtl/in/Greeting/string", String("hello"))
     assert len(gateway.outputs.ros("/igtl/in/*/string")) == 2
-    (again,) = gateway.from_ros("/igtl/out/Echo", heard.cdr, heard.type).igtl("STRING/*")
+    (again,) = gateway.from_ros("/igtl/out/Echo", published.cdr, published.type).igtl("STRING/*")
     assert again.message.content == HELLO.content
 
 
-def test_a_broken_message_is_told() -> None:
+def test_an_invalid_message_is_noted() -> None:
     data = b"".join(encode(HELLO))
     outputs = ManualGateway().from_peer(data[:50] + bytes(8) + data[58:])
     assert not outputs.ros("/igtl/in/**")
     assert [note.stream for note in outputs.notes("bad_crc")] == ["STRING/Greeting"]
 
 
-def test_time_passes_when_told_and_what_waits_happens_at_its_moment() -> None:
+def test_advance_runs_timeouts_when_they_are_due() -> None:
     gateway = ManualGateway(command_timeout_s=2.0)
     gateway.from_peer(Message("COMMAND", "Robot", Command.of(7, "Start", "<Command/>")))
     assert gateway.advance(1.9).entries == []
@@ -73,13 +73,13 @@ def test_settings_by_name_by_file_and_by_value(tmp_path: Path) -> None:
         ManualGateway(ros_unit="inch")
 
 
-def test_a_peer_that_left_gets_nothing() -> None:
+def test_a_disconnected_peer_receives_nothing() -> None:
     gateway = ManualGateway()
     gateway.disconnect(gateway.connect())
     assert gateway.from_ros("/igtl/out/Tool", POSE).igtl() == []
 
 
-def test_the_inputs_of_a_recording_cause_what_they_caused_that_day() -> None:
+def test_the_inputs_of_a_recording_cause_the_recorded_outputs() -> None:
     path = FIXTURES / "paper-types.mcap"
     with SessionFile.open(path) as file:
         recorded = list(file.entries())
@@ -105,9 +105,9 @@ def test_a_saved_session_is_a_recording_that_verifies(tmp_path: Path) -> None:
     assert report.equal == len(gateway.outputs.entries) > 0
 
 
-def test_a_recording_that_begins_midway_is_played_from_its_state(tmp_path: Path) -> None:
+def test_a_recording_with_a_prologue_starts_with_its_state(tmp_path: Path) -> None:
     class Midway(SessionFile):
-        """The second half of a recording: the link came up before it."""
+        """The second half of a recording, after the begin of the link."""
 
         def prologue(self) -> list[Entry]:
             return [entry for entry in super().entries() if entry.kind is Kind.LINK]

@@ -1,4 +1,4 @@
-"""A recording as a peer: what a program under test hears, and what the test hears of the program."""
+"""A recording as a peer: the messages to the program under test, and the messages from it."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def program() -> Iterator[Any]:
         one.socket.close()
 
 
-def test_the_bytes_of_that_day_are_served(program: Any) -> None:
+def test_the_recorded_bytes_are_sent(program: Any) -> None:
     expected = sent_that_day(STAR)
     with ReplayPeer(STAR) as peer:
         client = program(peer)
@@ -84,7 +84,7 @@ def test_the_bytes_of_that_day_are_served(program: Any) -> None:
             assert peer.sent == len(expected)
 
 
-def test_streams_are_chosen_whatever_the_rate(program: Any) -> None:
+def test_streams_are_selected_at_each_rate(program: Any) -> None:
     with ReplayPeer(STAR, streams=("TRANSFORM/CameraToBase", "StarStatus"), rate=100.0) as peer:
         client = program(peer)
         peer.play()
@@ -112,7 +112,7 @@ def _cdr(text: str) -> tuple[bytes, ...]:
     return b"\0\1\0\0", size.to_bytes(4, "little"), text.encode() + b"\0"
 
 
-def test_what_the_program_says_is_decoded_and_what_is_wrong_is_told(program: Any) -> None:
+def test_messages_of_the_program_are_decoded_and_invalid_ones_noted(program: Any) -> None:
     with ReplayPeer(STAR) as peer:
         client = program(peer)
         data = join(encode(HELLO))
@@ -123,7 +123,7 @@ def test_what_the_program_says_is_decoded_and_what_is_wrong_is_told(program: Any
             peer.wait_received(2, timeout_s=0.01)
 
 
-def test_it_connects_to_a_program_that_serves() -> None:
+def test_it_connects_to_a_program_that_listens() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         listener.settimeout(DEADLINE_S)
         with ReplayPeer(STAR, side="peers", connect=listener.getsockname()) as peer:
@@ -141,7 +141,7 @@ def test_it_connects_to_a_program_that_serves() -> None:
     ]
 
 
-def test_of_a_relay_each_side_says_its_own_words(program: Any, tmp_path: Path) -> None:
+def test_of_a_relay_each_side_sends_its_own_messages(program: Any, tmp_path: Path) -> None:
     gateway = ManualGateway(Config(relay=True))
     client, server = gateway.connect(), gateway.connect(role="client", **{PARTNER: 1})
     gateway.from_peer(Message("STRING", "FromClient", String.of("hello")), client)
@@ -155,8 +155,8 @@ def test_of_a_relay_each_side_says_its_own_words(program: Any, tmp_path: Path) -
         assert peer.sent == 1
 
 
-def test_ros_messages_alone_go_through_the_gateway(program: Any, tmp_path: Path) -> None:
-    gateway = ManualGateway()  # nobody is connected: nothing goes out
+def test_ros_messages_are_converted_by_the_gateway(program: Any, tmp_path: Path) -> None:
+    gateway = ManualGateway()  # no peer is connected: nothing is sent
     gateway.from_ros("/igtl/out/Greeting", join(_cdr("hello")), "std_msgs/msg/String")
     gateway.from_ros("/status", join(_cdr("good")), "std_msgs/msg/String")
     gateway.save(tmp_path / "ros.mcap")
@@ -170,7 +170,7 @@ def test_ros_messages_alone_go_through_the_gateway(program: Any, tmp_path: Path)
             assert peer.sent == len(devices)
 
 
-def test_a_test_that_ends_early_is_cleaned_up(program: Any) -> None:
+def test_closing_during_playback_stops_it(program: Any) -> None:
     with ReplayPeer(STAR, rate=0.001) as peer:
         program(peer)
         peer.play()
@@ -189,14 +189,14 @@ def test_no_program_connects() -> None:
         peer.wait_connected(timeout_s=0.01)
 
 
-def test_what_is_wrong_is_said_before_anything_is_served(tmp_path: Path) -> None:
+def test_invalid_arguments_are_errors_before_listening(tmp_path: Path) -> None:
     with pytest.raises(UnsupportedRecording):
         ReplayPeer(tmp_path / "none.mcap")
     with pytest.raises(ConfigError, match="found 0, expected a number above 0"):
         ReplayPeer(STAR, rate=0)
 
 
-def test_a_bad_line_of_a_seed_is_the_same_line_over_every_connection(program: Any) -> None:
+def test_a_seed_has_the_same_faults_on_each_connection(program: Any) -> None:
     fault = "loss=10%,corrupt=5%,truncate=1%,disconnect=1%"
     with SessionFile.open(STAR) as file:
         outputs = [e for e in file.entries() if e.kind is Kind.IGTL_OUT and e.type == "TRANSFORM"]
@@ -212,10 +212,10 @@ def test_a_bad_line_of_a_seed_is_the_same_line_over_every_connection(program: An
         client = program(peer)
         peer.play()
         for wanted in parts:
-            heard = b""
+            received = b""
             while data := client.socket.recv(1 << 16):
-                heard += data
-            assert heard == wanted
+                received += data
+            assert received == wanted
             client.socket.close()
             client = program(peer)
         peer.wait_done()

@@ -1,4 +1,4 @@
-"""The plugin as a user's project has it: pytest in a process of its own."""
+"""The plugin in a project of a user: pytest in a separate process."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_project_uses_the_fixtures(tmp_path: Path) -> None:
     (tmp_path / "test_it.py").write_text(TESTS)
     (tmp_path / "lab.toml").write_text('[gateway]\nros_unit = "mm"\n')
     shutil.copy(FIXTURES / "star.mcap", tmp_path)
-    # from elsewhere: paths are found beside the test
+    # the working directory is another one: paths are relative to the test
     result = run_pytest(tmp_path, "-W", "error")
     assert "1 failed, 3 passed" in result.stdout, result.stdout + result.stderr
     assert "AssertionError: sessions differ" in result.stdout
@@ -64,7 +64,7 @@ def test_nothing_is_imported_before_it_is_used() -> None:
 
 def test_no_ros_is_needed() -> None:
     code = (
-        "import sys; sys.modules['rclpy'] = None; sys.modules['geometry_msgs'] = None; "  # as where they are absent
+        "import sys; sys.modules['rclpy'] = None; sys.modules['geometry_msgs'] = None; "  # as if not installed
         "from igtl_gateway.testing import compare, gateway, peer; "
         "gateway.ManualGateway().from_peer(bytes(58)); peer.ReplayPeer(sys.argv[1]).close()"
     )
