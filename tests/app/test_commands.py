@@ -32,7 +32,7 @@ def test_a_call_becomes_a_message_and_its_reply_the_response() -> None:
         assert ros_type == Command.TYPE
         said.append((topic, Command.unpack(cdr)))
         command = said[-1][1]
-        service.on_entry(reply_entry(CommandReply(Header(), "x", 1, "", 1)))  # somebody else's
+        service.on_entry(reply_entry(CommandReply(Header(), "x", 1, "", 1)))  # to another program
         item = MetadataItem("Status", 3, "SUCCESS")
         service.on_entry(reply_entry(replied(command, content="<ok/>", metadata=(item,), link=4)))
         service.on_entry(reply_entry(replied(command, content="too late")))

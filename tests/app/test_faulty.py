@@ -1,4 +1,4 @@
-"""A feed over a bad line, and the end of connections where it says so."""
+"""A feed with fault injection, and the connections that it closes."""
 
 from __future__ import annotations
 
@@ -66,5 +66,5 @@ def test_connections_end_behind_the_entries_that_say_so() -> None:
     assert all([one_by_one(entry) for entry in entries])
     assert course == [1, 2, "cut", 3, "cut", 4, 5]
     course.clear()
-    assert not all_with_disconnects(send_all, lambda: course.append("cut"))(entries), "one of them was not heard"
+    assert not all_with_disconnects(send_all, lambda: course.append("cut"))(entries), "one entry was not received"
     assert course == [1, 2, "cut", 3, "cut", 4, 5]

@@ -23,7 +23,7 @@ def hub_with(*sinks: object) -> Hub:
 
 
 def kinds_of(seen: list[Entry]) -> list[Kind]:
-    """What was seen, but for the list of links."""
+    """The kinds of the observed entries, without the list of links."""
     return [entry.kind for entry in seen if entry.channel != LINKS_TOPIC]
 
 
@@ -68,7 +68,7 @@ def test_a_sink_that_raises_costs_the_others_nothing() -> None:
     hub.link(1, UP)
     hub.ros("/igtl/out/Text", String.TYPE, TEXT, 0)
     kinds = kinds_of(seen)
-    assert kinds == [Kind.LINK, Kind.EDGE_NOTE, Kind.ROS_IN, Kind.IGTL_OUT, Kind.NOTE], "told once"
+    assert kinds == [Kind.LINK, Kind.EDGE_NOTE, Kind.ROS_IN, Kind.IGTL_OUT, Kind.NOTE], "reported once"
     (told,) = [entry for entry in seen if entry.kind is Kind.EDGE_NOTE]
     assert "ZeroDivisionError: oops" in Note.unpack(told.data()).text
 
@@ -117,7 +117,7 @@ def test_deadlines_are_asked_for_while_nothing_changes_them() -> None:
 
 
 class SetClock(ManualClock):
-    """One that somebody sets."""
+    """A clock that the test sets."""
 
     def __init__(self) -> None:
         super().__init__(10_000 * NS_PER_S)

@@ -1,4 +1,4 @@
-"""The status over HTTP: what it says, whom it answers, and that nobody can hold it up."""
+"""The status over HTTP: its content, the clients that it answers, and that no client can block it."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def played(
     refuse: str = "",
     stop_after: int = 1 << 30,
 ) -> dict[str, object]:
-    """The account of a replay whose sides take everything, but for the stream ``refuse``."""
+    """The account of a replay whose sides accept everything except the stream ``refuse``."""
     with SessionFile.open(path) as file:
         how = plan_replay(file, to, recompute)
         account = ReplayAccount.of(file, how)

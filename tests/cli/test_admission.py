@@ -1,4 +1,4 @@
-"""Who is let in, as the command line says it."""
+"""The options that decide which peers are admitted."""
 
 from __future__ import annotations
 

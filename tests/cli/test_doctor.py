@@ -27,9 +27,9 @@ from igtl_gateway.wire.transform import Transform
 HERE = "127.0.0.1"
 PEMS = Path(__file__).parents[1] / "edges" / "tcp" / "pems"
 DEADLINE_S = 20.0
-#: How long the doctor looks at nobody, or at one who is silent.
+#: How long the doctor waits for a peer, or for a message of a silent peer.
 LOOK = ("--seconds", "0.3")
-#: How long it would look for messages that do not come.
+#: Arguments with which it waits for messages until the deadline.
 #: Discovery takes a second, and many where other tests share the processor.
 DISCOVERY_S = 30.0
 AWAIT = ("--seconds", str(DEADLINE_S), "--messages")
@@ -48,7 +48,7 @@ def wire(*messages: Message) -> bytes:
 
 
 def says(data: bytes) -> Act:
-    """A peer that says this, and stays until we go."""
+    """A peer that sends these bytes and stays connected until the doctor disconnects."""
 
     def act(sock: socket.socket) -> None:
         sock.sendall(data)
@@ -93,7 +93,7 @@ def free_place() -> str:
 
 @contextmanager
 def calling(place: str, act: Act) -> Iterator[None]:
-    """A client that connects as soon as somebody is there, and does this."""
+    """A client that connects as soon as a server listens, then runs ``act``."""
     stopped = threading.Event()
     host, _, port = place.rpartition(":")
 
@@ -118,7 +118,7 @@ def calling(place: str, act: Act) -> Iterator[None]:
 
 
 class Verdict:
-    """What the doctor says."""
+    """The output of the doctor."""
 
     def __init__(self, code: int, told: dict[str, Any]) -> None:
         self.code = code
@@ -356,7 +356,7 @@ def test_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor"]) == 2
     assert "HOST:PORT" in capsys.readouterr().err
     assert main(["doctor", "127.0.0.1:1", "--seconds", "0"]) == 2
-    assert main(["doctor", "--listen", "0.0.0.0:0"]) == 2, "open to others, and nobody is allowed"
+    assert main(["doctor", "--listen", "0.0.0.0:0"]) == 2, "open to other hosts, and no peer is allowed"
     assert main(["doctor", "tcp://127.0.0.1:1", "--tls-ca", "ca.pem"]) == 2, "files for no address"
 
 

@@ -1,4 +1,4 @@
-"""The table of the OpenIGTLink side, and what the command line says besides."""
+"""The configuration table of the OpenIGTLink side, together with the options of the command line."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ ROS, RERUN, AV = ("rclpy",), ("rerun", "rerun_cli"), ("av",)
 BRIDGE = "bridge --no-ros --duration 0.1 --listen :0"
 DOCUMENT = (ROOT / "docs" / "command-line.md").read_text()
 
-#: Missing here: 1, with the one sentence that says how to get it.
+#: A package is missing: 1, with one sentence that names the way to install it.
 MISSING = [
     Case("bridge --duration 0.1 --listen :0", 1, missing("rclpy"), ROS),
     Case("replay {fixture} --to ros", 1, missing("rclpy"), ROS),
@@ -71,7 +71,7 @@ REFUSED = [
     Case(f"{BRIDGE} --snapshot 5 --record {{folder}}/{{long}}", 1, "File name too long"),
 ]
 
-#: What no retry will mend: 2.
+#: Errors that a retry does not repair: 2.
 USAGE = [
     Case("bridge --listen 127.0.0.1:99999", 2, "found '127.0.0.1:99999', expected HOST:PORT"),
     Case("bridge --listen 0.0.0.0:0 --no-ros", 2, "none may connect"),
@@ -89,7 +89,7 @@ USAGE = [
     Case("decode {folder}/none.igtl", 2, "No such file"),
 ]
 
-#: Told by what was found: 1.
+#: Findings in the input: 1.
 FINDINGS = [
     Case("verify {folder}/cut.mcap", 1, "{folder}/cut.mcap"),
     Case("info {folder}/cut.mcap", 1, "{folder}/cut.mcap"),

@@ -98,7 +98,7 @@ def test_times_that_no_session_holds_are_a_failure(tmp_path: Path, capsys: pytes
     base = sqlite3.connect(tmp_path / "some.db3")
     base.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)")
     base.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
-    base.execute("INSERT INTO topics VALUES(1, '/said', 'std_msgs/msg/Empty', 'cdr')")
+    base.execute("INSERT INTO topics VALUES(1, '/topic', 'std_msgs/msg/Empty', 'cdr')")
     base.executemany("INSERT INTO messages VALUES(?, 1, ?, x'0001000000')", [(1, 7), (2, 2**63 - 1)])
     base.executemany("INSERT INTO messages VALUES(?, 1, ?, x'0001000000')", [(3, 2.0**70)])
     base.commit()

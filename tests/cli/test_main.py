@@ -56,7 +56,7 @@ def test_an_unknown_verb_is_usage(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def bad_file(kind: str, folder: Path) -> Path:
-    """A file that is no sound recording."""
+    """A file that is not a valid recording."""
     path = folder / f"{kind}.mcap"
     data = FIXTURE.read_bytes()
     with FIXTURE.open("rb") as stream:
@@ -191,7 +191,7 @@ def test_every_type_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
     ("arguments", "reason"),
     [
         (["--tf-out", "tool"], "--tf-out: found 'tool', expected FRAME"),
-        (["--peer", "127.0.0.1=nobody"], "--peer: found '127.0.0.1=nobody', expected HOST:PORT=PROFILE"),
+        (["--peer", "127.0.0.1=unknown"], "--peer: found '127.0.0.1=unknown', expected HOST:PORT=PROFILE"),
         (["--kinds", "Probe=colour"], "--kinds: found 'Probe=colour', expected DEVICE=KIND"),
         (["--video-codec", "h264", "--no-ros"], "--video-codec: found --no-ros, expected ROS"),
         (["--video-codec", "h264", "--video-bit-rate", "0"], "video bit_rate: found 0"),

@@ -14,7 +14,7 @@ from igtl_gateway.errors import ConfigError, GatewayError
 
 
 def read_only() -> Path | None:
-    """A folder of this machine that takes no files, whoever asks."""
+    """A folder in which no user, not even root, can create a file."""
     return next((path for path in map(Path, ("/proc", "/sys")) if path.is_dir()), None)
 
 

@@ -74,7 +74,7 @@ def test_what_makes_no_sense_is_refused(arguments: list[str], words: str) -> Non
 
 
 class Bench:
-    """A recorder, and what it said."""
+    """A recorder and its messages."""
 
     def __init__(self, path: Path, **options: Any) -> None:
         self.notes: list[Note] = []

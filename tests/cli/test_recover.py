@@ -233,7 +233,7 @@ def test_info_tells_of_a_recovered_file(cut: Path, capsys: pytest.CaptureFixture
 
 
 def side_file(folder: Path) -> Counter[str]:
-    """Messages by type as rosbags finds them by ``metadata.yaml``, each field of which is held against the files."""
+    """Messages by type as rosbags finds them by ``metadata.yaml``; each of its fields is compared with the files."""
     told = YAML(typ="safe").load((folder / "metadata.yaml").read_text("utf-8"))["rosbag2_bagfile_information"]
     parts = []
     topics: Counter[tuple[str, str, str]] = Counter()

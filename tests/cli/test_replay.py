@@ -76,13 +76,13 @@ def everything(peer: socket.socket) -> bytes:
 
 
 def received(*arguments: str) -> tuple[bytes, dict[str, object]]:
-    """What a server receives from a replay that connects to it, and what the replay says of itself."""
+    """What a server receives from a replay that connects to it, and the result that the replay reports."""
     data, (told,) = received_lines(*arguments)
     return data, told
 
 
 def received_lines(*arguments: str) -> tuple[bytes, list[dict[str, Any]]]:
-    """The same, with all that the replay says."""
+    """What a server receives from a replay that connects to it, and all lines that the replay prints."""
     with server() as listener, replay(*arguments, "--to", "igtl", "--connect", target(listener), "--json") as process:
         peer, _ = listener.accept()
         with peer:

@@ -41,7 +41,7 @@ def test_the_planted_stitches_are_found_and_no_others(told: tuple[int, str, list
     facts = json.loads(text)
     assert _wrong(facts["plans"][0]) == list(PLANTED)
     last = _wrong(facts["plans"][-1])
-    assert set(last) < set(PLANTED)  # the planner mends what can be seen
+    assert set(last) < set(PLANTED)  # the planner repairs the errors that are visible
     assert code == (1 if last else 0)
     assert facts["good"] is (not last)
     mended = sorted(set(PLANTED) - set(last))

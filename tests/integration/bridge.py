@@ -137,7 +137,7 @@ class Bridge(Program):
     """``igtl-gateway bridge --json`` on a free port, ready for peers.
 
     Attributes:
-        events: what it told, in order.
+        events: the events that it reported, in order.
         port: where it listens; 0 without a server.
     """
 
@@ -218,7 +218,7 @@ class RosClient(Program):
         self._do("advertise", topic, type=kind, **qos)
 
     def wait_readers(self, *topics: str, count: int = 1) -> None:
-        """Wait until the publishers have so many readers each."""
+        """Wait until each publisher has the given number of subscribers."""
         for topic in topics:
             self._do("readers", topic, count=count)
 
@@ -283,7 +283,7 @@ class RosClient(Program):
 
 @dataclass(frozen=True)
 class Wire:
-    """A message as its bytes say, without any library; ``data`` is all of it."""
+    """A message, decoded from its bytes without any library; ``data`` is the whole message."""
 
     version: int
     type: str
@@ -400,7 +400,7 @@ def _text(field: bytes) -> str:
 
 
 def free_port() -> int:
-    """A port that nobody listens on just now."""
+    """A port on which no program listens at this moment."""
     with socket.create_server(("127.0.0.1", 0)) as sock:
         port: int = sock.getsockname()[1]
         return port

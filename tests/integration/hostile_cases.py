@@ -80,7 +80,7 @@ def image(
     part: Sequence[int] = (),
     scale: float = 1.0,
 ) -> bytes:
-    """The body of an IMAGE, whose pixels are as given, whatever the rest says."""
+    """The body of an IMAGE with the given pixels, even if they contradict the other fields."""
     matrix = (scale, 0, 0, 0, scale, 0, 0, 0, scale, 0, 0, 0)
     fields = (1, components, scalar, endian, 1, *dimensions, *matrix, *offset, *(part or dimensions))
     return struct.pack(">HBBBB3H12f3H3H", *fields) + pixels
@@ -188,7 +188,7 @@ def _pieces() -> Iterable[Case]:
     yield Case(
         "leaves",
         "A complete message, then a half-closed connection (it can still read)",
-        string("last words", "leaves"),
+        string("last message", "leaves"),
         _FINE,
         kept=False,
         manner=Manner.LEAVES,
@@ -221,7 +221,7 @@ def _pieces() -> Iterable[Case]:
     yield Case(
         "resets",
         "A complete message, then RST",
-        string("last words", "resets"),
+        string("last message", "resets"),
         _FINE,
         kept=False,
         manner=Manner.RESETS,

@@ -3,7 +3,7 @@
 usage: lines.py LINES   (as root; 0 lines: the namespaces only)
 
 Line ``i`` has the network 10.77.i.0/24: .1 is its near end, .2 its far end, both called ``line<i>``.  Each end is a TUN
-device, and this program carries the IP packets from one to the other, with the weather it was told.  So both ends are
+device, and this program carries the IP packets from one to the other, with the given weather.  So both ends are
 the kernel's own TCP, and retransmissions, duplicates and backoff are real.  Weather is as that of ``tc netem``: a
 packet that is chosen for reordering goes without its delay, and so overtakes those that wait.
 
@@ -162,7 +162,7 @@ def main() -> None:
     count = int(sys.argv[1])
     try:
         near = new_namespace()
-        # what is sent to a dead end is to be told by the other end's silence only
+        # only the silence of a dead end reveals that it is dead: no ICMP error
         ends = [tun(f"line{index}", f"10.77.{index}.1") for index in range(count)]
         far = new_namespace()
         others = [tun(f"line{index}", f"10.77.{index}.2") for index in range(count)]

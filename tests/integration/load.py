@@ -59,7 +59,7 @@ class Load:
             pass  # it was killed
 
     def wait_answers(self, count: int) -> None:
-        """Wait until so many batches more than now are answered."""
+        """Wait until this number of further batches is answered."""
         with self._changed:
             wanted = len(self.answered) + count
             assert self._changed.wait_for(lambda: len(self.answered) >= wanted, 30)

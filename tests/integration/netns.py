@@ -2,7 +2,7 @@
 
 With root's rights two namespaces can be had nearly everywhere.  Where the kernel has ``sch_netem`` (and there are
 ``ip`` and ``tc``), a line is a pair of veth devices and its weather is ``tc netem``; elsewhere it is a pair of TUN
-devices, and ``lines.py`` is the weather.  ``Lines.how`` says which of them it is.
+devices, and ``lines.py`` is the weather.  ``Lines.how`` names the one in use.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A foreign ROS 2 node: typed rclpy in a process of its own.  Nothing of igtl_gateway is imported here.
 
-Types are named ``pkg/msg/Name``, any that can be imported: their own descriptions of their fields say how values
+Types are named ``pkg/msg/Name``, any that can be imported.  Their own descriptions of their fields decide how values
 become JSON and back.  Sequences of bytes are ``{"hex": …}``, all other sequences and arrays are lists.
 
 usage: ros_client.py NODE_NAME
@@ -175,7 +175,7 @@ def main() -> None:
         try:
             client.obey(command)
             say({"done": command["do"]})
-        except Exception as error:  # told to the test that gave the command
+        except Exception as error:  # reported to the test that gave the command
             say({"failed": f"{command['do']} {command['topic']}: {type(error).__name__}: {error}"})
     stopping.set()
     spinner.join()

@@ -1,8 +1,8 @@
-"""A peer that says numbered texts without end, and writes down the numbered texts that it hears.
+"""A peer that sends numbered strings without end, and keeps the numbered strings that it receives.
 
 Also a program of its own, to be stopped and killed: ``talker.py PORT DEVICE`` is a client, ``talker.py 0 DEVICE`` a
-server (of one client at a time) that prints ``port N`` first.  It prints ``heard N`` for each text; on the word
-``half`` on stdin it says no more than half a message, prints ``half``, and is silent from then on.
+server (of one client at a time) that prints ``port N`` first.  It prints ``received N`` for each string.  On the word
+``half`` on stdin it sends half a message, prints ``half``, and sends nothing from then on.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if __name__ == "__main__":  # what it needs is not installed
 
 from tests.integration.bridge import HEADER_SIZE, TIMEOUT_S, string
 
-#: The device that the other side says its numbers as.
+#: The device name of the peer's numbers.
 TICK = "Tick"
 PERIOD_S = 0.1
 
@@ -31,10 +31,10 @@ class Talker:
     Attributes:
         name: its address, as the gateway calls it where it is a client.
         began: when, by the monotonic clock.
-        first, said: the first and the last number that it has said.
-        heard: the numbers of ``TICK`` that it has heard, in order.
-        bytes_heard: of all that came.
-        ended: why it heard no more, or ``""``.
+        first, sent: the first and the last number that it has sent.
+        received: the numbers of ``TICK`` that it has received, in order.
+        bytes_received: of all that came.
+        ended: why it stopped receiving, or ``""``.
     """
 
     def __init__(
@@ -44,19 +44,19 @@ class Talker:
         *,
         first: int = 1,
         period_s: float = PERIOD_S,
-        on_heard: Callable[[int], None] | None = None,
+        on_received: Callable[[int], None] | None = None,
     ) -> None:
         self.socket = sock
         self.device = device
         self.name = "{}:{}".format(*sock.getsockname())
         self.began = time.monotonic()
         self.first = first
-        self.said = first - 1
-        self.heard: list[int] = []
-        self.bytes_heard = 0
+        self.sent = first - 1
+        self.received: list[int] = []
+        self.bytes_received = 0
         self.ended = ""
         self._period_s = period_s
-        self._on_heard = on_heard
+        self._on_received = on_received
         self._quiet = threading.Event()
         self._changed = threading.Condition()
         sock.settimeout(None)
@@ -66,21 +66,21 @@ class Talker:
         self._listener.start()
 
     def hush(self) -> int:
-        """Say no more; the last number that was said."""
+        """Stop sending; return the last number that was sent."""
         self._quiet.set()
         self._speaker.join(TIMEOUT_S)
-        return self.said
+        return self.sent
 
     def wait(self, condition: Callable[[], bool], what: str, timeout_s: float = TIMEOUT_S) -> None:
-        """Wait for something that follows from what it hears."""
+        """Wait for a condition that depends on the received numbers."""
         with self._changed:
             assert self._changed.wait_for(condition, timeout_s), f"{self.device} at {self.name}: no {what}: {self}"
 
     def wait_some(self) -> None:
-        self.wait(lambda: len(self.heard) >= 5, "ticks")
+        self.wait(lambda: len(self.received) >= 5, "ticks")
 
-    def wait_heard(self, number: int) -> None:
-        self.wait(lambda: bool(self.heard) and self.heard[-1] >= number, f"tick {number}")
+    def wait_received(self, number: int) -> None:
+        self.wait(lambda: bool(self.received) and self.received[-1] >= number, f"tick {number}")
 
     def wait_end(self) -> None:
         """Wait until the other side is gone, or ``close``."""
@@ -95,13 +95,13 @@ class Talker:
         self.socket.close()
 
     def __repr__(self) -> str:
-        return f"said {self.said}, heard {len(self.heard)} up to {self.heard[-1:]}, {self.ended or 'listens'}"
+        return f"sent {self.sent}, received {len(self.received)} up to {self.received[-1:]}, {self.ended or 'listens'}"
 
     def _speak(self) -> None:
         try:
             while not self._quiet.wait(self._period_s):
-                self.socket.sendall(string(str(self.said + 1), self.device))
-                self.said += 1
+                self.socket.sendall(string(str(self.sent + 1), self.device))
+                self.sent += 1
         except OSError as error:
             self._end(f"{error}")
 
@@ -118,10 +118,10 @@ class Talker:
 
     def _hear(self, number: int) -> None:
         with self._changed:
-            self.heard.append(number)
+            self.received.append(number)
             self._changed.notify_all()
-        if self._on_heard:
-            self._on_heard(number)
+        if self._on_received:
+            self._on_received(number)
 
     def _exactly(self, size: int) -> bytes:
         data = b""
@@ -129,7 +129,7 @@ class Talker:
             part = self.socket.recv(size - len(data))
             if not part:
                 raise EOFError("closed")
-            self.bytes_heard += len(part)
+            self.bytes_received += len(part)
             data += part
         return data
 
@@ -140,13 +140,13 @@ class Talker:
 
 
 class Server:
-    """Takes whoever connects to a listening socket, one after the other, with one row of numbers."""
+    """Serves the clients of a listening socket, one after the other, with one row of numbers."""
 
-    def __init__(self, sock: socket.socket, device: str, on_heard: Callable[[int], None] | None = None) -> None:
+    def __init__(self, sock: socket.socket, device: str, on_received: Callable[[int], None] | None = None) -> None:
         self.port: int = sock.getsockname()[1]
         self.talkers: list[Talker] = []
         self._device = device
-        self._on_heard = on_heard
+        self._on_received = on_received
         self._socket = sock
         self._changed = threading.Condition()
         threading.Thread(target=self._accept, daemon=True).start()
@@ -169,7 +169,7 @@ class Server:
             except OSError:
                 return
             first = self.talkers[-1].hush() + 1 if self.talkers else 1
-            talker = Talker(sock, self._device, first=first, on_heard=self._on_heard)
+            talker = Talker(sock, self._device, first=first, on_received=self._on_received)
             with self._changed:
                 self.talkers.append(talker)
                 self._changed.notify_all()
@@ -179,10 +179,10 @@ def main() -> None:
     port, device = int(sys.argv[1]), sys.argv[2]
 
     def told(number: int) -> None:
-        print(f"heard {number}", flush=True)  # noqa: T201 (the protocol)
+        print(f"received {number}", flush=True)  # noqa: T201 (the protocol)
 
     if port:
-        talkers = [Talker(socket.create_connection(("127.0.0.1", port)), device, on_heard=told)]
+        talkers = [Talker(socket.create_connection(("127.0.0.1", port)), device, on_received=told)]
     else:
         again = int(sys.argv[3]) if len(sys.argv) > 3 else 0
         server = Server(socket.create_server(("127.0.0.1", again)), device, told)

@@ -104,7 +104,7 @@ def hidden_ros(folder: Path) -> str:
 @needs_ros
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_without_options_until_a_signal(programs: list[Program], tmp_path: Path, number: signal.Signals) -> None:
-    """The default address may be taken by another bridge on this machine; any port then says the same."""
+    """Another bridge on this machine might use the default address; any other port then shows the same."""
     path = tmp_path / "out.mcap"
     default = default_port_is_free()
     bridge = gateway("bridge", "--record", str(path), *([] if default else ["--listen", "127.0.0.1:0"]))
@@ -202,7 +202,7 @@ def test_without_ros_installed(programs: list[Program], tmp_path: Path) -> None:
 @needs_ros
 @pytest.mark.parametrize("everything", [False, True])
 def test_other_topics_are_recorded(programs: list[Program], tmp_path: Path, everything: bool) -> None:
-    """A domain of its own: with ``--record-all`` nobody else's topics may come in."""
+    """In a domain of its own: with ``--record-all``, topics of other programs must not be recorded."""
     path = tmp_path / "out.mcap"
     topics = {"/arm/joint_states": JOINTS, "/arm/health/all": HEALTH, "/chatter": TEXT}
     wanted = set(topics) if everything else {"/arm/joint_states"}

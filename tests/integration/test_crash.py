@@ -1,8 +1,8 @@
-"""A recording bridge that dies: killed under load at any moment.  What was said before is there.
+"""A recording bridge is killed under load at any moment.  The messages from before are in the file.
 
 Killed alone, the bridge loses nothing: its recorder lives on and closes the file.  Killed together with its recorder,
 as by a loss of power, it loses what was not flushed.  ``CRASH_KILLS=50`` kills that many times instead of two;
-``--log-cli-level=INFO`` tells what each of them cost.
+``--log-cli-level=INFO`` shows the loss of each.
 """
 
 from __future__ import annotations

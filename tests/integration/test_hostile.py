@@ -160,7 +160,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
                 RawPeer(bridge.port) as silent,
                 RawPeer(bridge.port) as loris,
             ):
-                # inside a header all through this module: they must hold up nobody
+                # inside a header throughout this module: they must not delay any other peer
                 silent.send(string("never whole")[: HEADER_SIZE // 2])
                 dribble = threading.Thread(target=dribbles, args=(loris, over))
                 dribble.start()
@@ -174,7 +174,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
 
 
 def dribbles(peer: RawPeer, over: threading.Event) -> None:
-    """A byte now and then, until somebody has enough of it."""
+    """Send a byte now and then, until the bridge closes the link."""
     with suppress(OSError):
         for byte in header("IMAGE", 1000, 0):
             peer.send(bytes([byte]))
@@ -211,7 +211,7 @@ def test_tiny_messages(scene: Scene) -> None:
 
 
 def test_a_peer_that_asks_and_never_listens(scene: Scene) -> None:
-    """A question of 58 bytes has an answer of 60,000.  Texts are not dropped: the link ends."""
+    """A query of 58 bytes has an answer of 60,000.  Strings are not dropped: the link ends."""
     scene.ros.publish(LONG_OUT, {"data": "x" * 60_000})
     scene.good.receive("STRING", "Long")
     with RawPeer(scene.bridge.port, receive_buffer=1 << 14) as peer:
@@ -251,7 +251,7 @@ def test_200_at_once(scene: Scene) -> None:
 
 
 def test_a_peer_that_never_reads(scene: Scene) -> None:
-    """Its images are dropped, its texts are kept, memory is bounded, and who reads gets everything."""
+    """Its images are dropped, its strings are kept, memory is bounded, and a peer that reads gets everything."""
     fields = {
         "header": {"frame_id": "camera"},
         "width": 1024,
@@ -277,7 +277,7 @@ def test_a_peer_that_never_reads(scene: Scene) -> None:
         growth = scene.bridge.resident_bytes() - before
         assert growth < IMAGES * IMAGE_BYTES // 2, growth
         scene.bridge.wait_code("queue_drop", links=scene.link_of(lazy.name))
-        # now it reads: fewer images, all texts
+        # now it reads: fewer images, all strings
         pictures, texts = 0, []
         while f"text {IMAGES - every}" not in texts:
             wire = lazy.receive()
@@ -328,7 +328,7 @@ def test_slow_peers_are_given_up(scene: Scene, who: str) -> None:
 
 @dataclass(frozen=True)
 class Told:
-    """What is known at the end: from the events as they came, the last of them, and the recording."""
+    """The facts at the end: all events in order, the last event, and the recording."""
 
     events: list[Event]
     ledger: dict[str, Any]

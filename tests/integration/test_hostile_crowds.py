@@ -71,7 +71,7 @@ def asks(peer: RawPeer) -> None:
 
 
 def all_gone(bridge: Bridge, good: RawPeer, alone: Use) -> Use:
-    """What is used when all guests are forgotten; behind the last one nobody waits at the door any more."""
+    """Resources in use when all peers are disconnected; after the last one no connection waits to be accepted."""
     with RawPeer(bridge.port) as last:
         asks(last)
     deadline = time.monotonic() + TIMEOUT_S
@@ -82,7 +82,7 @@ def all_gone(bridge: Bridge, good: RawPeer, alone: Use) -> Use:
 
 
 def test_one_after_the_other(tmp_path: Path) -> None:
-    # where the machine is busy many have gone before the bridge looks: none of them is to be refused
+    # on a busy machine many peers disconnect before the bridge accepts them: none of these may be refused
     bridge = Bridge("--no-ros", "--max-clients", "500", "--record", str(tmp_path / "guests.mcap"))
     try:
         with RawPeer(bridge.port) as good:
@@ -117,7 +117,7 @@ def test_one_after_the_other(tmp_path: Path) -> None:
 
 
 def test_200_that_never_begin_the_tls_handshake() -> None:
-    """They keep out nobody who has a certificate, and disturb nobody who is in."""
+    """They keep out no peer that has a certificate, and disturb no connected peer."""
     most = 8
     pems = ("--tls-cert", str(PEMS / "server.pem"), "--tls-ca", str(PEMS / "ca.pem"))
     bridge = Bridge("--no-ros", "--max-clients", str(most), *pems)

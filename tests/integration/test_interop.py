@@ -246,7 +246,7 @@ MARKS: list[dict[str, Any]] = [
 
 
 def cloud_columns(got: dict[str, Any]) -> dict[str, list[Any]]:
-    """The fields of a PointCloud2, read as its documentation says."""
+    """The fields of a PointCloud2, read as its documentation describes."""
     formats = {7: "f4", 6: "u4"}
     order = ">" if got["is_bigendian"] else "<"
     kind = np.dtype(
@@ -684,9 +684,9 @@ def test_client_mode_outlives_its_server() -> None:
                     bridge.wait_code("link_up", 2)
 
                     def send() -> None:
-                        ros.publish("/igtl/out/Words", {"data": "to nobody"})
+                        ros.publish("/igtl/out/Words", {"data": "for no peer"})
                         # links are served in the order in which they came: the server was before this one
-                        assert beside.receive().body.endswith(b"to nobody")
+                        assert beside.receive().body.endswith(b"for no peer")
 
                     kill_while_it_is_sent_to(server, send)
                     assert bridge.wait_code("link_down")["data"]["role"] == "client"

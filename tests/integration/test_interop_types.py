@@ -93,7 +93,7 @@ COLUMNS = (0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 100.5, -200.25, 4096.0)
 ODD_ROWS = [[TINY, HUGE, INF, -INF], [-TINY, -HUGE, 0.5, 0.25], [1.5, 2.5, 3.5, 4.5], [0.0, 0.0, 0.0, 1.0]]
 ODD_COLUMNS = (TINY, -TINY, 1.5, HUGE, -HUGE, 2.5, INF, 0.5, 3.5, -INF, 0.25, 4.5)
 
-#: The longest texts that the library reads in fields of 64, 32 and 20 bytes.
+#: The longest strings that the library reads in fields of 64, 32 and 20 bytes.
 LONG, MIDDLE, SHORT = "Trochanter major, µ" + "n" * 43, "Fiducials of the left side, 2nd", "Größe von Körper"
 
 
@@ -659,7 +659,7 @@ PYIGTL_CASES = [case for case in CASES if suits_pyigtl(case)]
 
 
 def check_pyigtl(case: Case, described: dict[str, Any]) -> None:
-    """What pyigtl tells at all (numpy has no byte order for single bytes) is right."""
+    """All values that pyigtl gives are right (numpy has no byte order for single bytes)."""
     told = described.keys() - ({"endian"} if case.content.get("scalar_type") in (2, 3) else set())
     expected = {key: value for key, value in case.content.items() if key in told}
     assert expected

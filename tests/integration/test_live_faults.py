@@ -1,9 +1,9 @@
-"""Bad networks and dying processes around real bridges: who is undisturbed, who comes back, what is lost and told.
+"""Bad networks and killed processes around real bridges: who is undisturbed, who reconnects, what is lost and reported.
 
-Everything here takes half a minute of waiting, so all scenes play at the same time, in threads, and each test looks at
-what one scene has seen.  The network is that of ``netns``; ``--log-cli-level=INFO`` says which kind of it, and what was
-seen.  See docs/network-faults.md.  What a bridge that is killed leaves behind is in ``test_crash``, a peer that never
-reads in ``test_hostile``.
+Everything here takes half a minute of waiting, so all scenes run at the same time, in threads, and each test checks
+the observations of one scene.  The network is that of ``netns``; ``--log-cli-level=INFO`` shows which kind it is, and
+the observations.  See docs/network-faults.md.  What a killed bridge leaves behind is in ``test_crash``, a peer that
+never reads in ``test_hostile``.
 """
 
 from __future__ import annotations
@@ -82,14 +82,14 @@ starting = threading.Lock()
 
 
 class Ticking:
-    """A ROS node that publishes numbers as texts, until that is over, or the node is.
+    """A ROS node that publishes numbers as strings, until the test stops it or the node ends.
 
     Attributes:
-        said: the last number that was published for certain; when the node is killed, there may be one more.
+        sent: the last number that was published for certain; when the node is killed, there may be one more.
     """
 
     def __init__(self, ros: RosClient, first: int = 1) -> None:
-        self.said = first - 1
+        self.sent = first - 1
         self._ros = ros
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -98,16 +98,16 @@ class Ticking:
     def _run(self) -> None:
         while not self._stop.wait(TICK_S):
             try:
-                self._ros.publish(OUT, {"data": str(self.said + 1)})
+                self._ros.publish(OUT, {"data": str(self.sent + 1)})
             except (OSError, AssertionError):
                 return
-            self.said += 1
+            self.sent += 1
 
     def stop(self) -> int:
         """The last number."""
         self._stop.set()
         self._thread.join()
-        return self.said
+        return self.sent
 
 
 def wait_for(condition: Callable[[], bool], what: Callable[[], object]) -> None:
@@ -127,17 +127,17 @@ def topic(device: str) -> str:
 
 
 def numbers(ros: RosClient, device: str) -> list[int]:
-    """What ROS has heard of a talker."""
+    """The numbers of a talker that ROS has received."""
     return [int(message["data"]) for message in ros.received(topic(device))]
 
 
 def wait_some(ros: RosClient, device: str) -> None:
-    """Wait until ROS has heard a few numbers of a talker."""
+    """Wait until ROS has received a few numbers of a talker."""
     wait_for(lambda: len(numbers(ros, device)) >= SOME, ros.said)
 
 
 def wait_last(ros: RosClient, device: str, last: int) -> None:
-    """Wait until ROS has heard that one, and no other behind it."""
+    """Wait until this number is the last that ROS has received."""
     wait_for(lambda: numbers(ros, device)[-1:] == [last], lambda: f"{device}: {last}, {numbers(ros, device)[-3:]}")
 
 
@@ -182,7 +182,7 @@ class Ended:
 
 
 def numbers_in(entries: Sequence[Entry], stream: str, kind: Kind) -> list[int]:
-    """What a talker, or our ticks, said, as recorded."""
+    """The recorded numbers of a talker, or of our ticks."""
     texts = [entry.data()[HEADER_SIZE + 2 :] for entry in entries if entry.kind is kind and entry.channel == stream]
     return [int(text[2 : 2 + int.from_bytes(text[:2], "big")]) for text in texts]
 
@@ -209,9 +209,9 @@ class Network:
     Attributes:
         how: kind of the lines.
         talkers: by device, ``C`` for the client and ``S`` for the server at each line; the latest last.
-        heard: of each device, by ROS.
-        spoilt, early: packets that were not left alone, as the lines and as TCP at the far end tell.
-        rtt_s: as TCP at the far end of each line tells.
+        received: the numbers of each device that ROS received.
+        spoilt, early: packets that the weather changed, as the lines and as TCP at the far end report.
+        rtt_s: as TCP at the far end of each line reports.
         down_at, up_at: of line ``DOWN``, UTC seconds.
         silent: of the other bridge, which has one peer at the far end of that line: a silent one.
     """
@@ -220,8 +220,8 @@ class Network:
     ended: Ended
     last_tick: int
     talkers: dict[str, list[Talker]]
-    said: dict[str, int]
-    heard: dict[str, list[int]]
+    sent: dict[str, int]
+    received: dict[str, list[int]]
     spoilt: list[int]
     early: int
     rtt_s: list[float]
@@ -282,7 +282,7 @@ def network(folder: Path) -> Network:
         last = ticking.stop()
         said = {device: talkers[device][-1].hush() for device in devices}
         for device in devices:
-            talkers[device][-1].wait_heard(last)
+            talkers[device][-1].wait_received(last)
             wait_last(ros, device, said[device])
         heard = {device: numbers(ros, device) for device in devices}
         spoilt, early = [lines.spoilt(line) for line in WEATHER], lines.kernel_counter("TCPOFOQueue")
@@ -318,13 +318,13 @@ class Graph:
 
     Attributes:
         good: a peer that nothing happens to.
-        frozen: what one heard that was stopped for a while, and how much of it by the time it went on.
+        frozen: what a node received that was stopped for a while, and how much of it by the time it continued.
         alone_from, alone_until: how far the ticks and the good peer were in ROS, when the discovery server was killed,
             and how far that peer a while later.
         before: the last tick of the first ROS node.
         first_after: the first tick of the next one, which found the bridge by a discovery server that was new, too.
         last: the last.
-        heard: of the good peer, by each of the two nodes.
+        received: the numbers of the good peer that each of the two nodes received.
     """
 
     ended: Ended
@@ -337,7 +337,7 @@ class Graph:
     before: int
     first_after: int
     last: int
-    heard: list[list[int]]
+    received: list[list[int]]
     served: list[list[int]]
     server: str
 
@@ -350,7 +350,7 @@ def graph(folder: Path) -> Graph:
     with ExitStack() as stack:
         port = free_udp_port()
         discovery = stack.enter_context(Discovery(command, port))
-        # the bridge looks for topics by their names: that takes a client that is told of everything
+        # the bridge looks for topics by their names: that takes a client to which the server reports everything
         ros_env = {"ROS_DISCOVERY_SERVER": f"127.0.0.1:{port}", "ROS_SUPER_CLIENT": "TRUE"}
 
         def node(name: str) -> RosClient:
@@ -385,7 +385,7 @@ def graph(folder: Path) -> Graph:
         frozen.process.send_signal(signal.SIGSTOP)
         stopped_at = time.monotonic()
         discovery.kill()
-        alone_at, alone_from = time.monotonic(), (ticking.said, numbers(nodes[0], "Good")[-1])
+        alone_at, alone_from = time.monotonic(), (ticking.sent, numbers(nodes[0], "Good")[-1])
         # a client dies inside a message, a server dies and is there again
         assert victim.process.stdin is not None
         victim.process.stdin.write(b"half\n")
@@ -414,10 +414,10 @@ def graph(folder: Path) -> Graph:
         ticking = Ticking(nodes[1], first=before + 2)
         stack.callback(ticking.stop)
         wait_some(nodes[1], "Good")
-        good.wait_heard(before + 10)
+        good.wait_received(before + 10)
 
         last, said = ticking.stop(), good.hush()
-        good.wait_heard(last)
+        good.wait_received(last)
         for each in (frozen, served[1]):
             wait_ticks(each, last)
         wait_last(nodes[1], "Good", said)
@@ -431,7 +431,7 @@ def graph(folder: Path) -> Graph:
             alone_from,
             alone_until,
             before,
-            next(number for number in good.heard if number > before + 1),
+            next(number for number in good.received if number > before + 1),
             last,
             [numbers(each, "Good") for each in nodes],
             [ticks(each) for each in served],
@@ -448,11 +448,11 @@ def started(stack: ExitStack, *arguments: object) -> Program:
 
 
 def ticks(talker: Program) -> list[int]:
-    return [int(line.split()[1]) for line in list(talker.lines) if line.startswith("heard")]
+    return [int(line.split()[1]) for line in list(talker.lines) if line.startswith("received")]
 
 
 def wait_ticks(talker: Program, last: int = 0) -> None:
-    """Wait until it has heard a few, or the last one."""
+    """Wait until it has received a few, or the last one."""
     talker.wait_until(lambda: ticks(talker)[-1:] == [last] if last else len(ticks(talker)) >= SOME, f"tick {last}")
 
 
@@ -524,10 +524,10 @@ class Killed:
     Attributes:
         entries: of the recording of the one that was killed.
         stopped_ns, continued_ns: when it was stopped.
-        events: what it told.
+        events: the events that it reported.
         late: the name of a peer that was inside a message then, and sent the rest meanwhile.
         ended: the next one, at the same port.
-        said: by each connection of a client that comes back: first number, last number.
+        sent: by each connection of a client that comes back: first number, last number.
         back_s: from the kill until that client was there again.
         orphan: whether the recorder of the first one was still there in the end.
         left: shared memory of the first one that is still there.
@@ -541,7 +541,7 @@ class Killed:
     events: list[Event]
     late: str
     ended: Ended
-    said: list[tuple[int, int]]
+    sent: list[tuple[int, int]]
     back_s: float
     started_s: float
     orphan: bool
@@ -569,7 +569,7 @@ def killed(folder: Path) -> Killed:
         late = stack.enter_context(RawPeer(port))
         text = string("1", device="Late")
         late.send(text[:HEADER_SIZE])
-        wait_for(lambda: client.talkers[0].said >= 5, lambda: client.talkers)
+        wait_for(lambda: client.talkers[0].sent >= 5, lambda: client.talkers)
 
         bridge.process.send_signal(signal.SIGSTOP)
         stopped_ns = time.time_ns()
@@ -578,9 +578,9 @@ def killed(folder: Path) -> Killed:
         continued_ns = time.time_ns()
         bridge.process.send_signal(signal.SIGCONT)
         bridge.wait_code("stream", stream="STRING/Late")
-        said = client.talkers[0].said
-        pause(1.5 * STALL_S / 4)  # it looks for silent ones so often
-        wait_for(lambda: client.talkers[0].said >= said + 10, lambda: client.talkers)
+        said = client.talkers[0].sent
+        pause(1.5 * STALL_S / 4)  # it checks for silent peers at this interval
+        wait_for(lambda: client.talkers[0].sent >= said + 10, lambda: client.talkers)
 
         memory = shared_memory(bridge.process.pid)
         assert memory or not Path("/dev/shm").is_dir()
@@ -591,7 +591,7 @@ def killed(folder: Path) -> Killed:
             again = start(paths[1])
             started_s = time.monotonic() - killed_at
         again.wait_code("stream", stream="STRING/Back")
-        wait_for(lambda: len(client.talkers) > 1 and client.talkers[1].said > client.talkers[0].said + 5, bridge.said)
+        wait_for(lambda: len(client.talkers) > 1 and client.talkers[1].sent > client.talkers[0].sent + 5, bridge.said)
         back_s = client.talkers[1].began - killed_at
         client.close()
         again.wait_code("link_down")
@@ -607,7 +607,7 @@ def killed(folder: Path) -> Killed:
             bridge.events,
             late.name,
             finished,
-            [(talker.first, talker.said) for talker in client.talkers],
+            [(talker.first, talker.sent) for talker in client.talkers],
             back_s,
             started_s,
             orphan,
@@ -627,7 +627,7 @@ class Recorder:
     ended: Ended
     stopped: int
     continued: int
-    said: int
+    sent: int
 
 
 def recorder(folder: Path) -> Recorder:
@@ -643,9 +643,9 @@ def recorder(folder: Path) -> Recorder:
         (process,) = children(bridge.process.pid)
         os.kill(process, signal.SIGSTOP)
         try:
-            stopped = talker.said
+            stopped = talker.sent
             pause(STOPPED_S)
-            continued = talker.said
+            continued = talker.sent
         finally:
             os.kill(process, signal.SIGCONT)
         said = talker.hush()
@@ -669,7 +669,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Futur
 
 
 def outcome(scene: Future[Any]) -> Any:
-    """What it has seen, or how it failed: told anew to each test, not the same error with ever more behind it."""
+    """Return its observations, or raise its error: a new one for each test, so that no traceback grows."""
     error = scene.exception()
     if isinstance(error, NotHereError):
         pytest.skip(f"{error}")
@@ -697,9 +697,9 @@ def test_the_network_is_a_bad_one(net: Network) -> None:
 def test_over_a_bad_line_everything_arrives_once_and_in_order(net: Network, line: int) -> None:
     for device in (f"C{line}", f"S{line}"):
         (talker,) = net.talkers[device]
-        assert rows(talker.heard) == [(1, net.last_tick)]
-        assert rows(net.heard[device]) == [(1, net.said[device])]
-        assert rows(net.ended.numbers(f"STRING/{device}", Kind.IGTL_IN)) == [(1, net.said[device])]
+        assert rows(talker.received) == [(1, net.last_tick)]
+        assert rows(net.received[device]) == [(1, net.sent[device])]
+        assert rows(net.ended.numbers(f"STRING/{device}", Kind.IGTL_IN)) == [(1, net.sent[device])]
     assert rows(net.ended.numbers(f"STRING/{TICK}", Kind.IGTL_OUT)) == [(1, net.last_tick)]
 
 
@@ -722,23 +722,23 @@ def test_a_line_that_is_down_is_found_out_and_the_peer_is_served_again(net: Netw
     (found_out,) = told(net.ended.events, "unreachable", before.name)
     assert net.down_at < moment(found_out) < net.up_at
     # to each of both connections without a gap, and nothing twice
-    assert rows(before.heard)[0][0] == 1 and len(rows(before.heard)) == 1
-    assert rows(after.heard) == [(after.heard[0], net.last_tick)]
-    assert after.heard[0] > before.heard[-1]
+    assert rows(before.received)[0][0] == 1 and len(rows(before.received)) == 1
+    assert rows(after.received) == [(after.received[0], net.last_tick)]
+    assert after.received[0] > before.received[-1]
     # and from each of them
-    heard = rows(net.heard[before.device])
+    heard = rows(net.received[before.device])
     assert len(heard) == 2 and heard[0][0] == 1
-    assert heard[1] == (after.first, after.said)
+    assert heard[1] == (after.first, after.sent)
 
 
 @pytest.mark.parametrize("side", [0, 1], ids=["we are the server", "we are the client"])
 def test_what_was_lost_with_a_link_is_told(net: Network, side: int) -> None:
     before, _ = down(net)[side]
     data = told(net.ended.events, "link_down", before.name)[0]["data"]
-    lost = data["sent_bytes"] - before.bytes_heard
+    lost = data["sent_bytes"] - before.bytes_received
     # of what arrived at last, the confirmation may not have
     assert 0 < lost <= data["unconfirmed_bytes"] < lost + 1000
-    assert data["sent_messages"] - len(before.heard) > DOWN_S / TICK_S / 4
+    assert data["sent_messages"] - len(before.received) > DOWN_S / TICK_S / 4
     number = told(net.ended.events, "link_down", before.name)[0]["links"][0]
     link = net.ended.ledger["streams"][PEERS][f"{number} {before.name}"]
     assert link["sent"] == link["delivered"] + sum(link.get("dropped", {}).values()) == data["sent_messages"]
@@ -763,8 +763,8 @@ def seen(scenes: dict[str, Future[Any]]) -> Graph:
 def test_a_peer_that_was_stopped_gets_all_of_it_and_nobody_else_waits(seen: Graph) -> None:
     assert seen.frozen_until < seen.before < seen.frozen[-1] == seen.last
     # the ROS node was killed meanwhile: its last tick may or may not have come
-    assert rows(seen.frozen) == rows(seen.good.heard)
-    assert rows(seen.good.heard)[0][0] == 1 and seen.good.heard[-1] == seen.last
+    assert rows(seen.frozen) == rows(seen.good.received)
+    assert rows(seen.good.received)[0][0] == 1 and seen.good.received[-1] == seen.last
 
 
 def test_a_peer_that_is_killed_inside_a_message_costs_that_message(seen: Graph) -> None:
@@ -785,13 +785,13 @@ def test_who_has_been_found_needs_no_discovery_server(seen: Graph) -> None:
 
 
 def test_a_ros_node_that_is_killed_is_found_again_with_a_new_discovery_server(seen: Graph) -> None:
-    first, second = seen.heard
-    assert rows(first) == [(first[0], first[-1])] and rows(second) == [(second[0], seen.good.said)]
+    first, second = seen.received
+    assert rows(first) == [(first[0], first[-1])] and rows(second) == [(second[0], seen.good.sent)]
     assert second[0] > first[-1]
-    # what nobody in ROS heard was received all the same
-    assert rows(seen.ended.numbers("STRING/Good", Kind.IGTL_IN)) == [(1, seen.good.said)]
+    # the gateway received also what had no subscriber in ROS
+    assert rows(seen.ended.numbers("STRING/Good", Kind.IGTL_IN)) == [(1, seen.good.sent)]
     ticked = rows(seen.ended.numbers(f"STRING/{TICK}", Kind.IGTL_OUT))
-    assert ticked == rows(seen.good.heard)
+    assert ticked == rows(seen.good.received)
     assert ticked[0][0] == 1 and ticked[0][1] in (seen.before, seen.before + 1)
 
 
@@ -809,7 +809,7 @@ def test_a_bridge_that_was_stopped_goes_on_where_it_was(dead: Killed) -> None:
     codes = [event.get("code") for event in dead.events]
     assert "stalled" not in codes and "link_down" not in codes
     assert numbers_in(dead.entries, "STRING/Late", Kind.IGTL_IN) == [1]
-    # the client said all of it meanwhile, too
+    # meanwhile the client sent all its numbers, too
     assert rows(numbers_in(dead.entries, "STRING/Back", Kind.IGTL_IN))[0][0] == 1
 
 
@@ -825,9 +825,9 @@ def test_stamps_after_a_stop_are_of_the_time_of_arrival_and_nothing_bursts(dead:
 def test_after_kill_9_of_a_bridge_the_next_one_serves_the_same_peers_at_the_same_port(dead: Killed) -> None:
     _log.info("killed, started again after %.2f s, the peer back after %.2f s", dead.started_s, dead.back_s)
     assert dead.verified == 0 and dead.ledger["cut_off"]
-    assert len(dead.said) == 2
+    assert len(dead.sent) == 2
     assert rows(numbers_in(dead.entries, "STRING/Back", Kind.IGTL_IN))[0][0] == 1
-    assert rows(dead.ended.numbers("STRING/Back", Kind.IGTL_IN)) == [dead.said[1]]
+    assert rows(dead.ended.numbers("STRING/Back", Kind.IGTL_IN)) == [dead.sent[1]]
     dead.ended.closes()
 
 
@@ -841,5 +841,5 @@ def test_kill_9_of_a_bridge_leaves_neither_a_recorder_nor_shared_memory_when_the
 def test_a_recorder_that_was_stopped_loses_nothing(scenes: dict[str, Future[Any]]) -> None:
     writes: Recorder = outcome(scenes["recorder"])
     assert writes.continued - writes.stopped > STOPPED_S / 0.005 / 10
-    assert rows(writes.ended.numbers("STRING/Count", Kind.IGTL_IN)) == [(1, writes.said)]
+    assert rows(writes.ended.numbers("STRING/Count", Kind.IGTL_IN)) == [(1, writes.sent)]
     writes.ended.closes()

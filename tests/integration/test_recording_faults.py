@@ -1,8 +1,8 @@
-"""What may happen to a recording: the disk is full or read-only, the recording is taken away, the clock is set.
+"""Faults of a recording: the disk is full or read-only, the file is deleted, the clock is set.
 
-With real bridges and real disks; the clock is one of the test's own, that of the host is left alone.  In each case the
-traffic goes on (or the bridge ends, where that was asked for), it is said at once what happened and where, what is not
-in the recording is counted, and what was flushed before is there.
+With real bridges and real disks; the test has a clock of its own and does not change that of the host.  In each case
+the traffic continues (or the bridge ends, if an option requests that), the bridge reports immediately what happened
+and where, it counts the messages that are not in the recording, and all that it flushed before is in the file.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def ended(*arguments: str) -> Result:
 
 
 def status(bridge: Bridge) -> dict[str, Any]:
-    """What ``--metrics`` tells of the recorder."""
+    """What ``--metrics`` shows of the recorder."""
     url = bridge.events[0]["metrics"].replace("/metrics", "/status")
     with urllib.request.urlopen(url) as answer:
         told: dict[str, Any] = json.load(answer)
@@ -293,7 +293,7 @@ def test_a_folder_of_parts_that_is_removed_is_told_at_once(tmp_path: Path) -> No
 
 
 class SetClock(SystemClock):
-    """The host's clock, which somebody sets."""
+    """The host's clock, which the test sets."""
 
     set_ns = 0
 
@@ -339,7 +339,7 @@ def talk_while_the_clock_is_set(path: Path, set_ns: int) -> app.Bridge:
 
             talk()
             hear("CAPABILITY", EACH)
-            peer.send(join(encode(Message("COMMAND", "Robot", Command.of(7, "move", "<up/>")))))  # nobody answers it
+            peer.send(join(encode(Message("COMMAND", "Robot", Command.of(7, "move", "<up/>")))))  # no answer
             clock.set_ns = set_ns
             talk()
             wait_for(lambda: any(ClockStep.of(entry) for entry in list(seen)))

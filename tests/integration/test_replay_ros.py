@@ -1,4 +1,4 @@
-"""``replay --to ros``: a typed rclpy node hears what was said that day."""
+"""``replay --to ros``: a typed rclpy node receives the recorded messages."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_the_services_of_ros2_bag_play() -> None:
             assert node.receive(STRING)["data"] == "Grüße, 你好"
             assert node.waiting(MESH) == 0
 
-            # behind the mesh: it is latched, so it is heard although the player is paused
+            # after the mesh: it is latched, so it is received although the player is paused
             time = {"sec": START_S + 1, "nanosec": 50_000_000}
             assert call("seek", "Seek", time=time) == {"success": True}
             assert len(node.receive(MESH)["triangles"]) == 4

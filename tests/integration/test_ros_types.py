@@ -74,7 +74,7 @@ def item(key: str, value: str) -> Json:
 
 @dataclass(frozen=True)
 class Case:
-    """A message of a peer, and by kind what the node hears: type and value of each message."""
+    """A message of a peer, and what the node receives, by kind: type and value of each message."""
 
     type: str
     device: str
@@ -729,7 +729,7 @@ ASKED = [*STREAMED, *"STATUS CAPABIL STRING POINT TRAJ IMGMETA LBMETA COLORT VME
 ACKNOWLEDGED = [*STREAMED, *"STATUS CAPABIL POINT TRAJ IMGMETA LBMETA".split()]
 #: Prefix → its number in ROS, the names behind it.
 QUERIES = {"GET": (1, ASKED), "STT": (2, STREAMED), "STP": (3, STREAMED), "RTS": (4, ACKNOWLEDGED)}
-#: Queries with a content: bytes, and what they say.
+#: Queries with a content: bytes, and their meaning.
 CONTENTS: dict[str, tuple[bytes, Json]] = {
     "STT_TDATA": (struct.pack(">i32s", 40, b"Tracker"), {"resolution": 40, "coordinate_name": "Tracker"}),
     "STT_QTDATA": (struct.pack(">i32s", 0, b""), {}),
@@ -1195,7 +1195,7 @@ def world() -> Iterator[World]:
                 try:
                     bridge.wait_code("link_up", 4 if cpp else 3)
                     ros.wait_readers(*ADVERTISED.keys() - {"/tf"}, "/tf_static")
-                    ros.wait_readers("/tf", count=2)  # it hears itself
+                    ros.wait_readers("/tf", count=2)  # the node itself subscribes, too
                     yield World(bridge, ros, talker, listener, slicer, cpp)
                 finally:
                     if cpp:
@@ -1439,7 +1439,7 @@ def test_the_latest_state_is_told_to_who_asks(world: World, peer: RawPeer, name:
 
 
 def track(world: World, count: int) -> None:
-    """So many messages of the tracker, waited for at a peer that has asked for nothing."""
+    """Send this number of messages of the tracker; wait for them at a peer that has not requested anything."""
     for number in range(1, count + 1):
         world.ros.publish(f"{OUT}Tools", TOOLS | {"header": {"stamp": {"sec": number}, "frame_id": "Base"}})
         while decode(world.listener.receive("Tools", "TDATA").data).ticks >> 32 != number:

@@ -1,8 +1,8 @@
 """The folder of a split recording as ``ros2 bag`` takes it, field by field.
 
 There is no ``ros2 bag`` to be installed as wheels.  So its reader of ``metadata.yaml`` is written down here (rosbag2's
-``rosbag2_storage/yaml.hpp`` and ``qos.cpp``, version 9: what it asks for, and as what), and each value is held against
-the files by two other readers.
+``rosbag2_storage/yaml.hpp`` and ``qos.cpp``, version 9: the fields that it reads, and their types), and each value is
+compared with the files by two other readers.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def fits(found: Any, expected: Any, where: str = "") -> list[str]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A split recording with all types, as the recorder writes it; nobody changes it."""
+    """A split recording with all types, as the recorder writes it; no test changes it."""
     place = tmp_path_factory.mktemp("rosbag2")
     with SessionFile.open(FIXTURES / "every-type.mcap") as file:
         qos = {(one.topic, one.type): one.qos for one in file.channels}
@@ -114,7 +114,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @cache
 def parsed(text: str) -> Any:
-    """A text in YAML; hundreds of channels have the same few, and the reader is slow."""
+    """A YAML string; hundreds of channels have the same few, and the reader is slow."""
     return YAML(typ="safe").load(text)
 
 

@@ -23,7 +23,7 @@ def programs_with(mark: str) -> list[str]:
             if entry.name.isdigit() and mark.encode() in (entry / "environ").read_bytes():
                 found.append((entry / "cmdline").read_bytes().replace(b"\0", b" ").decode())
         except OSError:
-            continue  # gone, or somebody else's
+            continue  # ended, or of another user
     return found
 
 

@@ -1,7 +1,7 @@
 """``python -m tools.soak``: a minute of it, and that its judgement would notice.
 
 The hour is in docs/soak.md.  This has a tenth of the mixed load, because every test shares two cores with others;
-guests come more often than in the hour.  ``IGTL_GATEWAY_SOAK_S`` makes it longer or shorter.
+clients connect more often than in the hour.  ``IGTL_GATEWAY_SOAK_S`` makes it longer or shorter.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ BROWSER = os.environ.get("IGTL_GATEWAY_BROWSER")
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 PATIENCE_S = 100  #: WebGL by software on a busy machine
 
-#: The page says the first when its canvas stands in the document and is drawn on, and the others when it gives up.
+#: The page logs the first when its canvas is in the document and is drawn on, and the others when it gives up.
 GOOD, BAD = "App started.", ("Failed to start", "Rerun has crashed")
 
 #: Without a graphics card the browser draws by software; as root it has no sandbox.

@@ -44,7 +44,7 @@ class Hostile:
         danger: what it is out for.
         what: the same for people.
         build: makes it in a new folder and gives the path that the verbs get.
-        says: part of the output of the first verb of its sort; empty for a file that is read like any other.
+        expected: part of the output of the first verb of its sort; empty for a file that is read without an error.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Hostile:
     danger: Danger
     what: str
     build: Callable[[Path], Path]
-    says: str = ""
+    expected: str = ""
 
 
 def file(name: str, data: Callable[[], bytes]) -> Callable[[Path], Path]:
