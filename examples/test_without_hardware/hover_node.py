@@ -1,6 +1,6 @@
-"""A ROS 2 node: for each target that the navigation names, the pose five centimetres above it.
+"""A ROS 2 node that publishes a pose 50 mm above each target of the navigation.
 
-The thinking is in ``hover``, which takes and gives messages, so that it can be tested without a running ROS.
+The function ``hover`` has the logic, from message to message, so tests need no running ROS.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ ABOVE_M = 0.05
 
 
 def hover(target: Any) -> Any:
-    """The pose above a target (geometry_msgs/msg/TransformStamped), in the same frame, for the tool."""
+    """Return the pose of the tool above a target, as geometry_msgs/msg/TransformStamped in the frame of the target."""
     pose = copy.deepcopy(target)
     pose.child_frame_id = "tool"
     pose.transform.translation.z += ABOVE_M

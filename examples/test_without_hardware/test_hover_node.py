@@ -1,4 +1,4 @@
-"""The node's logic between the gateway's real conversions: what the navigation says, and what it gets back."""
+"""The node's logic between the gateway's real conversions: from the message of the navigation to its answer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from igtl_gateway.wire.transform import Transform
 STAR = Path(__file__).parents[2] / "fixtures" / "star.mcap"
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-#: Ten, twenty and thirty centimetres: OpenIGTLink has millimetres.
+#: Position in millimetres, the unit of OpenIGTLink.
 TARGET = Message("TRANSFORM", "TargetToBase", Transform((*IDENTITY, 100.0, 200.0, 300.0)))
 
 
@@ -33,7 +33,7 @@ def test_a_target_is_answered_with_a_pose_above_it(igtl_gateway):
 
 
 def test_the_same_with_real_ros_messages(igtl_gateway):
-    """Where ROS 2 is there: its own classes, still without a node, a graph or a wait."""
+    """With ROS 2 installed: the message classes of ROS, without a node, a graph or a wait."""
     serialization = pytest.importorskip("rclpy.serialization")
     kind = pytest.importorskip("geometry_msgs.msg").TransformStamped
     gateway = igtl_gateway()
@@ -44,15 +44,15 @@ def test_the_same_with_real_ros_messages(igtl_gateway):
     assert sent.message.content.wire_matrix == pytest.approx((*IDENTITY, 100.0, 200.0, 350.0))
 
 
-def test_a_new_version_of_the_gateway_still_says_the_same(igtl_gateway, assert_session_equal):
-    """A recording of the lab, fed to the gateway that is installed now."""
-    gateway = igtl_gateway(STAR)  # with the configuration of that day
+def test_a_new_version_of_the_gateway_gives_the_same_result(igtl_gateway, assert_session_equal):
+    """The installed gateway computes the outputs of a recording again."""
+    gateway = igtl_gateway(STAR)  # with the configuration of the recording
     gateway.play(STAR)
     assert_session_equal(STAR, gateway, tolerance_mm=0.001, tolerance_deg=0.001)
 
 
 def as_node_sees_it(target):
-    """The fields of geometry_msgs/msg/TransformStamped that the node uses."""
+    """Return an object with the fields of geometry_msgs/msg/TransformStamped that the node uses."""
     x, y, z = target.translation
     translation = SimpleNamespace(x=x, y=y, z=z)
     return SimpleNamespace(child_frame_id=target.child_frame_id, transform=SimpleNamespace(translation=translation))

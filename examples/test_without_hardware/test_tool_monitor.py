@@ -1,4 +1,4 @@
-"""The module against the robot of a recording: the real bytes of a session, on a real socket."""
+"""The module with the robot of a recording: the recorded bytes of a session, on a real socket."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 import pytest
 from tool_monitor import ToolMonitor
 
-STAR = "../../fixtures/star.mcap"  # beside this file
+STAR = "../../fixtures/star.mcap"  # relative to this file
 
 
 def test_the_path_of_a_whole_session(igtl_replay):
@@ -16,15 +16,15 @@ def test_the_path_of_a_whole_session(igtl_replay):
         program = threading.Thread(target=monitor.run)
         program.start()
         robot.wait_connected()
-        robot.play()  # twelve seconds of robot, as fast as the module reads
+        robot.play()  # 12 s of recorded time, at the highest rate without loss
         robot.wait_done()
     program.join()  # the server has closed
     assert monitor.path_mm == pytest.approx(285.789, abs=0.01)
     assert monitor.lowest_mm == pytest.approx(179.060, abs=0.01)
-    assert robot.received == [], "nothing to warn of"
+    assert robot.received == [], "no warning"
 
 
-def test_a_tool_that_goes_too_deep_is_told_of(igtl_replay):
+def test_a_tool_that_goes_too_deep_causes_a_warning(igtl_replay):
     with igtl_replay(STAR, streams=["ToolToBase"]) as robot:
         monitor = ToolMonitor(robot.host, robot.port, limit_mm=180)
         program = threading.Thread(target=monitor.run)

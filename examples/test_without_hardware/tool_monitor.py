@@ -1,6 +1,6 @@
-"""A module beside the robot: follows the tool, measures its path and warns when it goes too deep.
+"""A module that receives the poses of a tool, measures its path, and sends a warning when the tool is too deep.
 
-It speaks OpenIGTLink over a plain socket and knows nothing of igtl-gateway.
+It receives OpenIGTLink from a plain socket and does not depend on igtl-gateway.
 """
 
 from __future__ import annotations
@@ -10,16 +10,16 @@ import socket
 import struct
 
 HEADER = struct.Struct(">H12s20sQQQ")
-#: The end of a TRANSFORM's matrix: x, y, z in millimetres.
+#: The end of a TRANSFORM's matrix: x, y and z in millimetres.
 POSITION = struct.Struct(">36x3f")
 
 
 class ToolMonitor:
-    """Connects at once; ``run`` returns when the server closes.
+    """A client that connects when it is created; ``run`` returns when the server closes the connection.
 
     Attributes:
-        path_mm: how far the tool has gone.
-        lowest_mm: the deepest it was.
+        path_mm: length of the tool's path.
+        lowest_mm: lowest z of the tool.
     """
 
     def __init__(self, host: str, port: int, limit_mm: float) -> None:
@@ -51,7 +51,7 @@ class ToolMonitor:
         self._socket.sendall(header + body)
 
     def _read(self, size: int) -> bytes:
-        """So many bytes; none at the end of the stream."""
+        """Return this number of bytes; ``b""`` at the end of the stream."""
         data = b""
         while len(data) < size and (part := self._socket.recv(size - len(data))):
             data += part
@@ -59,7 +59,7 @@ class ToolMonitor:
 
 
 def crc64(data: bytes) -> int:
-    """CRC-64 as OpenIGTLink wants it (ECMA-182)."""
+    """Return the CRC-64 (ECMA-182) that OpenIGTLink uses."""
     crc = 0
     for byte in data:
         crc ^= byte << 56

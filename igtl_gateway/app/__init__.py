@@ -1,1 +1,1 @@
-"""Where edges, gateway, recorder and player are wired together: the only modules that know them all."""
+"""Connects edges, gateway, recorder and player to whole programs.  Only these modules import all of them."""

@@ -1,6 +1,6 @@
 """The running bridge: both edges, the gateway and the recorder.
 
-When it has stopped, its ``losses`` are the ledger of the session, with what does not close in it.
+After `Bridge.stop`, ``Bridge.losses`` is the loss ledger of the session with its gaps.
 """
 
 from __future__ import annotations
@@ -43,22 +43,22 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
 
-#: How closely the gateway's deadlines are kept: a ping or a time-out may be late by as much.
+#: Interval of the ticks: a ping or a timeout is late by at most this time.
 _TICK_S = 0.05
 
-#: The same of a relay with faults, whose messages wait for their moment.
+#: Interval of the ticks of a relay with fault injection, which delays messages.
 _FAULTY_TICK_S = 0.001
 
-#: QoS of topics that are recorded only: deep enough for a burst; reliability adapts to the publishers.
+#: QoS of topics that are recorded only: the depth covers a burst; the reliability is that of the publishers.
 _RECORDED = Qos(depth=100)
 
-#: QoS of /diagnostics, as the diagnostic updater has it.
+#: QoS of /diagnostics: that of the diagnostic updater.
 _DIAGNOSTICS = Qos(depth=10)
 
-#: Topics that `--record-all` leaves out, as `ros2 bag record --all` does: hidden ones and the graph's own chatter.
+#: Topics that `--record-all` leaves out, as `ros2 bag record --all` does: hidden topics and those of ROS itself.
 _NEVER_RECORDED = ("/parameter_events", "/rosout", "**/_*")
 
-#: Types that the bridge itself reads on their way to ROS: replies for the service, frames to be decoded.
+#: Types of messages to ROS that the bridge itself reads: replies for the service, video frames for the decoder.
 _OWN_USE = frozenset({CommandReply.TYPE, CompressedImage.TYPE})
 
 Address = tuple[str, int]
@@ -67,21 +67,21 @@ OnEntry = Callable[[Entry], None]
 
 @dataclass(frozen=True, slots=True)
 class BridgeOptions:
-    """What the command line says.
+    """Options of the command line that do not influence the content of messages.
 
     Attributes:
         listen, connect: addresses of the OpenIGTLink side; a relay connects to one server.
-        ros: join ROS 2.
-        record: file to record into.
-        record_topics: globs of ROS topics recorded beside the bridged ones.
-        allow: networks whose peers may connect beside this host's own.
-        limits: what a peer may cost.
+        ros: join the ROS 2 graph.
+        record: file of the recording; None: record nothing.
+        record_topics: globs of ROS topics that are recorded in addition to the bridged ones.
+        allow: networks (CIDR) whose peers may connect in addition to those of this host.
+        limits: limits for each peer.
         tls: files for TLS.
-        tls_listen, tls_connect: those of the addresses where it is spoken.
-        node_name: of the ROS node.
-        recording: how to record.
-        video: how ROS images are encoded as VIDEO (and VIDEO decoded), None to leave both alone.
-        diagnostics: tell ROS on /diagnostics, once a second, how everything is.
+        tls_listen, tls_connect: the addresses of ``listen`` and ``connect`` that use TLS.
+        node_name: name of the ROS node.
+        recording: options of the recorder.
+        video: options of the codec from ROS images to VIDEO and back; None: neither encode nor decode.
+        diagnostics: publish the state of the bridge on /diagnostics once a second.
     """
 
     listen: tuple[Address, ...] = ()
@@ -101,14 +101,14 @@ class BridgeOptions:
 
 
 class Bridge:
-    """Everything between an OpenIGTLink network and a ROS graph.
+    """A bridge between an OpenIGTLink network and a ROS graph.
 
     Args:
-        config: what influences the content of messages; stored in the recording.
-        options: what does not.
-        clock: time of the entries.
-        on_entry: called with every entry, for whoever watches.
-        viewer: the same, for one who wants to see what nobody in ROS hears, too.
+        config: the options that influence the content of messages; stored in the recording.
+        options: the options that do not.
+        clock: source of gateway time and monotonic time.
+        on_entry: called with every entry.
+        viewer: called with every entry; the gateway then also builds outputs without a subscriber.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class Bridge:
         self.recorder: Recorder | None = None
         self.summary: RecordingSummary | None = None
         self._clock = clock
-        self._noted = Once()  # topics without a conversion
+        self._noted = Once()  # topic and type of the reported topics without a conversion
         self._stopping = threading.Event()
         self._timer = threading.Thread(target=self._tick, name="igtl-timer", daemon=True)
         self.commands: CommandService | None = None
@@ -148,7 +148,7 @@ class Bridge:
             tls=options.tls,
         )
         self.ros: RosEdge | None = None
-        self._all_built = viewer is not None or options.record is not None  # outputs without subscriber, too
+        self._all_built = viewer is not None or options.record is not None  # also outputs without a subscriber
         if options.ros:
             self.ros = RosEdge(
                 node_name=options.node_name,
@@ -165,7 +165,10 @@ class Bridge:
                 self.video = VideoCodecs(options.video, config, self.hub, self.ros)
 
     def start(self) -> None:
-        """Open both sides and the recording, or leave nothing: ConfigError, RecordingError or RosError."""
+        """Open both sides and the recording.
+
+        Raises ConfigError, RecordingError or RosError.  After an error everything is closed, and no file is left.
+        """
         try:
             if self.gateway.config.relay:
                 (server,) = self.options.connect
@@ -180,7 +183,7 @@ class Bridge:
                 ]
                 for address in self.options.connect:
                     self.tcp.connect(*address, tls=address in self.options.tls_connect)
-            if self.options.record:  # behind the ports: one that is taken must not cost the recording of yesterday
+            if self.options.record:  # after the ports: a port in use must not overwrite an existing recording
                 self.recorder = Recorder(
                     self.options.record,
                     session_facts(self.gateway.config),
@@ -195,7 +198,7 @@ class Bridge:
                 self._publish_initial_state(self.ros)
         except Exception:
             self.stop()
-            # a file about nothing would only be in the way of the next attempt
+            # an empty file would make the next start fail
             if self.summary:
                 self.summary.discard()
             raise
@@ -203,7 +206,7 @@ class Bridge:
         self.tcp.start()
 
     def _publish_initial_state(self, ros: RosEdge) -> None:
-        """What is there for ROS from the beginning: who is connected, the frames, the command service."""
+        """Advertise the topics and services that exist from the start: links, /tf, diagnostics, commands."""
         ros.advertise(LINKS_TOPIC, LinkStatusList.TYPE, self.gateway.qos(LINKS_TOPIC) or _RECORDED)
         if self.gateway.config.publish_tf:
             ros.advertise("/tf", TFMessage.TYPE, TF_QOS["/tf"])
@@ -214,7 +217,7 @@ class Bridge:
         try:
             item = ros.message_class(MetadataItem.TYPE)
         except RosError as error:
-            self.hub.note(Note(Level.WARN, "no_interfaces", f"no command service and no messages of our own: {error}"))
+            self.hub.note(Note(Level.WARN, "no_interfaces", f"no command service and no igtl_msgs: {error}"))
             return
         timeout_s = self.gateway.config.command_timeout_s
         self.commands = CommandService(
@@ -223,7 +226,7 @@ class Bridge:
         ros.serve(SERVICE, SERVICE_TYPE, self.commands.call)
 
     def stop(self) -> None:
-        """Close both sides, then the recording with its ledger; may be called twice."""
+        """Close both sides, then the recording with its ledger.  A second call has no effect."""
         self._stopping.set()
         if self.commands:
             self.commands.stop()
@@ -241,7 +244,7 @@ class Bridge:
             self.summary = self.recorder.close(self.losses)
 
     def ledger(self) -> dict[str, Any]:
-        """What became of every message, by stream: gateway and edges."""
+        """Return the loss ledger: the counts of the gateway by stream, and those of the edges, as JSON values."""
         sent = {
             str(link): {
                 "sent_messages": counts.sent_messages,
@@ -267,28 +270,31 @@ class Bridge:
         )
 
     def _from_ros(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> None:
-        """A message that the ROS edge received: pictures for a video are encoded first."""
+        """Pass a message of the ROS edge to the encoder if its topic is sent as VIDEO, otherwise to the hub."""
         if not (self.video and self.video.encode(topic, ros_type, cdr, source_ns)):
             self.hub.ros(topic, ros_type, cdr, source_ns)
 
     def _has_subscriber(self, topic: str, ros_type: str) -> bool:
-        """Whether a message to ROS has a subscriber, the bridge itself included."""
+        """Return whether a topic has a subscriber in ROS, or the bridge itself reads the type."""
         return ros_type in _OWN_USE or self.ros is None or self.ros.has_subscriber(topic)
 
     def _on_first_subscriber(self, topic: str) -> None:
-        """A first subscriber: the latched message that waits for it is built."""
+        """Report the first subscriber of a topic: the gateway then builds the latched message of the topic."""
         if self.gateway.has_subscriber:
-            self.hub.note(Note(Level.INFO, LISTENED, f"somebody listens to {topic}", topic))
+            self.hub.note(Note(Level.INFO, LISTENED, f"{topic} has a subscriber", topic))
 
     def _tick(self) -> None:
-        """Keep the gateway's deadlines."""
+        """Send ticks to the hub and publish the diagnostics, until the bridge stops.  Runs in a thread of its own."""
         while not self._stopping.wait(_FAULTY_TICK_S if self.gateway.config.faults else _TICK_S):
             self.hub.tick()
             if self._diagnostics and self._clock.monotonic_ns() >= self._diagnostics_due_ns:
                 self._publish_diagnostics(self._diagnostics)
 
     def _publish_diagnostics(self, diagnostics: Diagnostics) -> None:
-        """Publish on /diagnostics, beside the log; in the timer's thread, under no lock that messages wait for."""
+        """Publish the diagnostics, which are not part of the log.
+
+        Runs in the timer's thread, without a lock that delays messages.
+        """
         self._diagnostics_due_ns = self._clock.monotonic_ns() + PERIOD_NS
         if not self.ros or not self.ros.has_subscriber(DIAGNOSTICS_TOPIC):
             return
@@ -313,9 +319,9 @@ class Bridge:
                 self._clock.utc_ns(), self._clock.monotonic_ns(), streams, watched, peers, recorder
             )
             self.ros.publish(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, statuses.pack(), _DIAGNOSTICS)
-        except Exception as error:  # a defect of ours must not cost the deadlines that this thread keeps
+        except Exception as error:  # a defect here must not stop the ticks of this thread
             self._diagnostics = None
-            text = f"{DIAGNOSTICS_TOPIC} ends: {type(error).__name__}: {error}"
+            text = f"{DIAGNOSTICS_TOPIC} stops: {type(error).__name__}: {error}"
             self.hub.note(Note(Level.ERROR, "internal_error", text))
 
     def _record(self, entry: Entry) -> None:
@@ -323,7 +329,7 @@ class Bridge:
             self.recorder(entry)
 
     def _dispatch(self, entry: Entry) -> None:
-        """An output on its way out; called in the order of the log, under the hub's lock."""
+        """Pass an output to its edge.  The hub calls this in the order of the log, with its lock held."""
         if entry.kind is Kind.IGTL_OUT:
             self.tcp.send(entry.links, entry.payload, entry.channel, self.gateway.keep(entry))
         elif entry.kind is Kind.ROS_OUT and self.ros:
@@ -340,16 +346,19 @@ class Bridge:
                 self.tcp.disconnect(entry.links, note.text)
 
     def subscription_for(self, topic: str, ros_type: str) -> Qos | None:
-        """How to subscribe to a topic that was found; said once if it was asked for, but cannot be bridged."""
+        """Return the QoS for a discovered topic, or None if it is not subscribed to.
+
+        Reports a topic once if the configuration names it, but no conversion for its type exists.
+        """
         encoded = self.video is not None and self.video.subscription(topic, ros_type) is not None
         lacks = self.gateway.lacks_conversion(topic, ros_type) and not encoded
         if lacks and self._noted.first(topic, ros_type):
-            text = f"{topic} is not sent to OpenIGTLink: nothing converts {ros_type}"
+            text = f"{topic} is not sent to OpenIGTLink: no conversion for {ros_type}"
             self.hub.note(Note(Level.WARN, "no_conversion", text, topic))
         return self._subscription(topic, ros_type)
 
     def _subscription(self, topic: str, ros_type: str) -> Qos | None:
-        """How to subscribe to a topic: to bridge it, or to record it, or not at all."""
+        """Return the QoS for a topic that is bridged or recorded, else None."""
         bridged = self.gateway.subscription(topic, ros_type)
         if self.video and not bridged:
             bridged = self.video.subscription(topic, ros_type)
@@ -362,19 +371,19 @@ class Bridge:
 
     @property
     def has_failed(self) -> bool:
-        """Whether the recording has failed, and the bridge is to end with it."""
+        """Whether the recording has failed and the options require the bridge to stop."""
         failed = self.recorder is not None and bool(self.recorder.failure)
         return failed and self.options.recording.stop_on_failure
 
 
 def state_rule(config: Config) -> StateInputRule:
-    """What a recording needs of streams that it leaves out: see ``record.selection``."""
+    """Return which inputs a recording needs of streams that are left out; see ``record.selection``."""
     commands = frozenset({"COMMAND", "RTS_COMMAND", Command.TYPE, CommandReply.TYPE})
     return StateInputRule(frozenset({LINKS_TOPIC}), commands, frozenset(TF_QOS) if config.tf_out else frozenset())
 
 
 def session_facts(config: Config) -> dict[str, str]:
-    """What a recording says of itself: configuration, versions, host."""
+    """Return the metadata of a recording: configuration, versions, host."""
     return {
         "igtl_gateway_version": __version__,
         "config": json.dumps(config.to_dict(), sort_keys=True),

@@ -1,7 +1,7 @@
 """The service ``~/send_command``: one call sends a COMMAND and waits for its reply.
 
-It is a thin layer over the topics: the call becomes a message on the command topic, as any node could publish it,
-and its answer is the first reply with its id.  So recordings and replays know nothing of services.
+It is a thin layer over the topics.  A call is converted to a message on the command topic, which any node could
+publish; its result is the first reply with its id.  So recordings and replays need no support for services.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from igtl_gateway.session.entry import Entry, Kind
 SERVICE = "~/send_command"
 SERVICE_TYPE = "igtl_msgs/srv/SendCommand"
 
-#: Ids of calls; below are those that the gateway gives to messages without one.
+#: Range of the ids of calls; the gateway assigns lower ids to commands without one.
 _FIRST_ID, _LAST_ID = 0x8000_0000, 0xFFFF_FFFF
-#: The gateway answers every command at its deadline at the latest; this is for a gateway that has been stopped.
+#: Wait after the deadline of a command.  The gateway answers at the deadline at the latest, unless it was stopped.
 _GRACE_S = 5.0
 
-#: (topic, type, CDR bytes) to the hub.
+#: Passes (topic, type, CDR bytes) to the hub.
 Publish = Callable[[str, str, bytes], None]
 
 
 class CommandService:
-    """Answers the calls; ``on_entry`` has to be shown every entry.
+    """Answers the calls of the service.  The caller must pass every entry of the log to `on_entry`.
 
     Args:
-        publish: brings a ROS message to the gateway.
-        timeout_s: for calls that name none.
+        publish: passes a ROS message to the gateway.
+        timeout_s: timeout of calls that do not set one, in seconds.
         item: class of the ROS message igtl_msgs/msg/MetadataItem.
     """
 
@@ -48,7 +48,7 @@ class CommandService:
         self._stopped = False
 
     def call(self, request: Any, response: Any) -> Any:
-        """One call, in a thread of its own."""
+        """Send the command of a request and fill in the response.  Runs in a thread of its own."""
         timeout_s = float(request.timeout) if 0 < request.timeout < float("inf") else self._timeout_s
         reply = self.send_and_wait(
             Command(
@@ -73,7 +73,7 @@ class CommandService:
         return response
 
     def send_and_wait(self, command: Command) -> CommandReply:
-        """Send a command, and wait for what becomes of it."""
+        """Send a command, wait, and return its reply; at a timeout or stop a reply with the status TIMEOUT."""
         topic = f"{OUT_PREFIX}{topic_token(command.device_name or 'command')}/command"
         with self._lock:
             self._replies[command.id] = None
@@ -87,13 +87,13 @@ class CommandService:
         finally:
             with self._lock:
                 del self._replies[command.id]
-        text = "the gateway stopped" if self._stopped else "the gateway gave no answer"
+        text = "the gateway stopped" if self._stopped else "no answer from the gateway"
         return reply or CommandReply(
             Header(), command.device_name, command.id, command.name, CommandReply.TIMEOUT, text
         )
 
     def on_entry(self, entry: Entry) -> None:
-        """Pick the replies to our calls out of the log."""
+        """Receive an entry of the log; a reply to a waiting call ends its wait."""
         if entry.kind is not Kind.ROS_OUT or entry.type != CommandReply.TYPE or not self._replies:
             return
         reply = CommandReply.unpack(entry.payload[0])
@@ -103,7 +103,7 @@ class CommandService:
                 self._answered.notify_all()
 
     def stop(self) -> None:
-        """Let nobody wait any longer."""
+        """End the wait of all calls."""
         with self._lock:
             self._stopped = True
             self._answered.notify_all()

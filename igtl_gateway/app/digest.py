@@ -1,4 +1,4 @@
-"""SHA-256 of what is sent: of large parts in a thread beside, so that sending need not wait for it."""
+"""SHA-256 of the bytes sent.  Large parts are hashed in a second thread, so sending does not wait for them."""
 
 from __future__ import annotations
 
@@ -8,37 +8,37 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from igtl_gateway.buffers import Buffer
 
-#: What is shorter is done before a thread is woken.
+#: Size in bytes from which a part is hashed in the second thread; for shorter parts the switch takes longer.
 _LARGE = 1 << 18
 
 
 class Digest:
-    """A hash that grows.  What it was given must not change until the next part is given."""
+    """An incremental hash.  The buffers of a part must not change until the next call of any method."""
 
     def __init__(self) -> None:
         self._hash = hashlib.sha256()
-        self._beside: ThreadPoolExecutor | None = None
+        self._executor: ThreadPoolExecutor | None = None
         self._busy: Future[None] | None = None
 
     def update(self, parts: Sequence[Buffer], size: int) -> None:
-        """Take these buffers, of so many bytes together."""
+        """Add these buffers, with ``size`` bytes in total."""
         self._wait()
         if size < _LARGE:
             self._hash.update(parts[0] if len(parts) == 1 else b"".join(parts))
             return
-        if not self._beside:
-            self._beside = ThreadPoolExecutor(1, "igtl-digest")
-        self._busy = self._beside.submit(self._update, parts)
+        if not self._executor:
+            self._executor = ThreadPoolExecutor(1, "igtl-digest")
+        self._busy = self._executor.submit(self._update, parts)
 
     def copy(self) -> Digest:
-        """One that has been given the same."""
+        """Return an independent hash of the same bytes."""
         self._wait()
         other = Digest()
         other._hash = self._hash.copy()
         return other
 
     def hexdigest(self) -> str:
-        """Of all that it was given."""
+        """Return the SHA-256 of all added bytes as hexadecimal digits."""
         self._wait()
         return self._hash.hexdigest()
 

@@ -1,8 +1,8 @@
-"""A visit to a peer: connect to it or wait for it, see what comes, and try the other role if nobody is there.
+"""The examination of a live peer for ``doctor``: connect or listen, observe, and try the other TCP role without a peer.
 
-What comes goes through the same door as in a bridge (hub, session, gateway), so what the rules see is what they see in
-a recording.  Nothing is sent but one STATUS, and that only to a peer that has said nothing: a message that every
-program knows and none minds, and whose text ends with the empty line that makes a web server answer.
+Received messages pass through hub, session and gateway as in a bridge, so the rules observe the same entries as in a
+recording.  The only message sent is one STATUS, and only to a peer that has sent no message.  Every OpenIGTLink program
+accepts a STATUS, and its text ends with an empty line, so a web server answers, too.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import Status
 
-#: Part of the time after which a silent peer is spoken to, and an absent one is looked for in the other role.
+#: Share of the time after which a silent peer is sent a STATUS, or the other TCP role is tried if no peer is connected.
 PATIENCE = 0.5
 
-#: What discovery takes on a good day; with less, the graph would look empty.
+#: Least time for the discovery of the ROS graph, in seconds; with less, the graph would seem empty.
 _GRAPH_S = 1.0
 
 _OK = 1
@@ -41,19 +41,19 @@ Address = tuple[str, int]
 
 @dataclass(frozen=True, slots=True)
 class ExamineOptions:
-    """How to look.
+    """Options of an examination.
 
     Attributes:
-        connect: the peer's address, as a server.
-        listen: our address, to be a server; then ``connect`` is only tried if nobody comes.
-        seconds: how long to look, at most.
-        messages: so many are enough; 0: no number is.
-        speak: header version of what a silent peer is told; 0: nothing.
-        allow: networks whose peers may connect beside this host's own; with any, we listen at all addresses for one
-            that is not there as a server.
-        ros: look at the ROS graph, too.
+        connect: address of the peer's server.
+        listen: address to listen on; with it, ``connect`` is tried only if no client connects.
+        seconds: longest duration of the observation.
+        messages: number of messages after which the observation ends; 0: no such number.
+        speak: header version of the STATUS for a silent peer; 0: send none.
+        allow: networks (CIDR) whose peers may connect in addition to those of this host; if there is one, the wait for
+            a client in place of an absent server listens on all addresses.
+        ros: also examine the ROS graph.
         tls: files for TLS.
-        tls_listen, tls_connect: whether it is spoken at these addresses.
+        tls_listen, tls_connect: whether ``listen`` and ``connect`` use TLS.
     """
 
     connect: Address | None
@@ -69,32 +69,32 @@ class ExamineOptions:
 
 
 def examine(config: Config, options: ExamineOptions, clock: Clock, stop: threading.Event) -> Observer:
-    """Look for as long as the options say, or until ``stop``; gives what was seen.
+    """Observe for the time of the options, or until ``stop`` is set, and return the observation.
 
-    ``stop`` is set by us, too, once there is nothing more to learn.
+    This function also sets ``stop``, as soon as further messages would not change the result.
 
-    Raises ConfigError for an address that cannot be used, RosError where ROS is wanted and not there.
+    Raises ConfigError for an unusable address, and RosError if the options require ROS and it is not available.
     """
     intent = (
         ExpectedLinks("server", _address_text(options.listen))
         if options.listen
         else ExpectedLinks("client", _address_text(options.connect))
     )
-    visit = _Examination(config, options, clock, stop, Observer(config, intent))
+    examination = _Examination(config, options, clock, stop, Observer(config, intent))
     ros = _graph_edge() if options.ros else None
     try:
         if ros:
             ros.start()
         begun_ns = clock.monotonic_ns()
-        visit.run()
+        examination.run()
         if ros:
             left_s = _GRAPH_S + (begun_ns - clock.monotonic_ns()) / NS_PER_S
             threading.Event().wait(max(0.0, left_s))
-            visit.seen.graph = Graph.of(visit.gateway, visit.seen.published, ros.endpoints())
+            examination.seen.graph = Graph.of(examination.gateway, examination.seen.published, ros.endpoints())
     finally:
         if ros:
             ros.stop()
-    return visit.seen
+    return examination.seen
 
 
 def _address_text(address: Address | None) -> str:
@@ -103,7 +103,7 @@ def _address_text(address: Address | None) -> str:
 
 
 def _graph_edge() -> RosEdge:
-    """One that only looks."""
+    """Return a ROS edge that only discovers the graph."""
     return RosEdge(
         node_name=_NODE,
         on_message=lambda _topic, _type, _cdr, _source: None,
@@ -125,7 +125,7 @@ class _Examination:
         self._hub = Hub(Session(self.gateway), clock, [self._on_entry])
 
     def run(self) -> None:
-        """Look in the role that is wanted; if nobody is there by half of the time, in the other one."""
+        """Observe in the TCP role of the options; if no peer is connected after half of the time, in the other role."""
         listen, connect = self._options.listen, self._options.connect
         edge = self._edge()
         try:
@@ -135,7 +135,7 @@ class _Examination:
             else:
                 free = self._serve(edge, listen)
             if free:
-                self._observe(edge, self._options.seconds, for_company=True)
+                self._observe(edge, self._options.seconds, needs_peer=True)
         finally:
             edge.stop(0)
         if self.seen.peers or self._stop.is_set():
@@ -145,7 +145,7 @@ class _Examination:
             if listen is None:
                 there = self._listen_for(edge, connect)
             else:
-                # who has our port may be the one that we wait for
+                # the program that uses our port might be the peer
                 there = self._dial(
                     edge, *((connect, self._options.tls_connect) if free else (listen, self._options.tls_listen))
                 )
@@ -162,7 +162,7 @@ class _Examination:
         return True
 
     def _serve(self, edge: TcpEdge, listen: Address) -> bool:
-        """Be a server; False if the port is taken."""
+        """Listen; return False if the port is in use."""
         try:
             edge.listen(*listen, tls=self._options.tls_listen)
         except Unavailable as error:
@@ -172,7 +172,7 @@ class _Examination:
         return True
 
     def _listen_for(self, edge: TcpEdge, target: Address | None) -> bool:
-        """Be the server that the absent one might be looking for, at its port."""
+        """Listen on the port of an absent server, for a peer that is a client; return False if that is not possible."""
         if target is None:
             return False
         host, port = target
@@ -180,22 +180,25 @@ class _Examination:
         try:
             edge.listen(here, port, tls=self._options.tls_connect and self._options.tls.cert is not None)
         except (ConfigError, Unavailable):
-            return False  # taken, by our own bridge perhaps; then nothing can be told
+            return False  # the port is in use, possibly by a bridge on this host: no further observation is possible
         edge.start()
         return True
 
-    def _observe(self, edge: TcpEdge, seconds: float, *, for_company: bool = False) -> None:
-        """Until the time is over or there is nothing more to learn; for company: or nobody is there at half of it."""
+    def _observe(self, edge: TcpEdge, seconds: float, *, needs_peer: bool = False) -> None:
+        """Wait until the time is over or ``stop`` is set; with ``needs_peer`` only half of it if no peer is connected.
+
+        At half of the time, silent peers are sent a STATUS.
+        """
         begun_ns = self._clock.monotonic_ns()
         for part in (PATIENCE, 1.0):
             left_s = (begun_ns - self._clock.monotonic_ns()) / NS_PER_S + seconds * part
-            if self._stop.wait(max(0.0, left_s)) or (for_company and not self.seen.peers):
+            if self._stop.wait(max(0.0, left_s)) or (needs_peer and not self.seen.peers):
                 return
             if part < 1.0:
                 self._send_status(edge)
 
     def _send_status(self, edge: TcpEdge) -> None:
-        """Say one thing to those that are silent."""
+        """Send one STATUS to each peer that has sent no message."""
         version = self._options.speak
         for link in edge.links():
             with self._lock:
@@ -222,11 +225,11 @@ class _Examination:
 
     def _on_entry(self, entry: Entry) -> None:
         with self._lock:
-            # what the gateway would answer is not sent; of us there is the word to the silent alone
+            # answers of the gateway are not sent; the only outgoing message is the STATUS, which has no entry number
             if entry.kind is not Kind.IGTL_OUT or not entry.seq:
                 self.seen.add(entry)
             peers = self.seen.peers.values()
             enough = 0 < self._options.messages <= sum(peer.messages for peer in peers)
-            # another protocol: nothing better will come
+            # a peer with another protocol sends no OpenIGTLink later
             if enough or any(peer.head and not is_openigtlink(peer.head) for peer in peers):
                 self._stop.set()

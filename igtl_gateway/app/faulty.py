@@ -1,7 +1,7 @@
-"""A replay with faults: what the messages of a feed become on a bad line, and the end of connections.
+"""Fault injection for a replay: changed messages and closed connections.
 
-The faults happen in recorded time, before the playback paces anything.  So the same messages go out with the same
-faults in the same order at every rate, and at every run.
+The faults are applied in recorded time, before the playback paces the entries.  So every run, at every rate, sends the
+same messages with the same faults in the same order.
 """
 
 from __future__ import annotations
@@ -17,25 +17,27 @@ from igtl_gateway.faults import DELAY, Fate, FaultLine, Faults
 from igtl_gateway.gateway.stamps import moved
 from igtl_gateway.session.entry import Entry, Kind
 
-#: The links of an entry behind which the connections are closed: no link has this number.
+#: Marks an entry after which the connections are closed, in place of its links: no link has this number.
 DISCONNECT = (0,)
 
-#: How long a replay waits for peers whose connection it has closed; gateways are back within five seconds.
+#: Longest wait for peers to reconnect after a disconnect; gateways reconnect within 5 s.
 RECONNECT_TIMEOUT_S = 10.0
 
-_LOOK_S = 0.2
+_POLL_S = 0.2
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 _LINE = "replay"
 
 
 class FaultyFeed:
-    """Faults for the OpenIGTLink messages of a replay; what is for ROS stays as it is.
+    """Applies faults to the OpenIGTLink messages of a replay; messages to ROS do not change.
 
     Attributes:
-        counts: what was done so far: ``messages``, ``delay`` (how many left later), and each fault by its name.
+        counts: counts so far: ``messages``, ``delay`` (delayed messages), and each fault by its name.
 
     Args:
-        on_fault: told of every message of which there is something to tell.
+        faults: the faults.
+        seed: seed of the fault injection; the same seed affects the same messages.
+        on_fault: called with the fate of every message that has a reportable fault.
     """
 
     def __init__(self, faults: Faults, seed: int, on_fault: Callable[[Fate[Entry]], None] = lambda fate: None) -> None:
@@ -45,7 +47,10 @@ class FaultyFeed:
         self._on_fault = on_fault
 
     def __call__(self, entries: Iterable[Entry]) -> Iterator[Entry]:
-        """What leaves, at its moments; each call is a line of its own, so that each pass of a loop is the same."""
+        """Yield the entries that are delivered, with their new times.
+
+        Each call begins with a new `FaultLine`, so all passes of a loop are equal.
+        """
         line: FaultLine[Entry] = FaultLine(self._faults, self._seed, _LINE, moved)
         for entry in entries:
             if entry.kind in _IGTL:
@@ -70,21 +75,24 @@ class FaultyFeed:
 
 
 def disconnector(edge: TcpEdge, stop: Event) -> Callable[[], None]:
-    """Closes all connections of a replay, once all that was sent has arrived, and waits for the peers to be back."""
+    """Return a function that closes all connections and waits until the peers reconnect.
+
+    It sends the queues first, and returns early if ``stop`` is set.
+    """
 
     def disconnect() -> None:
         links = [link.number for link in edge.links() if link.connected]
-        while links and not edge.disconnect(links, "fault: disconnect", _LOOK_S) and not stop.is_set():
+        while links and not edge.disconnect(links, "fault: disconnect", _POLL_S) and not stop.is_set():
             pass
-        for _ in range(round(RECONNECT_TIMEOUT_S / _LOOK_S)):
-            if stop.is_set() or edge.wait_links(len(links), _LOOK_S):
+        for _ in range(round(RECONNECT_TIMEOUT_S / _POLL_S)):
+            if stop.is_set() or edge.wait_links(len(links), _POLL_S):
                 return
 
     return disconnect
 
 
 def with_disconnects(send: Send, disconnect: Callable[[], None]) -> Send:
-    """``send``, and the end of the connections where an entry says so."""
+    """Return ``send`` extended by ``disconnect``, which is called after each entry with the links `DISCONNECT`."""
 
     def send_and_cut(entry: Entry) -> bool:
         delivered = send(entry)
@@ -96,7 +104,7 @@ def with_disconnects(send: Send, disconnect: Callable[[], None]) -> Send:
 
 
 def all_with_disconnects(send_all: SendAll, disconnect: Callable[[], None]) -> SendAll:
-    """The same of several."""
+    """Return ``send_all`` extended by ``disconnect``, as `with_disconnects` does for single entries."""
 
     def send_and_cut(entries: Sequence[Entry]) -> bool:
         delivered, run = True, list[Entry]()

@@ -1,8 +1,8 @@
-"""The hub: the one door through which everything reaches the gateway, and the order in which it did.
+"""The hub: passes all inputs to the session in one order, and all entries to the sinks.
 
-Any thread may bring an input.  One lock makes them a sequence; whoever holds it feeds the gateway and hands
-each entry to the sinks (recorder, edges) in the order of the log.  There is no queue and no hop between an
-edge and the other one: a ROS callback ends in the peer's socket.
+Any thread may submit an input.  One lock puts the inputs in order.  The thread that has the lock passes its input to
+the session, and each entry to the sinks (recorder, edges) in the order of the log.  There is no queue and no thread
+switch between the edges: the thread of a ROS callback writes to the peer's socket.
 """
 
 from __future__ import annotations
@@ -21,19 +21,21 @@ from igtl_gateway.session.note import Level, Note
 
 Sink = Callable[[Entry], None]
 
-#: Two clocks are compared if both could be read within this time: a thread may be interrupted in between.
+#: Longest time between two readings of the clocks that are compared: the thread might be interrupted in between.
 _AT_ONCE_NS = LEAST_NS // 10
 
-#: Kind, payload, channel, type, links and source stamp of what came in.
+#: Kind, payload, channel, type, links and source stamp of an input.
 _Input = tuple[Kind, Buffer, str, str, tuple[int, ...], int]
 
 
 class Hub:
-    """See the module.  Sinks must not block; one that raises is told of once, and the others get their entry.
+    """Passes inputs to the session and entries to the sinks, under one lock.
+
+    Sinks must not block.  The first exception of a sink is reported; the other sinks still receive the entry.
 
     Args:
-        session: the gateway with its numbering.
-        clock: gives each input its time.
+        session: the sequencer with its gateway.
+        clock: source of gateway time.
         sinks: called with every entry, in order.
     """
 
@@ -41,36 +43,36 @@ class Hub:
         self._session = session
         self._clock = clock
         self._utc_ns = clock.utc_ns
-        self._last_ns = 0  # when the last input came
-        self._ahead_ns = 0  # of gateway time to the host's clock
-        self._offset_ns: int | None = None  # of the host's clock to one that nobody sets
+        self._last_ns = 0  # gateway time of the last input
+        self._ahead_ns = 0  # gateway time less the time of the host's clock
+        self._offset_ns: int | None = None  # the host's clock less the monotonic clock
         self._sinks = tuple(sinks)
         self._lock = threading.Lock()
         self._owner = 0
-        self._noted = Once()  # sinks that have failed
-        # inputs that a sink brought while the lock was ours: they follow the entries being handed on
+        self._noted = Once()  # sinks whose failure was reported
+        # inputs that a sink submits while this thread has the lock: they are processed after the current entries
         self._waiting: deque[_Input] = deque()
         self._check_clock()
 
     def igtl(self, link: int, message: Buffer) -> None:
-        """One whole OpenIGTLink message from a link."""
+        """Submit a frame from a link."""
         self._submit(Kind.IGTL_IN, message, "", "", (link,))
 
     def ros(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> None:
-        """One message of a ROS topic."""
+        """Submit a message of a ROS topic."""
         self._submit(Kind.ROS_IN, cdr, topic, ros_type, (), source_ns)
 
     def link(self, link: int, note: Note) -> None:
-        """A link came up or went down."""
+        """Submit the note that a link connected or disconnected."""
         self._submit(Kind.LINK, note.pack(), "", "", (link,))
 
     def note(self, note: Note, link: int = 0) -> None:
-        """A fact that an edge or the recorder reports."""
+        """Submit a note of an edge or the recorder."""
         self._submit(Kind.EDGE_NOTE, note.pack(), "", "", (link,) if link else ())
 
     def tick(self) -> None:
-        """Tell the gateway when a time has come that it waits for, and when the host's clock was set."""
-        with self._lock:  # its peers and commands come and go under this lock
+        """Submit a tick if a deadline of the gateway has come, and a note if the host's clock was set."""
+        with self._lock:  # the peers and commands of the gateway change only under this lock
             self._owner = threading.get_ident()
             try:
                 self._check_clock()
@@ -82,7 +84,10 @@ class Hub:
             self.note(Note(Level.INFO, TICK, "a deadline has come"))
 
     def _check_clock(self) -> None:
-        """Note it when the host's clock was set, and keep gateway time from standing long; the caller has the lock."""
+        """Submit a note if the host's clock was set, and adapt ``_ahead_ns``; the caller has the lock.
+
+        After a step backwards, gateway time would otherwise not advance until the host's clock reaches it again.
+        """
         begun_ns = self._clock.monotonic_ns()
         utc_ns = self._utc_ns()
         ended_ns = self._clock.monotonic_ns()
@@ -139,15 +144,15 @@ class Hub:
             links=links,
             source_ns=source_ns,
         )
-        for sink in self._sinks:  # one after the other: what goes out does not wait for the record of what came in
+        for sink in self._sinks:  # all entries to one sink, then the next: sending does not wait for recording
             for entry in entries:
                 try:
                     sink(entry)
-                except Exception as error:  # a defect of ours: the other sinks, and the session, go on
+                except Exception as error:  # a defect of a sink must not stop the other sinks or the session
                     self._note_sink_failure(sink, error)
 
     def _note_sink_failure(self, sink: Sink, error: Exception) -> None:
-        """Note that a sink raised; once, for it will again, and be it over this note."""
+        """Submit a note about the first exception of a sink.  Only the first: the sink might also fail at this note."""
         if self._noted.first(sink):
             text = f"{getattr(sink, '__qualname__', sink)} failed: {type(error).__name__}: {error}"
             note = Note(Level.ERROR, "internal_error", text)

@@ -1,7 +1,7 @@
 """The status of a bridge over HTTP: ``/metrics`` for Prometheus, ``/status`` as JSON.
 
-It is read-only and has a thread of its own, which takes one question at a time and gives each a few seconds; what it
-tells is the last sample (``app.status``), so that nothing here waits for the bridge, or the bridge for it.
+The server is read-only and runs in a thread of its own, which answers one request at a time, within a few seconds.
+It returns the last sample (``app.status``), so neither the server nor the bridge waits for the other.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from typing import Any
 from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.edges.tcp.sockets import AllowList, address_text, listening_socket
 
-#: Longest that one question may take from its first byte to the last of the answer: others wait for it.
+#: Longest time from the first byte of a request to the last byte of its answer: other requests wait for it.
 DEADLINE_S = 5.0
 
-#: How soon `MetricsServer.close` is heard.
-_LOOK_S = 0.1
+#: Longest time until the server's thread detects `MetricsServer.close`.
+_POLL_S = 0.1
 
 Facts = Mapping[str, Any]
-#: Labels and value of one line.
+#: Labels and value of one line of the text format.
 Line = tuple[dict[str, str], float]
 
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A row of the table: a metric of Prometheus and where its lines come from."""
+    """A row of the table: a metric of Prometheus, and the function that returns its lines."""
 
     name: str
     kind: str
@@ -39,7 +39,7 @@ class Metric:
 
 
 def _one(*path: str) -> Callable[[Facts], Iterator[Line]]:
-    """The number at that place; none where there is none."""
+    """Return a function that yields one line with the number at this path of the facts, or no line without it."""
 
     def lines(facts: Facts) -> Iterator[Line]:
         found: Any = facts
@@ -177,7 +177,7 @@ PREFIX = "igtl_gateway_"
 
 
 def prometheus(facts: Facts) -> str:
-    """The facts in the text format of Prometheus, version 0.0.4."""
+    """Return the facts in the text format of Prometheus, version 0.0.4."""
     output = [f"# HELP {PREFIX}info version", f"# TYPE {PREFIX}info gauge"]
     output.append(f"{PREFIX}info{_labels({'version': facts['version']})} 1")
     for metric in METRICS:
@@ -202,13 +202,13 @@ class MetricsServer:
     """Serves a `BridgeStatus` until closed.
 
     Attributes:
-        url: of the metrics.
+        url: address of the metrics.
 
     Args:
-        host, port: where; port 0 chooses a free one.
-        status: of what.
-        allow: networks (CIDR) that may ask beside this host.
-        deadline_s: see ``DEADLINE_S``.
+        host, port: address to listen on; port 0 chooses a free port.
+        status: the status to serve.
+        allow: networks (CIDR) whose clients may connect in addition to those of this host.
+        deadline_s: longest duration of a request, in seconds; see ``DEADLINE_S``.
 
     Raises ConfigError and Unavailable as ``TcpEdge.listen`` does.
     """
@@ -218,12 +218,12 @@ class MetricsServer:
     ) -> None:
         self._server = _Server(host, port, status, AllowList(allow), deadline_s)
         self.url = f"http://{address_text(self._server.server_address)}/metrics"
-        serve = partial(self._server.serve_forever, _LOOK_S)
+        serve = partial(self._server.serve_forever, _POLL_S)
         self._thread = threading.Thread(target=serve, name="igtl-metrics", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Answer no more."""
+        """Stop the server and close its socket."""
         self._server.shutdown()
         self._thread.join()
         self._server.server_close()
@@ -233,7 +233,7 @@ class _Server(HTTPServer):
     def __init__(self, host: str, port: int, status: BridgeStatus, allow: AllowList, deadline_s: float) -> None:
         listener = listening_socket(host, port, allow)
         super().__init__(listener.getsockname()[:2], _Handler, bind_and_activate=False)
-        self.socket.close()  # that of the library: ours says what is wrong where it cannot be bound
+        self.socket.close()  # the library's socket: errors of `listening_socket` name the address and the cause
         self.socket = listener
         self.status = status
         self.deadline_s = deadline_s
@@ -243,7 +243,7 @@ class _Server(HTTPServer):
         return client_address[0] in self._allow
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Whoever asked has gone, or was cut off: that is their affair."""
+        """Ignore errors of a request: the client has disconnected, or the deadline has passed."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -261,8 +261,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _cut_off(self) -> None:
         try:
-            self.connection.shutdown(2)  # both directions: whoever waits for it goes on at once
-        except OSError:  # gone already
+            self.connection.shutdown(2)  # both directions: ends a blocked read or write
+        except OSError:  # already disconnected
             return
 
     def do_GET(self) -> None:
@@ -273,7 +273,7 @@ class _Handler(BaseHTTPRequestHandler):
             case "/status":
                 self._answer(200, "application/json", json.dumps(facts, ensure_ascii=False, default=str))
             case _:
-                self._answer(404, "text/plain; charset=utf-8", "here are /metrics and /status\n")
+                self._answer(404, "text/plain; charset=utf-8", "not found; available: /metrics and /status\n")
 
     def do_HEAD(self) -> None:
         self.do_GET()
@@ -288,4 +288,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(data)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Questions are no events of the session."""
+        """Do not log requests: they are not part of the session."""

@@ -1,4 +1,4 @@
-"""The player: sends a recording's entries, each when it is due, and obeys whoever holds the keys."""
+"""The player: sends the entries of a recording, each when it is due, and can be paused, stepped and moved."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ from igtl_gateway.replay.timeline import SessionTimeline
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.stamp import NS_PER_S
 
-#: So long at most between two looks at the stop event; also between two repetitions of the clock while paused.
-_LOOK_S = 0.1
-#: Without pauses between them messages are sent together: so many at most, so many bytes from which on no more are
-#: taken, and fewer where collecting and sending takes longer than this.
-_TOGETHER, _TOGETHER_BYTES, _TOGETHER_NS = 512, 1 << 18, 10_000_000
-#: More messages than any recording has.
+#: Interval of the checks of the stop event, and of the ticks of simulated time during a pause.
+_POLL_S = 0.1
+#: Bounds of a batch, in messages, bytes and nanoseconds.  Without pauses, messages are sent in batches.  A batch ends
+#: at the number of bytes; the next batch is smaller if collecting and sending took longer than the time.
+_BATCH, _BATCH_BYTES, _BATCH_NS = 512, 1 << 18, 10_000_000
+#: A number above that of the messages of any recording.
 _ALL = 1 << 62
 
 _SIDES = {Kind.IGTL_IN: "igtl", Kind.IGTL_OUT: "igtl", Kind.ROS_IN: "ros", Kind.ROS_OUT: "ros"}
 
-#: Entries from a moment on (UTC ns; None: from the beginning), the state of that moment before them.
+#: Returns the entries from a recorded time (UTC ns; None: the beginning), preceded by the latched state at that time.
 Feed = Callable[[int | None], Iterable[Entry]]
 
 
 @dataclass(slots=True)
 class PlaybackCounts:
-    """What was sent so far."""
+    """Counts of the messages sent so far."""
 
     messages: int = 0
     bytes: int = 0
-    unheard: int = 0  #: of the messages, those for which nobody was there
+    without_peer: int = 0  #: messages without a connected peer; included in ``messages``
     by_stream: Counter[str] = field(default_factory=Counter)
-    refused: Counter[tuple[str, str]] = field(default_factory=Counter)  #: not sent: by stream and reason
+    refused: Counter[tuple[str, str]] = field(default_factory=Counter)  #: messages not sent, by stream and reason
     _digest: Digest | None = field(default_factory=Digest)
 
     def add(self, entries: Sequence[Entry], delivered: bool) -> None:
         self.messages += len(entries)
-        self.unheard += 0 if delivered else len(entries)
+        self.without_peer += 0 if delivered else len(entries)
         self.by_stream.update([entry.channel for entry in entries])
         parts = [part for entry in entries for part in entry.payload]
         size = total_size(parts)
@@ -58,26 +58,26 @@ class PlaybackCounts:
             self._digest.update(parts, size)
 
     def copy(self) -> PlaybackCounts:
-        """The same, to go on by itself."""
+        """Return an independent copy."""
         digest = self._digest.copy() if self._digest else None
         return PlaybackCounts(
-            self.messages, self.bytes, self.unheard, Counter(self.by_stream), Counter(self.refused), digest
+            self.messages, self.bytes, self.without_peer, Counter(self.by_stream), Counter(self.refused), digest
         )
 
     @property
     def digest(self) -> str | None:
-        """SHA-256 of all bytes in the order in which they were sent; None if it was not wanted."""
+        """SHA-256 of all bytes in the order in which they were sent; None if it is not computed."""
         return self._digest.hexdigest() if self._digest else None
 
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """The playback left the order of the recording.
+    """A jump of the playback to another recorded time.
 
     Attributes:
         why: ``"seek"`` or ``"loop"``.
-        from_ns: where it was, in UTC ns of the recording; None if nowhere yet.
-        to_ns: where it goes on; None: at the beginning.
+        from_ns: recorded time before the jump, UTC ns; None before the first entry.
+        to_ns: recorded time after the jump, UTC ns; None: the beginning.
     """
 
     why: Literal["seek", "loop"]
@@ -92,26 +92,26 @@ class _NextAction(Enum):
 
 
 class Player:
-    """Sends entries, each when it is due, none lost: a slow reader slows the replay down.
+    """Sends entries, each when it is due, without loss: a slow reader slows the replay down.
 
-    `run` plays; all else may be called from any thread meanwhile.
+    `run` plays.  All other methods may be called from any thread at the same time.
 
     Args:
-        feed: opens what is sent.
-        send: sends one entry; may wait; tells whether anybody was there.  Where it raises RosError, the entry is
-            counted as refused and not as sent.
-        clock: paces, and gives new stamps.
+        feed: returns the entries to send.
+        send: sends one entry, and returns whether a peer was connected or ROS received it; may block.  If it raises
+            RosError, the entry is counted as refused, and not as sent.
+        clock: source of monotonic time for the pace, and of UTC for new stamps.
         stop: ends the playback when set.
-        rate: recorded seconds per real second; None: as fast as possible.
-        paused: begin so.
-        loop: begin again at the end, until stopped.
-        span: UTC ns of the recording between which one may seek, both included.
-        start_ns: where to begin, and to loop to; None: at the first entry.
-        restamp: gives new stamps; None: all stay as they are.
-        on_jump: told of every jump, in the thread of `run`.
-        send_all: as ``send`` for several entries of one side, in order: for those between which there is no pause.
-        digest: whether to compute what `PlaybackCounts.digest` tells, which takes longer than all else.
-        pace: of the session.
+        rate: recorded seconds per real second; None: at the highest rate without loss.
+        paused: start paused.
+        loop: repeat until stopped.
+        span: first and last recorded time of a seek, UTC ns.
+        start_ns: recorded time of the start, and of each repetition, UTC ns; None: the first entry.
+        restamp: computes new stamps; None: the stamps do not change.
+        on_jump: called at every jump, in the thread of `run`.
+        send_all: sends several entries in order, as ``send`` does for one; used if there are no pauses between them.
+        digest: whether to compute `PlaybackCounts.digest`, which takes longer than the rest of the player.
+        pace: timeline of the session, so that the playback skips jumps of its clock; None: skip none.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class Player:
         pace: SessionTimeline | None = None,
     ) -> None:
         self.played = PlaybackCounts() if digest else PlaybackCounts(_digest=None)
-        # while there is one side only, it is the whole
+        # counts by side; with one side only, its counts are ``played`` itself
         self.sides: dict[str, PlaybackCounts] = {}
         self._feed = feed
         self._send = send
@@ -145,18 +145,18 @@ class Player:
         self._restamp = restamp
         self._on_jump = on_jump
         self._send_all = send_all
-        self._changed = threading.Condition()  # guards all below
+        self._changed = threading.Condition()  # guards the attributes below
         self._playback = PlaybackClock(rate, paused, pace)
         self._jump: Jump | None = None
         self._to_step = 0
         self._stepped = 0
         self._over = False
-        self._in_pass = 0  # messages since the last jump, its state not counted
+        self._in_pass = 0  # messages since the last jump, without its latched state
         self._tick: Entry | None = None
         self._entries: Iterator[Entry] = iter(())
         self._ahead: deque[Entry] = deque()  # taken from the feed, not yet sent
-        self._damage: Exception | None = None  # what the feed raised behind these
-        self._together = 1
+        self._feed_error: Exception | None = None  # raised by the feed after the entries of ``_ahead``
+        self._batch_size = 1
 
     # -- for any thread -------------------------------------------------------------------------------------------
 
@@ -167,13 +167,13 @@ class Player:
 
     @property
     def rate(self) -> float | None:
-        """Recorded seconds per real second; None: as fast as possible."""
+        """Recorded seconds per real second; None: at the highest rate without loss."""
         with self._changed:
             return self._playback.rate
 
     @property
     def position_ns(self) -> int | None:
-        """The moment of the recording that is now; None before the first entry."""
+        """The current recorded time, UTC ns; None before the first entry."""
         with self._changed:
             return self._playback.position_ns(self._clock.monotonic_ns())
 
@@ -184,7 +184,7 @@ class Player:
 
     def resume(self) -> None:
         with self._changed:
-            self._no_more_steps()
+            self._end_steps()
             self._playback.resume(self._clock.monotonic_ns())
             self._changed.notify_all()
 
@@ -196,7 +196,7 @@ class Player:
                 self.pause()
 
     def set_rate(self, rate: float) -> bool:
-        """Go on at this rate; False if there is no such rate."""
+        """Set the rate; return False if it is invalid."""
         try:
             checked_rate(rate)
         except ConfigError:
@@ -207,7 +207,7 @@ class Player:
         return True
 
     def seek(self, recorded_ns: int) -> bool:
-        """Go on from this moment, with the state that was there; False if it is not among what is played."""
+        """Continue at this recorded time (UTC ns), with its latched state; return False if it is outside the span."""
         with self._changed:
             if self._over or not self._span[0] <= recorded_ns <= self._span[1]:
                 return False
@@ -216,7 +216,7 @@ class Player:
         return True
 
     def step(self, count: int = 1) -> bool:
-        """While paused: play the next messages (0: all that are left), at once.  False if not paused, or at the end."""
+        """Play the next messages (0: all remaining) without pauses; return False if not paused, or at the end."""
         with self._changed:
             if self._over or not self._playback.paused:
                 return False
@@ -225,7 +225,7 @@ class Player:
             return True
 
     def burst(self, count: int) -> int:
-        """`step`, and wait for it: how many were played."""
+        """Play the next messages as `step` does, wait for the end, and return their number."""
         with self._changed:
             begun = self._stepped
             if self.step(count):
@@ -235,7 +235,7 @@ class Player:
     # -- the playback ---------------------------------------------------------------------------------------------
 
     def run(self) -> PlaybackCounts:
-        """Play to the end, or until stopped.  What the feed raises comes out here."""
+        """Play to the end, or until stopped, and return the counts.  Raises the exceptions of the feed."""
         try:
             self._run()
         finally:
@@ -268,18 +268,18 @@ class Player:
         if self._restamp:
             self._restamp.begin(start_ns, self._clock.utc_ns())
         self._ahead.clear()
-        self._damage = None
+        self._feed_error = None
         self._entries = iter(self._feed(start_ns))
 
     def _next(self) -> Entry | None:
         if self._ahead:
             return self._ahead.popleft()
-        if self._damage:
-            raise self._damage
+        if self._feed_error:
+            raise self._feed_error
         return next(self._entries, None)
 
     def _send_batch(self, entry: Entry, send_all: Callable[[Sequence[Entry]], bool]) -> None:
-        """Send an entry, and those that are due with it where there are no pauses."""
+        """Send an entry, without pauses together with the entries that follow."""
         begun_ns = self._clock.monotonic_ns()
         self._collect_batch(entry, begun_ns)
         with self._changed:
@@ -287,9 +287,9 @@ class Player:
             if unlimited and not self._jump:
                 batch = [entry, *self._ahead]
                 self._ahead.clear()
-                # beforehand: whoever sets a rate meanwhile goes on behind them
+                # before sending: a rate that is set in the meantime applies after this batch
                 state = next((at for at, each in enumerate(batch) if not self._is_state(each)), len(batch))
-                if state < len(batch):  # the state comes before all else
+                if state < len(batch):  # the latched state is first in a batch
                     self._playback.reached(batch[-1].stamp_ns, begun_ns)
                     self._in_pass += len(batch) - state
             else:
@@ -300,29 +300,33 @@ class Player:
         if self._restamp:
             batch = [self._restamped(each, self._restamp) for each in batch]
         self._count(batch, send_all(batch))
-        quick = self._clock.monotonic_ns() - begun_ns < _TOGETHER_NS
-        self._together = min(2 * self._together, _TOGETHER) if quick else max(self._together // 2, 1)
+        quick = self._clock.monotonic_ns() - begun_ns < _BATCH_NS
+        self._batch_size = min(2 * self._batch_size, _BATCH) if quick else max(self._batch_size // 2, 1)
 
     def _collect_batch(self, entry: Entry, begun_ns: int) -> None:
-        """Take more from the feed, if it gives them soon."""
-        if self._playback.rate is not None or self._playback.paused or self._damage:
+        """Read more entries from the feed into ``_ahead``, up to the bounds of a batch."""
+        if self._playback.rate is not None or self._playback.paused or self._feed_error:
             return
         ahead, entries, monotonic_ns = self._ahead, self._entries, self._clock.monotonic_ns
         size = entry.size + sum(each.size for each in ahead)
-        left, until_ns = self._together - 1 - len(ahead), begun_ns + _TOGETHER_NS
+        left, until_ns = self._batch_size - 1 - len(ahead), begun_ns + _BATCH_NS
         try:
-            while left > 0 and size < _TOGETHER_BYTES and monotonic_ns() < until_ns:
+            while left > 0 and size < _BATCH_BYTES and monotonic_ns() < until_ns:
                 following = next(entries, None)
                 if following is None:
                     return
                 ahead.append(following)
                 left -= 1
                 size += total_size(following.payload)
-        except Exception as error:  # what came before it is sent first
-            self._damage = error
+        except Exception as error:  # raised after the entries before it are sent
+            self._feed_error = error
 
     def _await_turn(self, entry: Entry | None) -> _NextAction:
-        """Wait until it is clear what comes next; ``entry`` is None at the end."""
+        """Wait until an entry is due or the playback changes, and return the next action.
+
+        Args:
+            entry: the next entry; None at the end of the feed.
+        """
         with self._changed:
             while True:
                 if self._stop.is_set():
@@ -333,14 +337,14 @@ class Player:
                 if entry is None:
                     position_ns = self._playback.position_ns(now_ns)
                     if self._playback.paused and not self._in_pass and position_ns is not None:
-                        self._no_more_steps()  # a jump behind the last message: one may want to jump back
-                        self._changed.wait(_LOOK_S)
+                        self._end_steps()  # a seek behind the last message: wait for another seek
+                        self._changed.wait(_POLL_S)
                         continue
-                    # a pass without messages would be followed by the same at once, for ever
+                    # a loop over no messages would never wait
                     if not (self._loop and self._in_pass):
                         return _NextAction.END
-                    if self._to_step > _ALL // 2:  # "all that are left": none is
-                        self._no_more_steps()
+                    if self._to_step > _ALL // 2:  # a step of all remaining messages has ended
+                        self._end_steps()
                     self._jump = Jump("loop", position_ns, self._start_ns)
                     return _NextAction.JUMP
                 left_ns = 0 if self._is_state(entry) else self._playback.wait_ns(entry.stamp_ns, now_ns)
@@ -348,15 +352,15 @@ class Player:
                     return _NextAction.SEND
                 if left_ns is None and self._tick:
                     with suppress(RosError):
-                        self._send(self._tick)  # nodes that come while it is paused want to know the time, too
-                self._changed.wait(_LOOK_S if left_ns is None else min(left_ns / NS_PER_S, _LOOK_S))
+                        self._send(self._tick)  # for nodes that start during the pause
+                self._changed.wait(_POLL_S if left_ns is None else min(left_ns / NS_PER_S, _POLL_S))
 
-    def _no_more_steps(self) -> None:
+    def _end_steps(self) -> None:
         self._to_step = 0
         self._changed.notify_all()
 
     def _is_state(self, entry: Entry) -> bool:
-        """Whether it is sent at once after a jump; the tick that tells the jump's target is."""
+        """Return whether an entry is sent immediately after a jump; this includes the tick of the jump's target."""
         return self._playback.is_state(entry.stamp_ns - is_tick(entry))
 
     def _send_entry(self, entry: Entry) -> None:
@@ -387,7 +391,7 @@ class Player:
         return dataclasses.replace(entry, payload=restamp.payload(entry, self._clock.utc_ns()))
 
     def _count(self, entries: Sequence[Entry], delivered: bool) -> None:
-        """These were sent, all to one side."""
+        """Count sent entries, all of one side."""
         side = _SIDES[entries[0].kind]
         if side not in self.sides:
             for other in self.sides:

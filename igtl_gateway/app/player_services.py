@@ -1,4 +1,4 @@
-"""The services of a player that drives ROS: those of ``ros2 bag play``, by the same names and types."""
+"""The ROS services of a player, with the names and types of the services of ``ros2 bag play``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PACKAGE = "rosbag2_interfaces"
 
 
 class PlayerServices:
-    """Answers the calls, each in a thread of the edge's."""
+    """Answers the calls, each in a thread of the ROS edge."""
 
     def __init__(self, player: Player) -> None:
         self._player = player
@@ -22,9 +22,9 @@ class PlayerServices:
         self._closed = False
 
     def serve(self, edge: RosEdge) -> str:
-        """Offer all; gives the reason why that is not possible, or ``""``.
+        """Create all services; return ``""``, or the reason why that is not possible.
 
-        May take a while, where the service types have to be compiled first: for a thread of its own.
+        Call this in a separate thread: it might have to compile the service types first, which takes long.
         """
         try:
             edge.message_class(f"{PACKAGE}/srv/Pause")
@@ -50,7 +50,7 @@ class PlayerServices:
         return ""
 
     def close(self) -> None:
-        """Offer nothing from now on: the edge is about to stop."""
+        """Create no further services: the edge is about to stop."""
         with self._offering:
             self._closed = True
 
@@ -71,7 +71,7 @@ class PlayerServices:
         return response
 
     def seek(self, request: Any, response: Any) -> Any:
-        """To a moment of the recording, whatever stamps its messages get now."""
+        """Seek to a recorded time, even if the messages are sent with new stamps."""
         response.success = self._player.seek(ros_to_ns(request.time.sec, request.time.nanosec))
         return response
 

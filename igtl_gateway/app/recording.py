@@ -12,12 +12,12 @@ from igtl_gateway.record.recorder import Recorder
 TYPE = "std_srvs/srv/Trigger"
 PAUSE, RESUME, SNAPSHOT = "~/pause_recording", "~/resume_recording", "~/snapshot"
 
-#: Longest time in which a snapshot is written: half a gigabyte to a slow disk.
+#: Longest wait for a snapshot, in seconds: enough for half a gigabyte on a slow disk.
 _SNAPSHOT_S = 60.0
 
 
 def serve_recording(ros: RosEdge, recorder: Recorder) -> None:
-    """Offer those that make sense for this recording."""
+    """Create the services of this recording: ``~/snapshot`` for a snapshot buffer, else pause and resume."""
     if recorder.options.snapshot_s:
         ros.serve(SNAPSHOT, TYPE, lambda _request, response: _answer(response, lambda: snapshot(recorder)))
         return
@@ -26,24 +26,24 @@ def serve_recording(ros: RosEdge, recorder: Recorder) -> None:
 
 
 def pause(recorder: Recorder) -> tuple[bool, str]:
-    """Pause; whether that was possible, and a sentence."""
+    """Pause the recording; return whether that was possible, and a sentence for people."""
     recorder.pause()
     return not recorder.failure, recorder.failure or "the recording is paused"
 
 
 def resume(recorder: Recorder) -> tuple[bool, str]:
-    """Go on; whether that was possible, and a sentence."""
+    """Resume the recording; return whether that was possible, and a sentence for people."""
     recorder.resume()
     return not recorder.failure, recorder.failure or "the recording goes on"
 
 
 def snapshot(recorder: Recorder) -> tuple[bool, str]:
-    """Write a snapshot and wait for it; whether that was possible, and its path or the reason."""
+    """Write a snapshot and wait for it; return whether that was possible, and the path or the reason."""
     try:
         return True, str(recorder.snapshot().result(_SNAPSHOT_S))
     except NotYetError:
         return False, f"not written within {_SNAPSHOT_S:g} s"
-    except Exception as error:  # of the disk: the caller is told, as the note tells everybody
+    except Exception as error:  # for example of the disk: the caller gets the same text as the note
         return False, str(error)
 
 

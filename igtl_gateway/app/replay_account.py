@@ -1,4 +1,4 @@
-"""The account of a replay: what the recording has is what was sent and what was not, with the reason."""
+"""The account of a replay: each recorded message was sent, or has the reason why it was not."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from igtl_gateway.app.player import PlaybackCounts
 from igtl_gateway.app.replay_plan import ReplayPlan
-from igtl_gateway.replay.source import FORMS, MADE_ANEW, RELAY, STREAMS
+from igtl_gateway.replay.source import FORMS, RECOMPUTED, RELAY, STREAMS
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.layout import NOTE_KINDS
 from igtl_gateway.sessionfile.reader import SessionFile
@@ -25,7 +25,7 @@ NOTES, UNREAD, LOST, NO_PEER, REFUSED, LEFT, OUTSIDE, NOT_REACHED = (
     "not_reached",
 )
 
-#: Reason of the account → what it says to people; of messages that are not of a chosen kind, the kind is the reason.
+#: Reason → its text for people.  The reason of messages that are not of a selected kind is their kind.
 REASONS: Mapping[str, str] = {
     NOTES: "notes and links, which are for the recording only",
     Kind.IGTL_IN.value: "received from OpenIGTLink peers",
@@ -33,13 +33,13 @@ REASONS: Mapping[str, str] = {
     Kind.ROS_IN.value: "received from ROS",
     Kind.ROS_OUT.value: "published on ROS",
     UNREAD: "in channels that cannot be read",
-    STREAMS: "of streams that --streams leaves out",
-    FORMS: "of another header version of the same message",
+    STREAMS: "in streams that --streams does not select",
+    FORMS: "of another header version of a message that was sent",
     RELAY: "sent to the other side of the relay",
-    MADE_ANEW: "recorded outputs, computed anew instead",
+    RECOMPUTED: "recorded outputs; the outputs of this version were sent instead",
     LOST: "lost by --fault",
     NO_PEER: "while no peer was connected",
-    LEFT: "still queued for a peer when it left",
+    LEFT: "still queued for a peer when it disconnected",
     REFUSED: "refused by ROS",
     OUTSIDE: "outside --start and --end",
     NOT_REACHED: "not reached before the end of the replay",
@@ -48,13 +48,13 @@ REASONS: Mapping[str, str] = {
 
 @dataclass(slots=True)
 class ReplayAccount:
-    """Counts what a replay passes over.
+    """Counts the recorded messages that a replay does not send, by reason.
 
     Attributes:
-        recorded: messages of the recording, notes and links included.
-        passed_over: reason → messages, counted while they pass.
-        made: messages that today's gateway made.
-        passes: how often the feed was opened; the account is of one pass only.
+        recorded: number of messages in the recording, including notes and links.
+        passed_over: reason → number of messages, counted while the feed is read.
+        made: number of messages that the gateway of this version computed, by kind.
+        passes: how often the feed was opened; the account covers only the last pass.
     """
 
     recorded: int = 0
@@ -66,7 +66,7 @@ class ReplayAccount:
 
     @classmethod
     def of(cls, file: SessionFile, how: ReplayPlan) -> ReplayAccount:
-        """The account of a file and a plan, before the first message."""
+        """Return the account of a file and a plan, before the first message."""
         fixed: Counter[str] = Counter()
         for channel in file.channels:
             if channel.kind in NOTE_KINDS:
@@ -74,13 +74,13 @@ class ReplayAccount:
             elif channel.kind not in how.kinds:
                 fixed[channel.kind.value] += channel.count
             elif how.recompute and not channel.kind.is_input:
-                fixed[MADE_ANEW] += channel.count
+                fixed[RECOMPUTED] += channel.count
         fixed[UNREAD] = sum(channel.count for channel in file.skipped)
         before = sum(entry.kind in how.kinds for entry in file.prologue())
         return cls(file.entry_count + fixed[UNREAD] + before, _fixed=fixed, _kinds=how.kinds)
 
     def begin(self) -> None:
-        """The feed is opened."""
+        """Restart the counts, because the feed is opened."""
         self.passes += 1
         self.passed_over.clear()
         self.made.clear()
@@ -88,23 +88,23 @@ class ReplayAccount:
     def facts(
         self, played: PlaybackCounts, *, failed: int, left: int, lost: int, partial: bool, stopped: bool
     ) -> dict[str, Any]:
-        """The account for JSON; ``recorded`` + ``made`` = ``sent`` + all of ``not_sent``.
+        """Return the account as JSON values: ``recorded`` + ``made`` = ``sent`` + the sum of ``not_sent``.
 
         Args:
-            played: what the player handed on.
-            failed: messages of these that ROS refused later.
-            left: messages of these that a peer left in its queue, while it was the only one.
-            lost: messages that a fault kept back.
-            partial: the replay is of a part of the recording only.
-            stopped: it ended before its end.
+            played: counts of the player.
+            failed: messages in ``played`` that ROS refused later.
+            left: messages in ``played`` that were still queued when the only peer disconnected.
+            lost: messages that the fault injection dropped.
+            partial: whether the replay is of a part of the recording only.
+            stopped: whether the replay was stopped before its end.
         """
         made = sum(number for kind, number in self.made.items() if kind in self._kinds)
         missed = self._fixed + self.passed_over
         missed[LOST] = lost
-        missed[NO_PEER] = played.unheard
+        missed[NO_PEER] = played.without_peer
         missed[LEFT] = left
         missed[REFUSED] = sum(played.refused.values()) + failed
-        sent = played.messages - played.unheard - failed - left
+        sent = played.messages - played.without_peer - failed - left
         missed[NOT_REACHED if stopped or not partial else OUTSIDE] = self.recorded + made - sent - missed.total()
         return {
             "recorded": self.recorded,
@@ -115,7 +115,7 @@ class ReplayAccount:
 
 
 def account_lines(account: dict[str, Any]) -> list[str]:
-    """The account for people; empty where all was sent."""
+    """Return the account as lines for people; empty if all messages were sent."""
     not_sent: dict[str, int] = account["not_sent"]
     if not not_sent:
         return []

@@ -1,4 +1,4 @@
-"""What a replay sends to which side, and by what."""
+"""The plan of a replay: which entries it sends to which side, and the functions that send them."""
 
 from __future__ import annotations
 
@@ -18,31 +18,32 @@ from igtl_gateway.replay.source import first_form_only, one_side_of_relay, selec
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 
-#: For topics of which the file tells no quality of service.
+#: QoS of topics without one in the file.
 PLAYED_QOS = Qos(depth=100)
 
-#: What goes to each side, by preference: what the gateway sent; else what could stand for it.
+#: Kinds of entries for each side: preferably what the gateway sent to it, else what it sent to the gateway.
 _OUTPUTS = {"igtl": Kind.IGTL_OUT, "ros": Kind.ROS_OUT}
 _SIDES_INPUTS = {"igtl": Kind.IGTL_IN, "ros": Kind.ROS_IN}
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
+_RECOMPUTED = "outputs that this version computes from the recorded inputs"
 
-#: Between two looks at the stop event.
-_LOOK_S = 0.2
+#: Interval of the checks of the stop event.
+_POLL_S = 0.2
 
-#: Sends one entry; tells whether anybody was there.  Raises RosError where ROS refuses it.
+#: Sends one entry; returns whether a peer was connected or ROS received it.  Raises RosError if ROS refuses it.
 Send = Callable[[Entry], bool]
-#: The same of several.
+#: Sends several entries; returns the same.
 SendAll = Callable[[Sequence[Entry]], bool]
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayPlan:
-    """What a replay sends, and why.
+    """The entries that a replay sends.
 
     Attributes:
         kinds: the kinds of entries that are sent.
-        recompute: the inputs go through today's gateway first.
-        why: one sentence for people.
+        recompute: whether the gateway of this version computes the outputs again from the recorded inputs.
+        why: description for people.
     """
 
     kinds: frozenset[Kind]
@@ -51,26 +52,30 @@ class ReplayPlan:
 
 
 def plan_replay(file: SessionFile, side: str, recompute: bool) -> ReplayPlan:
-    """How to drive a side (``igtl``, ``ros``, ``both``): as it was, through the gateway, or by what it said itself."""
+    """Return the plan for a side (``igtl``, ``ros`` or ``both``).
+
+    A side receives the recorded outputs of the gateway.  With ``recompute``, or if the recording has only inputs, it
+    receives outputs that are computed again.  Without both it receives what it sent itself.
+    """
     if side == "both":
         igtl, ros = plan_replay(file, "igtl", recompute), plan_replay(file, "ros", recompute)
-        # one log for both: what one side needs computed, the other gets computed as well
+        # one log for both: if one side needs recomputed outputs, the other side gets them, too
         why = f"to OpenIGTLink {igtl.why}; to ROS {ros.why}"
         return ReplayPlan(igtl.kinds | ros.kinds, igtl.recompute or ros.recompute, why)
     present = {channel.kind for channel in file.channels if channel.count}
     output, own = _OUTPUTS[side], _SIDES_INPUTS[side]
     feeding = Kind.ROS_IN if side == "igtl" else Kind.IGTL_IN
     if side == "ros":
-        # what ROS nodes said themselves is part of what a ROS graph heard that day, as in `ros2 bag play`
+        # messages of ROS nodes are part of the traffic of a ROS graph, as in `ros2 bag play`
         kinds = frozenset({output, own})
         if recompute or (feeding in present and output not in present):
-            return ReplayPlan(kinds, True, "recorded inputs through today's gateway, and what ROS nodes published")
-        return ReplayPlan(kinds, False, "what was published that day")
+            return ReplayPlan(kinds, True, f"{_RECOMPUTED}, and the messages that ROS nodes published")
+        return ReplayPlan(kinds, False, "the recorded ROS messages")
     if recompute or (feeding in present and output not in present):
-        return ReplayPlan(frozenset({output}), True, "recorded inputs through today's gateway")
+        return ReplayPlan(frozenset({output}), True, _RECOMPUTED)
     if output in present:
-        return ReplayPlan(frozenset({output}), False, "the bytes that were sent that day")
-    return ReplayPlan(frozenset({own}), False, "what the peers sent that day (nothing was sent to them)")
+        return ReplayPlan(frozenset({output}), False, "the recorded bytes")
+    return ReplayPlan(frozenset({own}), False, "the recorded messages from peers (none were sent to peers)")
 
 
 def planned_entries(
@@ -84,15 +89,16 @@ def planned_entries(
     passed_over: Counter[str] | None = None,
     made: Counter[Kind] | None = None,
 ) -> Iterator[Entry]:
-    """The entries of a plan, in order; those that were latched before ``start_ns`` (UTC) first, none after ``end_ns``.
+    """Return the entries of a plan, in order, from ``start_ns`` to ``end_ns`` (UTC ns).
 
-    What was latched is looked up by the index.  But the gateway is fed from the beginning in any case: what it says
-    depends on all that it was told; and to whom a relay spoke, its links tell.
+    Messages that were latched before ``start_ns`` come first; the index of the file finds them.  If outputs are
+    computed again, or the recording is of a relay, the file is read from its beginning: the outputs depend on all
+    earlier inputs, and the receivers of a relay's messages follow from the earlier links.
 
     Args:
-        role: whose words of a relay's recording are played: those of the ``"server"`` or of the ``"client"``.
-        passed_over: counts what is recorded for the side, but not sent, by reason.
-        made: counts the outputs of today's gateway.
+        role: in a relay's recording, the sender of the messages: ``"server"`` or ``"client"``.
+        passed_over: counts the recorded messages of the side that are not sent, by reason.
+        made: counts the computed outputs, by kind.
     """
     latched = {(channel.topic, channel.type) for channel in file.channels if channel.qos and channel.qos.latched}
 
@@ -109,14 +115,17 @@ def planned_entries(
     if how.recompute:
         has_links = any(c.kind is Kind.LINK for c in file.channels if c.count)
         entries = through_gateway(entries, config, has_links=has_links, made=made)
-    # a relay sends in one form only, and with faults several messages of a stream behind one input
+    # a relay sends one form of a message, and with fault injection several messages of a stream after one input
     mine = passed_over if Kind.IGTL_OUT in how.kinds else None
     entries = one_side_of_relay(role, entries, mine) if config.relay else first_form_only(entries, mine)
     return select_entries(part_of_session(entries, start_ns, end_ns, is_latched), how.kinds, streams, passed_over)
 
 
 def igtl_sender_of_many(edge: TcpEdge, stop: threading.Event) -> SendAll:
-    """As :func:`igtl_sender`, not in lock-step, for many entries at a time; once ``stop`` is set it waits no more."""
+    """Return a function that sends several entries to every peer, without lock-step.
+
+    Once ``stop`` is set, it does not wait for full queues.
+    """
 
     def send(entries: Sequence[Entry]) -> bool:
         links = [link.number for link in edge.links() if link.connected]
@@ -127,16 +136,18 @@ def igtl_sender_of_many(edge: TcpEdge, stop: threading.Event) -> SendAll:
 
 
 def igtl_sender(edge: TcpEdge, stop: threading.Event | None = None) -> Send:
-    """Sends to every peer that is there.  The edge should have been made with ``when_full="block"``.
+    """Return a function that sends an entry to every connected peer.
+
+    The edge should have ``when_full="block"``: with another setting, a full queue drops messages.
 
     Args:
-        stop: lock-step: a message is waited for until the kernel has taken it for every peer, or this is set.
+        stop: for lock-step: wait after each message until the kernel has accepted it for every peer, or this is set.
     """
 
     def send(entry: Entry) -> bool:
         links = [link.number for link in edge.links() if link.connected]
         edge.send(links, entry.payload, entry.channel, True)
-        while stop and not stop.is_set() and not edge.flush(_LOOK_S):
+        while stop and not stop.is_set() and not edge.flush(_POLL_S):
             pass
         return bool(links)
 
@@ -144,10 +155,12 @@ def igtl_sender(edge: TcpEdge, stop: threading.Event | None = None) -> Send:
 
 
 def ros_sender(edge: RosEdge, file: SessionFile, stop: threading.Event | None = None) -> Send:
-    """Publishes on the recorded topics with the recorded quality of service; a graph always counts as listening.
+    """Return a function that publishes an entry on its topic with the recorded quality of service.
+
+    It returns True also without a subscriber.
 
     Args:
-        stop: lock-step: a message is waited for until every reliable reader has acknowledged it, or this is set.
+        stop: for lock-step: wait after each message until all reliable subscribers acknowledge it, or this is set.
     """
     offered = {(channel.topic, channel.type): channel.qos for channel in file.channels}
 
@@ -155,7 +168,7 @@ def ros_sender(edge: RosEdge, file: SessionFile, stop: threading.Event | None = 
         qos = offered.get((entry.channel, entry.type)) or PLAYED_QOS
         if reason := edge.publish(entry.channel, entry.type, entry.data(), qos):
             raise RosError(reason)
-        while stop and not stop.is_set() and not edge.wait_acked(entry.channel, _LOOK_S):
+        while stop and not stop.is_set() and not edge.wait_acked(entry.channel, _POLL_S):
             pass
         return True
 
@@ -163,5 +176,5 @@ def ros_sender(edge: RosEdge, file: SessionFile, stop: threading.Event | None = 
 
 
 def both_sender(igtl: Send, ros: Send) -> Send:
-    """Each entry to its side."""
+    """Return a function that sends each entry to its side."""
     return lambda entry: (igtl if entry.kind in _IGTL else ros)(entry)

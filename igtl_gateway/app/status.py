@@ -1,7 +1,7 @@
-"""What a bridge is doing, as plain values for programs that watch it.
+"""The state of a bridge as JSON values, for programs that monitor it.
 
-The bridge's own thread takes a sample now and then; whoever asks gets the last one.  So a question costs the bridge
-nothing, however often it is asked, and what is told is of one moment.
+A thread of the bridge takes samples; requests return the last sample.  So requests do not delay the bridge, however
+frequent they are, and all values of an answer are of one time.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from igtl_gateway.clock import Clock
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.stamp import NS_PER_S, utc_text
 
-#: Rates are means over so many seconds.
+#: Time over which rates are averaged, in seconds.
 RATES_OVER_S = 5.0
 
-#: What the ledger calls the messages that came, whatever became of them.
-_CAME = ("received", "sent", "published")
+#: Counts of the ledger that contain all messages of a stream, with any fate.
+_TOTAL_FATES = ("received", "sent", "published")
 
 #: (direction, stream) → messages.
 _Totals = dict[tuple[str, str], int]
 
 
 class EntryCounter(Protocol):
-    """Whoever counts the entries of a session."""
+    """Counts the entries of a session, by kind, and the notes of level error."""
 
     @property
     def counts(self) -> Mapping[Kind, int]: ...
@@ -39,8 +39,8 @@ class BridgeStatus:
     """The last sample of a bridge.
 
     Attributes:
-        facts: what it tells, as JSON values; empty before the first `sample`.  Never changed, only replaced.
-        failure: why the last sample could not be taken, or ``""``; ``facts`` are those of the one before.
+        facts: the sample as JSON values; empty before the first `sample`.  It is replaced, never changed.
+        failure: why the last attempt failed, or ``""``; after a failure ``facts`` has the values of the sample before.
     """
 
     def __init__(self, bridge: Bridge, watcher: EntryCounter, clock: Clock) -> None:
@@ -53,11 +53,11 @@ class BridgeStatus:
         self._past: deque[tuple[int, _Totals]] = deque()
 
     def sample(self) -> None:
-        """Look at the bridge; of one thread.  Never raises: a bridge must not end because it is watched."""
+        """Take a sample; call this from one thread only.  Never raises: monitoring must not stop the bridge."""
         try:
             self.facts = self._take_sample()
             self.failure = ""
-        except Exception as error:  # a defect of ours
+        except Exception as error:  # a defect here must not stop the bridge
             self.failure = f"{type(error).__name__}: {error}"
             self.facts = {**self.facts, "failure": self.failure}
 
@@ -92,10 +92,13 @@ class BridgeStatus:
         }
 
     def _rates(self, now_ns: int, totals: _Totals) -> tuple[float, dict[str, dict[str, float]]]:
-        """Over how many seconds, and messages a second: direction → stream → rate; "entries" → kind → rate."""
+        """Return the averaging time in seconds, and the rates in messages per second.
+
+        The rates are direction → stream → rate, and "entries" → kind → rate.
+        """
         past = self._past
         past.append((now_ns, totals))
-        while len(past) > 2 and now_ns - past[1][0] >= RATES_OVER_S * NS_PER_S:  # the oldest reaches that far back
+        while len(past) > 2 and now_ns - past[1][0] >= RATES_OVER_S * NS_PER_S:  # keep one sample of at least that age
             past.popleft()
         then_ns, before = past[0]
         seconds = (now_ns - then_ns) / NS_PER_S
@@ -110,6 +113,6 @@ def _totals(entries: Mapping[str, int], streams: Mapping[str, Any]) -> _Totals:
     totals = {("entries", kind): number for kind, number in entries.items()}
     for direction, books in streams.items():
         for stream, fates in books.items():
-            if came := next((fates[fate] for fate in _CAME if fate in fates), 0):
-                totals[direction, stream] = came
+            if total := next((fates[fate] for fate in _TOTAL_FATES if fate in fates), 0):
+                totals[direction, stream] = total
     return totals

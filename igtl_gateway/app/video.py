@@ -1,8 +1,8 @@
-"""Pictures of ROS as VIDEO and back: what is encoded, what is decoded, and where that meets the log.
+"""ROS images as VIDEO and back: which topics are encoded and decoded, and how the codecs connect to the log.
 
-An encoder gives other bytes on another machine, so it stands outside the gateway: pictures go in before the hub,
-and what comes out of the encoder is the input that is recorded, replayed and verified.  The other way round, the
-encoded frame is in the log, and the picture that is decoded from it is only published.
+The bytes of an encoder differ between machines, so it is outside of the gateway's core.  Images are encoded before the
+hub, and the encoded frames are the inputs that are recorded, replayed and verified.  In the other direction the encoded
+frame is in the log, and the decoded image is only published.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from igtl_gateway.edges.video import VideoDecoder, VideoEncoder, VideoOptions
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 
-_PICTURES = Qos(depth=5)
+_IMAGES = Qos(depth=5)
 _ENCODED = "compressed_image"
 _TYPES = ("", "VIDEO")
 
@@ -28,9 +28,9 @@ class VideoCodecs:
 
     Args:
         options: codec and its settings.
-        config: says which topics go out.
-        hub: gets the encoded frames.
-        ros: gets the decoded pictures.
+        config: has the topics that are sent as VIDEO.
+        hub: receives the encoded frames.
+        ros: publishes the decoded images.
     """
 
     def __init__(self, options: VideoOptions, config: Config, hub: Hub, ros: RosEdge) -> None:
@@ -40,30 +40,30 @@ class VideoCodecs:
         self._decoder = VideoDecoder(on_image=self._publish, on_note=hub.note)
 
     def subscription(self, topic: str, ros_type: str) -> Qos | None:
-        """How to subscribe to a topic whose pictures are to be encoded, None for any other."""
+        """Return the QoS for a topic whose images are encoded, None for any other topic."""
         row = self._config.row_to_igtl(topic) if ros_type == Image.TYPE else None
-        return (row.qos or _PICTURES) if row and row.type in _TYPES else None
+        return (row.qos or _IMAGES) if row and row.type in _TYPES else None
 
     def encode(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> bool:
-        """A message of ROS; whether it was for the encoder."""
+        """Pass a ROS message to the encoder; return False if its topic is not encoded."""
         if self.subscription(topic, ros_type) is None:
             return False
         self._encoder.submit(topic, cdr, source_ns)
         return True
 
     def decode(self, entry: Entry) -> None:
-        """Decode what goes to ROS as an encoded frame."""
+        """Pass an entry to the decoder if it is an encoded frame for ROS."""
         if entry.kind is Kind.ROS_OUT and entry.type == CompressedImage.TYPE:
             self._decoder.submit(entry.channel, entry.payload[0])
 
     def _publish(self, topic: str, cdr: bytes) -> None:
-        self._ros.publish(topic.removesuffix(_ENCODED) + "image", Image.TYPE, cdr, _PICTURES)
+        self._ros.publish(topic.removesuffix(_ENCODED) + "image", Image.TYPE, cdr, _IMAGES)
 
     def counters(self) -> dict[str, Any]:
-        """What became of every picture."""
+        """Return the counts of encoder and decoder: images by fate."""
         return {"encoder": self._encoder.counters(), "decoder": self._decoder.counters()}
 
     def stop(self) -> None:
-        """End both threads."""
+        """Stop the threads of both codecs."""
         self._encoder.stop()
         self._decoder.stop()

@@ -47,7 +47,7 @@ def _side(direction: str) -> str:
 
 
 def losses(ledger: dict[str, Any] | None) -> list[str]:
-    """Return the losses, and counts that do not add up, as lines; empty without losses."""
+    """Return the losses, and the sums of the ledger that do not close, as lines; empty without either."""
     if ledger is None:
         return ["   unknown: the recording has no ledger"]
     lines = []
@@ -64,7 +64,7 @@ def losses(ledger: dict[str, Any] | None) -> list[str]:
         )
         if "streams" not in ledger:
             lines.append("   unknown: the recording was not closed, so it has no counts")
-    lines += [f"DOES NOT ADD UP: {gap}" for gap in gaps(ledger)]
+    lines += [f"LEDGER DOES NOT CLOSE: {gap}" for gap in gaps(ledger)]
     for direction, streams in ledger.get("streams", {}).items():
         for stream, fates in streams.items() if direction != PEERS else ():  # shown with their links
             for reason, number in fates.get("dropped", {}).items():

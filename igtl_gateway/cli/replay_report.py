@@ -47,7 +47,7 @@ def print_report(
             "complete": complete,
             "messages": played.messages - failed,
             "bytes": played.bytes,
-            "unheard": played.unheard,
+            "unheard": played.without_peer,
             "undelivered": undelivered,
             "refused": [
                 {"stream": stream, "messages": number, "reason": reason}
@@ -68,8 +68,8 @@ def print_report(
         return
     sent = count_text(played.messages - failed, "message")
     print_line(f"{'sent' if complete else 'stopped after'} {sent}, {size_text(played.bytes)}")
-    if played.unheard:
-        print_line(f"  {played.unheard:,} of them while no peer was connected")
+    if played.without_peer:
+        print_line(f"  {played.without_peer:,} of them while no peer was connected")
     if undelivered:
         print_line(f"  {undelivered:,} of them were still queued when their peer disconnected")
     if faulty:

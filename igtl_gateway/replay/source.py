@@ -15,7 +15,7 @@ from igtl_gateway.session.note import Level, Note
 _ANY_LINK = 1
 
 #: Reasons for which a replay skips a message, in its account.
-FORMS, RELAY, STREAMS, MADE_ANEW = "other_forms", "other_side", "not_chosen", "made_anew"
+FORMS, RELAY, STREAMS, RECOMPUTED = "other_forms", "other_side", "not_chosen", "made_anew"
 
 
 def through_gateway(

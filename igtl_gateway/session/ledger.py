@@ -81,7 +81,7 @@ class Ledger:
 
 
 def gaps(recorded: Mapping[str, Any]) -> list[str]:
-    """What does not close in the ledger of a session that is over, one sentence each.
+    """Return the sums that do not close in the ledger of a finished session, one sentence each.
 
     Args:
         recorded: the ledger of a recording: ``{"streams": Ledger.to_dict(), "links": {number: counts}, …}``; counts

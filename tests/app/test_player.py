@@ -109,7 +109,7 @@ def test_every_rate_sends_the_same(rate: float | None) -> None:
     with Played(rate) as run:
         assert run.end() == [1, 2, 3, 4, 5]
         played = run.player.played
-        assert (played.messages, played.bytes, played.unheard, played.by_stream) == (5, 5, 1, {"/a": 5})
+        assert (played.messages, played.bytes, played.without_peer, played.by_stream) == (5, 5, 1, {"/a": 5})
         assert played.digest == "74f81fe167d99b4cb41d6d0ccda82278caee9f3e2f25d5e5a3936ff3dcec60d0"
         assert run.player.sides["ros"].digest == played.digest
 

@@ -24,7 +24,7 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import RosError
 from igtl_gateway.faults import Faults
-from igtl_gateway.replay.source import FORMS, MADE_ANEW, STREAMS
+from igtl_gateway.replay.source import FORMS, RECOMPUTED, STREAMS
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile.reader import SessionFile
 
@@ -88,7 +88,7 @@ def played(
 def test_all_of_a_recording_is_accounted_for(name: str, to: str, recompute: bool) -> None:
     missed = played(FIXTURES / f"{name}.mcap", to, recompute=recompute)
     assert not {NOT_REACHED, OUTSIDE, REFUSED, LOST} & set(missed), missed
-    assert (MADE_ANEW in missed) == recompute
+    assert (RECOMPUTED in missed) == recompute
 
 
 def test_each_reason_has_its_number() -> None:

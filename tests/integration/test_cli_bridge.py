@@ -123,7 +123,7 @@ def test_without_options_until_a_signal(programs: list[Program], tmp_path: Path,
         result = bridge.end(number)
     assert (result.code, result.err) == (0, "")
     assert re.search(r"stopped; OpenIGTLink: 1 in, 0 out; ROS: 0 in, \d out; rejected: 0", result.out)
-    assert "DOES NOT ADD UP" not in result.out
+    assert "LEDGER DOES NOT CLOSE" not in result.out
     messages = recorded(path)
     assert f"recorded {len(messages)} entries into {path}" in result.out
     assert [message.data for topic, _, message in messages if topic == "/igtl/in/Raw/string"] == ["to be kept"]
