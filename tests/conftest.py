@@ -31,13 +31,13 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_DOMAIN_ID"] = str(domains.OWN)
 os.environ["ROS_LOG_DIR"] = _ros_log_dir
 
-# Compiled modules are kept, whatever the shell says: a run starts some hundred Pythons of ours, and reading 240 test
+# Compiled modules are kept, whatever the shell sets: a run starts some hundred Python processes; reading 240 test
 # files with their assertions takes each worker 16 s instead of 5.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # "fast" is the same on every run, so a red test is red for everybody; "deep" looks for new examples.
-# No deadline: how long an example takes says more about the machine than about us.
+# No deadline: the time of an example depends more on the machine than on the code.
 settings.register_profile("fast", max_examples=50, derandomize=True, deadline=None)
 settings.register_profile("deep", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
@@ -120,21 +120,21 @@ _deaths: list[object] = []
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(error: object | None) -> None:
-    """A worker of xdist is gone: if it died, it took tests along that nobody ran."""
+    """A worker of xdist has ended: if it crashed, some of its tests have not run."""
     if error:
         _deaths.append(error)
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Then the run is not one with a failed test, which might pass alone: it tells nothing."""
+    """A crashed worker makes the run invalid; that is not the same as a failed test, which might pass alone."""
     if _deaths:
         session.exitstatus = pytest.ExitCode.INTERNAL_ERROR
 
 
 @pytest.fixture(autouse=True)
 def _no_streams_left() -> Iterator[None]:
-    """rerun keeps the thread of every recording stream until it is asked to look for those that nobody holds."""
+    """rerun keeps the thread of every recording stream until it is asked to remove the unreferenced ones."""
     yield
     if rerun := sys.modules.get("rerun"):
         rerun.bindings.flush_and_cleanup_orphaned_recordings()

@@ -1,4 +1,4 @@
-"""Scripted scenarios for the gateway on manual time: say what comes in, read what goes out as short lines."""
+"""Scripted scenarios for the gateway on manual time: give the inputs, read the outputs as short lines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ T0_NS = 1_767_225_600_000_000_000
 class Script:
     """A session whose time is set by hand.
 
-    What most scripts are not about (new streams, /tf, the list of links) is told with ``news`` only.
+    What most scripts are not about (new streams, /tf, the list of links) is in the result with ``news`` only.
 
     Each method feeds one input and returns what it caused, one line an output: ``"igtl TRANSFORM/Tool v1 to 1"``,
     ``"ros /igtl/in/Tool/transform"``, ``"note bad_crc"``.  ``last`` holds the entries themselves.
@@ -66,7 +66,7 @@ class Script:
         return self.feed(Kind.ROS_IN, (message.pack(),), topic, message.TYPE, source_ns=source_ns)
 
     def tick(self, seconds: float = 0.0) -> list[str]:
-        """The time is later by so much, and the gateway is told if it wanted that."""
+        """Advance the time by ``seconds``, and run the gateway's tick if it requested one."""
         self.now_ns += round(seconds * 1e9)
         due_ns = self.gateway.due_ns
         if due_ns is None or due_ns > self.now_ns + 1_000_000:

@@ -23,7 +23,7 @@ for words in json.loads(sys.argv[1]):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a call ended and what it said."""
+    """The exit code and the output of a call."""
 
     code: int
     out: str

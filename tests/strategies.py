@@ -47,7 +47,7 @@ from igtl_gateway.wire.trajectory import Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 from igtl_gateway.wire.video import Video
 
-# -- numbers and texts ------------------------------------------------------------------------------------------
+# -- numbers and strings ----------------------------------------------------------------------------------------
 
 finite32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 any32 = st.floats(width=32)
@@ -238,7 +238,7 @@ child_names = st.binary(max_size=24).map(lambda name: name.replace(b"\x00", b"")
 
 
 def binds(table: dict[str, st.SearchStrategy[Body]], depth: int = 3) -> st.SearchStrategy[Bind]:
-    """Of known contents, of contents that nobody can read, of BIND again."""
+    """Of known contents, of contents that no codec can read, of BIND again."""
     known = st.sampled_from(sorted(table)).flatmap(lambda kind: st.tuples(st.just(kind), table[kind].map(_content)))
     garbage = st.tuples(st.sampled_from([*table, "CUSTOM"]), st.binary(max_size=30))
     inner = st.tuples(st.just("BIND"), binds(table, depth - 1).map(_content)) if depth else st.nothing()
@@ -530,7 +530,7 @@ STRUCTS: dict[str, type[Struct]] = {
 
 
 def of_fields(kind: type[Struct]) -> st.SearchStrategy[Any]:
-    """Messages that are told by field tables: any values that the fields hold."""
+    """Messages that have field tables: any values that the fields hold."""
 
     def value(name: str) -> st.SearchStrategy[Any]:
         if name in _VALUES:

@@ -1,4 +1,4 @@
-"""The import levels and the homes of outside libraries, as tables that every module is held against.
+"""The import levels and the homes of outside libraries, as tables that every module is checked against.
 
 Checked on the syntax tree, so imports inside functions and under ``TYPE_CHECKING`` count like any other,
 and no module has to be importable.
@@ -43,13 +43,13 @@ LEVELS = {
     "session": 1,
     "untrusted": 1,
     "wire": 1,
-    "wire.header": 1,  # where its fields are, for whoever needs no message as a whole
+    "wire.header": 1,  # the places of its fields, for modules that need no whole message
     "faults": 1,
     "config": 2,
     "convert": 2,
     "gateway": 3,
     "review": 3,  # of a plan, on arrays
-    "ros_interfaces.definitions": 3,  # files of definitions, for whoever reads or compiles them
+    "ros_interfaces.definitions": 3,  # files of definitions, for modules that read or compile them
     "doctor": 4,
     "edges": 4,  # the helpers that its edges share
     "edges.ros": 4,
@@ -77,11 +77,11 @@ LEVELS = {
     "lab.bench.__main__": 7,
 }
 
-#: Programs that play somebody else: of us they may use nothing but themselves, of the world what they like.
+#: Programs that play foreign software: of our modules they may use only their own, of outside libraries any.
 STRANGERS = ("lab.demo",)
 
 #: Unit → the unit of its own level that it may use all the same: a configuration names conversions, and what a
-#: recording says of itself is checked like everything that is foreign.
+#: recording states about itself is checked like everything that is foreign.
 SIBLINGS = {
     "config": "convert",
     "session": "untrusted",
@@ -126,7 +126,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "av": ("edges.video",),
     "fastcrc": ("wire", "sessionfile"),
     "lz4": ("sessionfile.compression", "untrusted.unpack"),
-    "pyigtl": ("lab.bench.pyigtl_side",),  # somebody else's peer
+    "pyigtl": ("lab.bench.pyigtl_side",),  # a peer of another project
     "mcap": ("exchange", "sessionfile"),
     "nibabel": ("exchange.nifti", "lab.simulate.volume"),
     "matplotlib": ("lab.bench.plot",),
@@ -164,7 +164,7 @@ DYNAMIC_IMPORTERS = ("edges.ros.middleware", "cli")
 
 #: Who may print or write to the standard streams: whatever else prints does it by ``cli.terminal``, which escapes.
 PRINTERS = ("cli.terminal",)
-#: Programs that tell our own process what they do, and one line of our own beside the work of a compiler.
+#: Programs that report to our own process what they do, and one line of our own beside the work of a compiler.
 STREAM_WRITERS = (*PRINTERS, "lab.bench.programs", "ros_interfaces.cache")
 CLOCK_CALLS = frozenset({"now", "today", "utcnow"})
 
@@ -295,7 +295,7 @@ def _import_fault(module: str, unit: str, name: str) -> str | None:
 
 
 def _level_fault(unit: str, imported: str) -> str | None:
-    """Why ``unit`` may not import that module of ours, or None."""
+    """Why ``unit`` may not import that own module, or None."""
     # "from igtl_gateway import __version__" names no module but something in the package's own file.
     other = unit_of(imported) or TOP
     if lies_in(other, LAB) and not lies_in(unit, LAB):
@@ -398,7 +398,7 @@ def test_what_is_allowed(module: str, source: str) -> None:
         ("app", "from igtl_gateway.cli import main", "imports cli (level 6)"),
         ("cli.info", "from igtl_gateway_lab.simulate import star", "does without its laboratory"),
         ("lab.simulate.star", "from igtl_gateway_lab.stage import live", "imports lab.stage (level 6)"),
-        # Strangers
+        # Programs that play foreign software
         (
             "lab.demo.igtl_client",
             "from igtl_gateway.wire import encode",
@@ -445,7 +445,7 @@ def test_what_is_allowed(module: str, source: str) -> None:
         # Words
         ("app", "print('hello')", "prints"),
         ("cli.info", "print('hello')", "cli.info:1: prints; only cli.terminal does"),
-        ("cli.info", "tell = print", "prints"),
+        ("cli.info", "show = print", "prints"),
         ("cli.info", "import sys\nsys.stdout.write('hello')", "uses sys.stdout; only cli.terminal does"),
         ("app.hub", "import sys\nfile = sys.stderr", "uses sys.stderr"),
         ("replay.verify", "import traceback\ntraceback.print_exc()", "prints"),

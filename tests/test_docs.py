@@ -133,10 +133,10 @@ def test_without_the_corpus_its_table_stays(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_a_layout() -> None:
-    """Offsets as far as they are known, sizes in words where others tell them, the docstring where a row is silent."""
+    """Offsets as far as they are known, sizes in words where other fields give them, else the docstring."""
     rows = (
         Field("a", "u16", 3),
-        Field("n", "u8", 1, "number of texts"),
+        Field("n", "u8", 1, "number of strings"),
         Field("size", "u32", 1, per="text"),
         Field("text", "char", "size", per="text"),
         Field("b", "f32", "2 · n"),
@@ -146,7 +146,7 @@ def test_a_layout() -> None:
         "| offset | bytes | type | field | meaning |",
         "| ---: | --- | --- | --- | --- |",
         "| 0 | 6 | u16[3] | `a` | first \\| last |",
-        "| 6 | 1 | u8 | `n` | number of texts |",
+        "| 6 | 1 | u8 | `n` | number of strings |",
         "| … | 4 per text | u32 | `size` |  |",
         "| … | size per text | char[] | `text` |  |",
         "| … |  | f32[2 · n] | `b` |  |",

@@ -50,7 +50,7 @@ def line(faults: str, seed: int = 1, name: str = "test", most_bytes: int = 1 << 
 def course(
     faults: str, count: int = 100, seed: int = 1, name: str = "test", most_bytes: int = 1 << 30
 ) -> list[Fate[int]]:
-    """What becomes of messages number 0, 1 … at a steady rate."""
+    """The fates of messages number 0, 1 … at a steady rate."""
     one = line(faults, seed, name, most_bytes)
     fates = [fate for n in range(count) for fate in one.take(T0_NS + n * STEP_NS, n, text(n))]
     return fates + one.drain()

@@ -1,4 +1,4 @@
-"""The golden recordings: what they promise, and that today's gateway still says the same."""
+"""The golden recordings: what they promise, and that this version still computes the same."""
 
 from __future__ import annotations
 

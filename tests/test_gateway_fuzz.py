@@ -117,7 +117,7 @@ def test_the_seed_decides() -> None:
 
 
 def broken(count: int = 2_000) -> str:
-    """What the judge says of a run."""
+    """The judge's result of a run."""
     figures = fuzz_gateway.run(1, count)
     assert figures.broken
     return figures.broken

@@ -98,7 +98,7 @@ def test_zero_is_unset() -> None:
     assert ns_to_ticks(0) == 0
     assert ros_to_ns(0, 0) == 0
     assert ns_to_ros(0) == (0, 0)
-    assert ns_to_ticks(-1) == 0  # before 1970: the field cannot say it
+    assert ns_to_ticks(-1) == 0  # before 1970: the field cannot express it
 
 
 @given(st.integers(0, (1 << 32) * NS_PER_S - 1))

@@ -178,7 +178,9 @@ def test_as_an_array_that_is_filled(updates: list[tuple[tuple[Triple, Triple], i
         expected[where] = values[where]
         whole = assembler.update(part(values, offset, size, 5, endian))
         missing = np.count_nonzero(expected < 0)
-        assert assembler.missing <= missing  # parts that overlap are told apart once all may be there
+        assert (
+            assembler.missing <= missing
+        )  # overlapping parts are only distinguished when the volume might be complete
         if missing:
             assert whole is None
         else:

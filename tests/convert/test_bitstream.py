@@ -1,4 +1,4 @@
-"""Key frames told from bytes; ``tests/edges/test_video.py`` holds them against real encoders."""
+"""Key frames detected from bytes; ``tests/edges/test_video.py`` compares the result with real encoders."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SPS, PPS, SEI, IDR, SLICE = "00000001 67 42", "000001 68 ce", "000001 06 05", "0
         ("vp9", "b0 24 c1", True),  # profile 3 has a bit more
         ("vp9", "b2 24 c1", False),
         ("vp9", "86 00", False),
-        ("vp9", "88", False),  # shows a frame that was told before
+        ("vp9", "88", False),  # shows a frame that was decoded before
         ("vp9", "42 49", False),
         ("av1", "1200 0a0b 00000024c666feafffff40 32 10", True),
         ("av1", "1200 3210 10", False),

@@ -1,4 +1,4 @@
-"""Texts of element lists: what people read, what fits, what is said when it does not."""
+"""Strings of element lists: reading them, the bytes that fit, the warning when a string is cut."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""COMMAND and its reply: texts in every encoding, ids, and success wherever peers write it."""
+"""COMMAND and its reply: strings in every encoding, ids, and success wherever peers write it."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def test_a_success_there_and_back() -> None:
 
 @pytest.mark.parametrize("status", [FAIL, CommandReply.TIMEOUT, CommandReply.NO_PEER, 0])
 def test_what_is_no_success_is_a_failure_with_its_reason(status: int) -> None:
-    """The message's own items under these keys give way, so that a reply never says two things."""
+    """The result replaces the message's own items under these keys, so that a reply never contradicts itself."""
     pairs = items(Status="SUCCESS", Result="42", ErrorMessage="none")
     message = CommandReply(Header(7, "base"), "Server", 5, "Start", status, "no file", metadata=pairs)
     outgoing = commands.reply_to_igtl(message, ToIgtlContext())

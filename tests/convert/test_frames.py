@@ -316,7 +316,7 @@ def test_bound_of_frames() -> None:
     ],
 )
 def test_refused(sample: Sample, reason: str) -> None:
-    """It costs itself and nothing else: neither the tree nor its neighbour in the message."""
+    """Only this transform is rejected: the tree and its neighbour in the message are unchanged."""
     made = tree(("a", "b", 1, at(1.0)), ("b", "c", 1, at(1.0)))
     before = made.version("c", "a")
     made.update(message(sample, ("b", "d", 1, at(2.0))), False)

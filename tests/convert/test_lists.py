@@ -1,4 +1,4 @@
-"""Lists of what peers have, colour tables, capabilities, bound messages: columns, texts, times, limits."""
+"""Lists of what peers have, colour tables, capabilities, bound messages: columns, strings, times, limits."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def sent(message: Any, kind: type[Body], warnings: list[str] | None = None, leng
 texts = strategies.ros_text.map(lambda text: text[:4])  # at most 16 bytes
 sizes = st.tuples(strategies.u16, strategies.u16, strategies.u16)
 u8 = st.integers(0, 255)
-# what the fraction of a second can say, beyond 2038 too
+# all values of the seconds and the fraction, beyond 2038 too
 times = st.integers(0, (1 << 32) * 10**9 - 1)
 
 
@@ -126,7 +126,7 @@ def unsigned(content: Any) -> Any:
 
 
 def told_ns(ticks: int) -> int:
-    """As ROS tells it: both count 2³² seconds, and the last tick is, rounded up, behind them."""
+    """The time in ROS: both count 2³² seconds, and the last tick, rounded up, is beyond them."""
     return ticks_to_ns(ticks) % (NS_PER_S << 32)
 
 

@@ -1,4 +1,4 @@
-"""TRANSFORM and POSITION ⇄ TransformStamped: numbers by hand, all rotations, matrices that are none."""
+"""TRANSFORM and POSITION ⇄ TransformStamped: numbers by hand, all rotations, matrices that are not orthonormal."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def test_scaled_as_one_by_one(source: str, target: str) -> None:
 @ieee_754
 def test_all_finite(dtype: str) -> None:
     assert all_finite(np.empty((0, 3), dtype))
-    assert all_finite(np.full((4, 3), 3e38, dtype))  # whose sum is none, as float32
+    assert all_finite(np.full((4, 3), 3e38, dtype))  # their sum overflows float32
     for odd in (np.nan, np.inf, -np.inf):
         values = np.ones((4, 3), dtype)
         values[2, 1] = odd

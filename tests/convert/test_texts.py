@@ -1,4 +1,4 @@
-"""STRING and STATUS: texts in every encoding, codes and levels, limits."""
+"""STRING and STATUS: strings in every encoding, codes and levels, limits."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_string_to_igtl(text: str, encoding: int) -> None:
 
 
 def test_the_longest_string() -> None:
-    """The original lost a text of 70,000 bytes without a word."""
+    """The original silently lost a string of 70,000 bytes."""
     content = texts.string_to_igtl(RosString("x" * 65535), ToIgtlContext()).content
     assert sum(memoryview(part).nbytes for part in content.pack()) == 65539
     for text in ("x" * 65536, "é" * 32768):

@@ -1,4 +1,4 @@
-"""Tracking data: names, types and poses by hand, every rotation there and back, tools that are no poses, /tf."""
+"""Tracking data: names, types and poses by hand, every rotation there and back, tools without a valid pose, /tf."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TURN = (0, 1, 0, -1, 0, 0, 0, 0, 1)
 IDENTITY = (1, 0, 0, 0, 1, 0, 0, 0, 1)
 TURN_Q = (0, 0, H, H)
 
-#: How far a number of a rotation may move on its way through float32: what the table of conversions says.
+#: The most that float32 may change an element of a rotation, from the table of conversions.
 ROUNDED = 2e-7
 
 
@@ -224,7 +224,7 @@ def test_a_tool_that_is_no_pose_costs_itself(convert: Callable[[Any, ToRosContex
 def test_more_tools_than_any_tracker_has_are_refused(
     kind: type[Content], convert: Callable[[Any, ToRosContext], Any]
 ) -> None:
-    """16 MB of matrices that are no rotations would be a minute of work."""
+    """16 MB of matrices that are not orthonormal would be a minute of work."""
     with pytest.raises(ConversionError, match="elements, expected at most 4096"):
         convert(kind(np.zeros(tracking.MAX_TOOLS + 1, kind.DTYPE)), to_ros())
 
@@ -256,7 +256,7 @@ def off_by(a: Any, b: Any) -> float:
 def test_ros_to_igtl_and_back(
     message: RosTracking, convert: Callable[[RosTracking, ToIgtlContext], ConvertedMessage]
 ) -> None:
-    """Names and types are exact, positions rounded to float32 millimetres, rotations within what the table says."""
+    """Names and types are exact, positions rounded to float32 millimetres, rotations within the table's tolerance."""
     content: Any = convert(message, ToIgtlContext()).content
     back = tracking.tracking_to_ros(content, to_ros())
     assert [(tool.name, tool.type) for tool in back.tools] == [(tool.name, tool.type) for tool in message.tools]
@@ -268,7 +268,7 @@ def test_ros_to_igtl_and_back(
 
 @given(ros_tracking)
 def test_igtl_to_ros_and_back(message: RosTracking) -> None:
-    """What has once been float32 keeps its positions exactly and its rotation within what the table says."""
+    """Values that are float32 already keep positions exactly, and rotations within the table's tolerance."""
     there: Any = tracking.tracking_to_tdata(message, ToIgtlContext()).content
     to = to_ros()
     back: Any = tracking.tracking_to_tdata(tracking.tracking_to_ros(there, to), ToIgtlContext()).content

@@ -1,4 +1,4 @@
-"""VIDEO ⇄ our own frames, compressed images and compressed video; real streams keep what they say of themselves."""
+"""VIDEO ⇄ our own frames, compressed images and compressed video; real streams keep their own parameters."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ class Collector:
             self._condition.notify_all()
 
     def hold(self) -> None:
-        """Stop the next thread that brings something; ``held`` tells when, ``open`` lets it go."""
+        """Stop the next thread that brings something; ``held`` is set then, ``open`` releases the thread."""
         self.open.clear()
         self.held.clear()
 
@@ -295,7 +295,7 @@ def test_two_topics_do_not_mix(got: Collector, decoder: VideoDecoder) -> None:
     ],
 )
 def test_pictures_that_are_none(cdr: bytes, found: str, got: Collector) -> None:
-    """Each costs itself; the stream says it once and goes on."""
+    """Only these pictures are rejected; the stream reports it once and continues."""
     encoder = encoder_of(got)
     try:
         for number in range(3):
@@ -312,7 +312,7 @@ def test_pictures_that_are_none(cdr: bytes, found: str, got: Collector) -> None:
 
 
 def test_bound_of_raw_pictures(got: Collector) -> None:
-    """The oldest is dropped, never the newest; that is said once and counted each time."""
+    """The oldest is dropped, never the newest; that is reported once and counted each time."""
     encoder = encoder_of(got)
     got.hold()
     try:
@@ -459,7 +459,7 @@ def test_other_formats_are_left_alone(got: Collector, decoder: VideoDecoder) -> 
 
 
 def foreign(encoder: str, pixel_format: str, options: dict[str, str], count: int) -> list[bytes]:
-    """Frames as somebody else encodes them."""
+    """Frames from another encoder."""
     context = av.CodecContext.create(encoder, "w")
     context.width, context.height, context.pix_fmt = WIDTH, HEIGHT, pixel_format
     context.time_base, context.framerate, context.gop_size, context.max_b_frames = Fraction(1, 30), 30, 4, 0

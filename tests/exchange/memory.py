@@ -40,4 +40,4 @@ def sent(at_ms: float, device: str, kind: str, content: Body) -> ImportedItem:
 
 def said(at_ms: float, code: str, stream: str) -> ImportedItem:
     """A note on a stream."""
-    return note_item(START + int(at_ms * MS), code, "said by a test", stream=stream)
+    return note_item(START + int(at_ms * MS), code, "note of a test", stream=stream)

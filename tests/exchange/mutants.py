@@ -1,4 +1,4 @@
-"""Recordings with flipped bits behind right checksums: what an export reads of them is damaged, and nothing says so.
+"""Recordings with flipped bits and correct checksums: an export reads damaged data that no checksum reveals.
 
 A recording is taken apart into the records of its chunks.  Some messages are kept, bits of some records are flipped,
 and the file is put together again with right lengths, offsets and checksums; the CRC of half of the OpenIGTLink
@@ -55,7 +55,7 @@ def mutants(seed: int) -> Iterator[tuple[str, bytes]]:
         sort = chance.random()
         if sort < 1 / 8:  # definitions, topics and their facts
             others = [_flipped(one, 2, chance) if one[0] in _KNOWN else one for one in others]
-        elif sort < 1 / 4:  # messages and what the recorder says of them
+        elif sort < 1 / 4:  # messages and the recorder's statements about them
             chosen = [_flipped(one, _MESSAGE_HEAD, chance) for one in chosen]
         else:  # what peers and nodes sent, nothing around it
             chosen = [_flipped(one, _content_at(one[1]), chance) for one in chosen]
@@ -66,7 +66,7 @@ def mutants(seed: int) -> Iterator[tuple[str, bytes]]:
 
 
 def _flipped(record: build.Record, first: int, chance: Random) -> build.Record:
-    """A record with, where chance says so, one to three bits flipped from the byte ``first`` on."""
+    """A record, at random with one to three bits flipped from the byte ``first`` on."""
     opcode, content = record
     if first >= len(content) or chance.random() < 0.5:
         return record
@@ -98,7 +98,7 @@ def _wire_at(content: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one export: exit code, what was printed, seconds of computing."""
+    """The result of one export: exit code, output, seconds of computing."""
 
     code: int
     printed: str
@@ -118,7 +118,7 @@ def export(data: bytes, to: str, *more: str) -> Outcome:
 
 
 def run(seed: int, number: int) -> None:
-    """Export so many mutants to everything, and say what broke."""
+    """Export this number of mutants to every format, and report what broke."""
     worst, codes, broken = 0.0, Counter[tuple[str, int]](), 0
     for name, data in islice(mutants(seed), number):
         for to in TARGETS:

@@ -141,7 +141,7 @@ def test_numbers_of_ros_have_the_unit_of_their_field(tmp_path: Path) -> None:
         1,
         2,
     ]
-    assert tables["arrow"][0]["x"] == "1.0"  # of what it is an arrow, nobody says
+    assert tables["arrow"][0]["x"] == "1.0"  # the message does not define what the arrow shows
     assert numbers(tables["polygon"][0], "points.x_m") == [1]
 
 

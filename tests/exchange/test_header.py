@@ -1,4 +1,4 @@
-"""Headers that are bent at random: an error of ours, or an import; no traceback, nothing that takes long."""
+"""Randomly mutated headers: an error of the program, or an import; no traceback, nothing that takes long."""
 
 from __future__ import annotations
 

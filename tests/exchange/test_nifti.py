@@ -1,4 +1,4 @@
-"""NIfTI volumes: nibabel writes them, nibabel and SimpleITK say where they lie."""
+"""NIfTI volumes: nibabel writes them, nibabel and SimpleITK give their position."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def info(at: int, start: int, count: int) -> bytes:
 
 
 def bag(path: Path, chunks: list[tuple[bytes, int, int]], repeats: int = 1, **definition: str) -> Path:
-    """Chunks with the second of their start and the number of their messages; the index names each so many times."""
+    """Chunks with the second of their start and the number of their messages; each indexed ``repeats`` times."""
     out = bytearray(b"#ROSBAG V2.0\n" + bytes(4113))
     infos = []
     for data, start, count in chunks:

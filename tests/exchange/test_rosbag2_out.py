@@ -125,7 +125,7 @@ def test_hostile_definitions_cost_their_own_messages(tmp_path: Path, name: str, 
 
 
 #: What ``rosbag2_storage`` of each release reads of ``metadata.yaml``, and of the channels of an MCAP file: the newest
-#: version whose profiles are a text with rmw's numbers, and whether it takes the version into account at all.
+#: version whose profiles are a string with rmw's numbers, and whether it takes the version into account at all.
 #: Sources: yaml.hpp, qos.cpp and mcap_storage.cpp of ros2/rosbag2 in the branches of these names.
 RELEASES = {"humble": None, "iron": None, "jazzy": 8, "kilted": 8}
 RMW = {"history": (1, 2), "reliability": (1, 2), "durability": (1, 2), "liveliness": (1, 3)}

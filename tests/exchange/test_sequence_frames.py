@@ -1,4 +1,4 @@
-"""The account of a sequence says what an independent reader counts in the file."""
+"""The account of a sequence agrees with the counts of an independent reader."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ def test_new_streams_are_announced_once() -> None:
 
 
 def test_what_one_row_refuses_costs_the_others_nothing() -> None:
-    """Points with names that are too many to be told one by one are a cloud all the same."""
+    """Points with too many names for single markers are nevertheless converted to a cloud."""
     script = Script()
     points = Points.of(np.zeros((trajectories.MAX_POINTS + 1, 3)))
     points.elements["name"] = b"P"
@@ -257,7 +257,7 @@ def test_a_volume_is_published_when_all_its_parts_have_come_and_then_with_each_p
     assert bytes(Volume.unpack(first).data) == bytes([1] * 4 + [2] * 4)
     assert script.igtl(part(0, 9)) == ["ros /igtl/in/CT/volume"]
     assert bytes(Volume.unpack(script.last[0].data()).data) == bytes([9] * 4 + [2] * 4)
-    assert bytes(Volume.unpack(first).data) == bytes([1] * 4 + [2] * 4), "what was said stays said"
+    assert bytes(Volume.unpack(first).data) == bytes([1] * 4 + [2] * 4), "the earlier output does not change"
 
 
 def test_slices_are_published_on_request() -> None:
@@ -369,7 +369,7 @@ def test_unknown_types_are_published_as_they_are() -> None:
     raw = RawMessage.unpack(script.last[0].data())
     assert (raw.type, raw.device_name, list(raw.links)) == ("MYSTERY", "Box", [1])
     assert decode(raw.data) == unknown
-    assert script.igtl(unknown) == ["ros /igtl/in/Box/raw"], "said once"
+    assert script.igtl(unknown) == ["ros /igtl/in/Box/raw"], "reported once"
     counts = script.gateway.ledger.to_dict()["igtl_in"]["MYSTERY/Box"]
     assert counts == {"received": 2, "decoded": 2, "converted": 2}
 

@@ -16,7 +16,7 @@ STREAM = "igtl_gateway: OpenIGTLink TRANSFORM/Tool"
 
 
 class Told:
-    """A session, and what is told of it."""
+    """A session and its diagnostics."""
 
     def __init__(self, config: Config) -> None:
         self.script = Script(config)

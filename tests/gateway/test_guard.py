@@ -1,4 +1,4 @@
-"""The guard: old poses are withheld, odd streams are told of, once per episode; the fast path sees the same."""
+"""The guard: withholds old poses and reports odd streams, once per episode; the fast path does the same."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_on_the_way_out_too_and_it_does_not_become_the_latest() -> None:
     assert "note query_unanswered" in script.igtl(query)
     assert script.ros("/igtl/out/Tool", tool(script.now_ns)) == ["igtl TRANSFORM/Tool v1 to 1", "note fresh"]
     assert "igtl TRANSFORM/Tool v1 to 1" in script.igtl(query)
-    script.now_ns += NS_PER_S  # what was fresh is old now, and must not be told as the latest
+    script.now_ns += NS_PER_S  # the pose is too old now, and must not be the answer to a query
     assert "igtl TRANSFORM/Tool v1 to 1" not in script.igtl(query)
     assert script.gateway.ledger.to_dict()["ros_in"]["/igtl/out/Tool"]["dropped"] == {"stale": 1}
 
@@ -166,7 +166,7 @@ def test_tracking_data_is_put_together_of_fresh_poses_only() -> None:
     assert needle() == ["Needle"], "of the probe there is nothing new"
     script.ros("/igtl/out/Probe", tool(script.now_ns))
     assert needle() == ["Probe", "Needle"]
-    assert needle(NS_PER_S) == [], "what is withheld is no reason to tell anything"
+    assert needle(NS_PER_S) == [], "a withheld pose causes no output"
 
 
 def test_without_stamps_there_is_no_age_which_is_said_once() -> None:
@@ -178,7 +178,7 @@ def test_without_stamps_there_is_no_age_which_is_said_once() -> None:
 def test_a_latched_message_is_sent_again_to_a_late_link_whatever_its_age() -> None:
     row = ToIgtlRow(max_age_s=0.5, qos=Qos(latched=True))
     script = Script(Config(to_igtl=(row,)))
-    assert script.ros("/igtl/out/Tool", tool(script.now_ns)) == []  # nobody is there
+    assert script.ros("/igtl/out/Tool", tool(script.now_ns)) == []  # no peer is connected
     script.now_ns += 60 * NS_PER_S
     assert script.up(1) == ["igtl TRANSFORM/Tool v1 to 1"]
     assert script.gateway.ledger.to_dict()["ros_in"]["/igtl/out/Tool"] == {"received": 1, "dropped": {"no_peer": 1}}
@@ -232,7 +232,7 @@ def test_nothing_is_said_without_watch_nor_of_good_streams() -> None:
     assert watched(Script(), odd) == []
     script = Script(WATCHING)
     assert watched(script, coming(script, 60)) == []
-    assert watched(script, [pose(0)] * 60) == []  # unset is none of these
+    assert watched(script, [pose(0)] * 60) == []  # an unset stamp is not a finding
 
 
 def test_metres_for_millimetres_are_seen_and_the_episode_ends() -> None:

@@ -45,7 +45,7 @@ class Inbox:
             self._changed.notify_all()
 
     def end(self, reason: str) -> None:
-        """Say that nothing more will come, and why: waiting receivers raise PeerError at once."""
+        """Mark the end of the messages, with the reason: waiting receivers raise PeerError at once."""
         with self._changed:
             self._end = self._end or reason
             self._changed.notify_all()

@@ -12,7 +12,7 @@ Quirks of pyigtl that are hidden here:
 
 Those that remain: no CRC is checked (so messages have no ``crc_ok``); stamps pass through a float64 (about
 240 ns); images are little-endian on sending and whole volumes (a received sub-volume is a traceback on standard
-error and a lost connection); text is ASCII on sending, and the texts of a POINT lose blanks at their end on
+error and a lost connection); text is ASCII on sending, and the strings of a POINT lose blanks at their end on
 reading; a server has one client at a time and its thread spins once that client has left; types other than
 the four here are not reported, and a POSITION of standard size arrives without content.
 """
@@ -53,7 +53,7 @@ class PyigtlPeer:
 
     @classmethod
     def client(cls, host: str, port: int) -> PyigtlPeer:
-        """A peer that connects to ``host:port``, again and again until somebody listens there."""
+        """A peer that connects to ``host:port``, again and again until a server listens there."""
         return cls(pyigtl.OpenIGTLinkClient(host, port, start_now=False), port)
 
     @classmethod

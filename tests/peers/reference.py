@@ -1,7 +1,7 @@
 """The C++ peer on Debian's libopenigtlink (1.11), compiled once and driven through its pipes.
 
-It sends and receives every type that the library has a class for (``ENCODERS``); ``LEFT_OUT`` says where a
-class is unusable.  Quirks of that library that a test sees beside those:
+It sends and receives every type that the library has a class for (``ENCODERS``); ``LEFT_OUT`` names the
+unusable classes.  Quirks of that library that a test sees beside those:
 
 - It knows header version 1 only.  The peer program skips a version 2 message by its size and reports it
   with ``"skipped": true`` and without content, as it does for types that it does not decode.
@@ -13,7 +13,7 @@ class is unusable.  Quirks of that library that a test sees beside those:
   the number of components (9).
 - An image's ``wire_matrix`` is sent with spacing 1, so it reaches the wire bit for bit; give ``matrix``
   (4 × 4, unit columns) and ``spacing`` instead to let the library multiply them.
-- A text ends at its first NUL; names inside bodies are read up to one byte less than their field.
+- A string ends at its first NUL; names inside bodies are read up to one byte less than their field.
 - The scan time of IMGMETA passes through nanoseconds by an older rule than today's, see ``STAMP_NS``.
 - Tracking types other than 1 to 4 arrive as 1, scalar types of IMGMETA that it does not know as 0.
 - The table of names in its GET_BIND and STT_BIND is not padded to an even size.
@@ -109,7 +109,7 @@ class ReferencePeer:
 
     Attributes:
         port: where a server listens, or where a client is connected to.
-        events: what the program said beside messages (``connected``, ``disconnected`` …), in order.
+        events: what the program reported beside messages (``connected``, ``disconnected`` …), in order.
     """
 
     def __init__(self, *arguments: str) -> None:
@@ -130,7 +130,7 @@ class ReferencePeer:
 
     @classmethod
     def client(cls, host: str, port: int, timeout_s: float = 10.0) -> ReferencePeer:
-        """A peer connected to ``host:port``; raises PeerError if nobody listens there."""
+        """A peer connected to ``host:port``; raises PeerError if no server listens there."""
         return cls._started(timeout_s, "connected", "client", host, str(port))
 
     @classmethod

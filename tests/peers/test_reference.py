@@ -1,6 +1,6 @@
 """The peers themselves: what they decode is the corpus' JSON, what they encode is the corpus' bytes.
 
-A plain socket stands for the gateway.  The corpus was made by the C++ 3.1 library, so this also says
+A plain socket stands for the gateway.  The corpus was made by the C++ 3.1 library, so this also shows
 where Debian's 1.11 and pyigtl agree with it.
 """
 
@@ -447,7 +447,7 @@ def test_the_librarys_attribute_quirk_on_sending(pair: Pair, kind: int, componen
 @needs_reference
 @pytest.mark.parametrize(("kind", "components"), QUIRKY)
 def test_the_librarys_attribute_quirk_on_receiving(pair: Pair, kind: int, components: int) -> None:
-    """It takes 9 components off the wire, and gives as many as the type has (but for cell scalars)."""
+    """It takes 9 components off the wire, and gives as many as the type has (except cell scalars)."""
     peer, link = pair
     data = [0.25 * i for i in range(18)]
     link.sendall(message("POLYDATA", polydata((kind, 9, data), (0, 1, [7.0, 8.0]))))

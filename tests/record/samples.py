@@ -94,7 +94,7 @@ def flat(entry: Entry) -> Entry:
     )
 
 
-# Any text that a peer can produce: bytes that are no UTF-8 become surrogates, NUL and backslashes may occur
+# Any string that a peer can produce: invalid UTF-8 becomes surrogates, NUL and backslashes can occur
 _TEXT = st.one_of(
     st.text(max_size=20),
     st.binary(max_size=20).map(lambda data: data.decode("utf-8", "surrogateescape")),

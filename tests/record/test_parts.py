@@ -1,4 +1,4 @@
-"""Split recordings, held against rosbags, pymcap-cli and our own reader."""
+"""Split recordings, compared with rosbags, pymcap-cli and our own reader."""
 
 from __future__ import annotations
 

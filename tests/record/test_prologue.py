@@ -67,7 +67,7 @@ def test_peers_that_have_gone_give_way_before_those_that_are_there() -> None:
         samples.note(seq + 1 + more, Kind.LINK, code=code, links=(11,)) for more, code in enumerate(("up", "down"))
     ]
     assert kept(Prologue(RULE), came) == [1, 2, *range(4, seq + 3)]
-    # entry 2 stands in two tables: of what is left, one place is for those that have gone
+    # entry 2 is in two tables: of the remaining places, one is for disconnected peers
     assert kept(Prologue(RULE, max_entries=4), came) == [1, 2, seq + 1, seq + 2]
     came.append(samples.note(seq + 3, Kind.LINK, code="link_up", links=(11,)))
     assert kept(Prologue(RULE, max_entries=4), came) == [1, 2, seq + 2, seq + 3]

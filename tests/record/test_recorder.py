@@ -44,7 +44,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class Bench:
-    """A recorder, what it said, and a way to hold its thread: inside the question for the QoS of a topic."""
+    """A recorder, its messages, and a way to stop its thread: inside the query for the QoS of a topic."""
 
     def __init__(self, path: Path, **options: object) -> None:
         self.clock = ManualClock()

@@ -81,7 +81,7 @@ def test_it_is_in_a_hurry_while_much_waits(tmp_path: Path) -> None:
 
 
 def _knows_sessions() -> bool:
-    """Whether this system shares among sessions of processes: some tell nothing, or do not let one set it."""
+    """Whether this system shares among sessions of processes: some do not report it, or do not allow to set it."""
     try:
         told = Path("/proc/self/autogroup").read_text()
         return bool(told.strip()) and os.access("/proc/self/autogroup", os.W_OK)

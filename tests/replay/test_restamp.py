@@ -135,7 +135,7 @@ def test_what_has_no_stamp_stays_and_nothing_is_told() -> None:
 
 
 def test_the_recordings_own_definition_counts() -> None:
-    """A type of a stranger, and one that had other fields when it was recorded."""
+    """A type of an unknown program, and one that had other fields when it was recorded."""
     text = (
         "uint8 a\nbuiltin_interfaces/Time stamp\n"
         + "=" * 80

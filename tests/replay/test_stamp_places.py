@@ -1,4 +1,4 @@
-"""Where the stamps are, held against rosbags: unpack, set all stamps, pack gives the same bytes."""
+"""The places of the stamps, compared with rosbags: unpack, set all stamps, pack gives the same bytes."""
 
 from __future__ import annotations
 

@@ -63,5 +63,5 @@ def test_the_steps_of_a_recording(tmp_path: Path, ledger: dict[str, object]) -> 
     writer.write(Entry(2, step.at_ns, Kind.EDGE_NOTE, payload=(step.note().pack(),)))
     writer.close(ledger)
     with SessionFile.open(tmp_path / "a.mcap") as file:
-        # a ledger that knows of no step is believed, and nothing read
+        # a ledger without a step is trusted, and no entry is read
         assert clock_steps_of(file) == ([] if ledger == {"streams": {}} else [step])

@@ -277,7 +277,7 @@ def test_any_bit_of_any_output_of_every_type_is_found(every_type: list[Entry]) -
 
 @pytest.mark.parametrize("offset", [0, 60, -1])
 def test_a_byte_of_any_message_of_every_type_that_came_in_is_found(every_type: list[Entry], offset: int) -> None:
-    """Header version, content and last byte of each: the gateway refuses it, or says something else."""
+    """Header version, content and last byte of each: the gateway refuses it, or gives a different output."""
     taken = [g for g in input_groups(every_type) if g.input.kind is Kind.IGTL_IN and g.outputs[0].kind is not Kind.NOTE]
     assert len(taken) > 100
     for group in taken[::13]:

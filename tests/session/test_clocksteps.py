@@ -1,4 +1,4 @@
-"""What a step of the host's clock does, and how it is told."""
+"""The effect of a step of the host's clock, and its report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Notes: those of a file may be anything, and are read as notes or as what says that they are none."""
+"""Notes: those of a file can be anything; the result is the note, or a note that it is invalid."""
 
 from __future__ import annotations
 

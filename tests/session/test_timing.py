@@ -42,7 +42,7 @@ def test_rounded_stamps_are_seen_by_their_step() -> None:
     assert heard(500).step_ns == 0
     assert heard(500, step_ns=NS_PER_MS).step_ns == NS_PER_MS
     assert heard(5_000, step_ns=NS_PER_S).step_ns == NS_PER_S
-    assert heard(5, step_ns=NS_PER_S).step_ns == 0  # too few to tell
+    assert heard(5, step_ns=NS_PER_S).step_ns == 0  # too few for a decision
     assert heard(5_000, step_ns=NS_PER_S).repeated > 4_900
 
 

@@ -28,7 +28,7 @@ def part(name: str, fields: str) -> str:
 
 
 def chain(length: int, fields: str) -> str:
-    """Each type holds the next, as ``fields`` says with ``{}`` for its name."""
+    """Each type holds the next; ``fields`` has ``{}`` in the place of its name."""
     return fields.format("p/T1") + "".join(part(f"p/T{i}", fields.format(f"p/T{i + 1}")) for i in range(1, length))
 
 
@@ -41,7 +41,7 @@ HOSTILE = {
         chain(40, "{0} x\n{0} y\n"),
         "fields of p/msg/T.* and of all in it: found .* expected at most 3000",
     ),
-    "a giant array of texts": ("string[100000000] x\n", "found 100000001, expected at most 3000"),
+    "a giant array of strings": ("string[100000000] x\n", "found 100000001, expected at most 3000"),
     "a giant array of numbers": ("float64[1000000000] x\n", "bytes of one .*: found 8000000000"),
     "giant arrays of numbers": (f"p/B[2000] x\n{part('p/B', 'uint8[1000000] x')}\n", "bytes of one"),
     "many fields": ("".join(f"int8 x{i}\n" for i in range(20_000)), "lines: found 20000, expected at most 3000"),

@@ -1,4 +1,4 @@
-"""Limits of reading: what they allow, how they are set, what the error says."""
+"""Limits of reading: what they allow, how they are set, the text of the error."""
 
 from __future__ import annotations
 

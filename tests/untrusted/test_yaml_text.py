@@ -57,7 +57,7 @@ def test_values_stay_texts() -> None:
         }
     }
     assert parse_yaml("", "x.yaml") is None
-    assert parse_yaml("just a text", "x.yaml") == "just a text"
+    assert parse_yaml("only a string", "x.yaml") == "only a string"
 
 
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)

@@ -17,7 +17,7 @@ STEP_NS = 10_000_000
 
 @dataclass
 class Drawn:
-    """What a recording holds, and what the drawing said of it."""
+    """The content of a recording, and the notes of the drawing."""
 
     view: Any
     batches: dict[str, list[Any]] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""A live view never makes the hub wait, and says what it could not draw."""
+"""A live view never makes the hub wait, and reports what it could not draw."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def ended(view: LiveView, path: Path) -> Drawn:
 
 
 class Gate:
-    """Holds the drawing at its first entry until told."""
+    """Holds the drawing at its first entry until it is opened."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.arrived, self.open = threading.Event(), threading.Event()
@@ -70,7 +70,7 @@ def test_what_comes_faster_than_it_can_draw_is_dropped_and_shown_as_one_gap(
     entries = messages(*(String("x") for _ in range(102)))
     view(entries[0])
     assert gate.arrived.wait(DEADLINE_S)
-    for entry in entries[1:-1]:  # none of these calls waits for the drawing, which stands still
+    for entry in entries[1:-1]:  # none of these calls waits for the drawing, which is held
         view(entry)
     assert view.dropped == 90
     caught_up = threading.Event()

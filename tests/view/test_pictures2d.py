@@ -20,7 +20,7 @@ from .conftest import Draw, Drawn
 Array = npt.NDArray[Any]
 HEADER = Header(0, "camera")
 WIDTH, HEIGHT = 4, 2
-#: Red, green / blue, white … row by row: tells every turn and every swap.
+#: Red, green / blue, white … row by row: shows every turn and every swap.
 RGB = np.array(
     [[(255, 0, 0), (0, 255, 0), (10, 20, 30), (0, 0, 0)], [(0, 0, 255), (255, 255, 255), (1, 2, 3), (9, 8, 7)]],
     np.uint8,

@@ -28,7 +28,7 @@ FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 @dataclass
 class Odd:
-    """A type that nobody has heard of."""
+    """An unknown type."""
 
     TYPE: ClassVar[str] = "odd_msgs/msg/Odd"
 
@@ -95,7 +95,7 @@ def mutant(data: bytes, chance: np.random.Generator) -> bytes:
 @pytest.mark.parametrize("strict", ["1", "0"])
 @pytest.mark.filterwarnings("error")
 def test_no_bytes_whatever_end_the_drawing(strict: str, draw: Draw, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Claims of 60,000 x 60,000 pixels, of 10^9 points, of numbers that are none: a row each, and no memory."""
+    """Claims of 60,000 x 60,000 pixels, of 10^9 points, of NaN and infinity: a row each, and no memory."""
     resource = pytest.importorskip("resource")
     monkeypatch.setenv("RERUN_STRICT", strict)
     with SessionFile.open(FIXTURES / "every-type.mcap") as file:

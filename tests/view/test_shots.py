@@ -26,7 +26,7 @@ RED_NS, BLUE_NS = 1_000_000_000, 3_000_000_000
 
 
 def a_recording(path: Path, time_line: str = TIME_LINE) -> Path:
-    """A red picture, two seconds later a blue one; one view of it, and a 3-D view that asks for a frame of nobody."""
+    """A red picture, two seconds later a blue one; one view of it, and a 3-D view that asks for an unknown frame."""
     stream = rr.RecordingStream("test", recording_id="test", send_properties=False)
     stream.save(path)
     for time_ns, colour in ((RED_NS, (255, 0, 0)), (BLUE_NS, (0, 0, 255))):
@@ -49,7 +49,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def has_gone(pid: int) -> bool:
-    """Within ten seconds; a process that its parent has not yet asked for has gone, too."""
+    """Within ten seconds; a process whose exit status its parent has not collected has ended, too."""
     for _ in range(100):
         try:
             if Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z":

@@ -1,4 +1,4 @@
-"""Planes and volumes lie where their geometry says, and pictures of them are the right way up."""
+"""Planes and volumes lie at the place that their geometry gives, and pictures of them are the right way up."""
 
 from __future__ import annotations
 

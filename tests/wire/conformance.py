@@ -49,7 +49,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What became of one message.
+    """The result of one message.
 
     Attributes:
         case: name of the file.
@@ -91,7 +91,7 @@ def _vectors(index: Path) -> list[Case]:
     return found
 
 
-#: Keys of the vectors that say in words or in other units what another key says.
+#: Keys of the vectors that repeat another key, in words or in other units.
 _OTHER_WORDS = frozenset({"spacing_set", "unit_text"})
 
 

@@ -1,7 +1,7 @@
 """VIDEO, VIDEOMETA and odd queries, made field by field with ``struct``: nothing of our own codec is used.
 
-The reference library of the corpus was built without video.  These files are what its documents and code say
-that it would write.  Run as a program, this writes them into ``corpus/``.
+The reference library of the corpus was built without video.  According to its documents and code, it would write
+these files.  Run as a program, this module writes them into ``corpus/``.
 """
 
 from __future__ import annotations

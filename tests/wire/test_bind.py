@@ -1,4 +1,4 @@
-"""BIND: the table of names in all its layouts, children that nobody can read, BIND in BIND."""
+"""BIND: the table of names in all its layouts, children that no codec can read, BIND in BIND."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_what_does_not_fit(child: BindChild) -> None:
 
 
 def empty(count: int) -> bytes:
-    """A BIND of nameless empty children, as nobody would write it."""
+    """A BIND of nameless empty children, as no real program writes it."""
     return struct.pack(">H", count) + (name("CUSTOM") + sized(0)) * count + struct.pack(">H", count) + bytes(count)
 
 
@@ -194,7 +194,7 @@ def test_children_are_views() -> None:
     assert sum(np.shares_memory(np.frombuffer(part, np.uint8), received) for part in bind.pack()) == len(CHILDREN)
 
 
-#: Garbage under the name BIND is refused with the whole; under every other name it costs nobody anything.
+#: Garbage under the name BIND is refused with the whole; under every other name it has no effect on the other children.
 CONTENTS = {kind: contents for kind, contents in strategies.bodies().items() if kind != "BIND"}
 
 

@@ -26,7 +26,7 @@ from tests.wire import handmade
 
 OWN = Path(__file__).with_name("corpus")
 CASES = sorted({path.stem: path for folder in (SHARED / "corpus", OWN) for path in folder.glob("*.bin")}.values())
-#: What the C++ library says about itself, and where the message stood in its file.
+#: The C++ library's data about itself, and the place of the message in its file.
 NOT_OURS = frozenset({"index", "offset"})
 #: Names that are read and never written.
 ALIASES = frozenset({"QTRANS", "COLORTABLE", "CAPABIL"})
@@ -127,7 +127,7 @@ def test_captured_traffic(path: Path) -> None:
 
 
 def common(of: Any, other: Any) -> Any:
-    """``of`` with those keys only that ``other`` has too: the vectors tell some things in other words."""
+    """``of`` with those keys only that ``other`` has too: the vectors give some values in other words."""
     if isinstance(of, dict) and isinstance(other, dict):
         return {key: common(value, other[key]) for key, value in of.items() if key in other}
     if isinstance(of, list) and isinstance(other, list) and len(of) == len(other):

@@ -84,7 +84,7 @@ def test_lists(kind: type[Elements]) -> None:
 
 
 def test_every_class_has_one() -> None:
-    """Where it stops being constant, words say by what; only queries may be without anything."""
+    """Where the size is not constant, words name what it depends on; only queries may be empty."""
     without = [one.__name__ for one in CLASSES if not getattr(one, "LAYOUT", None)]
     assert without == ["EmptyQuery"]
     for kind in CLASSES:

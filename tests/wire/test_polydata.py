@@ -96,7 +96,7 @@ HUGE = 2**32 - 1
                                   "polygon_bytes", "strips", "strip_bytes", "attributes"])  # fmt: skip
 @pytest.mark.parametrize("value", [0, 1, 2, 3, 5, 2**31, HUGE - 3, HUGE])
 def test_lying_counts(name: str, value: int) -> None:
-    """No count is believed: neither memory nor time is spent on it."""
+    """No count is trusted: neither memory nor time is spent on it."""
     data = head(**{name: value})
     if data == GOLDEN:
         return
@@ -146,7 +146,7 @@ def test_width(lists: list[list[int]], width: int | None) -> None:
 
 
 def test_mixed_cells_that_look_regular() -> None:
-    """Two cells in six words: only the counts tell 2 + 2 from 1 + 3."""
+    """Two cells in six words: only the counts distinguish 2 + 2 from 1 + 3."""
     assert Cells(2, np.array([1, 2, 3, 2, 2, 2], ">u4")).lists() == [[2], [2, 2, 2]]
 
 

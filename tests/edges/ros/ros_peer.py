@@ -1,4 +1,4 @@
-"""A foreign ROS 2 node for the tests: typed rclpy in a process of its own, told what to do by JSON lines.
+"""A foreign ROS 2 node for the tests: typed rclpy in a process of its own, controlled by JSON lines.
 
 Each line on stdin is ``[command, arguments…]`` and is answered by one JSON line on stdout.  Nothing of the
 gateway is imported here, and no executor runs: messages stay in the reader's queue until they are taken.
@@ -58,7 +58,7 @@ class Peer:
         self.subscriptions: dict[str, Any] = {}
 
     def call(self, service: str, kind: str, number: int) -> int:
-        """So many calls at once; the number of those that were answered."""
+        """Make this number of calls at once; return the number of answers."""
         package, _, name = kind.split("/")
         service_class = getattr(import_module(f"{package}.srv"), name)
         client = self.node.create_client(service_class, service, qos_profile=profile(depth=number))
@@ -128,7 +128,7 @@ class Peer:
             self.publishers[topic].publish(message)
 
     def take(self, topic: str, count: int) -> list[list[Any]]:
-        """Wait for so many messages: ``[[bytes, fields]…]``; fewer if they do not come in time."""
+        """Wait for this number of messages: ``[[bytes, fields]…]``; fewer if they do not arrive in time."""
         subscription = self.subscriptions[topic]
         taken: list[bytes] = []
 

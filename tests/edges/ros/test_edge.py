@@ -110,7 +110,7 @@ class Heard:
 
 
 def wait_known(edge: RosEdge, topic: str) -> None:
-    """Wait until discovery has told the edge of a subscriber: what is published before that is nobody's."""
+    """Wait until the edge has discovered a subscriber: messages that are published before that are lost."""
     pause, deadline = threading.Event(), time.monotonic() + TIMEOUT_S
     while not edge._node.handle.count_subscribers(topic):
         assert time.monotonic() < deadline, f"no subscriber of {topic} was discovered"
@@ -268,7 +268,7 @@ def test_late_subscriber_gets_the_latched_message(peer: Peer, edge: RosEdge) -> 
 
 
 def test_quality_of_service_follows_the_publishers(peer: Peer, edge: RosEdge, heard: Heard) -> None:
-    """A best-effort publisher is heard although RELIABLE was asked; a latched one gives what it sent before."""
+    """The edge receives a best-effort publisher despite RELIABLE, and the earlier message of a latched one."""
     heard.wanted |= {"/qos/best_effort": Qos(), "/qos/latched": Qos()}
     peer.publisher("/qos/best_effort", STRING, {"reliable": False})
     peer.publisher("/qos/latched", STRING, {"latched": True})
@@ -444,7 +444,7 @@ FORGETFUL = """
 import signal, sys
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.qos import Qos
-signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever started the tests may have it ignored
+signal.signal(signal.SIGINT, signal.default_int_handler)  # the program that started the tests might ignore it
 edge = RosEdge(on_message=print, wants=lambda topic, kind: Qos(), on_note=lambda note: None)
 edge.start()
 edge.publish("/forgetful", "std_msgs/msg/String", b"\\0\\1\\0\\0\\1\\0\\0\\0\\0", Qos())
@@ -495,7 +495,7 @@ def test_profile_for_large_messages_is_in_force() -> None:
 
 
 def fails_to_start(code: str, **environ: str) -> str:
-    """Run in a process of its own, with ROS as the environment says; returns the text of the RosError."""
+    """Run in a process of its own, with the ROS of this environment; returns the text of the RosError."""
     script = f"""
 import sys
 {code}

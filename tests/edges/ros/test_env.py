@@ -34,7 +34,7 @@ def _clean(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def prepare(**environ: str) -> tuple[list[str], dict[str, str], int]:
-    """The lines and the environment afterwards, and how many of eight freed 6 MB blocks came from the kernel anew.
+    """The lines and the environment afterwards, and how many of eight freed 6 MB blocks came from the kernel again.
 
     In a process of its own: the allocator's settings cannot be taken back.
     """
@@ -146,7 +146,7 @@ def test_the_profile_for_lock_step_is_the_other_one_with_quick_acknowledgements(
     ]
     if room_for_segments():
         for variable in env.PROFILE_VARIABLES:
-            monkeypatch.setenv(variable, str(env.PROFILE))  # left to us by a parent of ours
+            monkeypatch.setenv(variable, str(env.PROFILE))  # inherited from a parent process
         env.prepare_environment(lock_step=True)
         assert os.environ[env.PROFILE_VARIABLES[0]] == str(env.LOCK_STEP_PROFILE)
 

@@ -35,7 +35,7 @@ class Subscription:
 
 
 class Event:
-    """A QoS event with its callback, as rclpy's EventHandler: gives its state only when told that it is ready."""
+    """A QoS event with its callback, as rclpy's EventHandler: gives its state only after it is marked as ready."""
 
     def __init__(self, total_count_change: int) -> None:
         self._ready_to_take_data = False

@@ -89,7 +89,7 @@ def test_echo_knows_own_messages_by_time_and_bytes() -> None:
     assert echo.is_own(b"first", first)
     assert echo.is_own(b"second\0\0", second)  # padded
     assert echo.is_own(b"second", third)
-    assert not echo.is_own(b"second", third)  # somebody else's, at the same moment
+    assert not echo.is_own(b"second", third)  # another publisher's, at the same moment
 
 
 def test_echo_knows_own_messages_also_when_the_clock_was_set_back() -> None:

@@ -80,7 +80,7 @@ def test_who_sends_too_many_messages_is_read_no_faster_and_loses_nothing(world: 
     (note,) = seen.wait("rate_limited", 1, 1)
     assert note.data == {"peer": note.data["peer"], "limit": 10, "rests": 1}
     flood.send(message(99))
-    for turn in range(3):  # the others are heard
+    for turn in range(3):  # the others are received
         calm.send(message(turn))
         seen.wait("frame", turn + 1, 2)
     assert len(seen.of("frame", 1)) == 25, "beyond the limit by what one reception held"
@@ -120,7 +120,7 @@ def test_who_cannot_be_reached_is_let_go_and_what_may_be_lost_is_told(
     silent_s = 0.0
     monkeypatch.setattr(liveness, "unanswered_s", lambda sock: silent_s)
     monkeypatch.setattr(link, "unconfirmed_bytes", lambda sock: 1234)
-    edge, seen, port = world.server(limits=PeerLimits(stall_s=0.1))  # so often it is looked at
+    edge, seen, port = world.server(limits=PeerLimits(stall_s=0.1))  # the interval of the checks depends on it
     world.peer(port)
     seen.wait("up")
     silent_s = UNANSWERED_S
@@ -192,7 +192,7 @@ class Pace:
 
 @pytest.mark.parametrize("tempo_s", [0.9, 9.0])
 def test_a_header_that_comes_byte_by_byte_has_no_more_time_than_any_other(world: World, tempo_s: float) -> None:
-    """Never silent for ``stall_s``, it would hold its place for ever."""
+    """Never silent for ``stall_s``, it would keep its place forever."""
     clock = ManualClock()
     _, seen, port = world.server(clock=clock, limits=PeerLimits(stall_s=10))
     pace, loris = Pace(world, port, seen, clock), world.peer(port)
@@ -458,7 +458,7 @@ def test_stop_while_a_peer_does_not_read(world: World, half_closed: bool) -> Non
 
 
 def failing(monkeypatch: pytest.MonkeyPatch, times: int) -> None:
-    """Reading of link 1 raises so many times."""
+    """Reading of link 1 raises this number of times."""
     left = [times]
     read = Receiver.read
 

@@ -22,7 +22,7 @@ def test_every_kind_of_action_may_raise() -> None:
 
         return action
 
-    loop = Loop(ManualClock(), lambda: None, lambda exc: done.append(f"{exc} told"))
+    loop = Loop(ManualClock(), lambda: None, lambda exc: done.append(f"{exc} reported"))
     one, other = socket.socketpair()
     with one, other:
         other.send(b"!")
@@ -35,7 +35,7 @@ def test_every_kind_of_action_may_raise() -> None:
         loop.run_once(None)
         loop.unwatch(one)
     loop.close()
-    assert done == ["socket rescued", "post rescued", "orphan told", "posted", "timer rescued", "timed"]
+    assert done == ["socket rescued", "post rescued", "orphan reported", "posted", "timer rescued", "timed"]
 
 
 def test_a_rescue_that_raises_is_the_last_resort(caplog: pytest.LogCaptureFixture) -> None:

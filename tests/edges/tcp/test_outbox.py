@@ -189,7 +189,7 @@ def test_random_partial_sends(
     reader.join(DEADLINE_S)
     assert not reader.is_alive()
     numbers = [number_of(one) for one in got]
-    assert [one for one in got if one != made_message(number_of(one))] == [], "a message that nobody sent"
+    assert [one for one in got if one != made_message(number_of(one))] == [], "a message that was not sent"
     arrived = Counter(f"{number // EACH}" for number in numbers)
     lost = Counter(counted.dropped) + Counter(ignored)
     assert {f"{who}": arrived[f"{who}"] + lost[f"{who}"] for who in range(SENDERS)} == dict.fromkeys(

@@ -1,4 +1,4 @@
-"""Pairs of links: a client of ours and its own connection to the server."""
+"""Pairs of links: a client and its own connection to the server."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def test_who_is_allowed(allow: list[str], host: str, allowed: bool) -> None:
     assert (host in AllowList(allow)) is allowed
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not say")
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux reports it")
 def test_who_does_not_read_is_no_dead_one_and_what_he_has_not_is_known(world: World) -> None:
     """He who lost power is in ``tests/integration/test_live_faults.py``: it takes a line that can be cut."""
     listener = world.listener()

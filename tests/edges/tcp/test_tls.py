@@ -47,7 +47,7 @@ def context(name: str = "viewer") -> ssl.SSLContext:
 
 
 def client(world: World, port: int, using: ssl.SSLContext | None = None, receive_buffer: int = 0) -> Peer:
-    """Somebody else's TLS: Python's own, blocking."""
+    """An independent TLS client: Python's own, blocking."""
     raw = Peer.to(port, receive_buffer).sock
     peer = Peer((using or context()).wrap_socket(raw, server_hostname=HERE))
     world.closes(peer.close)
@@ -71,7 +71,7 @@ def test_messages_of_all_sizes_both_ways_and_an_end_that_is_said(world: World, v
     assert seen.wait("frame", len(sent)) == sent
     edge.stop()
     peer.sock.suppress_ragged_eofs = False  # type: ignore[attr-defined]
-    assert peer.receive() is None, "the end was said, not just torn off"
+    assert peer.receive() is None, "an orderly close, not a reset"
     (down,) = seen.wait("down")
     assert down.data["reason"] == "stopped"
 
@@ -90,7 +90,7 @@ def test_a_goodbye_of_the_peer_is_no_loss(world: World) -> None:
 
 @pytest.mark.parametrize("together", [True, False])
 def test_a_goodbye_right_behind_a_message_is_seen(world: World, together: bool) -> None:
-    """In one reception with it, and nothing follows: the peer waits for our goodbye."""
+    """In one reception with it, and nothing follows: the peer waits for our orderly close."""
     _, seen, port = secure(world)
     raw = world.peer(port).sock
     incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
@@ -114,7 +114,7 @@ def test_a_goodbye_right_behind_a_message_is_seen(world: World, together: bool) 
     if not together:
         raw.sendall(outgoing.read())
         seen.wait("frame")
-    tell(theirs.unwrap)  # which returns when the other side has said the same
+    tell(theirs.unwrap)  # which returns after the orderly close of the edge
     (down,) = seen.wait("down")
     assert (down.data["reason"], seen.of("frame")) == ("closed by the peer", [message(1)])
 
@@ -194,7 +194,7 @@ def test_a_client_without_a_good_certificate_is_refused(world: World, name: str,
     edge, seen, port = secure(world)
     with pytest.raises(OSError):  # in the handshake, or, with TLS 1.3, behind it
         client(world, port, context(name)).receive()
-        raise AssertionError("the end without a word")
+        raise AssertionError("disconnected without an alert")
     (note,) = seen.wait("refused")
     assert note.data["reason"] == reason
     assert edge.refused() == {reason: 1}

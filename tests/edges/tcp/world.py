@@ -33,7 +33,7 @@ def number_of(frame: Any) -> int:
 
 
 class Seen:
-    """What the callbacks told, in order."""
+    """What the callbacks reported, in order."""
 
     def __init__(self) -> None:
         self.events: list[tuple[str, int, Any]] = []
@@ -149,7 +149,7 @@ class World:
 
 
 def until(condition: Callable[[], bool]) -> None:
-    """For the few facts that no callback tells: the kernel's buffers, counters."""
+    """For the few facts that no callback reports: the kernel's buffers, counters."""
     pause = threading.Event()
     for _ in range(round(DEADLINE_S / 0.005)):
         if condition():

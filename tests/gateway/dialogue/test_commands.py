@@ -56,7 +56,7 @@ def test_a_command_that_nobody_answers_fails_in_time() -> None:
 
 @pytest.mark.parametrize("config", [Config(), Config(deny_in=("COMMAND",))])
 def test_a_name_of_odd_bytes_costs_nobody_the_answer(config: Config) -> None:
-    """Found by tools/fuzz_gateway.py: as text it is longer than a header holds; no time-out of that tick was told."""
+    """Found by tools/fuzz_gateway.py: as text it is longer than a header field; that tick reported no timeout."""
     script = Script(config)
     script.up(1)
     script.up(2)

@@ -50,7 +50,7 @@ def test_a_status_query_is_answered_at_once() -> None:
 def test_a_query_for_a_type_that_no_header_can_name_is_answered_by_a_status() -> None:
     script = Script()
     script.up(1)
-    # bytes that are no text become three each: more than the twelve of a type; found by tools/fuzz_gateway.py
+    # each invalid byte becomes three: more than the twelve of a type; found by tools/fuzz_gateway.py
     lines = script.igtl(Message("GET_" + b"POI\xff\xfe\xfd\xff\xfe".decode("utf-8", "surrogateescape"), "", Raw(b"?")))
     assert "note query_unanswered" in lines and "note internal_error" not in lines
     (answer,) = script.sent()
@@ -96,7 +96,7 @@ def test_without_a_device_all_are_told() -> None:
 
 
 def test_what_is_not_there_is_a_message_without_content() -> None:
-    """… where every reader survives that: else it is a STATUS that says so."""
+    """If every reader survives that; otherwise the answer is a STATUS with the reason."""
     script = Script()
     script.up(1)
     lines = script.igtl(query("GET_IMAGE", "CT"))
@@ -279,7 +279,7 @@ def test_plus_is_sent_nothing_that_its_factory_does_not_name() -> None:
     assert script.ros("/igtl/out/Text", values) == ["igtl STRING/Text v1 to 2", "igtl STRING/Text v2 to 1"]
     numbers = _float_array()
     assert script.ros("/igtl/out/Numbers", numbers) == ["igtl NDARRAY/Numbers v1 to 2", "note not_for_peer"]
-    assert script.ros("/igtl/out/Numbers", numbers) == ["igtl NDARRAY/Numbers v1 to 2"], "said once"
+    assert script.ros("/igtl/out/Numbers", numbers) == ["igtl NDARRAY/Numbers v1 to 2"], "reported once"
 
 
 def _float_array() -> rosmsg.RosMessage:
@@ -349,4 +349,4 @@ def test_a_peer_that_invents_names_fills_no_memory(monkeypatch: pytest.MonkeyPat
     assert lines.count("note query_unanswered") == 3
     assert sum(line.startswith("igtl STATUS") for line in lines) == 5, "each is answered all the same"
     script.up(2)
-    assert "note query_unanswered" in script.igtl(query("GET_TRANS", "f"), 2), "and others are told of"
+    assert "note query_unanswered" in script.igtl(query("GET_TRANS", "f"), 2), "and others are reported"

@@ -63,7 +63,7 @@ def rotations(draw: st.DrawFn) -> tuple[float, float, float, float]:
 
 @st.composite
 def matrices(draw: st.DrawFn) -> tuple[float, ...]:
-    """The twelve numbers of TRANSFORM: rotations as float32 rounds them, and what is none."""
+    """The twelve numbers of TRANSFORM: rotations rounded to float32, and matrices that are not orthonormal."""
     x, y, z, w = draw(rotations())
     n = math.sqrt(x * x + y * y + z * z + w * w) or 1.0
     x, y, z, w = x / n, y / n, z / n, w / n

@@ -35,7 +35,7 @@ def test_losses_duplicates_and_disorder() -> None:
     received = np.array([11, 12, 99, 41, 1, 1]) * MS
     told = latency([Transmission(sent, numbers, received)])
     assert (told["sent"], told["delivered"]) == (5, 3)
-    assert told["max_ms"] == 12.0  # number 1; the second arrival of number 2 is none
+    assert told["max_ms"] == 12.0  # number 1; the second arrival of number 2 does not count
 
 
 def test_streams_together() -> None:

@@ -1,4 +1,4 @@
-"""The tool that draws flame graphs: where it is looked for, and what is said if it draws nothing."""
+"""The tool that draws flame graphs: the places where it is searched, and the error if it draws nothing."""
 
 from __future__ import annotations
 

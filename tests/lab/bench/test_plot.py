@@ -1,4 +1,4 @@
-"""The pictures are SVG that says what the rows say."""
+"""The pictures are SVG with the values of the rows."""
 
 from __future__ import annotations
 

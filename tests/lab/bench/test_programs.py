@@ -1,4 +1,4 @@
-"""The programs on both sides: what they are told, and the OpenIGTLink side on a real socket."""
+"""The programs on both sides: their instructions, and the OpenIGTLink side on a real socket."""
 
 from __future__ import annotations
 

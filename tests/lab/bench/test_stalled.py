@@ -1,4 +1,4 @@
-"""A client that stops reading: what is told of it."""
+"""A client that stops reading: the report of it."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class Liar(AcquisitionRobot):
 
 
 def off(said: RosSent) -> RosSent:
-    """One millimetre beside where it says."""
+    """The same message with its position one millimetre off."""
     if not isinstance(said.message, TransformStamped):
         return said
     x, y, z = said.message.translation

@@ -72,7 +72,7 @@ def test_nobody_at_the_other_end_is_no_success() -> None:
     model = brain.Model(1)
     log = played((model,))
     assert not model.done and not model.report().good
-    assert sum(entry.channel == "/brain/ready" for entry in log) == 10, "it says so twice a second"
+    assert sum(entry.channel == "/brain/ready" for entry in log) == 10, "it reports that twice a second"
 
 
 def test_a_short_session_is_the_small_one_on_every_machine() -> None:

@@ -1,4 +1,4 @@
-"""Surfaces of volumes, held against spheres, whose surface is known."""
+"""Surfaces of volumes, compared with spheres, whose surface is known."""
 
 from __future__ import annotations
 

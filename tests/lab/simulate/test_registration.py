@@ -176,14 +176,14 @@ def test_eight_real_landmarks_give_the_published_registration(shared_dir: Path) 
     times, tips, landmarks = real_touches(folder)
     assert len(tips) == 1000 and len(landmarks) == 8
     pauses = stops(times, tips, slowest=20, shortest_s=1.5)
-    assert len(pauses) == 10, "the stylus rests before the first landmark and after the last"
+    assert len(pauses) == 10, "the stylus pauses before the first landmark and after the last"
     found, first = register_in_order(landmarks, np.array([pause.position for pause in pauses]))
     assert first == 1
     published = ET.parse(folder / "PhantomRegistrationLandmarkDetection.results.xml").getroot()
     answer = published.find(".//Transform[@From='Phantom']")
     assert answer is not None
     error, rows = float(answer.get("Error", "nan")), matrix(answer.get("Matrix"))
-    ours = found.transform.inverse()  # phantom → reference, as PLUS says it
+    ours = found.transform.inverse()  # phantom → reference, the direction that PLUS sends
     assert float(found.residuals.mean()) == pytest.approx(error, abs=0.05)
     assert found.fre < 0.25 and found.residuals.max() < 0.4
     theirs = Rigid(rows[:3, :3], rows[:3, 3])

@@ -35,7 +35,7 @@ Answer = Callable[[int, str], Iterable[str]]
 
 
 class Teller:
-    """Says its lines, one every 10 ms, and remembers what it hears; ``answer`` gives what it says to that."""
+    """Sends its lines, one every 10 ms, and keeps the received ones; ``answer`` gives its reply to each."""
 
     def __init__(
         self, name: str, side: ActorProtocol, lines: Iterable[str] = (), waits_for: int = 0, topic: str = OUT
@@ -132,7 +132,7 @@ def test_equal_actors_give_equal_bytes() -> None:
 
 
 def test_ros_actors_hear_each_other_past_the_gateway() -> None:
-    """What is no business of the gateway's is not in the session; nobody hears himself."""
+    """Topics that the gateway does not use are not in the session; no actor receives its own messages."""
     camera = Teller("camera", ActorProtocol.ROS, ["frame"], topic=ASIDE)
     robot = Teller("robot", ActorProtocol.ROS, (), 1)
     log = played(camera, robot)
@@ -177,7 +177,7 @@ def test_what_is_on_its_way_when_all_are_done_arrives() -> None:
 
 
 class Pinged(Teller):
-    """Hears messages of any type."""
+    """Receives messages of any type."""
 
     def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         self.heard.append((now_ns, heard.type))
@@ -214,7 +214,7 @@ def test_an_actor_that_never_lets_time_pass_is_named() -> None:
             return ()
 
     with pytest.raises(RuntimeError, match="stuck: due at"):
-        played(Stuck("stuck", ActorProtocol.ROS, ["never said"]))
+        played(Stuck("stuck", ActorProtocol.ROS, ["never sent"]))
 
 
 def test_ros_hears_who_is_connected() -> None:

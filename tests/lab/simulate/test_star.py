@@ -91,7 +91,7 @@ def xyz(entry: Entry) -> Array:
 
 @pytest.fixture(scope="module")
 def heard(star_session: list[Entry]) -> Topics:
-    """What the gateway heard of ROS."""
+    """The ROS messages that the gateway received."""
     return of(Kind.ROS_IN, star_session)
 
 
@@ -105,7 +105,7 @@ def test_a_run_on_an_older_processor_gives_the_bytes_of_the_fixture(star_session
     done = subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, check=True)
     told = json.loads(done.stdout)
     assert told["digest"] == digest(star_session)
-    # what the actors say of it
+    # the reports of the actors
     robot, planner, sensors = (told[f"star_{name}"] for name in ("robot", "planner", "sensors"))
     assert [int(number) for number in robot["planted_mm"]] == list(PLANTED)
     assert list(robot["moved_mm"]) == [str(GLINT_STITCH + 1)] and planner["moved_mm"].keys() == {"entry 3"}
@@ -236,7 +236,7 @@ def test_image_message_shows_red_tissue(heard: Topics) -> None:
 
 
 def test_the_tool_is_in_the_picture_where_its_pose_says(heard: Topics) -> None:
-    """The camera heard the pose: the shaft is grey where the tissue was red."""
+    """The camera received the pose: the shaft is grey where the tissue was red."""
     message = heard[topics.IMAGE][4]
     image, before = (Image.unpack(m.data()) for m in (message, heard[topics.IMAGE][1]))
     stamp_ns = image.header.stamp_ns

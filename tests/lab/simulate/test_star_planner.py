@@ -1,4 +1,4 @@
-"""The planner alone: what it is told is made up here, so that each of its judgements can be held against the truth."""
+"""The planner alone: its input is made here, so that each of its judgements can be compared with the truth."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def drawn(*depths: float) -> Array:
 
 
 class Played:
-    """A planner that is spoken to, and everything it says."""
+    """A planner that receives messages, and everything it sends."""
 
     def __init__(self) -> None:
         self.planner = SuturePlanner(100 * NS_PER_S)

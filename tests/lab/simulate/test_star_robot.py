@@ -21,7 +21,7 @@ APPROVED = RosReceived(topics.SAID, String.TYPE, String("plan approved").pack())
 
 
 class Played:
-    """A robot that is spoken to, and everything it says."""
+    """A robot that receives messages, and everything it sends."""
 
     def __init__(self, seconds: float = 20.0) -> None:
         self.robot = SutureRobot(round(seconds * NS_PER_S))
@@ -113,7 +113,7 @@ def test_the_arm_moves_after_the_approval_along_the_plan_in_force_and_takes_no_o
     play.play(1.0)
     play.correct(play.plans()[0])
     assert play.status() == "plan: correction refused, the arm is at work"
-    play.receive(APPROVED)  # again: nothing begins anew
+    play.receive(APPROVED)  # again: nothing is repeated
     play.play(2.5)
     assert length(play.tips() - points[0]).min() < 1e-4
     assert length(play.tips() - points[STITCHES]).min() < 1e-4

@@ -61,7 +61,7 @@ def test_the_glint_is_in_the_first_shot_alone_and_the_wet_spot_in_all(scene: Sta
 
 
 def dry(scene: StarScene, frame: CloudFrame) -> Mask:
-    """All but the two spots, which read wrong on purpose."""
+    """All but the two spots, which deliberately give wrong values."""
     spots = (scene.plan.exit[WET_STITCH], scene.plan.entry[GLINT_STITCH])
     return np.asarray(np.all([length(frame.truth - spot) > SPOT_RADIUS_M for spot in spots], axis=0))
 
@@ -124,7 +124,7 @@ def test_what_the_camera_loses(scene: StarScene, frames: list[CloudFrame]) -> No
 
 
 def test_tool_covers_part_of_the_later_clouds_only(frames: list[CloudFrame]) -> None:
-    assert not frames[0].tool.any()  # at rest outside the picture
+    assert not frames[0].tool.any()  # waits outside the picture
     assert frames[3].tool.sum() > 500
     shown = frames[3].tool & np.isfinite(frames[3].points[..., 2]) & ~frames[3].outlier
     np.testing.assert_allclose(frames[3].points[shown][:, 2], frames[3].truth[shown][:, 2], atol=0.002)

@@ -1,4 +1,4 @@
-"""The sensors alone: a machine that is too slow loses looks, and no look is told twice."""
+"""The sensors alone: a machine that is too slow loses measurements, and no measurement is sent twice."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def test_one_side_may_only_receive(sender: str, silent: ActorProtocol) -> None:
 
 def test_what_is_lost_swapped_or_changed_is_counted() -> None:
     class Bad(TestNode):
-        """Loses number 3, says number 6 before 5, and changes number 8."""
+        """Loses number 3, sends number 6 before 5, and changes number 8."""
 
         def act(self, now_ns: int) -> Iterable[Sent]:
             said = [one for one in super().act(now_ns) if isinstance(one, RosSent)]

@@ -80,7 +80,7 @@ def test_tf_leads_from_the_pictures_to_the_tracker(sweep: tuple[Scanner, Navigat
 
 
 class Wrong(Navigator):
-    """A navigator that hears the poses of the probe a little beside where they are."""
+    """A navigator that receives the poses of the probe with a small offset."""
 
     def receive(self, now_ns: int, heard: Received) -> Iterable[Sent]:
         if isinstance(heard, RosReceived) and heard.topic.startswith("/igtl/in/ProbeToTracker"):

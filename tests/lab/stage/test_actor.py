@@ -22,7 +22,7 @@ TIMEOUT_S = 10.0
 
 
 class Echo:
-    """Says ``hello``, then answers whatever it hears, until that is ``bye``."""
+    """Sends ``hello``, then answers each message, until that is ``bye``."""
 
     name = "echo"
     side = ActorProtocol.IGTL
@@ -54,7 +54,7 @@ class Echo:
         return [Message("STRING", "Echo", heard.content)]
 
     def report(self) -> ActorReport:
-        return ActorReport(self.done, ("heard it all",))
+        return ActorReport(self.done, ("received all",))
 
 
 class Peer:
@@ -86,7 +86,7 @@ class Peer:
 
 
 class Running:
-    """A program in a thread, and what it told."""
+    """A program in a thread, and the events that it reported."""
 
     def __init__(self, connection: IgtlEndpoint, actor: Echo) -> None:
         self.actor = actor
@@ -147,7 +147,7 @@ def test_it_says_nothing_before_it_begins_and_reports_at_the_end(running: Run, l
         peer.send("early")
         assert echo.actor.began_ns == 0
         echo.program.begin()
-        # what came before the beginning is heard behind it; what is due waits for its time
+        # it receives earlier messages after the beginning; an act that is due waits for its time
         assert sorted((peer.receive(), peer.receive())) == ["early", "hello"]
         peer.send("bye")
         assert peer.receive() == "bye"
@@ -155,7 +155,7 @@ def test_it_says_nothing_before_it_begins_and_reports_at_the_end(running: Run, l
         assert echo.end() == {
             "event": "report",
             "good": True,
-            "lines": ("heard it all",),
+            "lines": ("received all",),
             "facts": {},
             "sent": {"STRING/Echo": 3},
             "received": {"STRING/Peer": 2},
@@ -198,7 +198,7 @@ def test_a_message_that_cannot_be_read_is_told_of_and_costs_only_itself(running:
 
 
 class Slow(Echo):
-    """Always late: each act takes longer than until the next one is due; what it says is what it has heard."""
+    """Always late: each act takes longer than until the next one is due; it sends what it has received."""
 
     def act(self, now_ns: int) -> Iterable[Sent]:
         threading.Event().wait(0.03)

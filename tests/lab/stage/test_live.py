@@ -20,7 +20,7 @@ from igtl_gateway_lab.stage.live import Stage, StageEnd, StageError, StagePlan
 
 LIMIT_S = 20.0
 
-#: Does what its arguments say: JSON is told, ``wait`` waits for an order, anything else are last words.
+#: Runs its arguments: it reports JSON, ``wait`` waits for an order, anything else is its last output.
 PROGRAM = """
 import sys
 for word in sys.argv[1:]:
@@ -64,7 +64,7 @@ class Named:
 
 
 class Theatre:
-    """Runs a stage, and keeps what it told."""
+    """Runs a stage, and keeps the events that it reported."""
 
     def __init__(self, **scripts: Sequence[str | dict[str, Any]]) -> None:
         self.scripts = scripts
@@ -177,7 +177,7 @@ def test_nothing_is_left_of_one_that_does_not_end(monkeypatch: pytest.MonkeyPatc
 
 
 def test_servers_are_started_before_the_bridge_that_connects_to_them() -> None:
-    """The real bridge, without ROS: it is told where they listen."""
+    """The real bridge, without ROS: it gets their addresses."""
     server = ({"event": "listening", "host": "127.0.0.1", "port": 9}, *GOOD)
     theatre = Theatre(planner=server)
     outcome = theatre.stage(bridge=["--no-ros", "--duration", "60"], listen=("127.0.0.1", 0)).run()
@@ -213,7 +213,7 @@ def test_a_stage_that_is_killed_takes_its_programs_with_it() -> None:
     assert told.returncode == 9, told.stderr
     status, pause = Path(f"/proc/{told.stdout.strip()}/stat"), threading.Event()
     for _ in range(int(LIMIT_S / 0.02)):
-        # nobody may have buried it yet
+        # its parent might not have collected its exit status yet
         if not status.exists() or status.read_text().rpartition(")")[2].split()[0] == "Z":
             return
         pause.wait(0.02)
