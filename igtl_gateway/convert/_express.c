@@ -1,9 +1,10 @@
-/* The compiled part of igtl_gateway/convert/express.py: what the functions do is told there.
+/* The compiled part of igtl_gateway/convert/express.py, which documents the functions.
  *
- * Those of poses have twins in Python with the same results, bit for bit; those of bulk (texts, points, clouds, pictures) are here
- * only.  Everything that is not plainly as in the sample gives None, and the full path finds out what it is.
- * Arithmetic is IEEE 754, of poses in double and in the order of poses.py, of many points in single as in scaling.py;
- * the build forbids the compiler to contract or reorder it (-ffp-contract=off, no -ffast-math).
+ * The functions for poses also exist in Python, with results that are equal bit for bit.  Those for bulk (strings,
+ * points, clouds, images) exist only here.  For every message that is not as the sample they return None, and the full
+ * path handles it.  All arithmetic is IEEE 754: for poses double precision in the order of poses.py, for many points
+ * single precision as in scaling.py.  The build options prevent that the compiler contracts or reorders it
+ * (-ffp-contract=off, no -ffast-math).
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -27,7 +28,7 @@
 #define FIRST_OF_19_DIGITS 1000000000000000000LL
 
 static const double ROUNDING = 1e-5;
-static double beyond_float32; /* what rounds to infinity as float32: 2^128 - 2^103 */
+static double beyond_float32; /* from here on numbers round to the infinity of float32: 2^128 - 2^103 */
 
 /* -- bytes ------------------------------------------------------------------------------------------------------- */
 
@@ -123,7 +124,7 @@ static void put_ros_stamp(uint8_t *at, int64_t ns)
     memcpy(at, words, 8);
 }
 
-/* As text, of STAMP_DIGITS digits. */
+/* Write a stamp as STAMP_DIGITS decimal digits. */
 static void put_digits(uint8_t *at, int64_t ns)
 {
     for (int i = STAMP_DIGITS - 1; i >= 0; i--, ns /= 10)
@@ -144,7 +145,7 @@ static int unit(const double q[4], double out[4])
     return 1;
 }
 
-/* Of q and -q the one whose last component that is not 0 is positive. */
+/* Negate q if its last component other than 0 is negative: q and -q are the same rotation. */
 static void positive(double q[4])
 {
     for (int i = 3; i >= 0; i--)
@@ -206,7 +207,7 @@ static int equal(const uint8_t *a, const uint8_t *b, Py_ssize_t begin, Py_ssize_
     return memcmp(a + begin, b + begin, (size_t)(end - begin)) == 0;
 }
 
-/* A message that is like the sample but for stamp, CRC, message id and numbers: those numbers, else 0. */
+/* Read the numbers of a message that equals the sample except in stamp, CRC, message id and numbers; 0 if it does not. */
 static int numbers_of(const uint8_t *data, const uint8_t *sample, Py_ssize_t size, Py_ssize_t at, Py_ssize_t bytes,
                       int check_crc, double *numbers)
 {
@@ -402,9 +403,9 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     return result;
 }
 
-/* -- bulk: texts, points, clouds, pictures --------------------------------------------------------------------------- */
+/* -- bulk: strings, points, clouds, pictures --------------------------------------------------------------------------- */
 
-/* What a form is made of, and what of it; the same numbers as in express.py. */
+/* The conversions of bulk messages; the same numbers as in express.py. */
 enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5 };
 
 #define POINT_BYTES 136 /* name 64, group 32, rgba 4, position 12, diameter 4, owner 20 */
@@ -419,12 +420,12 @@ enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5 }
 #define MAX_TEXT 65535
 #define MIB_ASCII 3
 
-/* The library's CRC is faster than the table from about here on. */
+/* From about this size on, the library's CRC is faster than the table. */
 #define LONG_BODY 2048
 
 static PyObject *crc_of_long; /* fastcrc.crc64.ecma_182 */
 
-/* 0: an exception is set. */
+/* Compute the CRC; 0: an exception is set. */
 static int crc_of(const uint8_t *data, Py_ssize_t size, uint64_t *crc)
 {
     if (size < LONG_BODY) {
@@ -450,13 +451,13 @@ static uint32_t get_u32_ros(const uint8_t *at)
 
 static void put_u32_ros(uint8_t *at, uint32_t word) { memcpy(at, &word, 4); }
 
-/* Single precision, one rounding: of the two numbers of a ratio one is 1. */
+/* Scale a length in single precision, with one rounding: one of the two factors is 1. */
 static float scaled(uint32_t word, float times, float by) { return float_of(word) * times / by; }
 
-/* All bits of the exponent are set in what is not finite. */
+/* Return whether a float is NaN or infinity: all bits of its exponent are set. */
 static uint32_t not_finite(uint32_t word) { return (word & 0x7F800000u) == 0x7F800000u; }
 
-/* ASCII without a NUL, which all encodings of STRING have in common. */
+/* Return whether the bytes are ASCII without NUL, which all encodings of STRING have in common. */
 static int plain_text(const uint8_t *text, Py_ssize_t size)
 {
     for (Py_ssize_t i = 0; i < size; i++)
@@ -470,7 +471,7 @@ static int ascii_compatible(uint32_t encoding)
     return encoding == MIB_ASCII || encoding == 4 || encoding == 106 || encoding == 2252;
 }
 
-/* How many points a content has that a form can be made of; -1: none that it could be made of. */
+/* Return the number of points of a content; -1: the content cannot be converted to this form. */
 static Py_ssize_t points_in(int form, const uint8_t *content, Py_ssize_t size)
 {
     if (form == CLOUD) {
@@ -495,11 +496,11 @@ static Py_ssize_t points_in(int form, const uint8_t *content, Py_ssize_t size)
     return size && size % POINT_BYTES == 0 ? size / POINT_BYTES : -1;
 }
 
-/* First bytes of name, group and owner: with one of them the list is published with labels, too. */
+/* First bytes of name, group and owner.  If one is not 0, a list with labels is published, too. */
 static uint32_t labels_of(const uint8_t *one) { return one[0] | one[GROUP_AT] | one[OWNER_AT]; }
 
-/* A PointCloud2 of a template that ends before its data; NULL without an exception: a label, or a number that is not
- * finite. */
+/* Build a PointCloud2 from a template that ends before its data; NULL without an exception: a label, NaN or infinity
+ * needs the full path. */
 static PyObject *cloud_message(int form, const uint8_t *content, Py_ssize_t count, PyObject *template,
                                Py_ssize_t width_at, float times, float by)
 {
@@ -543,7 +544,7 @@ static PyObject *cloud_message(int form, const uint8_t *content, Py_ssize_t coun
     return cdr;
 }
 
-/* A PointStamped of the only point; NULL without an exception as above. */
+/* Build a PointStamped from the only point; NULL without an exception as above. */
 static PyObject *point_message(const uint8_t *content, PyObject *template, double times, double by)
 {
     double place[3];
@@ -562,7 +563,7 @@ static PyObject *point_message(const uint8_t *content, PyObject *template, doubl
     return cdr;
 }
 
-/* A String; NULL without an exception: a text that has to be looked at. */
+/* Build a String; NULL without an exception: the text needs the full path. */
 static PyObject *text_message(const uint8_t *content, Py_ssize_t size)
 {
     if (size < 4)
@@ -581,7 +582,7 @@ static PyObject *text_message(const uint8_t *content, Py_ssize_t size)
     return cdr;
 }
 
-/* An Image of the size of the last one. */
+/* Build an Image of the same size as the last one. */
 static PyObject *picture_message(const uint8_t *content, Py_ssize_t size, PyObject *template)
 {
     Py_ssize_t head = PyBytes_GET_SIZE(template);
@@ -596,7 +597,7 @@ static PyObject *picture_message(const uint8_t *content, Py_ssize_t size, PyObje
     return cdr;
 }
 
-/* One form of a content: a new reference; NULL without an exception where the full path has to look at it. */
+/* Build one form of a content: a new reference; NULL without an exception: the message needs the full path. */
 static PyObject *form_of(int form, const uint8_t *content, Py_ssize_t size, PyObject *template, Py_ssize_t stamp_at,
                          Py_ssize_t width_at, int64_t stamp_ns, double times, double by)
 {
@@ -693,10 +694,10 @@ done:
     return result;
 }
 
-/* What is to be read of a ROS message. */
+/* The values to read from a ROS message. */
 struct source {
-    const uint8_t *data;  /* the text, the first point or pixel */
-    Py_ssize_t count;     /* its bytes, or how many points */
+    const uint8_t *data;  /* the text, or the first point or pixel */
+    Py_ssize_t count;     /* its size in bytes, or the number of points */
     Py_ssize_t step, x, y, z;
     float times, by;
 };
@@ -710,7 +711,7 @@ static Py_ssize_t content_size(int form, Py_ssize_t count)
     return form == CLOUD ? POLYDATA_HEAD + 12 * count + 4 * (count + 1) : POINT_BYTES * count;
 }
 
-/* Positions into rows; 0: one is not finite. */
+/* Write positions into rows; 0: NaN or infinity. */
 static int put_positions(const struct source *from, uint8_t *row, Py_ssize_t row_size)
 {
     uint32_t odd = 0;
@@ -763,7 +764,7 @@ static int put_content(int form, const struct source *from, uint8_t *out)
     return put_positions(from, out + POLYDATA_HEAD, 12);
 }
 
-/* Find a text (places: nothing); 0: the full path has to look at it. */
+/* Find the text of a String; 0: the message needs the full path. */
 static int text_in(const uint8_t *cdr, Py_ssize_t size, struct source *found)
 {
     if (size < 8)
@@ -778,7 +779,7 @@ static int text_in(const uint8_t *cdr, Py_ssize_t size, struct source *found)
     return length <= MAX_TEXT && plain_text(cdr + 8, length);
 }
 
-/* Find the points of a cloud. */
+/* Find the points of a cloud; 0: the message needs the full path. */
 static int cloud_in(const uint8_t *cdr, Py_ssize_t size, Py_ssize_t height_at, Py_ssize_t data_at, struct source *found)
 {
     if (size < data_at + 1)
@@ -825,7 +826,7 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     } else {
         Py_ssize_t *numbers[] = {&height_at, &data_at, &found.step, &found.x, &found.y, &found.z};
         if (places < 6 || places % 2) {
-            PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: places that are none");
+            PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: invalid places");
             goto done;
         }
         for (int i = 0; i < 6; i++)
@@ -864,7 +865,7 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     if (!(result = PyTuple_New(1 + forms)))
         goto done;
     PyTuple_SET_ITEM(result, 0, PyLong_FromLongLong(stamp_ns));
-    const uint8_t *made = NULL; /* the content, once it is made */
+    const uint8_t *made = NULL; /* the content, when it has been built */
     for (Py_ssize_t i = 0; i < forms; i++) {
         PyObject *head, *tail;
         Py_ssize_t digits_at;

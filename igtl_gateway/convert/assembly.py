@@ -1,4 +1,4 @@
-"""Volumes that arrive in parts: IMAGE messages that cover a sub-volume, put into the whole that they belong to."""
+"""Assembly of volumes: IMAGE messages that cover only a sub-volume are collected into the whole volume."""
 
 from __future__ import annotations
 
@@ -12,49 +12,49 @@ import numpy.typing as npt
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import BIG_ENDIAN, SCALARS, Image
 
-#: A peer that announces a volume of 65,535³ must not cost that much memory.
+#: Limit for announced volumes: a header can announce 65,535³ voxels.
 MAX_VOLUME_BYTES = 1 << 30
 
-#: Parts that are kept as they came until a volume may be whole: real ones are sent slice by slice.
+#: Maximum number of parts stored before an array is allocated; senders usually send one part per slice.
 MAX_PARTS = 4_096
-#: What a part costs beside its pixels, about.
+#: Approximate memory of a part besides its pixels.
 _PART_BYTES = 1_024
 
-#: Shape (k, j, i, components), and scalar type as numpy calls it.
+#: Shape (k, j, i, components), and numpy name of the scalar type.
 Form = tuple[tuple[int, ...], str]
 
 
 class VolumeAssembler:
     """The volume of one stream.
 
-    A volume handed out never changes: each update is written into a copy of it, so that what was recorded or is
-    on its way keeps its values.  As long as too little came to make a volume whole, its parts are kept as they are: a
-    header that announces much costs nothing.
+    A returned volume never changes: each update is written into a copy, so recorded and queued messages keep their
+    values.  Until the received parts could cover the volume, they are stored as received, so a header that announces
+    a large volume costs no memory.
 
     Attributes:
-        missing: voxels that no message has told yet; as long as that is not sure, as many as there are at least.
-        held: bytes that are kept, about.
+        missing: voxels that no message has covered yet.  While parts are stored, overlaps are not known: a lower bound.
+        held: approximate number of stored bytes.
     """
 
     def __init__(self) -> None:
         self.missing = self.held = 0
-        self._form: Form | None = None  # (k, j, i, components) and scalar type
-        self._parts: list[Image] = []  # as long as there is no array
-        self._whole: npt.NDArray[Any] | None = None  # in the byte order of its first message
-        self._seen: npt.NDArray[np.bool_] | None = None  # None once all is
+        self._form: Form | None = None
+        self._parts: list[Image] = []  # until the array is allocated
+        self._whole: npt.NDArray[Any] | None = None  # byte order of the first message
+        self._seen: npt.NDArray[np.bool_] | None = None  # None when all voxels are covered
 
     def update(self, image: Image, room: int = 2 * MAX_VOLUME_BYTES) -> Image | None:
-        """The whole image after a message; None as long as parts of it are missing.
+        """Add a message; return the whole image, or None while parts of it are missing.
 
-        A message of another size, scalar type or number of components starts anew.  Geometry is that of the newest
-        message.
+        A message with another size, scalar type or number of components starts a new volume.  The geometry is that
+        of the newest message.
 
         Args:
-            image: whole, or a part.
-            room: bytes that may be kept; a whole image beyond that passes, and is not kept for updates.
+            image: a whole image or a part of one.
+            room: bytes that may be stored.  A larger whole image is returned, but not stored for updates.
 
         Raises:
-            ConversionError: a volume above MAX_VOLUME_BYTES, or parts of one for which there is no room.
+            ConversionError: the volume exceeds MAX_VOLUME_BYTES, or its parts exceed ``room``.
         """
         form = form_of(image)
         shape, _ = form
@@ -101,17 +101,17 @@ class VolumeAssembler:
         return replace(image, pixels=pixels, endian=endian, subvol_offset=(0, 0, 0), subvol_size=None)
 
     def takes(self, form: Form) -> bool:
-        """Whether an image of a form is kept, so that there is room for a whole one in its place."""
+        """Return whether a whole image of this form is stored; ``keep`` can replace it within the same memory."""
         return self._form == form and self._whole is not None
 
     def keep(self, form: Form, dtype: np.dtype[Any], pixels: memoryview) -> None:
-        """Have a whole image for later updates; by itself ``update`` with one, where ``takes`` is true."""
+        """Store a whole image for later updates.  If ``takes`` is true, this is equal to ``update`` with that image."""
         self._begin(form)
         self._whole = np.frombuffer(pixels, dtype).reshape(form[0])
         self.missing, self.held = 0, pixels.nbytes
 
     def _begin(self, form: Form | None) -> None:
-        """Forget what was, for a volume of this form."""
+        """Discard everything stored and start a volume of this form."""
         self._form, self._parts, self._whole, self._seen = form, [], None, None
         self.missing, self.held = math.prod(form[0][:3]) if form else 0, 0
 
@@ -128,7 +128,7 @@ class VolumeAssembler:
 
 
 def form_of(image: Image) -> Form:
-    """Of the whole that an image is, or is a part of."""
+    """Return the form of the whole image to which a message belongs."""
     i, j, k = image.dimensions
     return (k, j, i, image.num_components), SCALARS[image.scalar_type]
 

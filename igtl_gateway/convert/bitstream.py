@@ -1,7 +1,7 @@
-"""What one encoded video frame says of itself: whether it can be decoded without those before it.
+"""Detection of key frames: whether one encoded video frame can be decoded without the frames before it.
 
-Formats by their names in foxglove_msgs/CompressedVideo: ``h264`` and ``h265`` (Annex B), ``vp9``, ``av1`` (low-
-overhead OBUs).  Only the first bytes are looked at, and whatever bytes they are, nothing is raised.
+Formats have their names in foxglove_msgs/CompressedVideo: ``h264`` and ``h265`` (Annex B), ``vp9``, ``av1``
+(low-overhead OBUs).  Only the first bytes are read.  No input raises an exception.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from igtl_gateway.buffers import Buffer
 
 _START_CODE = b"\x00\x00\x01"
-#: The headers of a frame lie before its first slice; we look no further than this for it.
+#: The headers of a frame precede its first slice, which is searched for in this number of bytes.
 _MAX_HEADERS = 1 << 16
 
 _H264_SLICES, _H264_IDR = range(1, 6), 5
@@ -20,9 +20,9 @@ _AV1_SEQUENCE_HEADER, _AV1_FRAMES = 1, (3, 6)
 
 
 def is_key_frame(codec: str, data: Buffer) -> bool:
-    """Whether decoding can begin with this frame; False for formats that are not known here."""
-    look = _LOOKS.get(codec)
-    return look is not None and look(bytes(memoryview(data)[:_MAX_HEADERS]))
+    """Return whether decoding can begin with this frame; False for unknown formats."""
+    detect = _DETECTORS.get(codec)
+    return detect is not None and detect(bytes(memoryview(data)[:_MAX_HEADERS]))
 
 
 def _h264(data: bytes) -> bool:
@@ -34,7 +34,7 @@ def _h265(data: bytes) -> bool:
 
 
 def _units(data: bytes) -> Iterator[int]:
-    """The first byte of each unit of an Annex B stream."""
+    """Yield the first byte of each unit of an Annex B stream."""
     at = data.find(_START_CODE)
     while 0 <= at < len(data) - len(_START_CODE):
         yield data[at + len(_START_CODE)]
@@ -42,14 +42,14 @@ def _units(data: bytes) -> Iterator[int]:
 
 
 def _vp9(data: bytes) -> bool:
-    """Top bits first: 10, two bits of the profile (and a 0 if it is 3), show existing frame, not a key frame."""
+    """Parse, from the top bit: 10, two bits of the profile (a 0 if it is 3), show existing frame, not a key frame."""
     if not data or data[0] >> 6 != 0b10:
         return False
     return data[0] >> (1 if data[0] >> 4 & 0b11 == 0b11 else 2) & 0b11 == 0
 
 
 def _av1(data: bytes) -> bool:
-    """Encoders put the sequence header before each key frame, and before nothing else."""
+    """Search for the sequence header: encoders write it before each key frame, and before no other frame."""
     at = 0
     while at < len(data):
         kind, extended, sized = data[at] >> 3 & 0x0F, data[at] >> 2 & 1, data[at] >> 1 & 1
@@ -69,4 +69,4 @@ def _av1(data: bytes) -> bool:
     return False
 
 
-_LOOKS: dict[str, Callable[[bytes], bool]] = {"h264": _h264, "h265": _h265, "vp9": _vp9, "av1": _av1}
+_DETECTORS: dict[str, Callable[[bytes], bool]] = {"h264": _h264, "h265": _h265, "vp9": _vp9, "av1": _av1}

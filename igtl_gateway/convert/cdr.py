@@ -1,9 +1,9 @@
-"""CDR, the serialisation of ROS 2 messages: a writer and a reader over plain buffers.
+"""CDR, the serialisation of ROS 2 messages: a writer and a reader on plain buffers.
 
-Only what rmw_fastrtps writes: XCDR version 1, 4-byte encapsulation header, each primitive aligned to its
-size counted from behind that header.  Padding is always zero, so equal messages are equal bytes (native
-serialisation leaves padding uninitialised, which no verification could compare).  Arrays are appended as
-buffers and joined once; the reader gives views on the received bytes.
+The format is that of rmw_fastrtps: XCDR version 1 with a 4-byte encapsulation header, each primitive aligned to its
+size, counted from the end of that header.  Padding is always zero, so equal messages have equal bytes, and
+verification can compare them.  (The native serialisation leaves padding uninitialised.)  The writer appends arrays as
+buffers and joins all buffers once; the reader returns views on the received bytes.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from igtl_gateway.errors import ConversionError
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR_LE, no options
 _HEADER_SIZE = 4
 
-#: No array of a message may claim more elements than its bytes can hold; this bounds zero-size elements too.
+#: Maximum number of elements of an array; it bounds elements of size zero too.
 _MAX_ELEMENTS = 1 << 31
 
 
 class CdrWriter:
-    """Appends fields in the order of the message definition; ``finish`` gives the CDR bytes."""
+    """Appends fields in the order of the message definition; ``finish`` returns the CDR bytes."""
 
     __slots__ = ("_parts", "_size")
 
     def __init__(self) -> None:
         self._parts: list[Buffer] = [_ENCAPSULATION]
-        self._size = 0  # behind the encapsulation header: alignment counts from there
+        self._size = 0  # without the encapsulation header: alignment counts from its end
 
     def _append(self, part: Buffer, size: int) -> None:
         self._parts.append(part)
         self._size += size
 
     def align(self, to: int) -> None:
-        """Zero bytes up to the next multiple of ``to`` (1, 2, 4 or 8)."""
+        """Append zero bytes up to the next multiple of ``to`` (1, 2, 4 or 8)."""
         pad = -self._size % to
         if pad:
             self._parts.append(_ZEROS[pad])
             self._size += pad
 
     def pack(self, layout: struct.Struct, align: int, *values: Any) -> None:
-        """Fixed fields that have no padding between them, the first aligned to ``align``."""
+        """Append fixed fields without padding between them, the first one aligned to ``align``."""
         self.align(align)
         self._append(layout.pack(*values), layout.size)
 
@@ -63,37 +63,37 @@ class CdrWriter:
         self.pack(_I32, 4, value)
 
     def f64s(self, *values: float) -> None:
-        """Consecutive float64 fields."""
+        """Append consecutive float64 fields."""
         self.align(8)
         self._append(_doubles(len(values)).pack(*values), 8 * len(values))
 
     def string(self, text: str) -> None:
-        """UTF-8 with its length and a final NUL."""
+        """Append a string: length, UTF-8 and a final NUL."""
         self.align(4)
         data = _name(text) if len(text) <= _NAME else _text(text)
         self._append(data, len(data))
 
     def array(self, values: npt.NDArray[Any], align: int) -> None:
-        """The elements of an array, without a length: little-endian, contiguous; not copied if they are already."""
+        """Append the elements of an array without a length; copied only if not little-endian and contiguous."""
         if values.size:
             self.align(align)
             flat = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
             self._append(flat.reshape(-1).view(np.uint8).data, flat.nbytes)
 
     def sequence(self, values: npt.NDArray[Any], align: int, count: int) -> None:
-        """A sequence of ``count`` primitives or of structs made of one primitive type."""
+        """Append a sequence of ``count`` primitives, or of structs that consist of one primitive type."""
         self.u32(count)
         self.array(values, align)
 
     def octets(self, data: Buffer) -> None:
-        """uint8[] from a buffer, not copied."""
+        """Append a uint8[] from a buffer, not copied."""
         view = memoryview(data).cast("B") if memoryview(data).nbytes else memoryview(b"")
         self.u32(view.nbytes)
         if view.nbytes:
             self._append(view, view.nbytes)
 
     def finish(self) -> bytes:
-        """The message, joined once (rclpy publishes nothing but ``bytes``)."""
+        """Return the message, joined once, as ``bytes``: rclpy publishes no other type."""
         return b"".join(self._parts)
 
 
@@ -102,7 +102,7 @@ _I32 = struct.Struct("<i")
 _STAMP = struct.Struct("<iI")
 _ZEROS = tuple(map(bytes, range(8)))
 
-#: Longest text that is remembered as bytes: frames and names come again and again.
+#: Longest string that is cached as bytes: frame ids and names repeat.
 _NAME = 64
 
 
@@ -121,9 +121,10 @@ _POSE = struct.Struct("<7d")
 
 
 def stamped_pose(before: bytes, stamp: tuple[int, int], frame_id: str, child_frame_id: str, pose: Any) -> bytes:
-    """A message that ends with stamp, two names and a pose: written at once, as poses come at the rate of trackers.
+    """Return the CDR bytes of a message that ends with stamp, two names and a pose.
 
-    ``before`` are its fields up to the stamp, whole words.
+    It is built in one step, because trackers send poses at high rates.  ``before`` are the fields up to the stamp, in
+    multiples of 4 bytes; ``pose`` is x, y, z, qx, qy, qz, qw.
     """
     names = _two_names if len(frame_id) + len(child_frame_id) <= _NAME else _two_texts
     start = _ENCAPSULATION + before + _STAMP.pack(*stamp)
@@ -131,7 +132,7 @@ def stamped_pose(before: bytes, stamp: tuple[int, int], frame_id: str, child_fra
 
 
 def _two_texts(offset: int, first: str, second: str) -> bytes:
-    """Two strings at an offset, and what aligns the next field to 8 bytes."""
+    """Return the CDR bytes of two strings at an offset, with the padding that aligns the next field to 8 bytes."""
     out = CdrWriter()
     out.f64s(*[0.0] * (offset // 8))
     if offset % 8:
@@ -153,7 +154,7 @@ def _layout(order: str, layout: str) -> struct.Struct:
 class CdrReader:
     """Reads fields in the order of the message definition from CDR bytes (either byte order).
 
-    Raises ConversionError where the bytes end too early or a length is impossible.
+    Raises ConversionError if the bytes end too early or a length is impossible.
     """
 
     __slots__ = ("_data", "_offset", "_order", "_size", "_type")
@@ -171,7 +172,7 @@ class CdrReader:
         self._offset = _HEADER_SIZE
 
     def _take(self, size: int, align: int) -> int:
-        """Offset of the next ``size`` bytes, aligned; moves behind them."""
+        """Return the aligned offset of the next ``size`` bytes, and advance past them."""
         offset = self._offset + (_HEADER_SIZE - self._offset) % align
         end = offset + size
         if end > self._size:
@@ -182,7 +183,7 @@ class CdrReader:
         return offset
 
     def unpack(self, layout: str, align: int) -> tuple[Any, ...]:
-        """Fixed fields without padding between them (``layout`` as in ``struct``, without byte order)."""
+        """Read fixed fields without padding between them (``layout`` as in ``struct``, without byte order)."""
         packing = _layout(self._order, layout)
         return packing.unpack_from(self._data, self._take(packing.size, align))
 
@@ -205,30 +206,32 @@ class CdrReader:
         return bytes(self._data[offset : offset + size]).rstrip(b"\x00").decode("utf-8", "surrogateescape")
 
     def count(self) -> int:
-        """The length of a sequence whose elements are read one by one."""
+        """Read the length of a sequence whose elements are read one by one."""
         count = self.u32()
-        if count > self._data.nbytes:  # each element takes a byte at least
+        if count > self._data.nbytes:  # each element has at least one byte
             raise ConversionError(
                 f"{self._type}: a sequence announces {count} elements in a message of {self._data.nbytes} bytes"
             )
         return count
 
     def array(self, dtype: str, count: int, align: int) -> npt.NDArray[Any]:
-        """``count`` elements as a view on the received bytes; ``dtype`` without byte order, as ``"f8"``."""
+        """Read ``count`` elements as a view on the received bytes; ``dtype`` without byte order, such as ``"f8"``."""
         kind = np.dtype(self._order + dtype)
         if count == 0:
             return np.empty(0, kind)
         if count > _MAX_ELEMENTS:
-            raise ConversionError(f"{self._type}: a sequence announces {count} elements, expected fewer")
+            raise ConversionError(
+                f"{self._type}: a sequence announces {count} elements, expected at most {_MAX_ELEMENTS}"
+            )
         offset = self._take(count * kind.itemsize, align)
         return np.frombuffer(self._data, kind, count, offset)
 
     def sequence(self, dtype: str, per_element: int, align: int) -> npt.NDArray[Any]:
-        """A sequence of structs of ``per_element`` equal primitives, as a flat view."""
+        """Read a sequence of structs of ``per_element`` equal primitives as a flat view."""
         return self.array(dtype, self.u32() * per_element, align)
 
     def octets(self) -> memoryview:
-        """uint8[] as a view on the received bytes."""
+        """Read a uint8[] as a view on the received bytes."""
         size = self.u32()
         offset = self._take(size, 1)
         return self._data[offset : offset + size]

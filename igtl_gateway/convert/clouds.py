@@ -1,10 +1,10 @@
 """POINT and POLYDATA clouds ⇄ sensor_msgs/PointCloud2 and geometry_msgs/PointStamped.
 
-Everything is column arithmetic on numpy views: no loop over points.
+All arithmetic works on columns of numpy views, without loops over points.
 
-Points with a coordinate that is not finite (the holes of an organised cloud) have no counterpart in
-OpenIGTLink and are left out.  Colours travel as a point scalar of 3 or 4 components between 0 and 1: the
-RGBA attribute of POLYDATA is over-read by the reference library, scalars are not.
+Points with NaN or infinite coordinates (the holes of an organised cloud) have no counterpart in OpenIGTLink and are
+left out.  Colours are sent as a point scalar of 3 or 4 components from 0 to 1: the reference library reads beyond the
+end of the RGBA attribute of POLYDATA, but not of scalars.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ _COLOUR_COMPONENTS = {3: "rgb", 4: "rgba"}
 
 @ieee_754
 def points_to_cloud(content: Points, to: ToRosContext) -> PointCloud2:
-    """x, y, z, rgba and diameter of every point; names, groups and owners have no place in a cloud."""
+    """Convert to a cloud with x, y, z, rgba and diameter; names, groups and owners have no field in a cloud."""
     elements = content.elements
-    # side by side first: arithmetic on numbers that are far apart takes ten times as long
+    # copy to contiguous memory first: arithmetic on strided numbers takes ten times as long
     numbers = elements.view(_NUMBERS)["lengths"].copy().view(">f4").astype("<f4")
     into_ros(to.lengths, numbers, numbers)
     words = elements.view(_NUMBERS)["rgba"].astype("<u4")
@@ -67,13 +67,13 @@ def points_to_cloud(content: Points, to: ToRosContext) -> PointCloud2:
 
 
 def is_single(content: Points) -> bool:
-    """Whether there is one point only."""
+    """Return whether the message has exactly one point."""
     return len(content.elements) == 1
 
 
 @ieee_754
 def point_to_ros(content: Points, to: ToRosContext) -> PointStamped:
-    """The first (in the table: the only) point."""
+    """Convert the first point; the table selects messages with exactly one."""
     x, y, z = content.elements["position"][0].tolist()
     lengths = to.lengths
     return PointStamped(Header(to.stamp_ns, to.frame_id), (lengths.to_ros(x), lengths.to_ros(y), lengths.to_ros(z)))
@@ -81,7 +81,7 @@ def point_to_ros(content: Points, to: ToRosContext) -> PointStamped:
 
 @ieee_754
 def point_to_igtl(message: PointStamped, to: ToIgtlContext) -> ConvertedMessage:
-    """As POINT with one nameless element.  Raises ConversionError for numbers that are not finite."""
+    """Convert to POINT with one unnamed element.  Raises ConversionError for NaN and infinity."""
     positions = to.lengths.to_igtl(np.array([message.point])).astype(">f4")
     if not np.isfinite(positions).all():
         raise ConversionError(f"PointStamped: found {message.point}, expected finite numbers")
@@ -90,7 +90,7 @@ def point_to_igtl(message: PointStamped, to: ToIgtlContext) -> ConvertedMessage:
 
 @ieee_754
 def cloud_to_points(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessage:
-    """As POINT (136 bytes a point), with colour and diameter where the cloud has them."""
+    """Convert to POINT (136 bytes per point), with colour and diameter if the cloud has these fields."""
     columns = _Columns.of(message)
     positions, kept = _finite_positions(columns, to)
     colours = _colours(columns)
@@ -104,10 +104,10 @@ def cloud_to_points(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessage
 
 @ieee_754
 def cloud_to_polydata(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessage:
-    """As POLYDATA: 12 bytes a point, 4 for its vertex, and an attribute for every further field.
+    """Convert to POLYDATA: 12 bytes per point, 4 for its vertex, and one attribute for each other field.
 
-    One vertex cell lists all points: without cells VTK based viewers draw nothing, with one cell for each point
-    the C++ bridge crashed at 200,000.
+    One vertex cell lists all points: without cells, viewers that use VTK draw nothing; with one cell per point, the
+    C++ bridge crashed at 200,000 points.
     """
     columns = _Columns.of(message)
     positions, kept = _finite_positions(columns, to)
@@ -129,7 +129,8 @@ def cloud_to_polydata(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessa
         values = columns[name]
         width = values.shape[1] if values.ndim > 1 else 1
         if width > MAX_COMPONENTS:
-            to.warnings.append(("field_left_out", f"field {name!r} has {width} values a point, above {MAX_COMPONENTS}"))
+            text = f"field {name!r} is left out: {width} values per point, maximum {MAX_COMPONENTS}"
+            to.warnings.append(("field_left_out", text))
             continue
         if values.dtype.itemsize > np.dtype(np.float32).itemsize or (
             values.dtype.kind in "iu" and values.dtype.itemsize > 2
@@ -143,10 +144,10 @@ def cloud_to_polydata(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessa
 
 @ieee_754
 def polydata_to_cloud(content: PolyData, to: ToRosContext) -> PointCloud2:
-    """Points with their point attributes as fields; cells and attributes of cells have no place in a cloud.
+    """Convert to a cloud with the point attributes as fields; cells and their attributes are left out.
 
-    No attribute ever takes the place of another: a name that is taken, or that means something else to readers
-    of clouds, gets underscores added.
+    No attribute replaces another one: underscores are appended to a name that is in use or has another meaning in
+    clouds.
     """
     count = len(content.points)
     columns: dict[str, Array] = {}  # besides the positions
@@ -182,7 +183,7 @@ def polydata_to_cloud(content: PolyData, to: ToRosContext) -> PointCloud2:
 
 
 def colour_field(attribute: Attribute) -> str | None:
-    """``"rgb"`` or ``"rgba"`` if the attribute holds colours: by its type, or by its name and components."""
+    """Return ``"rgb"`` or ``"rgba"`` if the attribute holds 3 or 4 colour components, by type or name; else None."""
     components = attribute.values.shape[1]
     if attribute.type & ~CELL == RGBA or (
         attribute.type & ~CELL == SCALAR and attribute.name.upper() in (RGB_NAME, RGBA_NAME, "COLORS")
@@ -193,7 +194,7 @@ def colour_field(attribute: Attribute) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class _Field:
-    """Where the values of a field are in each point."""
+    """The position of a field in each point; offset in bytes."""
 
     dtype: np.dtype[Any]
     offset: int
@@ -202,7 +203,7 @@ class _Field:
 
 @lru_cache(maxsize=64)
 def _layout(items: tuple[PointField, ...], is_bigendian: bool, point_step: int) -> dict[str, _Field]:
-    """The fields by their names.  Raises ConversionError."""
+    """Return the fields by name.  Raises ConversionError if they do not fit the points, or x, y or z is missing."""
     fields: dict[str, _Field] = {}
     for item in items:
         kind = POINT_FIELD_DTYPES.get(item.datatype)
@@ -211,7 +212,7 @@ def _layout(items: tuple[PointField, ...], is_bigendian: bool, point_step: int) 
                 f"sensor_msgs/PointCloud2, field {item.name!r}: found datatype {item.datatype}, expected 1 … 8"
             )
         if not item.name or item.name in fields:
-            continue  # padding, or a second field of one name: there is no telling which is meant
+            continue  # padding, or a second field with the same name
         dtype = np.dtype((">" if is_bigendian else "<") + kind)
         if item.offset + dtype.itemsize * max(item.count, 1) > point_step:
             raise ConversionError(
@@ -228,7 +229,7 @@ def _layout(items: tuple[PointField, ...], is_bigendian: bool, point_step: int) 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """The fields of a cloud, each an array (n,) or (n, count): views on the data."""
+    """The fields of a cloud as views on its data, each an array (n,) or (n, count)."""
 
     fields: dict[str, _Field]
     data: Buffer | Array
@@ -237,7 +238,7 @@ class _Columns:
 
     @classmethod
     def of(cls, message: PointCloud2) -> _Columns:
-        """Raises ConversionError where the data are not what their description says."""
+        """Return the columns of a cloud.  Raises ConversionError if the data do not match their description."""
         size = memoryview(message.data).nbytes
         step = message.point_step
         row = message.width * step
@@ -248,7 +249,7 @@ class _Columns:
             )
         fields = _layout(message.fields, message.is_bigendian, step)
         count = message.width * message.height
-        if not count:  # whatever it says of its layout, there is nothing to lay out
+        if not count:  # an empty cloud might have an arbitrary layout
             return cls(dict.fromkeys(fields, _NOTHING), b"", 0, 0)
         if message.height == 1 or message.row_step == row:
             return cls(fields, message.data, count, step)
@@ -260,22 +261,22 @@ class _Columns:
         return self._view(field, field.count)
 
     def _view(self, field: _Field, count: int) -> Array:
-        """So many values of every point, from a field on."""
+        """Return ``count`` consecutive values of every point, beginning with a field."""
         if count == 1:
             return np.ndarray((self.points,), field.dtype, self.data, field.offset, (self.step,))
         return np.ndarray((self.points, count), field.dtype, self.data, field.offset, (self.step, field.dtype.itemsize))
 
     def is_single(self, name: str) -> bool:
-        """Whether there is such a field, of one value a point."""
+        """Return whether the cloud has this field, with one value per point."""
         return name in self.fields and self.fields[name].count == 1
 
     def is_packed(self, name: str) -> bool:
-        """Whether a field holds one 4-byte word a point."""
+        """Return whether the cloud has this field, with one 4-byte word per point."""
         return self.is_single(name) and self.fields[name].dtype.itemsize == np.dtype(np.uint32).itemsize
 
     @property
     def positions(self) -> tuple[Array, ...]:
-        """x, y and z, as one array (n, 3) where there is nothing else in the data."""
+        """x, y and z, as one array (n, 3) if the cloud has no other data."""
         x, y, z = (self.fields[name] for name in _XYZ)
         size = x.dtype.itemsize
         places = x.offset, y.offset, z.offset, self.step
@@ -288,7 +289,7 @@ _NOTHING = _Field(np.dtype("<f4"), 0, 1)
 
 
 def _finite_positions(columns: _Columns, to: ToIgtlContext) -> tuple[Array, Any]:
-    """(m, 3) positions for the wire of the points that have finite ones, and what selects these points."""
+    """Return the (m, 3) wire positions of the points with finite coordinates, and the index that selects them."""
     positions = np.empty((columns.points, 3), ">f4")
     sources = columns.positions
     for source, target in zip(sources, (positions,) if len(sources) == 1 else positions.T, strict=True):
@@ -300,7 +301,7 @@ def _finite_positions(columns: _Columns, to: ToIgtlContext) -> tuple[Array, Any]
 
 
 def _colours(columns: _Columns) -> Array | None:
-    """(n, 4) uint8 RGBA of a packed ``rgb`` or ``rgba`` field, else None."""
+    """Return (n, 4) uint8 RGBA of a packed ``rgb`` or ``rgba`` field, or None."""
     for name in reversed(_COLOURS):
         if columns.is_packed(name):
             packed = columns[name]
@@ -312,25 +313,25 @@ def _colours(columns: _Columns) -> Array | None:
 
 
 def _unit_range(colours: Array) -> Array:
-    """uint8 0 … 255 as 0 … 1 in a way that ``colour_bytes`` undoes exactly."""
+    """Return uint8 0 … 255 as float32 0 … 1; ``colour_bytes`` is the exact inverse."""
     return np.divide(colours, 255.0, out=np.empty(colours.shape, ">f4"), dtype=np.float64, casting="same_kind")
 
 
 def colour_bytes(colours: Array) -> Array:
-    """Colours 0 … 1 as uint8."""
+    """Return colours 0 … 1 as uint8."""
     numbers = unit_colours(colours).astype(np.float64)
-    np.fmin(np.fmax(numbers, 0.0, out=numbers), 1.0, out=numbers)  # what is no number is 0
+    np.fmin(np.fmax(numbers, 0.0, out=numbers), 1.0, out=numbers)  # NaN becomes 0
     numbers *= 255.0
     return np.rint(numbers, out=numbers).astype(np.uint8)
 
 
 def unit_colours(colours: Array) -> Array:
-    """Colours 0 … 1; where any value is above 1, all are taken as 0 … 255."""
+    """Return colours in the range 0 … 1.  If any value is above 1, the range of all is 0 … 255."""
     return colours / 255.0 if np.fmax.reduce(colours, axis=None, initial=0.0) > 1.0 else colours
 
 
 def _packed(colours: Array) -> Array:
-    """(n, 3 or 4) uint8 RGB(A) as 0xAARRGGBB words (alpha 255 where there is none)."""
+    """Return (n, 3 or 4) uint8 RGB(A) as words 0xAARRGGBB; alpha is 255 by default."""
     words = np.full((len(colours), 4), 255, np.uint8)
     for place, channel in zip((2, 1, 0, 3), colours.T, strict=False):
         words[:, place] = channel
@@ -339,7 +340,7 @@ def _packed(colours: Array) -> Array:
 
 _XYZ_FIELDS = tuple(PointField(name, 4 * axis, _FLOAT32) for axis, name in enumerate(_XYZ))
 
-#: Of an element of POINT: its colour as a word, and its position and diameter, which are four numbers in a row.
+#: View of an element of POINT: colour as a word; position and diameter, which are four consecutive numbers.
 _NUMBERS = np.dtype(
     {
         "names": ["rgba", "lengths"],
@@ -349,13 +350,13 @@ _NUMBERS = np.dtype(
     }
 )
 _LENGTHS = np.dtype([("position", "V12"), ("diameter", "<f4")])
-#: A point of the cloud that POINT becomes.
+#: A point of the cloud that POINT is converted to.
 _POINT = np.dtype([("position", "V12"), ("rgba", "<u4"), ("diameter", "<f4")])
 _POINT_FIELDS = (*_XYZ_FIELDS, PointField("rgba", 12, _UINT32), PointField(_DIAMETER, 16, _FLOAT32))
 
 
 def _cloud(fields: tuple[PointField, ...], points: Array, is_dense: bool, to: ToRosContext) -> PointCloud2:
-    """An unorganised cloud of rows of 4-byte words."""
+    """Return an unorganised cloud; each point is a row of 4-byte words."""
     count = len(points)
     data = points.view(np.uint8).reshape(-1).data if count else b""
     step = points.nbytes // count if count else fields[-1].offset + 4 * fields[-1].count

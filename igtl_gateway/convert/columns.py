@@ -1,6 +1,6 @@
-"""Lists of elements: how many become messages of rows, and their texts: zero-padded bytes of the wire ⇄ str.
+"""Lists of elements: the limit on their number, and their strings (zero-padded bytes of the wire ⇄ str).
 
-And the one rule for texts that do not fit: cut at the end of a character, with a warning.
+One rule applies to all strings that are too long: they are cut at the end of a character, with a warning.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from igtl_gateway.wire.fields import cut_text, decode_text, visible
 
 Array = npt.NDArray[Any]
 
-#: Rows of plans and of what a peer has: each is an object of Python and costs up to 0.1 ms on its way.
+#: Maximum number of rows of a plan or list: each row is a Python object and takes up to 0.1 ms.
 MAX_ROWS = 10_000
 
 
 def check_rows(elements: Sized, place: str, most: int = MAX_ROWS) -> None:
-    """Raises ConversionError for more elements than become objects one by one: they would stop all other traffic."""
+    """Raise ConversionError for more than ``most`` elements: converting them would delay all other messages."""
     if len(elements) > most:
         raise ConversionError(f"{place}: found {len(elements)} elements, expected at most {most}")
 
 
 def texts(elements: Array, field: str) -> list[str]:
-    """The field of every element, as people are meant to read it."""
+    """Return a string field of every element, up to its first NUL, with undecodable bytes replaced."""
     return [visible(decode_text(value)) for value in elements[field].tolist()]
 
 
 def set_text_fields(elements: Array, field: str, values: Iterable[str], to: ToIgtlContext) -> None:
-    """Fill the field of every element; what does not fit is cut, with one warning for all.
+    """Fill a field of every element.  Strings that are too long are cut, with one warning for all of them.
 
-    One byte stays free: C++ readers refuse a text that is as long as its field.
+    One byte stays free: C++ readers refuse a string that fills its field.
     """
     fitting = fit_texts(values, elements.dtype[field].itemsize - 1, field, to)
     elements[field] = np.array([text.encode() for text in fitting], elements.dtype[field])
 
 
 def fit_texts(values: Iterable[str], width: int, what: str, to: ToIgtlContext) -> list[str]:
-    """Texts in ``width`` bytes each: up to the first NUL, where every reader stops, and to the last whole character.
+    """Return strings of at most ``width`` bytes: up to the first NUL, where readers stop, and the last whole character.
 
-    What is cut is told in one warning, which says ``what`` it is.
+    If any string is cut, a warning reports the first one, as ``what``, and the number of others.
     """
     wanted = list(values)
     fitting = [cut_text(visible(text), width) for text in wanted]

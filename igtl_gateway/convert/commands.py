@@ -1,8 +1,8 @@
 """COMMAND ⇄ igtl_msgs/Command, RTS_COMMAND ⇄ igtl_msgs/CommandReply.
 
-The protocol gives the reply no field for success: OpenIGTLinkIO says it in the metadata (``Status``,
-``ErrorMessage``), PLUS there or in its XML (``<CommandReply Name= Status= Message= />``).  We read both and
-write the metadata.
+The protocol defines no field for the success of a command.  OpenIGTLinkIO writes it to the metadata (``Status``,
+``ErrorMessage``), PLUS to the metadata or to its XML (``<CommandReply Name= Status= Message= />``).  The gateway reads
+both forms and writes the metadata.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.text import CODECS, mib_of
 
 _REPLY_TYPE = "RTS_COMMAND"
-#: Of 128: a name that fills its field runs into the next one in C++ readers.
+#: One byte less than the field: C++ readers read beyond the end of a name that fills it.
 _NAME_BYTES = wire.NAME_WIDTH - 1
 
 STATUS, ERROR_MESSAGE = "Status", "ErrorMessage"
-#: Where peers write why a command failed, the first that is there counts.
+#: Keys under which peers write the reason for a failure, in the order of preference.
 _MESSAGE_KEYS = (ERROR_MESSAGE, "Error", "Message")
 _STATUS_OF = {
     "SUCCESS": CommandReply.SUCCESS,
@@ -32,20 +32,19 @@ _STATUS_OF = {
     "FALSE": CommandReply.FAIL,
     "ERROR": CommandReply.FAIL,
 }
-_TOLD_STATUS = {CommandReply.SUCCESS: "SUCCESS"}
 
-#: PLUS's reply: one element, at the very start (so that a search cannot be made to take long).
+#: PLUS's reply: one element at the start of the text, which bounds the time of the search.
 _PLUS_REPLY = re.compile(r"""\s*(?:<\?xml[^>]*>\s*)?<CommandReply((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))*)\s*/?>""")
-#: How many characters are searched for it: sixteen times as many as PLUS's library can write, in 0.2 s.
+#: Number of characters that are searched, in 0.2 s: sixteen times as many as PLUS's library can write.
 _MAX_XML = 1 << 20
 _ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 
-#: Encodings that we write.  "UTF-16" without an order means another one on every machine; UTF-8 takes its place.
+#: Encodings that the gateway writes; not "UTF-16" without a byte order, which depends on the machine.
 _WRITTEN = {mib: codec for mib, codec in CODECS.items() if codec != "utf-16"}
 
 
 def command_to_ros(content: wire.Command, to: ToRosContext) -> Command:
-    """The text in its named encoding; what stands behind a NUL is left out."""
+    """Convert to Command, with the text decoded from its encoding and without bytes after a NUL."""
     return Command(
         Header(to.stamp_ns, to.frame_id),
         to.device_name,
@@ -59,29 +58,31 @@ def command_to_ros(content: wire.Command, to: ToRosContext) -> Command:
 
 
 def command_to_igtl(message: Command, to: ToIgtlContext) -> ConvertedMessage:
-    """With the id as it is: 0 is for the gateway to replace.  The time-out stays here."""
+    """Convert to COMMAND with the given id; the gateway replaces an id of 0.  The timeout is not sent."""
     return _outgoing(message, message.metadata, "COMMAND", to)
 
 
 def reply_to_ros(content: wire.Command, to: ToRosContext) -> CommandReply:
-    """Success unless metadata or content say otherwise; a status that nobody knows is no success."""
+    """Convert to CommandReply: success if neither metadata nor content has a status.  Unknown statuses are failures."""
     text = visible(content.text)
     attributes = _plus_reply_attributes(text)
-    reply = _first(to.metadata, (STATUS,)) or attributes.get(STATUS, "")
-    status = _STATUS_OF.get(reply.strip().upper(), CommandReply.FAIL if reply.strip() else CommandReply.SUCCESS)
-    if reply.strip() and reply.strip().upper() not in _STATUS_OF:
+    found = _first(to.metadata, (STATUS,)) or attributes.get(STATUS, "")
+    word = found.strip().upper()
+    status = _STATUS_OF.get(word, CommandReply.FAIL if word else CommandReply.SUCCESS)
+    if word and word not in _STATUS_OF:
         expected = ", ".join(_STATUS_OF)
-        to.warnings.append(("unknown_status", f"found Status {reply!r} of a reply, expected one of {expected}: failed"))
-    why = ""
+        warning = f"reply with Status {found!r}, expected one of {expected}: treated as failed"
+        to.warnings.append(("unknown_status", warning))
+    reason = ""
     if status != CommandReply.SUCCESS:
-        why = _first(to.metadata, _MESSAGE_KEYS) or attributes.get("Message", "")
+        reason = _first(to.metadata, _MESSAGE_KEYS) or attributes.get("Message", "")
     return CommandReply(
         Header(to.stamp_ns, to.frame_id),
         to.device_name,
         content.command_id,
         visible(content.name),
         status,
-        why,
+        reason,
         content.encoding,
         text,
         to.metadata,
@@ -90,12 +91,12 @@ def reply_to_ros(content: wire.Command, to: ToRosContext) -> CommandReply:
 
 
 def reply_to_igtl(message: CommandReply, to: ToIgtlContext) -> ConvertedMessage:
-    """Status and error message as metadata; they replace what the message itself has under these keys."""
-    reply = {STATUS: _TOLD_STATUS.get(message.status, "FAIL")}
+    """Convert to RTS_COMMAND, with status and error message as metadata that replaces items with the same keys."""
+    result = {STATUS: "SUCCESS"}
     if message.status != CommandReply.SUCCESS:
-        reply[ERROR_MESSAGE] = message.error_message
-    others = tuple(item for item in message.metadata if item.key not in reply)
-    ours = tuple(MetadataItem(key, 0, value) for key, value in reply.items())
+        result = {STATUS: "FAIL", ERROR_MESSAGE: message.error_message}
+    others = tuple(item for item in message.metadata if item.key not in result)
+    ours = tuple(MetadataItem(key, 0, value) for key, value in result.items())
     return _outgoing(message, others + ours, _REPLY_TYPE, to)
 
 
@@ -114,7 +115,7 @@ def _outgoing(message: Command | CommandReply, metadata: Items, igtl_type: str, 
 
 
 def _encoded(text: str, encoding: int, to: ToIgtlContext) -> tuple[bytes, int]:
-    """The text in the wanted encoding (MIBenum, 0 = any), else in UTF-8; with the encoding that it got."""
+    """Return the text in the given encoding (MIBenum, 0 = any) or in UTF-8, and the encoding used."""
     if encoding:
         try:
             return text.encode(_WRITTEN[encoding]), encoding
@@ -124,25 +125,25 @@ def _encoded(text: str, encoding: int, to: ToIgtlContext) -> tuple[bytes, int]:
 
 
 def _first(metadata: Items, keys: tuple[str, ...]) -> str:
-    """The value of the first of ``keys`` that has one, "" if none has."""
+    """Return the first value under ``keys`` that is not empty, or ""."""
     values = {item.key: item.value for item in reversed(metadata)}
     return next((values[key] for key in keys if values.get(key)), "")
 
 
 def _plus_reply_attributes(text: str) -> dict[str, str]:
-    """Attributes of the ``<CommandReply …>`` that the text is; none of any other text."""
+    """Return the attributes if the text is ``<CommandReply …>``, else none."""
     match = _PLUS_REPLY.match(text, 0, _MAX_XML)
     if not match:
         return {}
     return {name: _unescaped(one or other) for name, one, other in _ATTRIBUTE.findall(match[1])}
 
 
-#: The five entities of XML; & last, or it would make others.
+#: The five entities of XML; & must be last, because its replacement could form another entity.
 _ENTITIES = (("&lt;", "<"), ("&gt;", ">"), ("&quot;", '"'), ("&apos;", "'"), ("&amp;", "&"))
 
 
 def _unescaped(text: str) -> str:
-    """An attribute's value.  (The library's function costs 28 ms of every start, for all that it imports.)"""
+    """Return the value of an attribute.  (Importing the standard library's function takes 28 ms at each start.)"""
     for entity, letter in _ENTITIES:
         text = text.replace(entity, letter)
     return text

@@ -1,6 +1,6 @@
-"""Messages of the common ROS packages as values, beside those of ``rosmsg`` that are written out for speed.
+"""Messages of the common ROS packages as values; ``rosmsg`` has those that are written by hand for speed.
 
-Field by field in the order of the definitions of ROS 2 Jazzy; lengths in metres, stamps in UTC ns, poses as
+The fields have the order of the definitions of ROS 2 Jazzy.  Lengths are in metres, stamps in UTC ns, poses are
 (x, y, z, qx, qy, qz, qw).
 """
 
@@ -61,7 +61,7 @@ class PoseArray(Struct):
 
 @dataclass(frozen=True, slots=True)
 class FrameTransform(Struct):
-    """geometry_msgs/msg/TransformStamped inside a TFMessage; the transform as a pose of the child in the parent."""
+    """geometry_msgs/msg/TransformStamped inside a TFMessage; the transform is the pose of the child in the parent."""
 
     TYPE: ClassVar[str] = "geometry_msgs/msg/TransformStamped"
     header: Annotated[Header, HEADER]
@@ -69,7 +69,7 @@ class FrameTransform(Struct):
     pose: Annotated[Pose, POSE]
 
     def write(self, out: CdrWriter) -> None:
-        """Written out: poses go by here at the rate of trackers."""
+        """Append the fields; written by hand, because trackers send poses at high rates."""
         self.header.write(out)
         out.string(self.child_frame_id)
         out.f64s(*self.pose)
@@ -77,7 +77,7 @@ class FrameTransform(Struct):
 
 @dataclass(frozen=True, slots=True)
 class TFMessage(Struct):
-    """tf2_msgs/msg/TFMessage: what /tf and /tf_static carry."""
+    """tf2_msgs/msg/TFMessage: the type of /tf and /tf_static."""
 
     TYPE: ClassVar[str] = "tf2_msgs/msg/TFMessage"
     transforms: Annotated[tuple[FrameTransform, ...], sequence_of(FrameTransform)]
@@ -104,7 +104,7 @@ class JointState(Struct):
 
 @dataclass(frozen=True, slots=True)
 class RegionOfInterest(Struct):
-    """sensor_msgs/msg/RegionOfInterest: pixels; all 0 = the whole picture."""
+    """sensor_msgs/msg/RegionOfInterest: pixels; all 0 = the whole image."""
 
     TYPE: ClassVar[str] = "sensor_msgs/msg/RegionOfInterest"
     x_offset: Annotated[int, UINT32] = 0

@@ -1,4 +1,4 @@
-"""What a conversion is told besides the message, and what it gives back."""
+"""Inputs of a conversion besides the message, and its result."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from igtl_gateway.wire.body import Body
 
 @value(frozen=True, slots=True)
 class ToRosContext:
-    """Circumstances of a message on its way to ROS.
+    """Inputs of a conversion from OpenIGTLink to ROS, besides the content.
 
     Attributes:
-        device_name: the full name of the stream.
-        stamp_ns: UTC ns for the ROS header.
-        frame_id: frame of the content; for transforms the parent.
-        child_frame_id: for transforms.
-        lengths: units of the two sides.
+        device_name: full device name of the stream.
+        stamp_ns: stamp for the ROS header, UTC ns.
+        frame_id: frame of the content; for transforms the parent frame.
+        child_frame_id: child frame, for transforms.
+        lengths: length units of the two sides.
         igtl_type: type name on the wire.
-        metadata: what the sender said besides (header version 2), without what the gateway itself understands.
-        message_id: sender's id of the message (header version 2).
-        link: number of the peer that it came from.
-        warnings: (code, sentence) pairs that the conversion adds to: converted, but something was bent.
-        made: what other rows have made of the message already, by type; for those that say the same once more.
+        metadata: the sender's metadata (header version 2), without the items that the gateway itself uses.
+        message_id: the sender's id of the message (header version 2).
+        link: number of the link from which the message came.
+        warnings: (code, sentence) pairs; the conversion appends one for each change of the data.
+        made: ROS messages that earlier rows of the table built from the same message, by ROS type.
     """
 
     device_name: str
@@ -44,7 +44,7 @@ class ToRosContext:
 
 @value(frozen=True, slots=True)
 class ToIgtlContext:
-    """Circumstances of a message on its way to OpenIGTLink; attributes as in ``ToRosContext``."""
+    """Inputs of a conversion from ROS to OpenIGTLink; attributes as in ``ToRosContext``."""
 
     lengths: LengthUnits = LengthUnits()
     warnings: list[tuple[str, str]] = field(default_factory=list)
@@ -52,17 +52,17 @@ class ToIgtlContext:
 
 @value(frozen=True, slots=True)
 class ConvertedMessage:
-    """What a ROS message became.
+    """The OpenIGTLink content that a ROS message was converted to.
 
     Attributes:
         content: the OpenIGTLink body.
-        stamp_ns: stamp in the ROS message's own header (UTC ns), 0 where it has none.
-        frame_id: frame in the ROS message's own header, "" where it has none.
-        child_frame_id: of a transform.
-        metadata: what the ROS message says besides; travels with header version 2.
-        igtl_type: type name on the wire where the content decides it, "" for that of the row.
-        device_name: device where the message names one, "" for that of the topic.
-        link: number of the only peer that it is for, 0 for all.
+        stamp_ns: stamp in the header of the ROS message (UTC ns); 0 if unset.
+        frame_id: frame in the header of the ROS message; "" without a header.
+        child_frame_id: child frame of a transform.
+        metadata: metadata of the ROS message; sent with header version 2.
+        igtl_type: type name on the wire if the content determines it; "" for the type of the row.
+        device_name: device name if the message has one; "" for that of the topic.
+        link: number of the only link that receives the message; 0 for all links.
     """
 
     content: Body

@@ -1,16 +1,16 @@
-"""From bytes to bytes, for messages that are as the last one of their stream but for what they carry and their stamp.
+"""Conversions of bytes to bytes, for messages that differ from the last one of their stream in values and stamp.
 
-A tracker says the same thing a thousand times a second: only twelve numbers and the stamp differ.  What the layers
-above make of the first message (names, frames, metadata, rows of the table) is kept as *sample* and *templates*;
-here the next message is held against the sample, and the templates get its numbers.  Whatever is not plainly so
-(another size or frame, a wrong CRC, numbers that are not finite, a matrix that is no rotation) gives None: the
-message then takes the full path, which knows what to say of it.
+A tracker sends a thousand messages per second that differ only in twelve numbers and the stamp.  The fast path stores
+the results of the full path for the first message (names, frames, metadata, rows of the table) as *sample* and
+*templates*.  The functions of this module compare the next message with the sample and fill its numbers into the
+templates.  In every other case (another size or frame, a wrong CRC, NaN or infinity, a matrix that is not a rotation)
+they return None, and the message takes the full path, which reports the reason.
 
-Of the functions of poses there are two each with the same results, bit for bit: the ones here, and the compiled ones of
-``_express.c`` where the package was built with a C compiler.  ``COMPILED`` says which are in use.
+Each function for poses exists twice, with results that are equal bit for bit: here, and compiled in ``_express.c`` if
+the package was built with a C compiler.  ``COMPILED`` is true if the compiled functions are in use.
 
-Those of *bulk*, for texts, points and clouds, whose sizes may change from message to message, and for pictures, are
-compiled only: without them such messages take the full path, which is slower by 0.2 to 0.5 ms where they are rare.
+The functions for *bulk* (strings, points and clouds, whose sizes can change from message to message, and images) exist
+only compiled.  Without them these messages take the full path, which takes 0.2 to 0.5 ms longer for rare messages.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from igtl_gateway.stamp import ns_to_ros, ns_to_ticks, ros_to_ns, ticks_to_ns
 from igtl_gateway.wire.header import BODY_SIZE_AT, CRC_AT, HEADER_SIZE, TICKS_AT, U64, crc64
 from igtl_gateway.wire.message import MESSAGE_ID_AT
 
-#: Bytes of the numbers of TRANSFORM (a matrix) and of POSITION (position and quaternion), by which they are told apart.
+#: Size in bytes of the numbers of TRANSFORM (a matrix) and of POSITION (position, quaternion); it selects the form.
 MATRIX, QUATERNION = 48, 28
 
 _ID_AT = HEADER_SIZE + MESSAGE_ID_AT
 _NUMBERS = {size: struct.Struct(f">{size // 4}f") for size in (MATRIX, QUATERNION)}
 _STAMP = struct.Struct("<iI")
-_NAMES_AT = 12  # in CDR: behind encapsulation and stamp
+_NAMES_AT = 12  # in CDR: after encapsulation and stamp
 _POSE = struct.Struct("<7d")
 _DIGITS = 19  # of a stamp in metadata: from 2001 to 2262
 _FIRST = 10 ** (_DIGITS - 1)
@@ -58,20 +58,20 @@ def pose_to_ros(
     ratio: tuple[float, float],
     forms: tuple[tuple[bytes, int], ...],
 ) -> tuple[Any, ...] | None:
-    """A TRANSFORM or POSITION as ROS messages that end with a pose.
+    """Convert a TRANSFORM or POSITION to ROS messages that end with a pose.
 
     Args:
-        data: one whole message; None comes back for anything but ``bytes``.
-        sample: a message of the stream; ``data`` has to be the same but for time stamp, CRC, message id and numbers.
-        at, size: where the numbers are, and their bytes: ``MATRIX`` or ``QUATERNION``.
-        check_crc: whether a wrong CRC is to be seen.
-        own: whether the message's own stamp is told (``received_ns`` where it has none), else ``received_ns``, UTC ns.
+        data: one whole message; the result is None for types other than ``bytes``.
+        sample: a message of the stream; ``data`` must be equal except in stamp, CRC, message id and numbers.
+        at, size: offset and size in bytes of the numbers; the size is ``MATRIX`` or ``QUATERNION``.
+        check_crc: whether the CRC is checked.
+        own: whether the ROS stamp is the message's own stamp (``received_ns`` if unset) or ``received_ns``; UTC ns.
         ratio: lengths are multiplied by the first and divided by the second number.
         forms: CDR templates, each with the offset of its stamp.
 
     Returns:
-        The message's own stamp (UTC ns), the stamp told, and the CDR bytes of each form; None if the message is not
-        plainly as the sample.
+        The message's own stamp (UTC ns), the ROS stamp (UTC ns), and the CDR bytes of each form; None if the message
+        differs from the sample in anything else.
     """
     if not isinstance(data, bytes) or len(data) != len(sample):
         return None
@@ -120,21 +120,22 @@ def pose_to_igtl(
     ratio: tuple[float, float],
     forms: tuple[tuple[bytes, int, int], ...],
 ) -> tuple[Any, ...] | None:
-    """A ROS message of header, names and pose as TRANSFORM or POSITION.
+    """Convert a ROS message of header, names and pose to TRANSFORM or POSITION.
 
     Args:
-        cdr: the message, little-endian; None comes back for anything but ``bytes``.
-        sample: a message of the stream; ``cdr`` has to be the same but for stamp, padding and pose.
-        names: offsets behind its first name, before and behind its second one; what is between them is padding, which
-            senders leave as it was in their memory.
-        size: ``MATRIX`` or ``QUATERNION``.
-        own: whether the message's own stamp is told (``source_ns`` where it has none), else ``received_ns``; UTC ns.
-        ratio: lengths are multiplied by the first and divided by the second number.
-        forms: whole messages as templates, each with the offset of its numbers, and of the 19 digits of the ROS stamp
+        cdr: the message, little-endian; the result is None for types other than ``bytes``.
+        sample: a message of the stream; ``cdr`` must be equal except in stamp, padding and pose.
+        names: offsets of the end of the first name, and of begin and end of the second one.  The bytes between the
+            names and after the second one are padding, which senders leave uninitialised.
+        size: ``MATRIX`` or ``QUATERNION``. own: whether the OpenIGTLink stamp is the message's own stamp
+        (``source_ns`` if unset) or ``received_ns``; UTC ns. ratio: lengths are multiplied by the first and divided by
+        the second number. forms: whole messages as templates, each with the offset of its numbers, and of the 19
+        digits of the ROS stamp
             in its metadata (0: no metadata; −1: metadata without a stamp).
 
     Returns:
-        The stamp told (UTC ns) and the bytes of each form; None if the message is not plainly as the sample.
+        The OpenIGTLink stamp (UTC ns) and the bytes of each form; None if the message differs from the sample in
+        anything else.
     """
     if not isinstance(cdr, bytes) or len(cdr) != len(sample):
         return None
@@ -144,8 +145,8 @@ def pose_to_igtl(
     if cdr[second:end] != sample[second:end]:
         return None
     header_ns = ros_to_ns(*_STAMP.unpack_from(cdr, 4))
-    said_ns = header_ns or source_ns
-    stamp_ns = said_ns if own and said_ns > 0 else received_ns
+    own_ns = header_ns or source_ns
+    stamp_ns = own_ns if own and own_ns > 0 else received_ns
     pose = _POSE.unpack_from(cdr, len(cdr) - _POSE.size)
     if not all(map(math.isfinite, pose)):
         return None
@@ -165,7 +166,7 @@ def pose_to_igtl(
     made = []
     for template, at, digits_at in forms:
         if header_ns < _FIRST if digits_at > 0 else digits_at and header_ns:
-            return None  # metadata of another size than in the template
+            return None  # the metadata would have another size than in the template
         out = bytearray(template)
         U64.pack_into(out, TICKS_AT, ns_to_ticks(stamp_ns))
         out[at : at + size] = numbers
@@ -176,28 +177,29 @@ def pose_to_igtl(
     return stamp_ns, *made
 
 
-#: The functions above, for those who want them whatever is in use.
+#: The functions above; available if the compiled ones are in use, too.
 PLAIN = (pose_to_ros, pose_to_igtl)
 COMPILED = False
 
-#: What bulk is made of and what of it: STRING ⇄ String of ASCII, POINT of one point → PointStamped, POINT of points
-#: without labels ⇄ PointCloud2, POLYDATA that is nothing but points ⇄ PointCloud2.  Clouds to OpenIGTLink have x, y and
-#: z as float32 and nothing else; all numbers are finite.  IMAGE ⇄ Image, of the size and with all else as in the
-#: sample, and Image of BGR → IMAGE of RGB.
+#: Conversions of bulk messages: STRING ⇄ String of ASCII, POINT of one point → PointStamped, POINT of unlabelled
+#: points ⇄ PointCloud2, POLYDATA with points only ⇄ PointCloud2, IMAGE ⇄ Image with everything but the pixels as in
+#: the sample, and Image of BGR → IMAGE of RGB.  Clouds to OpenIGTLink have only the fields x, y and z as float32; all
+#: numbers are finite.
 TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST = range(6)
 
 Fill = Callable[..., tuple[Any, ...] | None]
 
-#: As ``pose_to_ros``, but for ``sample``: what stands before and behind the content; ``at``, ``size``: how long these
-#: two are; ``forms``: for each what it is made as, a template (of clouds and pictures: up to the data; of a point:
-#: whole), and the offsets of its stamp (0: none) and of its width.  Of a form that has no place for the content None
-#: comes back.
+#: Like ``pose_to_ros``, with other meanings of some arguments.  ``sample``: the bytes before and after the content.
+#: ``at``, ``size``: the sizes of these two.  ``forms``: for each form the conversion, a template (for clouds and images
+#: up to the data; for a point the whole message), and the offsets of its stamp (0: none) and of its width.  The result
+#: has None for a form that does not apply to the content.
 bulk_to_ros: Fill | None = None
 
-#: As ``pose_to_igtl``, but for ``sample``: what stands before the content; ``names``: of a cloud the offsets of its
-#: height and of its data, how long a point is and where x, y and z are in it (of a picture: how long it is, and
-#: zeros), and then begin and end of each part of the sample that has to be the same; ``size``: what is made; ``forms``:
-#: for each what stands before and behind the content, and where in the latter the digits are.
+#: Like ``pose_to_igtl``, with other meanings of some arguments.  ``sample``: the bytes before the content.  ``names``:
+#: for a cloud the offsets of its height and of its data, the size of a point, and the offsets of x, y and z in it; for
+#: an image the offsets, the size of its data, and zeros; then begin and end of each part of the sample that must be
+#: equal.  ``size``: the conversion.  ``forms``: for each form the bytes before and after the content, and the offset of
+#: the digits in the latter.
 bulk_to_igtl: Fill | None = None
 
 if not TYPE_CHECKING:

@@ -1,17 +1,17 @@
-"""The tree of ROS frames, as /tf and /tf_static tell it, and what ``--tf-out`` asks of it.
+"""The tree of ROS frames, built from /tf and /tf_static, and the requests of ``--tf-out``.
 
-``FrameTree`` answers the question of tf2's look-up at time 0: where is a frame in another one, at the latest
-time that all moving edges between them can tell.  It reads no clock (the stamps of the messages are all the time
-there is), and its arithmetic is plain +, −, ×, ÷ and √ on Python floats, so that equal inputs give equal bits on
-every machine.  Rotations are interpolated linearly and normalised: between samples 0.1 rad apart that differs
-from the great circle by less than 10⁻⁵ rad, and it needs no trigonometry.
+``FrameTree`` does the look-up of tf2 at time 0: the pose of a frame in another one, at the latest time for which all
+dynamic edges between them have samples.  It reads no clock, only the stamps of the messages.  Its arithmetic is plain
++, −, ×, ÷ and √ on Python floats, so equal inputs give equal bits on every machine.  Rotations are interpolated
+linearly and normalised: between samples 0.1 rad apart, the result differs from the great circle by less than 10⁻⁵ rad,
+and needs no trigonometry.
 
-Differences from tf2, each where tf2 would leave a user without an answer:
+Differences from tf2, each in a case in which tf2 has no result:
 
-* Quaternions of any length above 0 are taken and normalised; tf2 refuses those that are off by 1 %.
-* A second sample of one stamp replaces the first; tf2 ignores it.
-* A sample without stamp (0) holds at all times, like a static one; tf2 can look it up at no other time than 0.
-* Stamps that jump back by more than the history (a bag that is played again) clear the edge; tf2 ignores them.
+* Quaternions of any length above 0 are accepted and normalised; tf2 rejects a length that differs by 1 %.
+* A second sample with the same stamp replaces the first one; tf2 ignores it.
+* A sample without stamp (0) is valid at all times, like a static one; tf2 finds it at time 0 only.
+* Stamps that jump back by more than the history (a bag is played again) clear the edge; tf2 ignores them.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from igtl_gateway.convert.igtl_msgs import Pose
 from igtl_gateway.convert.poses import Quaternion, unit_quaternion
 from igtl_gateway.errors import ConfigError, ConversionError
 
-#: How far back an edge remembers, behind its newest sample: as tf2.
+#: History of an edge before its newest sample, ns: as in tf2.
 HISTORY_NS = 10_000_000_000
-#: Samples of one edge: ten seconds at 200 Hz, two at 1 kHz.
+#: Maximum number of samples of one edge: 10 s at 200 Hz, 2 s at 1 kHz.
 MAX_SAMPLES = 2_000
-#: Samples of all edges together (150 MB); beyond it an edge keeps no more than its last two.
+#: Maximum number of samples of all edges (150 MB); above it an edge keeps only its last two.
 MAX_ALL_SAMPLES = 500_000
 MAX_FRAMES = 10_000
 
-#: Reasons for which a transform is refused: keys of ``FrameTree.refused``.
+#: Reasons for which a transform is rejected: keys of ``FrameTree.refused``.
 NO_NAME, NO_POSE, CYCLE, TOO_MANY_FRAMES = "no_frame_name", "not_a_pose", "cycle", "too_many_frames"
 
-#: Children whose edges lead from the target, and from the base, up to the first frame that both lie in.
+#: Child frames of the edges from the target, and from the base, up to their first common ancestor.
 Chain = tuple[tuple[str, ...], tuple[str, ...]]
 Vector = tuple[float, float, float]
 
@@ -46,11 +46,11 @@ _IDENTITY: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 @dataclass(slots=True)
 class _TfEdge:
-    """A frame in its parent.
+    """The samples of a frame in its parent.
 
     Attributes:
         parent: frame id.
-        static: there is one sample, which holds at all times.
+        static: whether there is one sample, which is valid at all times.
         stamps: UTC ns, ascending.
         poses: of the child in the parent, with unit quaternions; one for each stamp.
         version: number of the update that last changed this edge.
@@ -64,14 +64,14 @@ class _TfEdge:
 
 
 class FrameTree:
-    """See the module.
+    """A tree of frames with the recent samples of each edge.
 
     Args:
-        max_frames: frames that may have a parent; the transforms of further ones are refused.
-        max_samples: samples that one edge keeps.
+        max_frames: maximum number of frames with a parent; the transforms of other frames are rejected.
+        max_samples: maximum number of samples that one edge stores.
 
     Attributes:
-        refused: number of refused transforms by reason.
+        refused: number of rejected transforms by reason.
     """
 
     def __init__(self, max_frames: int = MAX_FRAMES, max_samples: int = MAX_SAMPLES) -> None:
@@ -79,19 +79,19 @@ class FrameTree:
         self._max_frames = max_frames
         self._max_samples = max_samples
         self._edges: dict[str, _TfEdge] = {}  # child → its edge
-        self._chains: dict[tuple[str, str], Chain | None] = {}  # of the present shape of the tree
+        self._chains: dict[tuple[str, str], Chain | None] = {}  # cache, cleared when the tree changes its shape
         self._samples = 0
         self._version = 0
 
     def update(self, message: TFMessage, static: bool) -> None:
-        """Take the transforms of a message of /tf, or of /tf_static.  What cannot be used is counted."""
+        """Add the transforms of a message of /tf or, if ``static``, of /tf_static.  Invalid ones are counted."""
         for transform in message.transforms:
             reason = self._add_sample(transform, static or transform.header.stamp_ns == 0)
             if reason:
                 self.refused[reason] += 1
 
     def _add_sample(self, transform: FrameTransform, static: bool) -> str:
-        """Add one sample; "" or why not."""
+        """Add one sample; return "", or the reason for a rejection."""
         parent, child = frame_id(transform.header.frame_id), frame_id(transform.child_frame_id)
         if not parent or not child:
             return NO_NAME
@@ -133,7 +133,7 @@ class FrameTree:
             self._samples -= surplus
 
     def _is_below(self, frame: str, ancestor: str) -> bool:
-        """Whether ``frame`` is ``ancestor`` or hangs below it."""
+        """Return whether ``frame`` is ``ancestor`` or a descendant of it."""
         while frame != ancestor:
             edge = self._edges.get(frame)
             if edge is None:
@@ -142,11 +142,11 @@ class FrameTree:
         return True
 
     def knows(self, frame: str) -> bool:
-        """Whether a frame has a parent or a child."""
+        """Return whether a frame has a parent or a child."""
         return frame in self._edges or any(edge.parent == frame for edge in self._edges.values())
 
     def chain(self, target: str, base: str) -> Chain | None:
-        """The edges between two frames, by child; None where nothing connects them."""
+        """Return the edges between two frames, by child frame; None if the frames are not connected."""
         key = (target, base)
         if key not in self._chains:
             self._chains[key] = self._find_chain(target, base)
@@ -161,22 +161,22 @@ class FrameTree:
         return None
 
     def _path_to_root(self, frame: str) -> list[str]:
-        """The frame, its parent, and so on to the root."""
+        """Return the frame and all its ancestors up to the root."""
         way = [frame]
         while edge := self._edges.get(way[-1]):
             way.append(edge.parent)
         return way
 
     def version(self, target: str, base: str) -> int:
-        """A number that changes whenever ``latest`` may; 0 where nothing connects the frames."""
+        """Return a number that changes whenever the result of ``latest`` might; 0 if the frames are not connected."""
         chain = self.chain(target, base)
         return max((self._edges[child].version for part in chain for child in part), default=0) if chain else 0
 
     def latest(self, target: str, base: str) -> tuple[int, Pose] | None:
-        """Stamp and pose of ``target`` in ``base``, at the latest time that all dynamic edges between them know.
+        """Return stamp and pose of ``target`` in ``base``, at the latest time for which all dynamic edges have samples.
 
-        The stamp is 0 where there are none.  None where nothing connects the frames, or where one edge's newest
-        sample is older than all that another one remembers.
+        The stamp is UTC ns, 0 if all edges are static; lengths are in metres.  None if the frames are not connected, or
+        if the newest sample of one edge is older than all samples of another one.
         """
         chain = self.chain(target, base)
         if chain is None:
@@ -189,7 +189,7 @@ class FrameTree:
         return stamp_ns, compose(_inverse(base_pose), target_pose) if chain[1] else target_pose
 
     def _climb(self, children: tuple[str, ...], stamp_ns: int) -> Pose:
-        """Pose of the first child in the parent of the last one."""
+        """Return the pose of the first child in the parent of the last one."""
         pose = _IDENTITY
         for step, child in enumerate(children):
             edge = self._edges[child]
@@ -199,12 +199,12 @@ class FrameTree:
 
 
 def frame_id(name: str) -> str:
-    """A frame id as it is compared: tf's old leading slash means nothing."""
+    """Return a frame id in the form that is compared: without the leading slash of tf, which has no meaning."""
     return name.lstrip("/")
 
 
 def _unit_pose(pose: Pose) -> Pose | None:
-    """The pose with a quaternion of length 1; None if it is none."""
+    """Return the pose with its quaternion normalised; None for NaN, infinity or a quaternion without length."""
     if not all(map(math.isfinite, pose)):
         return None
     try:
@@ -214,7 +214,7 @@ def _unit_pose(pose: Pose) -> Pose | None:
 
 
 def _pose_at(edge: _TfEdge, stamp_ns: int) -> Pose:
-    """At a time between the first and the last sample."""
+    """Return the pose at a time between the first and the last sample."""
     after = bisect_left(edge.stamps, stamp_ns)
     if edge.stamps[after] == stamp_ns:
         return edge.poses[after]
@@ -223,8 +223,8 @@ def _pose_at(edge: _TfEdge, stamp_ns: int) -> Pose:
 
 
 def _interpolate(a: Pose, b: Pose, share: float) -> Pose:
-    """``share`` (0 … 1) of the way from a to b."""
-    # of b's two quaternions the one on a's side: the short way round, and never through 0
+    """Return the pose at ``share`` (0 … 1) of the way from a to b."""
+    # of b's two quaternions, use the one nearer to a: the shorter rotation, and the length is never 0
     side = 1.0 if a[3] * b[3] + a[4] * b[4] + a[5] * b[5] + a[6] * b[6] >= 0.0 else -1.0
     rest = 1.0 - share
     x, y, z = (rest * p + share * q for p, q in zip(a[:3], b[:3], strict=True))
@@ -233,7 +233,7 @@ def _interpolate(a: Pose, b: Pose, share: float) -> Pose:
 
 
 def compose(a: Pose, b: Pose) -> Pose:
-    """The pose in a's parent of what has the pose b in a."""
+    """Return the product of two poses: the pose in a's parent of a frame that has the pose b in a."""
     ax, ay, az, aw = a[3:]
     bx, by, bz, bw = b[3:]
     x, y, z = _rotated(a[3:], b[:3])
@@ -250,13 +250,13 @@ def compose(a: Pose, b: Pose) -> Pose:
 
 def _inverse(pose: Pose) -> Pose:
     qx, qy, qz, qw = pose[3:]
-    turned_back = (-qx, -qy, -qz, qw)
-    x, y, z = _rotated(turned_back, pose[:3])
-    return (-x, -y, -z, *turned_back)
+    inverse_rotation = (-qx, -qy, -qz, qw)
+    x, y, z = _rotated(inverse_rotation, pose[:3])
+    return (-x, -y, -z, *inverse_rotation)
 
 
 def _rotated(q: Quaternion, v: Vector) -> Vector:
-    """v + 2 u × (u × v + w v), with q = (u, w)."""
+    """Return v + 2 u × (u × v + w v), with q = (u, w): v rotated by q."""
     (x, y, z, w), (a, b, c) = q, v
     d = y * c - z * b + w * a
     e = z * a - x * c + w * b
@@ -264,9 +264,9 @@ def _rotated(q: Quaternion, v: Vector) -> Vector:
     return a + 2.0 * (y * f - z * e), b + 2.0 * (z * d - x * f), c + 2.0 * (x * e - y * d)
 
 
-# -- what is asked of the tree ------------------------------------------------------------------------------------
+# -- requests for poses ------------------------------------------------------------------------------------
 
-#: Types in which frames can be sent, and whether one message holds several.
+#: Types in which frames can be sent, and whether one message can hold several frames.
 _TYPES = {"TRANSFORM": False, "POSITION": False, "TDATA": True, "QTDATA": True}
 _FORM = "FRAME[,FRAME...]:BASE[=DEVICE[:TYPE]], such as tool0:base_link or probe,needle:tracker=Tracker:TDATA"
 
@@ -277,7 +277,7 @@ class TfRequest:
 
     Attributes:
         frames: frame ids, without leading slash; more than one only for TDATA and QTDATA.
-        base: the frame that they are told in.
+        base: frame id of the reference frame of their poses.
         device: device name of the messages, of any length.
         type: TRANSFORM, POSITION, TDATA or QTDATA.
 
@@ -295,13 +295,13 @@ class TfRequest:
         if not all((self.frames, *self.frames, self.base, self.device)):
             raise _refusal(repr(self.text()), _FORM)
         if len(self.frames) > 1 and not _TYPES[self.type]:
-            raise _refusal(f"{len(self.frames)} frames as {self.type}", "TDATA or QTDATA, which hold several")
+            raise _refusal(f"{len(self.frames)} frames as {self.type}", "TDATA or QTDATA for several frames")
         if len({*self.frames, self.base}) <= len(self.frames):
-            raise _refusal(repr(self.text()), "frames that differ from each other and from the base")
+            raise _refusal(repr(self.text()), "different frames, none of them the base")
 
     @classmethod
     def parse(cls, text: str) -> TfRequest:
-        """From the words of the command line: ``FRAME[,FRAME...]:BASE[=DEVICE[:TYPE]]``.
+        """Return the request of an option value ``FRAME[,FRAME...]:BASE[=DEVICE[:TYPE]]``.
 
         The device defaults to ``FRAMEToBASE`` (``ToolsToBASE`` for several frames), the type to TRANSFORM (TDATA
         for several).
@@ -324,7 +324,7 @@ class TfRequest:
         )
 
     def text(self) -> str:
-        """What ``parse`` reads."""
+        """Return the option value that ``parse`` reads."""
         return f"{','.join(self.frames)}:{self.base}={self.device}:{self.type}"
 
 

@@ -1,6 +1,6 @@
-"""The size of the pictures in a video, read from the headers that stand before its key frames.
+"""The image size of an encoded video, read from the headers before its key frames.
 
-Formats as in ``bitstream``.  Whatever the bytes are, nothing is raised: a frame says its size or it does not.
+The formats are those of ``bitstream``.  No input raises an exception.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from igtl_gateway.buffers import Buffer
 
 _START_CODE = b"\x00\x00\x01"
-#: Headers come before the first slice; we look no further than this for them.
+#: The headers precede the first slice; they are searched for in this number of bytes.
 _MAX_HEADERS = 1 << 16
-#: And none of them is longer than this.
+#: Maximum size of one header in bytes.
 _MAX_HEADER = 1 << 12
 _MAX_SIZE = 65_535
 
@@ -20,37 +20,37 @@ _H264_SPS, _H264_SLICES = 7, range(1, 6)
 _H265_SPS, _H265_SLICES = 33, range(32)
 _AV1_SEQUENCE_HEADER = 1
 
-#: H.264 profiles that tell how colour is sampled; the others have 4:2:0.
+#: H.264 profiles whose header contains the chroma sampling; it is 4:2:0 in the other profiles.
 _H264_HIGH = frozenset({100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135})
 _YUV420, _YUV422, _YUV444 = 1, 2, 3
 
-#: More leading zeros than this in an Exp-Golomb code mean that it is none of 32 bits.
+#: Maximum number of leading zeros of an Exp-Golomb code of 32 bits.
 _MAX_ZEROS = 31
 
 Size = tuple[int, int]
 
 
 def frame_size(codec: str, data: Buffer) -> Size | None:
-    """(width, height) as shown, without what is cropped; None where the frame does not tell.
+    """Return (width, height) in pixels after cropping; None if the frame does not contain it.
 
     ``codec`` is ``h264``, ``h265`` (Annex B), ``vp9`` or ``av1``.
     """
-    look = _PARSERS.get(codec)
-    if look is None:
+    parse = _PARSERS.get(codec)
+    if parse is None:
         return None
     try:
-        size = look(bytes(memoryview(data)[:_MAX_HEADERS]))
+        size = parse(bytes(memoryview(data)[:_MAX_HEADERS]))
     except _EndOfBits:
         return None
     return size if size and all(0 < length <= _MAX_SIZE for length in size) else None
 
 
 class _EndOfBits(Exception):
-    """The bytes end inside a header, or are none."""
+    """The bytes end inside a header, or a code is invalid."""
 
 
 class _Bits:
-    """Bits of a header, the highest of each byte first."""
+    """Reads the bits of a header, the highest bit of each byte first."""
 
     __slots__ = ("_left", "_value")
 
@@ -59,7 +59,7 @@ class _Bits:
         self._left = 8 * len(data)
 
     def take(self, count: int) -> int:
-        """A number of ``count`` bits."""
+        """Read a number of ``count`` bits."""
         self._left -= count
         if self._left < 0:
             raise _EndOfBits
@@ -69,7 +69,7 @@ class _Bits:
         return self.take(1) == 1
 
     def golomb(self) -> int:
-        """An unsigned Exp-Golomb code: as many zeros as there are bits behind the first one."""
+        """Read an unsigned Exp-Golomb code: n zeros, a one, and n bits."""
         zeros = 0
         while not self.flag():
             zeros += 1
@@ -83,17 +83,17 @@ class _Bits:
 
 
 def _units(data: bytes) -> Iterator[bytes]:
-    """Each unit of an Annex B stream."""
+    """Return the units of an Annex B stream."""
     return (unit for unit in data.split(_START_CODE)[1:] if unit)
 
 
 def _without_emulation_prevention(unit: bytes) -> _Bits:
-    """A unit without the bytes that keep start codes out of it."""
+    """Return the bits of a unit without its emulation prevention bytes."""
     return _Bits(unit[:_MAX_HEADER].replace(b"\x00\x00\x03", b"\x00\x00"))
 
 
 def _cropped(bits: _Bits, width: int, height: int, x_unit: int, y_unit: int) -> Size:
-    """The size inside the window that follows, if one does: left, right, top, bottom."""
+    """Return the size inside the cropping window (left, right, top, bottom), if one follows."""
     if bits.flag():
         left, right, top, bottom = (bits.golomb() for _ in range(4))
         width -= x_unit * (left + right)
@@ -112,7 +112,7 @@ def _h264(data: bytes) -> Size | None:
 
 
 def _h264_sps(bits: _Bits) -> Size:
-    """H.264, 7.3.2.1.1."""
+    """Return the size in a sequence parameter set: H.264, 7.3.2.1.1."""
     profile = bits.take(8)
     bits.take(16)  # constraints, level
     bits.golomb()
@@ -169,10 +169,10 @@ def _h265(data: bytes) -> Size | None:
 
 
 def _h265_sps(bits: _Bits) -> Size:
-    """H.265, 7.3.2.2.1 and 7.3.3."""
+    """Return the size in a sequence parameter set: H.265, 7.3.2.2.1 and 7.3.3."""
     bits.take(4)
     layers = bits.take(3)
-    bits.take(1 + 88 + 8)  # profile and level of the whole
+    bits.take(1 + 88 + 8)  # general profile and level
     present = [(bits.flag(), bits.flag()) for _ in range(layers)]
     if layers:
         bits.take(2 * (8 - layers))
@@ -187,7 +187,7 @@ def _h265_sps(bits: _Bits) -> Size:
 
 
 def _vp9(data: bytes) -> Size | None:
-    """VP9, 6.2 and 7.2: of key frames, the only ones with this sync code where it is looked for."""
+    """Return the size in a key frame (VP9, 6.2 and 7.2); only key frames have the sync code at this place."""
     bits = _Bits(data[:16])
     if bits.take(2) != 0b10:
         return None
@@ -229,7 +229,7 @@ def _av1(data: bytes) -> Size | None:
 
 
 def _av1_sequence(bits: _Bits) -> Size:
-    """AV1, 5.5.1."""
+    """Return the size in a sequence header: AV1, 5.5.1."""
     bits.take(4)  # profile, still picture
     if bits.flag():  # reduced header
         bits.take(5)
@@ -249,7 +249,7 @@ def _av1_sequence(bits: _Bits) -> Size:
 
 
 def _av1_timing(bits: _Bits) -> int:
-    """How many bits the delays of the decoder model have; 0 where there is no model."""
+    """Return the number of bits of the delays of the decoder model; 0 without a model."""
     if not bits.flag():
         return 0
     bits.take(64)

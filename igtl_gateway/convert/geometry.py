@@ -1,10 +1,10 @@
-"""Where an image lies: matrix of the wire ⇄ directions, spacing and centre or origin in ROS.
+"""The placement of an image: matrix of the wire ⇄ directions, spacing and centre or origin in ROS.
 
-On the wire a matrix is T, S, N (directions × spacing) and P, the centre, in millimetres, RAS or LPS.  In ROS
-numbers are of the header's frame, as RAS is.
+On the wire a matrix consists of T, S, N (directions × spacing) and P, the centre, in millimetres, RAS or LPS.  In ROS
+the numbers are in the frame of the header, which corresponds to RAS.
 
-Plain arithmetic on Python floats (float64): IEEE 754 fixes every bit of it.  Of a finite matrix everything comes
-back to the same float32, but for the signs of zeros in a vector without length.
+The arithmetic is on Python floats (float64): IEEE 754 defines every bit.  The conversion of a finite matrix and back
+gives the same float32 values, except for the signs of zeros in a vector of zero length.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from igtl_gateway.wire.image import LPS
 Triple = tuple[float, float, float]
 
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-#: From here on numbers round to the infinity of float32.
+#: Numbers from this one on round to the infinity of float32.
 _FLOAT32_END = 2.0**128 - 2.0**103
 
 
 def split_axes(nine: Sequence[float]) -> tuple[tuple[float, ...], Triple]:
-    """(direction, spacing) of three finite vectors T, S, N in a row: unit columns in a row, and their lengths.
+    """Return direction (three unit vectors, nine numbers) and spacing (their lengths) of three finite vectors T, S, N.
 
-    A vector of no length gets the unit vector of its axis; ``join_axes`` gives it back (its zeros positive).
+    A vector of zero length gets the unit vector of its axis; ``join_axes`` returns zeros for it, all positive.
     """
     direction: list[float] = []
     spacing: list[float] = []
@@ -41,23 +41,23 @@ def split_axes(nine: Sequence[float]) -> tuple[tuple[float, ...], Triple]:
 
 
 def join_axes(direction: Sequence[float], spacing: Sequence[float]) -> tuple[float, ...]:
-    """The inverse of ``split_axes``: exact once the numbers are float32 again."""
+    """Return the vectors of ``split_axes``; they are equal after rounding to float32."""
     return tuple(value * spacing[index // 3] for index, value in enumerate(direction))
 
 
 def flip_lps_ras(vectors: Sequence[float]) -> tuple[float, ...]:
-    """Vectors in a row from LPS to RAS or back: x and y change their sign."""
+    """Convert consecutive vectors from LPS to RAS or back: x and y change their sign."""
     return tuple(value if index % 3 == 2 else -value for index, value in enumerate(vectors))
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where an image lies, as ROS says it.
+    """Direction, spacing and centre of an image in ROS.
 
     Attributes:
-        direction: unit columns i, j, k in a row.
-        spacing: distance of voxels along them, in the length unit of ROS.
-        center: of the whole image, in the same unit.
+        direction: unit vectors of the axes i, j, k: nine numbers.
+        spacing: distance of neighbouring voxels along the axes, in the length unit of ROS.
+        center: centre of the whole image, in the length unit of ROS.
     """
 
     direction: tuple[float, ...]
@@ -66,7 +66,7 @@ class Placement:
 
     @classmethod
     def of_wire(cls, matrix: Sequence[float], coordinate: int, lengths: LengthUnits) -> Self:
-        """Of the 12 numbers of the wire; where they are not finite, neither are these."""
+        """Return the placement of the 12 numbers of the wire; NaN and infinity remain NaN or infinity."""
         axes = flip_lps_ras(matrix) if coordinate == LPS else tuple(matrix)
         direction, (i, j, k) = split_axes(axes[:9])
         x, y, z = axes[9:]
@@ -74,7 +74,7 @@ class Placement:
         return cls(direction, (to_ros(i), to_ros(j), to_ros(k)), (to_ros(x), to_ros(y), to_ros(z)))
 
     def to_wire(self, coordinate: int, lengths: LengthUnits, place: str) -> tuple[float, ...]:
-        """The 12 numbers of the wire.  Raises ConversionError where float32 cannot hold them."""
+        """Return the 12 numbers of the wire.  Raises ConversionError if float32 cannot hold them."""
         (i, j, k), (x, y, z) = self.spacing, self.center
         to_igtl = lengths.to_igtl
         axes = join_axes(self.direction, (to_igtl(i), to_igtl(j), to_igtl(k)))
@@ -84,23 +84,23 @@ class Placement:
         return flip_lps_ras(matrix) if coordinate == LPS else matrix
 
     def origin(self, size: Sequence[int]) -> Triple:
-        """Centre of the first voxel of an image of ``size`` voxels."""
+        """Return the centre of the first voxel of an image of ``size`` voxels, in the length unit of ROS."""
         x, y, z = (center - half for center, half in zip(self.center, self._half(size), strict=True))
         return x, y, z
 
     @classmethod
     def from_origin(cls, direction: tuple[float, ...], spacing: Triple, origin: Triple, size: Sequence[int]) -> Self:
-        """The inverse of ``origin``.
+        """Return the placement for an origin: the inverse of ``origin``.
 
-        A centre of 0 comes back as 0, any other to within 2^-52 of the larger of origin and extent: that is the
-        same float32, unless the centre is 2^27 times nearer to the frame's origin than the image is large.
+        A centre of 0 is exact.  The error of any other centre is at most 2^-52 of the larger of origin and extent.  As
+        float32 it is equal, unless its distance from the frame's origin is less than the size of the image / 2^27.
         """
         half = cls(direction, spacing, origin)._half(size)
         x, y, z = (first + step for first, step in zip(origin, half, strict=True))
         return cls(direction, spacing, (x, y, z))
 
     def _half(self, size: Sequence[int]) -> Triple:
-        """From the first voxel to the centre: (n - 1) / 2 steps along each axis."""
+        """Return the vector from the first voxel to the centre: (n - 1) / 2 steps along each axis."""
         steps = [(count - 1) / 2 * spacing for count, spacing in zip(size, self.spacing, strict=True)]
         d = self.direction
         x, y, z = (d[row] * steps[0] + d[row + 3] * steps[1] + d[row + 6] * steps[2] for row in range(3))

@@ -1,7 +1,7 @@
-"""The messages of our own package ``igtl_msgs`` as values; ``ros2/igtl_msgs/msg`` has the definitions.
+"""The messages of the package ``igtl_msgs`` as values; ``ros2/igtl_msgs/msg`` has the definitions.
 
-Field by field in the order of the definitions; a test holds both against each other.  Lengths are in metres,
-stamps in UTC ns (0 = unset), poses are (x, y, z, qx, qy, qz, qw).
+The fields have the order of the definitions; a test compares both.  Lengths are in metres, stamps in UTC ns (0 =
+unset), poses are (x, y, z, qx, qy, qz, qw).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class MetadataItem(Struct):
-    """igtl_msgs/msg/MetadataItem; encoding 0 is chosen on the way out."""
+    """igtl_msgs/msg/MetadataItem; encoding 0: the gateway chooses one."""
 
     TYPE: ClassVar[str] = "igtl_msgs/msg/MetadataItem"
     key: Annotated[str, STRING]
@@ -133,7 +133,7 @@ class LabeledPoint(Struct):
     owner: Annotated[str, STRING]
 
     def write(self, out: CdrWriter) -> None:
-        """Written out, as ``read``: points come by the thousands where surfaces are digitised."""
+        """Append the fields; written by hand, like ``read``, because digitised surfaces have thousands of points."""
         out.string(self.name)
         out.string(self.group)
         _RGBA.write(out, self.rgba)

@@ -1,6 +1,7 @@
-"""IMAGE ⇄ sensor_msgs/Image: two-dimensional pictures of every scalar type, colour kept.
+"""IMAGE ⇄ sensor_msgs/Image: two-dimensional images of every scalar type, grey or in colour.
 
-Pixels are never touched but for BGR order and padded rows; the byte order is told, not swapped.
+Pixels change only from BGR order and padded rows, and from uint32, which ROS has no encoding for.  The byte order is
+declared, not swapped.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, SCALARS, Image
 
-#: Names that ROS has for (scalar type, components); the rest are the OpenCV names below.
+#: ROS encodings of (scalar type, components); all others have the OpenCV names below.
 _NAMES = {
     (3, 1): "mono8",
     (3, 3): "rgb8",
@@ -29,13 +30,13 @@ _NAMES = {
 _OPENCV = {2: "8SC", 3: "8UC", 4: "16SC", 5: "16UC", 6: "32SC", 10: "32FC", 11: "64FC"}
 _UINT32, _FLOAT64 = 7, 11
 
-#: Encoding → (scalar type, components, whether blue comes first).
+#: Encoding → (scalar type, components, whether blue is the first component).
 _ENCODINGS = {name: (*key, False) for key, name in _NAMES.items()} | {
     "bgr8": (3, 3, True),
     "bgra8": (3, 4, True),
     "bgr16": (5, 3, True),
     "bgra16": (5, 4, True),
-    # a Bayer mosaic is sent as the grey image it is
+    # a Bayer mosaic is sent as a grey image
     **{f"bayer_{order}{bits}": (kind, 1, False) for order in ("rggb", "bggr", "gbrg", "grbg") for bits, kind in
        ((8, 3), (16, 5))},
 }  # fmt: skip
@@ -46,11 +47,11 @@ _MAX_SIZE = 65_535
 
 
 def image_to_ros(content: Image, to: ToRosContext) -> RosImage:
-    """Raises ConversionError for volumes and for partial updates, which sensor_msgs/Image cannot hold."""
+    """Convert to Image.  Raises ConversionError for volumes and partial updates, which ROS images cannot hold."""
     width, height, slices = content.dimensions
     if slices != 1:
         raise ConversionError(
-            f"IMAGE {to.device_name!r}: found a volume of {slices} slices, expected 1: sensor_msgs/Image is flat"
+            f"IMAGE {to.device_name!r}: found a volume of {slices} slices, expected 1 for sensor_msgs/Image"
         )
     if content.sub_size != content.dimensions:
         raise ConversionError(
@@ -59,7 +60,7 @@ def image_to_ros(content: Image, to: ToRosContext) -> RosImage:
         )
     scalar, components = content.scalar_type, content.num_components
     pixels, big = content.pixels, content.endian == BIG_ENDIAN
-    if scalar == _UINT32:  # ROS has no name for it; float64 holds every value
+    if scalar == _UINT32:  # ROS has no encoding for uint32; float64 holds every value
         pixels = content.array.astype("<f8").reshape(-1).view(np.uint8).data
         scalar, big = _FLOAT64, False
         to.warnings.append(("uint32_as_float64", "uint32 pixels have no ROS encoding and are published as 64FC"))
@@ -70,7 +71,7 @@ def image_to_ros(content: Image, to: ToRosContext) -> RosImage:
 
 
 def image_to_igtl(message: RosImage, _: ToIgtlContext) -> ConvertedMessage:
-    """As a 2-D IMAGE of 1 mm spacing, centred at the origin.  Raises ConversionError for unknown encodings."""
+    """Convert to a 2-D IMAGE of 1 mm spacing, centred at the origin.  Raises ConversionError for unknown encodings."""
     scalar, components, blue_first = _layout(message.encoding)
     dtype = np.dtype((">" if message.is_bigendian else "<") + SCALARS[scalar])
     width, height = message.width, message.height
@@ -107,14 +108,14 @@ def _layout(encoding: str) -> tuple[int, int, bool]:
 
 
 def _unpadded(pixels: memoryview, height: int, row: int, step: int) -> memoryview:
-    """The rows without what lies between them; the last may end with its pixels."""
+    """Return the rows without padding; the last row may lack it."""
     rows: npt.NDArray[np.uint8] = np.ndarray((height, row), np.uint8, pixels, 0, (step, 1))
     return np.ascontiguousarray(rows).reshape(-1).data
 
 
 def _red_first(pixels: npt.NDArray[Any]) -> memoryview:
-    """BGR(A) pixels (n, 3 or 4) as RGB(A) bytes."""
-    turned = pixels.copy()
-    turned[:, 0] = pixels[:, 2]
-    turned[:, 2] = pixels[:, 0]
-    return turned.reshape(-1).view(np.uint8).data
+    """Return BGR(A) pixels (n, 3 or 4) as RGB(A) bytes."""
+    swapped = pixels.copy()
+    swapped[:, 0] = pixels[:, 2]
+    swapped[:, 2] = pixels[:, 0]
+    return swapped.reshape(-1).view(np.uint8).data

@@ -1,6 +1,6 @@
-"""What a peer has and what it puts together: IMGMETA, LBMETA, VIDEOMETA, COLORT, CAPABILITY and BIND ⇄ igtl_msgs.
+"""Lists and groups: IMGMETA, LBMETA, VIDEOMETA, COLORT, CAPABILITY and BIND ⇄ igtl_msgs.
 
-The three lists are read and written by columns.  Their times are those of the scans, not of the messages.
+The three META lists are read and written by columns.  Their stamps are the times of the scans.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from igtl_gateway.wire.metalists import (
     VideoMetaList,
 )
 
-#: Both protocols count 2³² seconds: what lies behind 2038 in OpenIGTLink is negative in ROS.
+#: Range of both protocols, ns: 2³² seconds.  OpenIGTLink stamps after 2038 are negative in ROS.
 _WRAP_NS = NS_PER_S << 32
 _IMAGE_TEXTS = ("name", "device_name", "modality", "patient_name", "patient_id")
 _LABEL_TEXTS = ("name", "device_name", "owner")
 _VIDEO_TEXTS = ("name", "device_name", "patient_name", "patient_id")
 _TYPE_BYTES = 12
-_CHILD_NAME_BYTES = 20  # of C++ readers; the protocol has no limit
+_CHILD_NAME_BYTES = 20  # limit of C++ readers; the protocol has none
 
 
 def images_to_ros(content: ImageMetaList, to: ToRosContext) -> igtl_msgs.ImageMetaList:
-    """One ``ImageMeta`` for each element."""
+    """Convert to a list with one ``ImageMeta`` for each element."""
     rows = _rows(content, *_IMAGE_TEXTS, "ticks", "size", "scalar_type")
     images = tuple(
         ImageMeta(name, device, modality, patient, patient_id, ticks_to_ns(ticks), tuple(size), scalar)
@@ -56,7 +56,7 @@ def images_to_ros(content: ImageMetaList, to: ToRosContext) -> igtl_msgs.ImageMe
 
 
 def images_to_igtl(message: igtl_msgs.ImageMetaList, to: ToIgtlContext) -> ConvertedMessage:
-    """The inverse; texts that do not fit are cut, with a warning."""
+    """Convert to IMGMETA; strings that are too long are cut, with a warning."""
     elements = np.zeros(len(message.images), IMAGE_META_DTYPE)
     for name in _IMAGE_TEXTS:
         set_text_fields(elements, name, (getattr(image, name) for image in message.images), to)
@@ -66,7 +66,7 @@ def images_to_igtl(message: igtl_msgs.ImageMetaList, to: ToIgtlContext) -> Conve
 
 
 def labels_to_ros(content: LabelMetaList, to: ToRosContext) -> igtl_msgs.LabelMetaList:
-    """One ``LabelMeta`` for each element."""
+    """Convert to a list with one ``LabelMeta`` for each element."""
     labels = tuple(
         LabelMeta(name, device, label, tuple(rgba), tuple(size), owner)
         for name, device, owner, label, rgba, size in _rows(content, *_LABEL_TEXTS, "label", "rgba", "size")
@@ -75,7 +75,7 @@ def labels_to_ros(content: LabelMetaList, to: ToRosContext) -> igtl_msgs.LabelMe
 
 
 def labels_to_igtl(message: igtl_msgs.LabelMetaList, to: ToIgtlContext) -> ConvertedMessage:
-    """The inverse; texts that do not fit are cut, with a warning."""
+    """Convert to LBMETA; strings that are too long are cut, with a warning."""
     elements = np.zeros(len(message.labels), LABEL_META_DTYPE)
     for name in _LABEL_TEXTS:
         set_text_fields(elements, name, (getattr(label, name) for label in message.labels), to)
@@ -84,9 +84,9 @@ def labels_to_igtl(message: igtl_msgs.LabelMetaList, to: ToIgtlContext) -> Conve
 
 
 def videos_to_ros(content: VideoMetaList, to: ToRosContext) -> igtl_msgs.VideoMetaList:
-    """One ``VideoMeta`` for each element; lengths in the unit of the ROS side.
+    """Convert to a list with one ``VideoMeta`` for each element; lengths are in the unit of the ROS side.
 
-    A matrix that is not finite gives numbers that are none: the other videos are on offer all the same.
+    A matrix with NaN or infinity does not reject the list: its values become NaN or infinity.
     """
     to_ros = to.lengths.to_ros
     videos = []
@@ -108,7 +108,7 @@ def videos_to_ros(content: VideoMetaList, to: ToRosContext) -> igtl_msgs.VideoMe
 
 @ieee_754
 def videos_to_igtl(message: igtl_msgs.VideoMetaList, to: ToIgtlContext) -> ConvertedMessage:
-    """The inverse; texts that do not fit are cut, with a warning.
+    """Convert to VIDEOMETA; strings that are too long are cut, with a warning.
 
     Raises ConversionError for matrices that float32 cannot hold.
     """
@@ -128,12 +128,12 @@ def videos_to_igtl(message: igtl_msgs.VideoMetaList, to: ToIgtlContext) -> Conve
 
 
 def colors_to_ros(content: ColorTable, to: ToRosContext) -> igtl_msgs.ColorTable:
-    """The table as it came, big-endian."""
+    """Convert to ColorTable with the bytes of the table unchanged, big-endian."""
     return igtl_msgs.ColorTable(_header(to), content.index_type, content.map_type, True, content.table, to.metadata)
 
 
 def colors_to_igtl(message: igtl_msgs.ColorTable, _: ToIgtlContext) -> ConvertedMessage:
-    """Raises ConversionError for unknown types and for a table that is not of their size."""
+    """Convert to COLORT.  Raises ConversionError for unknown types and for a table of the wrong size."""
     content = ColorTable(message.index_type, message.map_type, message.table)
     try:
         content.check()
@@ -145,25 +145,25 @@ def colors_to_igtl(message: igtl_msgs.ColorTable, _: ToIgtlContext) -> Converted
 
 
 def capability_to_ros(content: Capability, to: ToRosContext) -> igtl_msgs.Capability:
-    """The names as they stand there, ``GET_CAPABIL`` and all."""
+    """Convert to Capability with the type names unchanged, for example ``GET_CAPABIL``."""
     check_rows(content.types, "CAPABILITY")
     return igtl_msgs.Capability(_header(to), tuple(map(visible, content.types)), to.metadata)
 
 
 def capability_to_igtl(message: igtl_msgs.Capability, _: ToIgtlContext) -> ConvertedMessage:
-    """Raises ConversionError for names above 12 bytes: cut, they would be those of other types."""
+    """Convert to CAPABILITY.  Raises ConversionError for names of more than 12 bytes, which cannot be cut."""
     types = tuple(_type_name(name, message.TYPE) for name in message.types)
     return _outgoing(Capability(types), message)
 
 
 def bind_to_ros(content: Bind, to: ToRosContext) -> igtl_msgs.Bind:
-    """The contents of the children as they came."""
+    """Convert to Bind with the contents of the children unchanged."""
     children = tuple(BoundMessage(visible(each.type), visible(each.name), each.content) for each in content.children)
     return igtl_msgs.Bind(_header(to), children, to.metadata)
 
 
 def bind_to_igtl(message: igtl_msgs.Bind, to: ToIgtlContext) -> ConvertedMessage:
-    """Raises ConversionError for types above 12 bytes; names above 20 bytes are cut, with a warning."""
+    """Convert to BIND.  Raises ConversionError for types of more than 12 bytes; longer names than 20 bytes are cut."""
     names = fit_texts((child.name for child in message.children), _CHILD_NAME_BYTES, "name in a BIND", to)
     children = [
         BindChild(_type_name(child.type, message.TYPE), name, child.content)
@@ -194,9 +194,9 @@ def _header(to: ToRosContext) -> Header:
 
 
 def _rows(content: Elements, *fields: str) -> Iterator[tuple[Any, ...]]:
-    """Some fields of each element: texts as people are meant to read them, numbers as Python's.
+    """Yield some fields of each element: strings as in ``texts``, numbers as Python numbers.
 
-    Raises ConversionError above MAX_ROWS.
+    Raises ConversionError for more than MAX_ROWS elements.
     """
     elements = content.elements
     check_rows(elements, content.NAME)
@@ -207,7 +207,7 @@ def _rows(content: Elements, *fields: str) -> Iterator[tuple[Any, ...]]:
 
 
 def _set(elements: Array, items: Sequence[Struct], *fields: str) -> None:
-    """Fill fields with numbers from the attributes of the same name."""
+    """Fill number fields from the attributes with the same names."""
     for name in fields:
         if items:
             elements[name] = [getattr(item, name) for item in items]

@@ -1,7 +1,7 @@
 """SENSOR and NDARRAY ⇄ igtl_msgs/Sensor, igtl_msgs/NdArray, std_msgs/*MultiArray and sensor_msgs/JointState.
 
-Numbers are never changed, only their byte order: big-endian in OpenIGTLink, little-endian in what we publish of
-std_msgs.  ``igtl_msgs/NdArray`` takes the bytes as they are and says which order they have.
+Only the byte order of the numbers changes: it is big-endian in OpenIGTLink, little-endian in published std_msgs.
+``igtl_msgs/NdArray`` contains the bytes unchanged and declares their order.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from igtl_gateway.errors import ConversionError, MalformedBody
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
 from igtl_gateway.wire.sensor import MAX_VALUES, Sensor, parse_unit, unit_text
 
-#: Sizes of NDARRAY have 16 bits.
+#: Maximum size of one dimension: NDARRAY has 16 bits for it.
 MAX_SIZE = 65_535
 
 _RADIANS = parse_unit("rad")
-#: A stream has one unit, and its text takes longer than the rest of the conversion.
+#: Cached, because a stream has one unit, and its text takes longer than the rest of the conversion.
 _text_of_unit = lru_cache(maxsize=256)(unit_text)
 
 
 def sensor_to_ros(content: Sensor, to: ToRosContext) -> igtl_msgs.Sensor:
-    """Values as they are, the unit as word and as text."""
+    """Convert to Sensor with the values unchanged, and the unit as 64-bit word and as text."""
     return igtl_msgs.Sensor(
         Header(to.stamp_ns, to.frame_id),
         content.status,
@@ -49,7 +49,7 @@ def sensor_to_ros(content: Sensor, to: ToRosContext) -> igtl_msgs.Sensor:
 
 
 def sensor_to_igtl(message: igtl_msgs.Sensor, _: ToIgtlContext) -> ConvertedMessage:
-    """``unit_text`` is read where ``unit`` is 0.  Raises ConversionError for texts that are no unit."""
+    """Convert to SENSOR; if ``unit`` is 0, ``unit_text`` is the unit.  Raises ConversionError for an invalid unit."""
     try:
         unit = message.unit or parse_unit(message.unit_text)
     except ValueError as error:
@@ -61,30 +61,32 @@ def sensor_to_igtl(message: igtl_msgs.Sensor, _: ToIgtlContext) -> ConvertedMess
 
 
 def sensor_to_values(content: Sensor, _: ToRosContext) -> MultiArray:
-    """The bare values in one dimension."""
+    """Convert to Float64MultiArray: the values only, in one dimension."""
     return MULTI_ARRAYS["f8"](_layout((len(content.values),)), content.values)
 
 
 def values_to_sensor(message: MultiArray, _: ToIgtlContext) -> ConvertedMessage:
-    """All values in a row, without unit."""
+    """Convert to SENSOR with all values in one dimension, without unit."""
     values, _size = _elements_in_layout(message)
     return ConvertedMessage(_sensor(values, message.TYPE))
 
 
 def joints_to_sensor(message: JointState, _: ToIgtlContext) -> ConvertedMessage:
-    """The positions, in radians: the protocol has one unit for all values."""
+    """Convert to SENSOR with the positions in radians: the protocol has one unit for all values."""
     content = _sensor(message.position, message.TYPE, _RADIANS)
     return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id)
 
 
 def _sensor(values: Array, ros_type: str, unit: int = 0, status: int = 0) -> Sensor:
     if len(values) > MAX_VALUES:
-        raise ConversionError(f"{ros_type}: found {len(values)} values, expected at most {MAX_VALUES}: SENSOR's limit")
+        raise ConversionError(
+            f"{ros_type}: found {len(values)} values, expected at most {MAX_VALUES}, the limit of SENSOR"
+        )
     return Sensor(np.asarray(values, ">f8"), unit, status)
 
 
 def array_to_ros(content: NdArray, to: ToRosContext) -> igtl_msgs.NdArray:
-    """The bytes as they came, big-endian."""
+    """Convert to NdArray with the bytes unchanged, big-endian."""
     return igtl_msgs.NdArray(
         Header(to.stamp_ns, to.frame_id),
         content.scalar_type,
@@ -96,10 +98,10 @@ def array_to_ros(content: NdArray, to: ToRosContext) -> igtl_msgs.NdArray:
 
 
 def array_to_igtl(message: igtl_msgs.NdArray, _: ToIgtlContext) -> ConvertedMessage:
-    """Raises ConversionError for unknown scalar types, and for a size that is not that of the data."""
+    """Convert to NDARRAY.  Raises ConversionError for unknown scalar types and for data of the wrong size."""
     content = _checked(NdArray(message.scalar_type, tuple(message.size.tolist()), message.data), message.TYPE)
     code = _CODES[content.scalar_type]
-    # a complex number is two numbers, each with its own byte order
+    # a complex number consists of two numbers, which are swapped separately
     width = np.dtype(code).itemsize // (2 if code.startswith("c") else 1)
     if not message.is_bigendian and width > 1:
         swapped = np.frombuffer(message.data, f"u{width}").byteswap()
@@ -118,19 +120,19 @@ def _checked(content: NdArray, ros_type: str) -> NdArray:
 
 
 def is_array_of(code: str) -> Callable[[NdArray], bool]:
-    """Whether an NDARRAY holds numbers of a numpy type, such as ``"f4"``."""
+    """Return a function that returns whether an NDARRAY holds numbers of a numpy type, such as ``"f4"``."""
     return lambda content: _CODES[content.scalar_type] == code
 
 
 def array_to_multi(content: NdArray, _: ToRosContext) -> MultiArray:
-    """As the std_msgs array of its type, with sizes and strides; there is none for complex numbers."""
+    """Convert to the std_msgs array of its type, with sizes and strides; std_msgs has none for complex numbers."""
     return MULTI_ARRAYS[_CODES[content.scalar_type]](_layout(content.size), content.flat)
 
 
 def multi_to_array(message: MultiArray, _: ToIgtlContext) -> ConvertedMessage:
-    """With the sizes of the layout; one dimension where there is no layout.
+    """Convert to NDARRAY with the sizes of the layout; without a layout it has one dimension.
 
-    Raises ConversionError for a layout that contradicts the data or is beyond the limits of NDARRAY.
+    Raises ConversionError for a layout that contradicts the data or exceeds the limits of NDARRAY.
     """
     values, size = _elements_in_layout(message)
     data = np.ascontiguousarray(values, values.dtype.newbyteorder(">")).view(np.uint8).data
@@ -149,14 +151,14 @@ def _layout(size: Sequence[int]) -> MultiArrayLayout:
 
 
 def _strides(size: Sequence[int]) -> list[int]:
-    """Of each dimension: how many elements it and those inside it have, without gaps."""
+    """Return the number of elements of each dimension, inner dimensions included, without gaps."""
     return [math.prod(size[axis:]) for axis in range(len(size))]
 
 
 def _elements_in_layout(message: MultiArray) -> tuple[Array, tuple[int, ...]]:
-    """The elements that the layout tells of, in a row, and their sizes.
+    """Return the elements that the layout selects, in one dimension, and their sizes.
 
-    Strides may leave gaps, as std_msgs has it; all 0 are taken as not filled in.
+    Strides can leave gaps, as std_msgs defines it.  If all strides are 0, they are unset.
     """
     layout = message.layout
     values = message.data[layout.data_offset :]

@@ -1,7 +1,7 @@
-"""POLYDATA ⇄ igtl_msgs/PolyData: all points, cells and attributes, as they are.
+"""POLYDATA ⇄ igtl_msgs/PolyData: all points, cells and attributes, unchanged.
 
-Of the attributes nothing is left out, the tail that the C++ library appends included: what it means is for
-readers who know that library, and the way back needs it.
+The attributes include the bytes that the C++ library appends: readers that know this library can interpret them, and
+the conversion back needs them.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ Array = npt.NDArray[Any]
 _SECTIONS = ("vertices", "lines", "polygons", "triangle_strips")
 _TRIANGLE = 3
 
-#: Point attributes that a PointCloud2 has fields for: their type is told by their name there.
+#: Types of point attributes that PointCloud2 can represent: the name of a field implies its type.
 _CLOUD_ATTRIBUTES = (SCALAR, NORMAL, RGBA)
 
 
 def exceeds_standard(content: PolyData) -> bool:
-    """Whether neither a point cloud nor a mesh of ROS can represent it.
+    """Return whether neither PointCloud2 nor Mesh can represent the content.
 
-    A cloud holds points, each its own vertex or not, and attributes of every point; a mesh holds triangles alone.
+    A cloud can hold points, with or without vertex cells, and attributes of all points; a mesh only triangles.
     """
     if surfaces.is_point_cloud(content):
         return not _is_all_points(content.vertices, len(content.points)) or any(
@@ -61,7 +61,7 @@ def exceeds_standard(content: PolyData) -> bool:
 
 
 def _is_all_points(vertices: Cells, count: int) -> bool:
-    """No cells, or every point once and in order: in one cell, or in one each."""
+    """Return whether there are no cells, or the cells list each point once in order: in one cell or one per point."""
     if not vertices.count or vertices.is_all(count):
         return True
     if vertices.count != count:
@@ -72,7 +72,7 @@ def _is_all_points(vertices: Cells, count: int) -> bool:
 
 @ieee_754
 def polydata_to_ros(content: PolyData, to: ToRosContext) -> igtl_msgs.PolyData:
-    """Points in metres, cells and attributes as numbers in a row."""
+    """Convert to PolyData: points in metres, cells and attributes as flat arrays."""
     vertices, lines, polygons, strips = (cells.data.astype("<u4") for cells in content.cells)
     return igtl_msgs.PolyData(
         Header(to.stamp_ns, to.frame_id),
@@ -93,10 +93,9 @@ def polydata_to_ros(content: PolyData, to: ToRosContext) -> igtl_msgs.PolyData:
 
 @ieee_754
 def polydata_to_igtl(message: igtl_msgs.PolyData, to: ToIgtlContext) -> ConvertedMessage:
-    """The inverse; names that do not fit are cut, with a warning.
+    """Convert to POLYDATA; names that are too long are cut, with a warning.
 
-    Raises ConversionError for cells that contradict themselves or name points that are not there, and for
-    coordinates that are not finite.
+    Raises ConversionError for inconsistent cells, for point indices out of range, and for NaN and infinite coordinates.
     """
     if len(message.attributes) > MAX_ATTRIBUTES:
         raise ConversionError(
@@ -105,7 +104,7 @@ def polydata_to_igtl(message: igtl_msgs.PolyData, to: ToIgtlContext) -> Converte
     points = into_igtl(to.lengths, message.points, np.empty(message.points.shape, F4))
     if not all_finite(points):
         raise ConversionError(
-            f"{message.TYPE}: found a coordinate that is not finite (as float32), expected finite numbers"
+            f"{message.TYPE}: found NaN or infinity as a coordinate (float32), expected finite numbers"
         )
     vertices, lines, polygons, strips = (_cells(name, message) for name in _SECTIONS)
     attributes = tuple(_attribute(attribute, message, to) for attribute in message.attributes)
@@ -114,7 +113,7 @@ def polydata_to_igtl(message: igtl_msgs.PolyData, to: ToIgtlContext) -> Converte
 
 
 def _cells(name: str, message: igtl_msgs.PolyData) -> Cells:
-    """A row of counts and indices, checked."""
+    """Return the cells of a flat array of counts and indices.  Raises ConversionError if it is inconsistent."""
     row = np.ascontiguousarray(getattr(message, name), U4)
     try:
         return Cells.unpack(f"{message.TYPE}, {name}", _count(row), row.view(np.uint8).data, len(message.points))
@@ -123,13 +122,13 @@ def _cells(name: str, message: igtl_msgs.PolyData) -> Cells:
 
 
 def _count(row: Array) -> int:
-    """How many cells a row has; where it ends inside one, that one is counted too."""
+    """Return the number of cells of a flat array, including a truncated last cell."""
     if not len(row):
         return 0
     step = int(row[0]) + 1
     if len(row) % step == 0 and bool((row[::step] == step - 1).all()):
         return len(row) // step
-    # a memoryview of native words: only the counts become Python numbers, not every index
+    # a memoryview of native words: only the counts become Python numbers, not the indices
     words, position, count = row.astype(np.uint32).data, 0, 0
     while position < len(words):
         position += words[position] + 1

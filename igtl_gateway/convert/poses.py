@@ -1,7 +1,7 @@
 """TRANSFORM and POSITION ⇄ geometry_msgs/TransformStamped; geometry_msgs/PoseStamped → both.
 
-All arithmetic is plain +, −, ×, ÷ and √ on Python floats: IEEE 754 fixes every bit of it, on every machine.
-(LAPACK does not: an SVD would make byte-exact verification depend on the library that numpy was built with.)
+All arithmetic is plain +, −, ×, ÷ and √ on Python floats: IEEE 754 defines every bit, on every machine.  There is no
+SVD, because the bits of LAPACK depend on the library that numpy was built with, and verification compares bytes.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from igtl_gateway.wire.transform import Position, Transform
 Quaternion = tuple[float, float, float, float]
 Rows = list[list[float]]
 
-#: float32 rounding leaves a rotation matrix orthonormal to about 1e-6; beyond this we project it first …
+#: Tolerance for an orthonormal rotation matrix (float32 rounding is about 1e-6); above it the matrix is projected.
 ROUNDING = 1e-5
-#: … and beyond this we say that scale or shear was lost.
+#: Above this tolerance a warning reports the loss of scale or shear.
 _NOTICEABLE = 1e-3
 _MAX_ITERATIONS = 100
-#: What rounds to infinity as float32.
+#: Numbers from this one on round to the infinity of float32.
 BEYOND_FLOAT32 = 2.0**128 - 2.0**103
 
 
 def transform_to_ros(content: Transform, to: ToRosContext) -> TransformStamped:
-    """Raises ConversionError for matrices that no rotation and translation can express."""
+    """Convert to TransformStamped.  Raises ConversionError for reflections, singular matrices, NaN and infinity."""
     return _stamped(pose_of_matrix(content.wire_matrix, to, f"TRANSFORM {to.device_name!r}"), to)
 
 
 def position_to_ros(content: Position, to: ToRosContext) -> TransformStamped:
-    """Raises ConversionError for a quaternion of no length or numbers that are not finite."""
+    """Convert to TransformStamped.  Raises ConversionError for a quaternion of zero length, NaN and infinity."""
     return _stamped(pose_of_position(content.position, content.quaternion, to, f"POSITION {to.device_name!r}"), to)
 
 
@@ -44,9 +44,9 @@ def _stamped(pose: Pose, to: ToRosContext) -> TransformStamped:
 
 
 def pose_of_matrix(wire_matrix: Sequence[float], to: ToRosContext, place: str) -> Pose:
-    """Pose in ROS units of the twelve numbers of TRANSFORM; ``place`` is for warnings and errors.
+    """Return the pose, in ROS units, of the twelve numbers of TRANSFORM; ``place`` is for warnings and errors.
 
-    Raises ConversionError for matrices that no rotation and translation can express.
+    Raises ConversionError for reflections, singular matrices, NaN and infinity.
     """
     m = wire_matrix
     if not all(map(math.isfinite, m)):
@@ -57,9 +57,9 @@ def pose_of_matrix(wire_matrix: Sequence[float], to: ToRosContext, place: str) -
 
 
 def pose_of_position(position: Sequence[float], quaternion: Sequence[float], to: ToRosContext, place: str) -> Pose:
-    """Pose in ROS units of the numbers of POSITION; ``place`` is for errors.
+    """Return the pose, in ROS units, of the numbers of POSITION; ``place`` is for errors.
 
-    Raises ConversionError for a quaternion of no length or numbers that are not finite.
+    Raises ConversionError for a quaternion of zero length, NaN and infinity.
     """
     if not all(map(math.isfinite, (*position, *quaternion))):
         raise NotFinite(f"{place}: found {(*position, *quaternion)}, expected finite numbers")
@@ -69,24 +69,24 @@ def pose_of_position(position: Sequence[float], quaternion: Sequence[float], to:
 
 
 def transform_to_igtl(message: TransformStamped, to: ToIgtlContext) -> ConvertedMessage:
-    """As TRANSFORM.  Raises ConversionError for a quaternion of no length."""
+    """Convert to TRANSFORM.  Raises ConversionError for a quaternion of zero length, NaN and infinity."""
     pose = (*message.translation, *message.rotation)
     return _outgoing(_matrix(pose, to, "TransformStamped"), message.header, message.child_frame_id)
 
 
 def position_to_igtl(message: TransformStamped, to: ToIgtlContext) -> ConvertedMessage:
-    """As POSITION with all seven numbers."""
+    """Convert to POSITION with position and quaternion.  Raises ConversionError as ``transform_to_igtl``."""
     pose = (*message.translation, *message.rotation)
     return _outgoing(_position(pose, to, "TransformStamped"), message.header, message.child_frame_id)
 
 
 def pose_to_transform(message: PoseStamped, to: ToIgtlContext) -> ConvertedMessage:
-    """As TRANSFORM.  Raises ConversionError for a quaternion of no length."""
+    """Convert to TRANSFORM.  Raises ConversionError as ``transform_to_igtl``."""
     return _outgoing(_matrix(message.pose, to, "PoseStamped"), message.header)
 
 
 def pose_to_position(message: PoseStamped, to: ToIgtlContext) -> ConvertedMessage:
-    """As POSITION with all seven numbers."""
+    """Convert to POSITION with position and quaternion.  Raises ConversionError as ``transform_to_igtl``."""
     return _outgoing(_position(message.pose, to, "PoseStamped"), message.header)
 
 
@@ -105,19 +105,19 @@ def _position(pose: Pose, to: ToIgtlContext, place: str) -> Position:
 
 
 def _finite(pose: Pose, to: ToIgtlContext, place: str) -> tuple[tuple[float, ...], Quaternion]:
-    """Translation in OpenIGTLink units and unit quaternion."""
+    """Return translation in OpenIGTLink units and unit quaternion.  Raises ConversionError."""
     x, y, z = pose[:3]
     to_igtl = to.lengths.to_igtl
     translation = to_igtl(x), to_igtl(y), to_igtl(z)
     if not all(map(math.isfinite, (*translation, *pose[3:]))):
         raise NotFinite(f"{place}: found {pose}, expected finite numbers")
     if max(map(abs, translation)) >= BEYOND_FLOAT32:
-        raise ConversionError(f"{place}: found {pose}, expected lengths that float32 holds")
+        raise ConversionError(f"{place}: found {pose}, expected lengths within float32")
     return translation, unit_quaternion(pose[3:], place)
 
 
 def unit_quaternion(quaternion: Sequence[float], place: str = "quaternion") -> Quaternion:
-    """The quaternion x, y, z, w at length 1.  Raises ConversionError where it has none, or one beyond all numbers."""
+    """Return the quaternion x, y, z, w with length 1.  Raises ConversionError if its length is 0, infinite or NaN."""
     x, y, z, w = quaternion
     length = math.sqrt(x * x + y * y + z * z + w * w)
     if not 0.0 < length < math.inf:
@@ -126,7 +126,7 @@ def unit_quaternion(quaternion: Sequence[float], place: str = "quaternion") -> Q
 
 
 def canonical_quaternion(q: Quaternion) -> Quaternion:
-    """Of q and −q, which are the same rotation, the one whose last component that is not 0 is positive."""
+    """Return q or −q, which are the same rotation: the one whose last component other than 0 is positive."""
     for value in reversed(q):
         if value:
             return q if value > 0 else (-q[0], -q[1], -q[2], -q[3])
@@ -134,7 +134,7 @@ def canonical_quaternion(q: Quaternion) -> Quaternion:
 
 
 def rotation_matrix(q: tuple[Number, Number, Number, Number]) -> list[list[Number]]:
-    """Rotation matrix of a unit quaternion x, y, z, w: four numbers, or four columns of many."""
+    """Return the rotation matrix of a unit quaternion x, y, z, w: four numbers, or four columns for many."""
     x, y, z, w = q
     return [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
@@ -144,9 +144,9 @@ def rotation_matrix(q: tuple[Number, Number, Number, Number]) -> list[list[Numbe
 
 
 def nearest_quaternion(r: Rows, to: ToRosContext, place: str) -> Quaternion:
-    """Unit quaternion (w ≥ 0) of a 3 × 3 matrix: of the nearest rotation where it is none.
+    """Return the unit quaternion (w ≥ 0) of a 3 × 3 matrix or, if it is not a rotation, of the nearest rotation.
 
-    Warns where scale or shear is lost.  Raises ConversionError for a reflection or a singular matrix.
+    Adds a warning if scale or shear is lost.  Raises ConversionError for a reflection or a singular matrix.
     """
     off = distance_from_rotation(r)
     if off > ROUNDING:
@@ -161,7 +161,7 @@ def nearest_quaternion(r: Rows, to: ToRosContext, place: str) -> Quaternion:
 
 
 def rotation_quaternion(r: Rows) -> Quaternion:
-    """Unit quaternion (w ≥ 0) of a rotation matrix."""
+    """Return the unit quaternion (w ≥ 0) of a rotation matrix."""
     (a, b, c), (d, e, f), (g, h, i) = r
     # Shepperd's method: divide by the largest component, never by one near 0
     trace = a + e + i
@@ -177,7 +177,7 @@ def rotation_quaternion(r: Rows) -> Quaternion:
 
 
 def distance_from_rotation(r: Rows) -> float:
-    """Largest deviation of RᵀR from the identity."""
+    """Return the largest deviation of RᵀR from the identity."""
     (a, b, c), (d, e, f), (g, h, i) = r
     return max(
         abs(a * a + d * d + g * g - 1.0),
@@ -195,8 +195,8 @@ def determinant(r: Rows) -> float:
 
 
 def _nearest_rotation(r: Rows, place: str) -> Rows:
-    """Polar decomposition by Newton's iteration R ← (R + R⁻ᵀ) / 2 (Higham 1986)."""
-    # first to size 1, so that millimetre scales do not cost iterations or overflow
+    """Return the nearest rotation: polar decomposition by Newton's iteration R ← (R + R⁻ᵀ) / 2 (Higham 1986)."""
+    # scaled to size 1, so that large scales neither cost iterations nor overflow
     size = max(abs(value) for row in r for value in row)
     if not size > 0.0:
         raise _not_orthonormal(place, 0.0)

@@ -1,6 +1,6 @@
 """GET_, STT_, STP_ and RTS_ of every type ⇄ igtl_msgs/Query.
 
-One ROS type for all: its fields are those that any of the queries has, the rest stay 0 or empty.
+One ROS type represents all of them.  It has the fields of all queries; those that a query does not have are 0 or empty.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _U32 = 1 << 32
 
 
 def query_to_ros(content: Body, to: ToRosContext) -> Query:
-    """Intervals in whole milliseconds, rounded up: nobody gets more than was asked for."""
+    """Convert to Query, with intervals rounded up to milliseconds: no peer receives more messages than requested."""
     parts = split_query(to.igtl_type)
     if parts is None:
         raise ConversionError(f"query: found type {visible(to.igtl_type)!r}, expected GET_, STT_, STP_ or RTS_")
@@ -45,7 +45,7 @@ def query_to_ros(content: Body, to: ToRosContext) -> Query:
     resolution, coordinate_name, codec, status = 0, "", "", 0
     match content:
         case StartTracking():
-            # signed in the code, unsigned in the document: the same 32 bits
+            # signed in the library, unsigned in the document: the same 32 bits
             resolution, coordinate_name = content.resolution % _U32, visible(content.coordinate_name)
         case StartVideo():
             resolution, codec = content.resolution, visible(content.codec)
@@ -68,9 +68,9 @@ def query_to_ros(content: Body, to: ToRosContext) -> Query:
 
 
 def query_to_igtl(message: Query, to: ToIgtlContext) -> ConvertedMessage:
-    """Raises ConversionError for kinds and types of which there is no query.
+    """Convert to a query.  Raises ConversionError for kinds and types without a query.
 
-    Fields that the query has no place for are left out, with a warning.
+    Fields that the query does not have are left out, with a warning.
     """
     prefix = _PREFIXES.get(message.kind)
     if prefix is None:
@@ -83,8 +83,8 @@ def query_to_igtl(message: Query, to: ToIgtlContext) -> ConvertedMessage:
     carried, make = _CONTENTS[codec]
     for field in _FIELDS:
         if field not in carried and getattr(message, field):
-            parts = f"{field} {getattr(message, field)!r} does not fit into {igtl_type} and is left out"
-            to.warnings.append(("field_left_out", parts))
+            text = f"{field} {getattr(message, field)!r} does not fit into {igtl_type} and is left out"
+            to.warnings.append(("field_left_out", text))
     return ConvertedMessage(
         make(message, to),
         message.header.stamp_ns,
@@ -116,14 +116,14 @@ def _start_video(message: Query, _: ToIgtlContext) -> Body:
 
 
 def _start_polydata(message: Query, _: ToIgtlContext) -> Body:
-    # the library knows this query without content only
+    # the library reads this query only without content
     return StartPolyData(message.resolution * NS_PER_MS or None)
 
 
-#: Fields of ``Query`` that only some queries have a place for.
+#: Fields of ``Query`` that only some queries have.
 _FIELDS = ("resolution", "coordinate_name", "codec", "status")
 
-#: Content of a query → the fields that it carries, and how it is made.
+#: Content of a query → its fields, and the function that builds it.
 _CONTENTS: dict[type[Body], tuple[set[str], Callable[[Query, ToIgtlContext], Body]]] = {
     EmptyQuery: (set(), lambda message, to: EmptyQuery()),
     GetBind: (set(), lambda message, to: GetBind()),

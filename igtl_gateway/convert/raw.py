@@ -1,6 +1,6 @@
-"""Whole OpenIGTLink messages ⇄ igtl_msgs/RawMessage: the way of every type that has no conversion.
+"""Whole OpenIGTLink messages ⇄ igtl_msgs/RawMessage, for all types without a conversion.
 
-Nothing is interpreted but the header, and nothing is changed: what comes out is what went in.
+Only the header is interpreted, and the bytes do not change.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from igtl_gateway.wire.fields import visible
 
 
 def raw_message(data: Buffer, stamp_ns: int, link: int) -> RawMessage:
-    """The message that came from ``link`` at ``stamp_ns`` (UTC ns).  Raises TruncatedMessage below a whole header."""
+    """Return a message from ``link`` at ``stamp_ns`` (UTC ns).  Raises TruncatedMessage for an incomplete header."""
     header = Header.unpack(data)
     return RawMessage(
         stamp_ns,
@@ -31,10 +31,10 @@ def raw_message(data: Buffer, stamp_ns: int, link: int) -> RawMessage:
 
 
 def message_of(raw: RawMessage) -> Buffer:
-    """The bytes to be sent, unchanged; what the other fields say of them is not looked at.
+    """Return the bytes to send, unchanged; the other fields are ignored.
 
-    Raises ConversionError where they are not exactly one message that we would accept ourselves: a wrong length or
-    CRC would cost the peer everything that follows.
+    Raises ConversionError unless the bytes are exactly one message that the gateway itself accepts: with a wrong length
+    the peer would lose all later messages.
     """
     try:
         decode(raw.data)

@@ -1,7 +1,7 @@
-"""The ROS 2 messages that we convert, as frozen values with ``pack`` (to CDR) and ``unpack`` (from CDR).
+"""The most frequent ROS 2 messages as frozen values with ``pack`` (to CDR) and ``unpack`` (from CDR).
 
-``unpack`` mirrors ``pack`` field by field, in the order of the message definitions of ROS 2 Jazzy.  Arrays
-stay numpy views on the received bytes.  No rclpy, no rosbags: what is written here is byte-stable.
+``pack`` and ``unpack`` process the fields in the order of the message definitions of ROS 2 Jazzy.  Arrays are numpy
+views on the received bytes.  The module uses neither rclpy nor rosbags, so equal messages always give equal bytes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _ENCAPSULATION_SIZE = 4
 
 
 class RosMessage(Protocol):
-    """What every class of this module offers."""
+    """The interface of all ROS message classes."""
 
     TYPE: ClassVar[str]
 
@@ -115,7 +115,7 @@ class PointStamped:
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """sensor_msgs/msg/Image: ``step`` bytes a row, ``data`` = step · height bytes."""
+    """sensor_msgs/msg/Image: ``step`` is the size of a row in bytes, ``data`` has step · height bytes."""
 
     TYPE: ClassVar[str] = "sensor_msgs/msg/Image"
     header: Header
@@ -194,13 +194,16 @@ class PointCloud2:
 
 @lru_cache(maxsize=256)
 def _field(name: bytes, offset: int, datatype: int, count: int) -> PointField:
-    """A field of a cloud: the same come with every message."""
+    """Return a field of a cloud; cached, because all clouds of a stream have the same fields."""
     return PointField(name.rstrip(b"\x00").decode("utf-8", "surrogateescape"), offset, datatype, count)
 
 
 @lru_cache(maxsize=64)
 def _described(fields: tuple[PointField, ...], is_bigendian: bool, point_step: int) -> tuple[struct.Struct, bytes]:
-    """The layout of all from height to row_step, and what a cloud says of its points as CDR, at a multiple of 4."""
+    """Return the layout from height to row_step, and the CDR bytes of fields, is_bigendian and point_step.
+
+    The bytes are for an offset that is a multiple of 4.
+    """
     out = CdrWriter()
     out.u32(len(fields))
     for item in fields:
@@ -238,7 +241,7 @@ class Mesh:
 class Marker:
     """visualization_msgs/msg/Marker: points (n, 3) float64 in metres, colors (0 or n, 4) float32 RGBA 0…1.
 
-    The texture and mesh fields that we never fill are read past, not kept.
+    ``unpack`` skips the texture and mesh fields, which the gateway does not use.
     """
 
     TYPE: ClassVar[str] = "visualization_msgs/msg/Marker"
@@ -270,7 +273,7 @@ class Marker:
         out.i32(self.action)
         out.f64s(*self.position, *self.orientation, *self.scale)
         out.pack(_RGBA, 4, *self.color)
-        out.pack(_STAMP, 4, 0, 0)  # lifetime: for ever
+        out.pack(_STAMP, 4, 0, 0)  # lifetime: unlimited
         out.bool(False)  # frame_locked
         out.sequence(np.asarray(self.points, np.float64), 8, len(self.points))
         out.sequence(np.asarray(self.colors, np.float32), 4, len(self.colors))
@@ -311,7 +314,7 @@ _RGBA = struct.Struct("<4f")
 
 @dataclass(frozen=True, slots=True)
 class DiagnosticStatus:
-    """diagnostic_msgs/msg/DiagnosticStatus: level 0 OK, 1 WARN, 2 ERROR, 3 STALE; values are key-value texts."""
+    """diagnostic_msgs/msg/DiagnosticStatus: level 0 OK, 1 WARN, 2 ERROR, 3 STALE; values are pairs of key and value."""
 
     TYPE: ClassVar[str] = "diagnostic_msgs/msg/DiagnosticStatus"
     level: int

@@ -1,7 +1,7 @@
 """ROS 2 messages as frozen dataclasses: the annotations of the fields give ``pack`` and ``unpack``.
 
-For the many messages that are not on the hot path; the few that are stand in ``rosmsg``.  Arrays of numbers stay numpy
-views on the received bytes, and octets stay views, of any size.
+This serves all messages that are not on the hot path; ``rosmsg`` has the others.  Number arrays are numpy views on the
+received bytes, and octets are views of any size.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from igtl_gateway.stamp import ns_to_ros, ros_to_ns
 
 @dataclass(frozen=True, slots=True)
 class CdrType:
-    """How values of one type are written and read.
+    """Writes and reads values of one type.
 
     Attributes:
-        name: as in a .msg file.
-        write: appends a value.
-        read: takes the next value.
+        name: type name as in a .msg file.
+        write: function that appends a value.
+        read: function that reads the next value.
     """
 
     name: str
@@ -67,7 +67,7 @@ TIME = CdrType(
 
 
 def fixed_array(name: str, count: int, *, as_name: str = "") -> CdrType:
-    """``count`` equal numbers in a row, as a tuple: an array of fixed length, or a struct of equal fields."""
+    """Return the type of ``count`` equal numbers as a tuple: an array of fixed length, or a struct of equal fields."""
     code = f"{count}{_CODES[name]}"
     layout = struct.Struct("<" + code)
     align = layout.size // count
@@ -89,7 +89,7 @@ POSE = fixed_array("float64", 7, as_name="geometry_msgs/Pose")
 
 
 def number_sequence(name: str, columns: int = 1, *, as_name: str = "") -> CdrType:
-    """A sequence of numbers, as an array (n,); of structs of ``columns`` equal numbers, as an array (n, columns)."""
+    """Return the type of a sequence of numbers as an array (n,), or of ``columns`` equal numbers as (n, columns)."""
     kind = np.dtype(_CODES[name])
     shape = (-1,) if columns == 1 else (-1, columns)
 
@@ -109,12 +109,12 @@ POINTS = number_sequence("float64", 3, as_name="geometry_msgs/Point[]")
 
 
 def struct_of(of: CdrType | type[Struct]) -> CdrType:
-    """One struct inside another."""
+    """Return the type of one struct inside another."""
     return of if isinstance(of, CdrType) else CdrType(of.TYPE, _write_struct, of.read)
 
 
 def sequence_of(of: CdrType | type[Struct]) -> CdrType:
-    """A sequence of structs or texts, as a tuple."""
+    """Return the type of a sequence of structs or strings as a tuple."""
     one = struct_of(of)
 
     def write(out: CdrWriter, values: Any) -> None:
@@ -128,13 +128,13 @@ def sequence_of(of: CdrType | type[Struct]) -> CdrType:
 class Struct:
     """Base of the value classes: each field is annotated with its CDR type, in the order of the message.
 
-    For example ``encoding: Annotated[int, UINT16]``; ``FIELDS`` has the types in this order.
+    For example ``encoding: Annotated[int, UINT16]``; ``FIELDS`` contains the types in this order.
     """
 
     __slots__ = ()
     TYPE: ClassVar[str]
     FIELDS: ClassVar[tuple[CdrType, ...]]
-    #: The names of the fields in their order, by ``dataclass``.
+    #: The names of the fields in their order, set by ``dataclass``.
     __match_args__: ClassVar[tuple[str, ...]]
 
     def __init_subclass__(cls) -> None:
@@ -142,17 +142,17 @@ class Struct:
         cls.FIELDS = tuple(kind for hint in hints for kind in getattr(hint, "__metadata__", ()))
 
     def write(self, out: CdrWriter) -> None:
-        """Append the fields."""
+        """Append all fields."""
         for name, kind in zip(self.__match_args__, self.FIELDS, strict=True):
             kind.write(out, getattr(self, name))
 
     @classmethod
     def read(cls, cdr: CdrReader) -> Self:
-        """Take the fields."""
+        """Read all fields."""
         return cls(*[kind.read(cdr) for kind in cls.FIELDS])
 
     def pack(self) -> bytes:
-        """CDR bytes.  Raises ConversionError for a number that its field cannot hold."""
+        """Return the CDR bytes.  Raises ConversionError for a number that its field cannot hold."""
         out = CdrWriter()
         try:
             self.write(out)
@@ -162,7 +162,7 @@ class Struct:
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        """From CDR bytes.  Raises ConversionError where they are none of this type."""
+        """Return the message of CDR bytes.  Raises ConversionError if they are not of this type."""
         return cls.read(CdrReader(cdr, cls.TYPE))
 
 

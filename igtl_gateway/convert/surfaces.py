@@ -19,18 +19,18 @@ from igtl_gateway.wire.polydata import CELL, NO_CELLS, SCALAR, Attribute, Cells,
 
 Array = npt.NDArray[Any]
 
-#: What has no colour is drawn like this.
+#: Default colour, RGBA.
 GREY = (0.8, 0.8, 0.8, 1.0)
 #: Drawn width of lines and points in ROS viewers, in metres.
 DRAWN_WIDTH = 0.001
 _MIN_LINE, _MIN_FACE = 2, 3
-#: Triangles, and pieces of lines, that a surface may be cut into: a strip of 4 bytes a point becomes 72 of a marker.
-#: The largest surfaces of the field have some hundred thousand; more separate triangles do not fit the longest message.
+#: Maximum number of triangles or line segments of one message: 4 bytes per point of a strip become 72 in a marker.
+#: The largest surfaces in use have some hundred thousand; more separate triangles do not fit the longest message.
 MAX_PIECES = 12_000_000
 
 
 def has_faces(content: PolyData) -> bool:
-    """Whether there is a surface: polygons or triangle strips."""
+    """Return whether the content has polygons or triangle strips."""
     return bool(content.polygons.count or content.triangle_strips.count)
 
 
@@ -39,24 +39,24 @@ def has_lines(content: PolyData) -> bool:
 
 
 def is_point_cloud(content: PolyData) -> bool:
-    """Whether there are only points, with or without vertex cells."""
+    """Return whether the content has only points, with or without vertex cells."""
     return not has_faces(content) and not has_lines(content)
 
 
 @ieee_754
 def polydata_to_mesh(content: PolyData, to: ToRosContext) -> Mesh:
-    """All points; polygons cut into fans and strips into triangles, in their order."""
+    """Convert to Mesh: all points, and the triangles of all polygons (as fans) and strips, in their order."""
     vertices = into_ros(to.lengths, content.points, np.empty(content.points.shape))
     return Mesh(_triangles(content).astype("<u4"), vertices)
 
 
 def polydata_to_marker(content: PolyData, to: ToRosContext) -> Marker:
-    """The surface as TRIANGLE_LIST."""
+    """Convert the surface to a TRIANGLE_LIST."""
     return _marker(content, Marker.TRIANGLE_LIST, _triangles(content).reshape(-1), 1.0, to)
 
 
 def polydata_to_lines(content: PolyData, to: ToRosContext) -> Marker:
-    """The lines as LINE_LIST: a polyline of n points becomes n − 1 segments."""
+    """Convert the lines to a LINE_LIST: a polyline of n points becomes n − 1 segments."""
     return _marker(content, Marker.LINE_LIST, _segments(content.lines).reshape(-1), DRAWN_WIDTH, to)
 
 
@@ -83,14 +83,14 @@ def _marker(content: PolyData, kind: int, indices: Array, scale: float, to: ToRo
 
 @ieee_754
 def mesh_to_igtl(message: Mesh, to: ToIgtlContext) -> ConvertedMessage:
-    """As POLYDATA with a polygon for each triangle.
+    """Convert to POLYDATA with one polygon for each triangle.
 
-    Raises ConversionError for an index beyond the vertices and for numbers that are not finite.
+    Raises ConversionError for a vertex index out of range, NaN and infinity.
     """
     highest = int(message.triangles.max()) if message.triangles.size else -1
     if highest >= len(message.vertices):
         raise ConversionError(
-            f"shape_msgs/Mesh: found vertex index {highest}, expected below {len(message.vertices)}, the vertices"
+            f"shape_msgs/Mesh: found vertex index {highest}, expected less than {len(message.vertices)}"
         )
     points = _finite(message.vertices, to, "shape_msgs/Mesh")
     return ConvertedMessage(PolyData(points, polygons=Cells.of(message.triangles)))
@@ -98,9 +98,9 @@ def mesh_to_igtl(message: Mesh, to: ToIgtlContext) -> ConvertedMessage:
 
 @ieee_754
 def marker_to_igtl(message: Marker, to: ToIgtlContext) -> ConvertedMessage:
-    """Lists of triangles, lines and points as POLYDATA, the marker's pose applied; a deletion as empty POLYDATA.
+    """Convert lists of triangles, lines and points to POLYDATA, moved by the marker's pose.
 
-    Raises ConversionError for the shapes that hold no points of their own and for numbers that are not finite.
+    A deletion becomes an empty POLYDATA.  Raises ConversionError for shapes without points, NaN and infinity.
     """
     if message.action in _DELETIONS:
         return ConvertedMessage(PolyData(np.empty((0, 3), ">f4")), message.header.stamp_ns, message.header.frame_id)
@@ -118,14 +118,15 @@ def marker_to_igtl(message: Marker, to: ToIgtlContext) -> ConvertedMessage:
         )
     indices = np.arange(count).reshape(-1, group)
     points = message.points
-    if message.type == Marker.TRIANGLE_LIST:  # of the lists it is the one that viewers scale as a whole
+    if message.type == Marker.TRIANGLE_LIST:  # viewers apply the scale to the points of this list only
         points = points * np.array(message.scale)
     points = _finite(_apply_marker_pose(points, message), to, "visualization_msgs/Marker")
     attributes: tuple[Attribute, ...] = ()
     if len(message.colors) == count:
         attributes = (Attribute.of(SCALAR, RGBA_NAME, message.colors),)
     elif len(message.colors):
-        to.warnings.append(("colours_left_out", f"{len(message.colors)} colours for {count} points"))
+        text = f"colours are left out: {len(message.colors)} for {count} points"
+        to.warnings.append(("colours_left_out", text))
     cells: dict[str, Any] = {"vertices": NO_CELLS, "lines": NO_CELLS, "polygons": NO_CELLS} | {
         section: Cells.of(indices)
     }
@@ -136,7 +137,7 @@ def marker_to_igtl(message: Marker, to: ToIgtlContext) -> ConvertedMessage:
 
 _DELETIONS = (2, 3)
 _CUBE_LIST = 6
-#: Marker type → section of POLYDATA, points per cell (0: all in one).
+#: Marker type → section of POLYDATA, points per cell (0: all points in one cell).
 _SHAPES = {
     Marker.LINE_STRIP: ("lines", 0),
     Marker.LINE_LIST: ("lines", 2),
@@ -148,16 +149,16 @@ _SHAPES = {
 
 
 def _finite(points: Array, to: ToIgtlContext, place: str) -> Array:
-    """As the wire has them.  A cell that refers to a missing point would be no cell, so none may be left out."""
+    """Return wire coordinates.  Raises ConversionError for NaN and infinity: cells refer to all points by index."""
     wire = into_igtl(to.lengths, points, np.empty(points.shape, ">f4"))
     if not all_finite(wire):
-        raise ConversionError(f"{place}: found a coordinate that is not finite (as float32), expected finite numbers")
+        raise ConversionError(f"{place}: found NaN or infinity as a coordinate (float32), expected finite numbers")
     return wire
 
 
 def _apply_marker_pose(points: Array, message: Marker) -> Array:
-    """(n, 3) points moved by the marker's pose.  Written out: a matrix product may differ between machines."""
-    if message.orientation in ((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0)):  # all zero: unset, as viewers take it
+    """Return (n, 3) points moved by the marker's pose, without a matrix product: its bits depend on the machine."""
+    if message.orientation in ((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0)):  # all zero: unset, as in viewers
         rotated = points
     else:
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
@@ -169,7 +170,7 @@ def _apply_marker_pose(points: Array, message: Marker) -> Array:
 
 
 def _triangles(content: PolyData) -> Array:
-    """(n, 3) indices of all polygons as fans, then all strips with alternating winding."""
+    """Return (n, 3) indices of all polygons as fans, then of all strips with alternating winding."""
     polygons = _pieces(content.polygons, _MIN_FACE, _fan)
     if not content.triangle_strips.count:
         return polygons
@@ -177,31 +178,31 @@ def _triangles(content: PolyData) -> Array:
 
 
 def _segments(lines: Cells) -> Array:
-    """(n, 2) indices of all polylines."""
+    """Return (n, 2) indices of all polylines."""
     return _pieces(lines, _MIN_LINE, _line_segments)
 
 
 def _fan(points: int) -> Array:
-    """(n, 3) places in a polygon: (0, 1, 2), (0, 2, 3), …"""
+    """Return (n, 3) positions in a polygon: (0, 1, 2), (0, 2, 3), …"""
     second = np.arange(1, points - 1)
     return np.stack([np.zeros_like(second), second, second + 1], axis=1)
 
 
 def _strip(points: int) -> Array:
-    """(n, 3) places in a strip: (0, 1, 2), (2, 1, 3), (2, 3, 4), …"""
+    """Return (n, 3) positions in a strip: (0, 1, 2), (2, 1, 3), (2, 3, 4), …"""
     first = np.arange(points - 2)
     odd = first % 2
     return np.stack([first + odd, first + 1 - odd, first + 2], axis=1)
 
 
 def _line_segments(points: int) -> Array:
-    """(n, 2) places in a polyline: (0, 1), (1, 2), …"""
+    """Return (n, 2) positions in a polyline: (0, 1), (1, 2), …"""
     first = np.arange(points - 1)
     return np.stack([first, first + 1], axis=1)
 
 
 def _count(cells: Cells, size: int) -> int:
-    """How many pieces ``_pieces`` makes."""
+    """Return the number of rows that ``_pieces`` returns."""
     if (table := cells.table) is not None:
         return cells.count * max(int(table.shape[1]) - size + 1, 0)
     lengths = cells.data[cells.starts()].astype(np.int64)
@@ -209,17 +210,17 @@ def _count(cells: Cells, size: int) -> int:
 
 
 def _pieces(cells: Cells, size: int, cut: Callable[[int], Array]) -> Array:
-    """(n, size) indices: every cell cut up by ``cut(points of the cell)``, in the order of the cells.
+    """Return (n, size) point indices: each cell split with the pattern ``cut(points of the cell)``, in their order.
 
-    Cells of equal length are cut together; those too short for one piece vanish.  Raises ConversionError for more than
-    MAX_PIECES.
+    Cells of equal length are split together; cells that are too short are left out.  Raises ConversionError for more
+    than MAX_PIECES pieces.
     """
     if not cells.count:
         return np.empty((0, size), np.int64)
-    # a cell of n points has no more than n pieces: most messages need no closer look
+    # a cell of n points has at most n pieces: most messages need no exact count
     if len(cells.data) > MAX_PIECES and (found := _count(cells, size)) > MAX_PIECES:
         raise ConversionError(f"POLYDATA: found cells of {found:,} pieces, expected at most {MAX_PIECES:,}")
-    if (table := cells.table) is not None:  # nothing to be cut, or all in one go
+    if (table := cells.table) is not None:  # cells of equal length
         width = table.shape[1]
         return table if width == size else table[:, cut(width)].reshape(-1, size)
     starts = cells.starts()

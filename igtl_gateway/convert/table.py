@@ -1,6 +1,6 @@
-"""The table of conversions: which OpenIGTLink type becomes which ROS type, and back.
+"""The table of conversions from OpenIGTLink types to ROS types and back.
 
-A row is all there is to a conversion; routing, documentation and tests read this table.
+A row defines everything about a conversion; routing, documentation and tests read this table.
 """
 
 from __future__ import annotations
@@ -53,47 +53,47 @@ from igtl_gateway.wire.trajectory import Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 from igtl_gateway.wire.video import Video
 
-#: A reader that lags two seconds at 1 kHz of tracking loses nothing.
+#: Tracking data: a subscriber that lags by 2 s at 1 kHz loses no message.
 _STATES = Qos(depth=2000)
-#: Texts are few and each counts.
+#: Strings are rare, and each one matters.
 _TEXTS = Qos(depth=100)
-#: Old pictures are worth nothing to a reader that lags, and cost megabytes each: a fifth of a second at 30 Hz.
+#: Images: 0.2 s at 30 Hz.  Old images have megabytes each and no value for a subscriber that lags.
 _PICTURES = Qos(depth=6)
-#: Clouds are smaller: a second at 30 Hz.
+#: Clouds are smaller: 1 s at 30 Hz.
 _CLOUDS = Qos(depth=30)
-#: Plans and surfaces are sent once and wanted by whoever comes later.
+#: Plans and surfaces are sent once, and late joiners need them.
 _SURFACES = Qos(depth=5, latched=True)
-#: As surfaces, but each may cost hundreds of megabytes.
+#: Volumes are latched like surfaces, but each can have hundreds of megabytes.
 _VOLUMES = Qos(depth=2, latched=True)
-#: The slices of a volume come all at once.
+#: All slices of a volume are published at once.
 _SLICES = Qos(depth=1000)
-#: Frames depend on those before them: a reader that lags by seconds loses none.
+#: Video frames depend on earlier ones: a subscriber that lags by seconds loses none.
 _FRAMES = Qos(depth=300)
 
 
 class Role(Enum):
-    """What a row's message is to the others that the same OpenIGTLink message becomes."""
+    """Role of a row among the rows that convert the same OpenIGTLink message."""
 
-    STANDARD = "standard"  #: a message of ROS itself
-    FULL = "full"  #: one of our own, published where the standard ones do not hold everything
-    ON_REQUEST = "on request"  #: published where the configuration names its kind
+    STANDARD = "standard"  #: a message of the common ROS packages
+    FULL = "full"  #: a message of igtl_msgs, for data that the standard messages cannot hold
+    ON_REQUEST = "on request"  #: published if the configuration names its kind
 
 
 @dataclass(frozen=True, slots=True)
 class ConversionToRos:
-    """OpenIGTLink → ROS.
+    """A conversion from OpenIGTLink to ROS.
 
     Attributes:
         igtl_types: type names on the wire.
-        content: class of the decoded content, or the several that it may be.
+        content: class of the decoded content, or a tuple of its possible classes.
         message: class of the ROS message.
         kind: last token of the topic.
-        convert: the conversion; a list is published in its order.
-        qos: of the publisher.
-        lossy: what does not arrive, "" if nothing.
-        applies: whether this row is for a given content; a message may go by several rows.
-        role: what the message is to the others of its type, see ``Role``.
-        topic: the topic where it is always the same, as with /tf; "" for the configured one.
+        convert: conversion function; the messages of a list are published in its order.
+        qos: quality of service of the publisher.
+        lossy: the information that the conversion loses; "" if none.
+        applies: returns whether this row applies to a content; several rows can apply to one message.
+        role: role among the rows of the same type.
+        topic: fixed topic, such as /tf; "" for the configured one.
     """
 
     igtl_types: tuple[str, ...]
@@ -110,15 +110,15 @@ class ConversionToRos:
 
 @dataclass(frozen=True, slots=True)
 class ConversionToIgtl:
-    """ROS → OpenIGTLink.
+    """A conversion from ROS to OpenIGTLink.
 
     Attributes:
         message: class of the ROS message.
-        igtl_type: type name on the wire, or one of those that the message itself chooses from; the first row of a
-            ROS type is its default.
-        convert: the conversion.
-        qos: of the subscription.
-        lossy: what does not arrive, "" if nothing.
+        igtl_type: type name on the wire, or one of several if the content determines it.  The first row of a ROS type
+            is its default.
+        convert: conversion function.
+        qos: quality of service of the subscription.
+        lossy: the information that the conversion loses; "" if none.
     """
 
     message: type[RosMessage]
@@ -131,16 +131,16 @@ class ConversionToIgtl:
 _POINT_LOSS = "names, groups and owners"
 _TEXT_LOSS = "bytes that are invalid text, bytes after a NUL"
 _LONG_TEXTS = "the end of strings that are longer than their field"
-#: The gateway refuses what would stop all other traffic, see ``columns.check_rows``.
+#: The gateway rejects lists whose conversion would delay all other messages, see ``columns.check_rows``.
 _LONG_LIST = f"lists of more than {columns.MAX_ROWS:,}"
-#: The library's nanoseconds, see ``stamp``: two fractions may be the same.
+#: The library's conversion of nanoseconds is not injective, see ``stamp``.
 _SCAN_LOSS = f"{_TEXT_LOSS}; up to 10 ns of scan times that were not written by the library; {_LONG_LIST}"
 _LABEL_LOSS = f"{_TEXT_LOSS}; {_LONG_LIST}"
 _VIDEO_LOSS = (
     f"{_TEXT_LOSS}; last bit of the focal length; matrices with NaN or infinity, signs of zeros in vectors "
     f"of zero length; {_LONG_LIST}"
 )
-#: Of every number of a rotation that goes through float32, as matrix or as quaternion.  Measured: 7e-8.
+#: Error of each number of a rotation in float32, as matrix or as quaternion; measured: 7e-8.
 _ROUNDED = "rotations rounded by up to 2e-7"
 _TO_FLOAT32 = f"double precision (float32; {_ROUNDED})"
 _HEADER_1 = "frame ids and metadata for peers with header version 1"
@@ -630,12 +630,12 @@ TO_IGTL: tuple[ConversionToIgtl, ...] = (
 
 
 def rows_to_ros(igtl_type: str) -> tuple[ConversionToRos, ...]:
-    """The rows of an OpenIGTLink type, in the order of the table; none for a type without conversion."""
+    """Return the rows of an OpenIGTLink type in the order of the table; none for a type without conversion."""
     return _TO_ROS.get(igtl_type, ())
 
 
 def row_to_igtl(ros_type: str, igtl_type: str = "") -> ConversionToIgtl | None:
-    """The row of a ROS type, for ``igtl_type`` or the default; None where there is none."""
+    """Return the row of a ROS type for ``igtl_type``, by default the first one; None if no row exists."""
     return _TO_IGTL.get((ros_type, igtl_type))
 
 

@@ -12,35 +12,38 @@ from igtl_gateway.wire.text import CODES, MAX_STRING_BYTES, Status, String
 
 OK, WARN, ERROR, STALE = range(4)
 
-#: Status codes that mean "not now" rather than "broken": busy, not ready, manual mode, disabled, shutting down.
+#: Status codes of a temporary state: busy, not ready, manual mode, disabled, shutting down.
 _WARNING_CODES = frozenset({6, 13, 14, 15, 19})
 _STATUS_OK = 1
-#: Level → code for diagnostics that carry no code of their own: OK, not ready, unknown error, time-out.
+#: Level → code for diagnostics without a code: OK, not ready, unknown error, timeout.
 _CODE_OF_LEVEL = {OK: 1, WARN: 13, ERROR: 2, STALE: 7}
 
-#: Names of the values that carry what DiagnosticStatus has no field for.
+#: Keys of the values without a field in DiagnosticStatus.
 _CODE, _SUBCODE, _ERROR_NAME = "code", "subcode", "error_name"
-_ERROR_NAME_BYTES = 19  # of 20: the reference reader drops a name that fills its field
+_ERROR_NAME_BYTES = 19  # one less than the field: the reference reader drops a name that fills it
 
 
 def string_to_ros(content: String, _: ToRosContext) -> RosString:
-    """The text in its named encoding, as UTF-8."""
+    """Convert to String: the text, decoded from its encoding, in UTF-8."""
     return RosString(content.text)
 
 
 def string_to_igtl(message: RosString, _: ToIgtlContext) -> ConvertedMessage:
-    """Raises ConversionError above 65,535 bytes: the length field has 16 bits."""
+    """Convert to STRING.  Raises ConversionError for more than 65,535 bytes: the length field has 16 bits."""
     content = String.of(message.data)
     if len(content.data) > MAX_STRING_BYTES:
         raise ConversionError(
             f"std_msgs/String: found {len(content.data)} bytes of UTF-8, expected at most {MAX_STRING_BYTES}: "
-            "OpenIGTLink's STRING has a 16-bit length"
+            "STRING has a 16-bit length"
         )
     return ConvertedMessage(content)
 
 
 def status_to_ros(content: Status, to: ToRosContext) -> DiagnosticStatus:
-    """Code 1 is OK, "not now" codes are WARN, the rest ERROR; code, sub-code and error name become values."""
+    """Convert to DiagnosticStatus: code 1 is OK, codes of a temporary state are WARN, all others ERROR.
+
+    Code, sub-code and error name become values.
+    """
     level = OK if content.code == _STATUS_OK else WARN if content.code in _WARNING_CODES else ERROR
     message = visible(content.message) or (CODES[content.code] if content.code < len(CODES) else "")
     values = (
@@ -52,7 +55,7 @@ def status_to_ros(content: Status, to: ToRosContext) -> DiagnosticStatus:
 
 
 def status_to_igtl(message: DiagnosticStatus, to: ToIgtlContext) -> ConvertedMessage:
-    """The inverse; without a ``code`` value the level tells the code."""
+    """Convert to STATUS; without a value ``code`` the level determines the code."""
     values = dict(message.values)
     try:
         code = int(values.get(_CODE, _CODE_OF_LEVEL.get(message.level, 2)))
@@ -60,6 +63,6 @@ def status_to_igtl(message: DiagnosticStatus, to: ToIgtlContext) -> ConvertedMes
     except ValueError:
         raise ConversionError(f"DiagnosticStatus: found values {values}, expected integers") from None
     if not 0 <= code < 1 << 16 or not -(1 << 63) <= subcode < 1 << 63:
-        raise ConversionError(f"DiagnosticStatus: found code {code}, subcode {subcode}, expected u16 and i64")
+        raise ConversionError(f"DiagnosticStatus: found code {code}, subcode {subcode}, expected uint16 and int64")
     (error_name,) = fit_texts((values.get(_ERROR_NAME, ""),), _ERROR_NAME_BYTES, "error_name", to)
     return ConvertedMessage(Status(code, subcode, error_name, message.message))

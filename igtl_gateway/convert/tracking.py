@@ -1,9 +1,9 @@
 """TDATA and QTDATA ⇄ igtl_msgs/TrackingData, → geometry_msgs/PoseArray; poses of all types → tf2_msgs/TFMessage.
 
-A tool that no pose can express (trackers send zeros for one that is out of sight) costs itself, with a warning,
-not the others: it is left out where tools have names, and not a number where they are counted.  Tools are few, so
-they are read one by one, with the arithmetic of ``poses``; on the way out the same formulas work on columns, to the
-same bits.
+A tool without a valid pose (trackers send zeros for a tool that is out of sight) does not affect the other tools, and
+causes a warning.  It is left out of messages with tool names, and NaN in messages where the index identifies a tool.
+From OpenIGTLink the tools are converted one by one, with the arithmetic of ``poses``; to OpenIGTLink the same formulas
+are applied to columns, with equal bits.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from igtl_gateway.wire.transform import Position, Transform
 Array = npt.NDArray[Any]
 Tracking = wire.TrackingData | wire.QuaternionTrackingData
 
-#: A tool costs up to 0.2 ms, a matrix that is no rotation most of all.  Trackers see hundreds at most.
+#: Maximum number of tools: one takes up to 0.2 ms (a matrix that is not a rotation).  Trackers have hundreds at most.
 MAX_TOOLS = 4_096
 
 _POSE_COLUMNS = 7
@@ -44,7 +44,7 @@ _NO_POSE = (float("nan"),) * _POSE_COLUMNS
 
 
 def tracking_to_ros(content: Tracking, to: ToRosContext) -> TrackingData:
-    """All tools but those whose matrix or quaternion is no pose."""
+    """Convert to TrackingData with all tools that have a valid pose."""
     types = content.elements["type"].tolist()
     tools = (
         TrackedTool(name, kind, pose)
@@ -55,15 +55,15 @@ def tracking_to_ros(content: Tracking, to: ToRosContext) -> TrackingData:
 
 
 def tracking_to_poses(content: Tracking, to: ToRosContext) -> PoseArray:
-    """The poses in the order of the tools; NaN for a tool that is no pose."""
+    """Convert to PoseArray in the order of the tools; NaN for a tool without a valid pose."""
     poses = np.array([pose or _NO_POSE for _, pose in _tools(content, to)], float).reshape(-1, _POSE_COLUMNS)
     return PoseArray(Header(to.stamp_ns, to.frame_id), poses)
 
 
 def tracking_to_tf(content: Tracking, to: ToRosContext) -> TFMessage:
-    """Each tool as a frame: a name ``AToB`` is A in B, any other one is a child of the stream's frame.
+    """Convert each tool to a frame: ``AToB`` is child A of B, any other name is a child of the stream's frame.
 
-    A tool without name gets that of the device with its index.  Tools that are no pose are left out.
+    A tool without name gets the name of the device and its index.  Tools without a valid pose are left out.
     """
     frames = []
     for index, (name, pose) in enumerate(_tools(content, to)):
@@ -78,12 +78,12 @@ def tracking_to_tf(content: Tracking, to: ToRosContext) -> TFMessage:
 
 
 def transform_to_tf(content: Transform, to: ToRosContext) -> TFMessage:
-    """Raises ConversionError as ``transform_to_ros``."""
+    """Convert to TFMessage.  Raises ConversionError as ``transform_to_ros``."""
     return _one_tf(to.made.get(TransformStamped.TYPE) or transform_to_ros(content, to), to)
 
 
 def position_to_tf(content: Position, to: ToRosContext) -> TFMessage:
-    """Raises ConversionError as ``position_to_ros``."""
+    """Convert to TFMessage.  Raises ConversionError as ``position_to_ros``."""
     return _one_tf(to.made.get(TransformStamped.TYPE) or position_to_ros(content, to), to)
 
 
@@ -92,20 +92,20 @@ def _one_tf(message: TransformStamped, to: ToRosContext) -> TFMessage:
 
 
 def _tf(frames: Iterable[tuple[str, str, Pose]], to: ToRosContext) -> TFMessage:
-    """Of (parent, child, pose); tf2 refuses a frame that is its own parent, so it is left out with a warning."""
+    """Return the message of (parent, child, pose) rows, without frames that are their own parents: tf2 rejects them."""
     transforms = []
     for parent, child, pose in frames:
         if parent == child:
-            to.warnings.append(("own_parent", f"frame {child!r} would be its own parent and is left out of /tf"))
+            to.warnings.append(("own_parent", f"frame {child!r} is left out of /tf: it would be its own parent"))
         else:
             transforms.append(FrameTransform(Header(to.stamp_ns, parent), child, pose))
     return TFMessage(tuple(transforms))
 
 
 def _tools(content: Tracking, to: ToRosContext) -> list[tuple[str, Pose | None]]:
-    """Name and pose of each tool; None and a warning for what is no pose.
+    """Return name and pose of each tool; None, with a warning, for an invalid pose.
 
-    Raises ConversionError above MAX_TOOLS.
+    Raises ConversionError for more than MAX_TOOLS tools.
     """
     elements = content.elements
     check_rows(elements, f"{content.NAME} {to.device_name!r}", MAX_TOOLS)
@@ -114,7 +114,7 @@ def _tools(content: Tracking, to: ToRosContext) -> list[tuple[str, Pose | None]]
     readers: Iterable[Callable[[], Pose]]
     if isinstance(content, wire.QuaternionTrackingData):
         rows = zip(elements["position"].tolist(), elements["quaternion"].tolist(), places, strict=True)
-        readers = (partial(pose_of_position, position, turn, to, place) for position, turn, place in rows)
+        readers = (partial(pose_of_position, position, rotation, to, place) for position, rotation, place in rows)
     else:
         matrices = zip(elements["matrix"].tolist(), places, strict=True)
         readers = (partial(pose_of_matrix, matrix, to, place) for matrix, place in matrices)
@@ -123,18 +123,18 @@ def _tools(content: Tracking, to: ToRosContext) -> list[tuple[str, Pose | None]]
         try:
             poses.append(read())
         except ConversionError as error:
-            to.warnings.append(("not_a_pose", f"a tool has no pose: {error}"))
+            to.warnings.append(("not_a_pose", f"tool without a valid pose: {error}"))
             poses.append(None)
     return list(zip(names, poses, strict=True))
 
 
 def tracking_to_tdata(message: TrackingData, to: ToIgtlContext) -> ConvertedMessage:
-    """As TDATA.  Raises ConversionError for numbers that are not finite and for quaternions of no length."""
+    """Convert to TDATA.  Raises ConversionError for NaN, infinity, and quaternions of zero length."""
     return _sent(message, wire.TrackingData(_matrices(_tool_poses(message), to, TrackingData.TYPE)), to)
 
 
 def tracking_to_qtdata(message: TrackingData, to: ToIgtlContext) -> ConvertedMessage:
-    """As QTDATA.  Raises ConversionError as ``tracking_to_tdata``."""
+    """Convert to QTDATA.  Raises ConversionError as ``tracking_to_tdata``."""
     positions, rotations = _finite(_tool_poses(message), to, TrackingData.TYPE)
     elements = np.zeros(len(positions), wire.QTRACKING_DTYPE)
     elements["position"] = positions
@@ -143,7 +143,7 @@ def tracking_to_qtdata(message: TrackingData, to: ToIgtlContext) -> ConvertedMes
 
 
 def poses_to_tdata(message: PoseArray, to: ToIgtlContext) -> ConvertedMessage:
-    """As TDATA of tools ``Tool1``, ``Tool2``, …  Raises ConversionError as ``tracking_to_tdata``."""
+    """Convert to TDATA of tools ``Tool1``, ``Tool2``, …  Raises ConversionError as ``tracking_to_tdata``."""
     elements = _matrices(message.poses, to, PoseArray.TYPE)
     elements["type"] = wire.TOOL_6D
     set_text_fields(elements, "name", (f"Tool{number}" for number in range(1, len(elements) + 1)), to)
@@ -151,7 +151,7 @@ def poses_to_tdata(message: PoseArray, to: ToIgtlContext) -> ConvertedMessage:
 
 
 def _sent(message: TrackingData, content: Tracking, to: ToIgtlContext) -> ConvertedMessage:
-    """With the names and types of the tools filled in."""
+    """Return the message with the names and types of the tools."""
     set_text_fields(content.elements, "name", (tool.name for tool in message.tools), to)
     content.elements["type"] = [tool.type for tool in message.tools]
     return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id, metadata=message.metadata)
@@ -163,7 +163,7 @@ def _tool_poses(message: TrackingData) -> Array:
 
 @ieee_754
 def _matrices(poses: Array, to: ToIgtlContext, place: str) -> Array:
-    """Elements of TDATA with the matrices of (n, 7) poses."""
+    """Return elements of TDATA with the matrices of (n, 7) poses."""
     positions, rotations = _finite(poses, to, place)
     x, y, z, w = rotations.T
     elements = np.zeros(len(poses), wire.TRACKING_DTYPE)
@@ -177,7 +177,7 @@ def _matrices(poses: Array, to: ToIgtlContext, place: str) -> Array:
 
 @ieee_754
 def _finite(poses: Array, to: ToIgtlContext, place: str) -> tuple[Array, Array]:
-    """Positions (n, 3) float32 in OpenIGTLink units and unit quaternions (n, 4) of (n, 7) poses."""
+    """Return positions (n, 3), float32 in OpenIGTLink units, and unit quaternions (n, 4) of (n, 7) poses."""
     positions = to.lengths.to_igtl(poses[:, :3]).astype(">f4")
     x, y, z, w = poses[:, 3:].T
     lengths = np.sqrt(x * x + y * y + z * z + w * w)

@@ -1,7 +1,6 @@
-"""What a plan is made of: TRAJ ⇄ igtl_msgs/TrajectoryList, → visualization_msgs/Marker; POINT ⇄ igtl_msgs/PointList.
+"""Plans: TRAJ ⇄ igtl_msgs/TrajectoryList, → visualization_msgs/Marker; POINT ⇄ igtl_msgs/PointList.
 
-Both lists have everything that the wire has.  float32 millimetres become float64 metres and come back to the
-same bits.
+Both lists have all fields of the wire.  The conversion of float32 millimetres to float64 metres and back is exact.
 """
 
 from __future__ import annotations
@@ -23,19 +22,19 @@ from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, TRAJECTORY_DTYPE, Tra
 
 Array = npt.NDArray[Any]
 
-#: What a marker asks of a viewer.
+#: Actions of a marker.
 _ADD, _DELETE = 0, 2
 
-#: Points with names come by the thousands where surfaces are digitised; 65,535 of them take a second.
+#: Maximum number of points of a list: digitised surfaces have thousands; 65,535 take a second.
 MAX_POINTS = 65_535
 
 _LABELS = ("name", "group", "owner")
-#: Where the labels of a point begin: none of them is set where the bytes there are all 0.
+#: Offsets of the labels of a point; if the bytes at these offsets are 0, all labels are empty.
 _FIRST_BYTES = tuple(POINT_DTYPE.fields[name][1] for name in _LABELS) if POINT_DTYPE.fields else ()
 
 
 def trajectories_to_ros(content: Trajectories, to: ToRosContext) -> TrajectoryList:
-    """One ``Trajectory`` for each element.  Raises ConversionError above MAX_ROWS."""
+    """Convert to a list with one ``Trajectory`` for each element.  Raises ConversionError for more than MAX_ROWS."""
     elements = content.elements
     check_rows(elements, content.NAME)
     columns = zip(
@@ -53,7 +52,7 @@ def trajectories_to_ros(content: Trajectories, to: ToRosContext) -> TrajectoryLi
 
 
 def trajectories_to_igtl(message: TrajectoryList, to: ToIgtlContext) -> ConvertedMessage:
-    """The inverse.  Raises ConversionError for numbers that float32 cannot hold."""
+    """Convert to TRAJ.  Raises ConversionError for numbers that float32 cannot hold."""
     rows = message.trajectories
     elements = np.zeros(len(rows), TRAJECTORY_DTYPE)
     elements["type"] = [row.type for row in rows]
@@ -66,13 +65,13 @@ def trajectories_to_igtl(message: TrajectoryList, to: ToIgtlContext) -> Converte
 
 @ieee_754
 def trajectories_to_lines(content: Trajectories, to: ToRosContext) -> Marker:
-    """A line from entry to target for each trajectory that has both; without any, what was drawn is deleted."""
+    """Convert each trajectory with entry and target to a line; without lines the marker deletes the previous ones."""
     elements = content.elements
     points = np.stack([_to_ros(elements["entry"], to), _to_ros(elements["target"], to)], axis=1)
     drawn = (elements["type"] == ENTRY_AND_TARGET) & np.isfinite(points).all(axis=(1, 2))
     rgba = elements["rgba"][drawn]
     colors = (rgba / 255.0).astype("<f4")
-    colors[~rgba.any(axis=1)] = GREY  # all zero is what C++ senders leave unset, not a line to be invisible
+    colors[~rgba.any(axis=1)] = GREY  # C++ senders leave an unset colour all zero; it does not mean an invisible line
     return Marker(
         _header(to),
         to.device_name,
@@ -87,9 +86,9 @@ def trajectories_to_lines(content: Trajectories, to: ToRosContext) -> Marker:
 
 
 def is_labeled(content: Points) -> bool:
-    """Whether any point has a name, a group or an owner; or there is no point at all, which clears earlier ones.
+    """Return whether any point has a name, a group or an owner, or the list is empty, which clears earlier points.
 
-    Looks at three bytes of each point: a cloud of 10,000 nameless ones costs less than 0.1 ms.
+    Only three bytes of each point are read: a cloud of 10,000 unnamed points takes less than 0.1 ms.
     """
     elements = content.elements
     if not len(elements):
@@ -99,7 +98,7 @@ def is_labeled(content: Points) -> bool:
 
 
 def points_to_point_list(content: Points, to: ToRosContext) -> PointList:
-    """One ``LabeledPoint`` for each element.  Raises ConversionError above MAX_POINTS."""
+    """Convert to a list with one ``LabeledPoint`` per element.  Raises ConversionError for more than MAX_POINTS."""
     elements = content.elements
     check_rows(elements, content.NAME, MAX_POINTS)
     columns = zip(
@@ -115,7 +114,7 @@ def points_to_point_list(content: Points, to: ToRosContext) -> PointList:
 
 
 def point_list_to_igtl(message: PointList, to: ToIgtlContext) -> ConvertedMessage:
-    """The inverse.  Raises ConversionError for numbers that float32 cannot hold."""
+    """Convert to POINT.  Raises ConversionError for numbers that float32 cannot hold."""
     rows = message.points
     elements = np.zeros(len(rows), POINT_DTYPE)
     _set_labels(elements, rows, to)
@@ -145,7 +144,7 @@ def _set_labels(elements: Array, rows: tuple[Trajectory, ...] | tuple[LabeledPoi
 
 @ieee_754
 def _set_lengths(elements: Array, field: str, values: list[Any], to: ToIgtlContext, place: str) -> None:
-    """As float32 of OpenIGTLink's unit."""
+    """Fill a field with lengths as float32 in OpenIGTLink units.  Raises ConversionError for NaN and infinity."""
     column = elements[field]
     column[...] = to.lengths.to_igtl(np.array(values, np.float64).reshape(column.shape))
     finite = np.isfinite(column)

@@ -1,7 +1,7 @@
-"""The one place where lengths change their unit: metres in ROS, millimetres in OpenIGTLink, unless configured.
+"""Conversion of length units: by default metres in ROS and millimetres in OpenIGTLink.
 
-A factor is kept as a ratio of whole numbers, so that mm → m divides by 1000 instead of multiplying with an
-inexact 0.001: every converted number is the correctly rounded one.
+A factor is a ratio of integers, so mm → m divides by 1000 instead of multiplying by an inexact 0.001: every converted
+number is correctly rounded.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ UNITS = {"m": 1_000_000, "dm": 100_000, "cm": 10_000, "mm": 1_000, "um": 1}
 
 Number = TypeVar("Number", float, npt.NDArray[Any])
 
-#: Decorator for arithmetic on arrays: too large is infinity, as IEEE 754 has it for plain floats, and not a
-#: warning of numpy's on the user's console.
+#: Decorator for arithmetic on arrays: an overflow gives infinity, as IEEE 754 defines it, without a warning of numpy on
+#: the user's console.
 ieee_754 = np.errstate(over="ignore", invalid="ignore")
 
 
@@ -47,19 +47,19 @@ class LengthUnits:
         return times, by
 
     def to_igtl(self, lengths: Number) -> Number:
-        """Lengths of the ROS side (float or float64 array) in OpenIGTLink units."""
+        """Return lengths of the ROS side (float or float64 array) in OpenIGTLink units."""
         times, by = self.ratio_to_igtl
         return _scaled(lengths, times, by)
 
     def to_ros(self, lengths: Number) -> Number:
-        """Lengths of the OpenIGTLink side (float or array) in ROS units, as float64."""
+        """Return lengths of the OpenIGTLink side (float or array) in ROS units, as float64."""
         times, by = self.ratio_to_ros
         return _scaled(lengths, times, by)
 
 
 def _scaled(lengths: Number, times: int, by: int) -> Number:
     if isinstance(lengths, np.ndarray):
-        # float64 throughout: a float32 product would be rounded twice on its way
+        # in float64: a float32 product would be rounded twice
         values = lengths.astype(np.float64)
         if times != 1:
             values *= times

@@ -1,8 +1,8 @@
 """VIDEO ⇄ igtl_msgs/VideoFrame, sensor_msgs/CompressedImage and foxglove_msgs/CompressedVideo.
 
-Encoded frames pass through as they are; nothing is encoded or decoded here.  What a frame of ROS does not say
-(key frame or not, size) is read from its bit stream.  The size stands before key frames only; the gateway remembers
-it for the frames between them.
+Encoded frames pass through unchanged; this module neither encodes nor decodes.  A ROS message declares neither the size
+of a frame nor whether it is a key frame: both are read from the bit stream.  Only key frames contain the size; the
+gateway stores it for the frames between them.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, RAS
 from igtl_gateway.wire.video import KEY_FRAME, Video
 
-#: What the reference library says of a frame that needs others (P of OpenH264; 2 would be "skipped").
+#: Frame type of the reference library for frames that depend on others (P of OpenH264; 2 is "skipped").
 DELTA_FRAME = 3
 
-#: Codec of the wire → format; the first codec of a format is what we send.
+#: Codec of the wire → format; the gateway sends the first codec of a format.
 FORMATS = {"H264": "h264", "VP90": "vp9", "X265": "h265", "O265": "h265", "AV10": "av1"}
 _CODECS = {name: codec for codec, name in reversed(FORMATS.items())}
 _ALIASES = {"avc": "h264", "hevc": "h265"} | {name: name for name in _CODECS}
@@ -34,12 +34,12 @@ _CODEC_BYTES = 4
 
 
 def is_compressed(content: Video) -> bool:
-    """Whether ROS has a name for the format; it has none for raw images (I420)."""
+    """Return whether ROS has a name for the format; it has none for raw images (I420)."""
     return content.codec in FORMATS
 
 
 def video_to_ros(content: Video, to: ToRosContext) -> VideoFrame:
-    """A matrix that is not finite gives numbers that are none: later frames depend on this one all the same."""
+    """Convert to VideoFrame.  A matrix with NaN or infinity is not rejected: later frames depend on this one."""
     placement = Placement.of_wire(content.wire_matrix, content.coordinate, to.lengths)
     return VideoFrame(
         Header(to.stamp_ns, to.frame_id),
@@ -59,7 +59,7 @@ def video_to_ros(content: Video, to: ToRosContext) -> VideoFrame:
 
 
 def video_to_igtl(message: VideoFrame, to: ToIgtlContext) -> ConvertedMessage:
-    """The inverse; a coordinate system that is not filled in (0) is RAS.
+    """Convert to VIDEO; an unset coordinate system (0) is RAS.
 
     Raises ConversionError for a codec of more than four letters, and for numbers that float32 cannot hold.
     """
@@ -83,28 +83,28 @@ def video_to_igtl(message: VideoFrame, to: ToIgtlContext) -> ConvertedMessage:
 
 
 def video_to_compressed_image(content: Video, to: ToRosContext) -> CompressedImage:
-    """The bit stream with its format; for codecs that ``is_compressed`` knows."""
+    """Convert to CompressedImage, if ``is_compressed``: the bit stream and its format."""
     return CompressedImage(Header(to.stamp_ns, to.frame_id), FORMATS[content.codec], content.data)
 
 
 def video_to_compressed_video(content: Video, to: ToRosContext) -> CompressedVideo:
-    """The bit stream with its format; for codecs that ``is_compressed`` knows."""
+    """Convert to CompressedVideo, if ``is_compressed``: the bit stream and its format."""
     return CompressedVideo(to.stamp_ns, to.frame_id, content.data, FORMATS[content.codec])
 
 
 def compressed_image_to_igtl(message: CompressedImage, _: ToIgtlContext) -> ConvertedMessage:
-    """Raises ConversionError for formats that are no video, and for empty frames."""
+    """Convert to VIDEO.  Raises ConversionError for formats other than video, and for empty frames."""
     content = _video(message.format, message.data, message.TYPE)
     return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id)
 
 
 def compressed_video_to_igtl(message: CompressedVideo, _: ToIgtlContext) -> ConvertedMessage:
-    """Raises ConversionError for formats that are no video, and for empty frames."""
+    """Convert to VIDEO.  Raises ConversionError for formats other than video, and for empty frames."""
     return ConvertedMessage(_video(message.format, message.data, message.TYPE), message.timestamp_ns, message.frame_id)
 
 
 def _video(named: str, data: Buffer, ros_type: str) -> Video:
-    """An encoded frame; of size 0 × 0 where it does not tell."""
+    """Return an encoded frame; its size is 0 × 0 if it does not contain the size."""
     format_name = _format(named, ros_type)
     if not memoryview(data).nbytes:
         raise ConversionError(f"{ros_type}: found a frame without data, expected one encoded frame")
@@ -114,7 +114,7 @@ def _video(named: str, data: Buffer, ros_type: str) -> Video:
 
 
 def _format(named: str, ros_type: str) -> str:
-    """The format that a message names: ``"h264"``, ``"HEVC"``, ``"rgb8; h264 compressed bgr8"``, ``"h264_nvenc"`` …"""
+    """Return the format in a string such as ``"HEVC"``, ``"rgb8; h264 compressed bgr8"``, ``"h264_nvenc"``."""
     for word in _WORD.findall(named.lower().replace("h.26", "h26")):
         if word in _ALIASES:
             return _ALIASES[word]

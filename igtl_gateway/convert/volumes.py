@@ -1,6 +1,6 @@
-"""IMAGE ⇄ igtl_msgs/Volume: slices and volumes with their place in the patient; slices as sensor_msgs/Image.
+"""IMAGE ⇄ igtl_msgs/Volume: slices and volumes with position and orientation; slices → sensor_msgs/Image.
 
-Pixels are neither copied nor swapped: the message tells their byte order.
+Pixels are neither copied nor swapped: the message declares their byte order.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, RAS, Image
 
 _UINT32 = 7
 
-#: How far the length of a direction may be from 1 without a word: float32 rotations are within it.
+#: Tolerance for the length of a direction vector; float32 rotations are within it.
 _UNIT_TOLERANCE = 1e-3
 
 
 def is_flat(content: Image) -> bool:
-    """Whether there is one slice."""
+    """Return whether the image has exactly one slice."""
     return content.dimensions[2] == 1
 
 
@@ -31,7 +31,7 @@ def has_slices(content: Image) -> bool:
 
 
 def exceeds_picture(content: Image) -> bool:
-    """Whether sensor_msgs/Image cannot represent it: slices, position and orientation, scalar type."""
+    """Return whether slices, placement or scalar type exceed what sensor_msgs/Image can represent."""
     return (
         not is_flat(content)
         or content.wire_matrix != Image.IDENTITY
@@ -41,9 +41,9 @@ def exceeds_picture(content: Image) -> bool:
 
 
 def image_to_volume(content: Image, to: ToRosContext) -> Volume:
-    """A matrix that is not finite gives numbers that are none: the pixels are worth something all the same.
+    """Convert to Volume.  A matrix with NaN or infinity is not rejected: the pixels are still of use.
 
-    Raises ConversionError for a part of an image; parts are put together before (``assembly``).
+    Raises ConversionError for a part of an image; ``assembly`` joins parts before.
     """
     _check_whole(content, to)
     placement = Placement.of_wire(content.wire_matrix, content.coordinate, to.lengths)
@@ -63,9 +63,9 @@ def image_to_volume(content: Image, to: ToRosContext) -> Volume:
 
 
 def volume_to_image(message: Volume, to: ToIgtlContext) -> ConvertedMessage:
-    """The inverse; a coordinate system that is not filled in (0) is RAS.
+    """Convert to IMAGE; an unset coordinate system (0) is RAS.
 
-    Raises ConversionError where the fields contradict each other, and for numbers that float32 cannot hold.
+    Raises ConversionError if the fields contradict each other, and for numbers that float32 cannot hold.
     """
     _, lengths = split_axes(message.direction)
     if any(abs(length - 1) > _UNIT_TOLERANCE for length in lengths):
@@ -92,7 +92,7 @@ def volume_to_image(message: Volume, to: ToIgtlContext) -> ConvertedMessage:
 
 
 def image_to_slices(content: Image, to: ToRosContext) -> list[RosMessage]:
-    """One picture for each slice, k = 0 first, all with the stamp and the frame of the volume.
+    """Convert to one Image for each slice, beginning with k = 0, all with stamp and frame of the volume.
 
     Raises ConversionError for a part of an image.
     """
@@ -101,11 +101,11 @@ def image_to_slices(content: Image, to: ToRosContext) -> list[RosMessage]:
     pixels = memoryview(content.pixels)
     size = pixels.nbytes // max(count, 1)
     flat = (width, height, 1)
-    again = replace(to, warnings=[])  # what is bent is so in every slice: said with the first
+    later = replace(to, warnings=[])  # the warnings of all slices are equal: only those of the first are reported
     return [
         images.image_to_ros(
             replace(content, dimensions=flat, subvol_size=flat, pixels=pixels[k * size : (k + 1) * size]),
-            again if k else to,
+            later if k else to,
         )
         for k in range(count)
     ]
