@@ -1,3 +1,3 @@
-"""igtl-gateway: ROS 2 and OpenIGTLink, bridged, recorded, replayed, verified."""
+"""igtl-gateway: bridge between ROS 2 and OpenIGTLink, with recording, replay and verification."""
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""``python -m igtl_gateway``."""
+"""Entry point of ``python -m igtl_gateway``."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Bytes as they travel: one message is a sequence of buffers, sent one after the other (scatter-gather)."""
+"""Buffers of bytes: one message is a sequence of buffers, which are sent together (scatter-gather)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ Buffer = bytes | bytearray | memoryview
 
 
 def join(buffers: Sequence[Buffer]) -> bytes:
-    """One ``bytes`` object of several buffers; no copy where there is one ``bytes`` already."""
+    """Return the buffers as one ``bytes`` object; a single ``bytes`` object is not copied."""
     if len(buffers) == 1 and isinstance(buffers[0], bytes):
         return buffers[0]
     return b"".join(buffers)
 
 
 def total_size(buffers: Sequence[Buffer]) -> int:
-    """Bytes in all buffers together."""
-    if len(buffers) == 1 and type(buffers[0]) is bytes:  # as most messages are
+    """Return the total size of the buffers in bytes."""
+    if len(buffers) == 1 and type(buffers[0]) is bytes:  # most messages
         return len(buffers[0])
     return sum([memoryview(part).nbytes for part in buffers])

@@ -1,4 +1,4 @@
-"""The only reader of system time.  Everything else is given its time as an argument."""
+"""Clocks.  Only this module reads the system time; all others receive the time as an argument."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """What the edges, the playback and the command line need of time."""
+    """A source of time for the edges, the playback and the command line."""
 
     def utc_ns(self) -> int:
-        """UTC nanoseconds since 1970; may step when the host's clock is set."""
+        """Return UTC nanoseconds since 1970; steps when the host's clock is set."""
         ...
 
     def monotonic_ns(self) -> int:
-        """Nanoseconds since an arbitrary moment; never steps back."""
+        """Return nanoseconds since an arbitrary time; never decreases."""
         ...
 
 
 class SystemClock:
-    """The host's clock."""
+    """The clock of the host."""
 
     def utc_ns(self) -> int:
         return time.time_ns()
@@ -29,7 +29,7 @@ class SystemClock:
 
 
 class ManualClock:
-    """A clock that moves only when told to; for tests and for synthetic sessions."""
+    """A clock that advances only by calls, for tests and synthetic sessions."""
 
     def __init__(self, utc_ns: int = 0) -> None:
         self._start_ns = utc_ns
@@ -42,11 +42,11 @@ class ManualClock:
         return self._now_ns - self._start_ns
 
     def advance(self, ns: int) -> None:
-        """Move on by ``ns`` nanoseconds (not negative)."""
+        """Advance by ``ns`` nanoseconds.  Raises ValueError for a negative number."""
         if ns < 0:
-            raise ValueError(f"a clock does not run backwards: {ns} ns")
+            raise ValueError(f"found a step of {ns} ns, expected 0 or more")
         self._now_ns += ns
 
     def set(self, utc_ns: int) -> None:
-        """Move on to ``utc_ns``."""
+        """Advance to ``utc_ns``."""
         self.advance(utc_ns - self._now_ns)

@@ -1,55 +1,55 @@
-"""Configuration: frozen values from a TOML file or from a recording, checked when they are made.
+"""Configuration: frozen values from a TOML file or from a recording, checked when they are created.
 
-Everything that influences what the gateway says is here, and is stored in the recording: replay and
-verification use what was in force that day.
+The configuration contains every setting that influences the outputs of the gateway, and is stored in the recording:
+replay and verification use the settings of the recorded session.
 
 ::
 
     [gateway]
-    base_frame = "igtl"            # frame of all that names no frame of its own
+    base_frame = "igtl"            # frame of messages that do not name a frame
     ros_unit = "m"                 # m, dm, cm, mm, um
     igtl_unit = "mm"
-    stamp = "source"               # source: the sender's stamp, else the gateway's; receive: the gateway's
+    stamp = "source"               # source: the sender's stamp, if set; receive: the gateway time of receipt
     check_crc = true
-    profile = "auto"               # what the peers are: slicer, plus …; auto: by what they show
-    publish_tf = true              # poses appear on /tf too
-    command_timeout_s = 5.0        # a COMMAND without a reply is given up
-    relay = false                  # true: no bridge; peers and a server talk through us, bytes unchanged
-    faults = ""                    # of a relay, on purpose: "delay=50ms,in:loss=1%", see docs/faults.md
-    fault_seed = 0                 # which messages they hit
-    deny_in = []                   # types that peers may not send, such as ["COMMAND", "TRANSFORM"] or ["*"]
-    deny_out = []                  # types that peers are not sent
-    watch = true                   # say what looks odd: units that jump, stamps that run back; live only unless set
+    profile = "auto"               # profile of all peers: slicer, plus …; auto: detected from their messages
+    publish_tf = true              # publish poses on /tf, too
+    command_timeout_s = 5.0        # time after which a COMMAND without a reply has failed
+    relay = false                  # true: forward bytes unchanged between clients and one server, without ROS
+    faults = ""                    # fault injection of a relay: "delay=50ms,in:loss=1%", see docs/faults.md
+    fault_seed = 0                 # seed of the fault injection
+    deny_in = []                   # types that are refused from peers, such as ["COMMAND", "TRANSFORM"] or ["*"]
+    deny_out = []                  # types that are not sent to peers
+    watch = true                   # report jumps of units, decreasing stamps …; by default in live sessions only
 
-    [[to_igtl]]                    # ROS topic → OpenIGTLink; the first row that matches counts
-    topic = "/camera/image_raw"    # * stands for one level, ** for any number
+    [[to_igtl]]                    # ROS topic → OpenIGTLink; the first matching row applies
+    topic = "/camera/image_raw"    # * matches within one level, ** across levels
     device = "Camera"              # default: from the topic
     type = "IMAGE"                 # default: by the conversion table
-    max_age_s = 0.5                # what is older on arrival is not sent; default 0: whatever its age
+    max_age_s = 0.5                # messages that are older on arrival are withheld; default 0: no limit
 
     [[to_ros]]                     # OpenIGTLink → ROS
     device = "Probe*"
     topic = "/probe/{device}/{kind}"
     frame_id = "tracker"
     max_age_s = 0.5                # as above
-    kinds = ["+slices"]            # messages on request besides the usual ones; without +: only these
+    kinds = ["+slices"]            # +: messages on request besides the default ones; without +: only these
 
     [[tf_out]]                     # frames of /tf and /tf_static → OpenIGTLink, chains composed
     frames = ["tool"]
     base = "base_link"
     device = "Tool"                # default: toolTobase_link
-    max_age_s = 0.5                # as above; of a chain its oldest transform counts
+    max_age_s = 0.5                # as above; the oldest transform of a chain applies
 
-    [[peers]]                      # which peer is what
-    at = "127.0.0.1:18945"         # its address, or the one that it connects to
+    [[peers]]                      # profiles of single peers
+    at = "127.0.0.1:18945"         # address of the peer, or the one that it connects to
     profile = "plus"
 
-    [igtl]                         # the OpenIGTLink side of a bridge, see ``cli.edge_file``: no part of a session
+    [igtl]                         # the OpenIGTLink side of a bridge, see ``cli.edge_file``; not recorded
     listen = ["127.0.0.1:18944"]
 
 Rows may override ros_unit, igtl_unit, stamp and, as ``qos = { depth = 10, reliable = true, latched = false }``,
-the quality of service.  Without any row, what a device sends appears on ``/igtl/in/<device>/<kind>`` and what
-is published below ``/igtl/out/`` goes out.
+the quality of service.  By default, the messages of a device are published on ``/igtl/in/<device>/<kind>``, and ROS
+messages on topics below ``/igtl/out/`` are sent to the peers.
 """
 
 from __future__ import annotations
@@ -76,30 +76,30 @@ from igtl_gateway.untrusted.text import parse_toml
 #: Which time is the stamp of a converted message: the sender's, if it sent one, or the time of receipt.
 SOURCE, RECEIVE = "source", "receive"
 STAMP_POLICIES = (SOURCE, RECEIVE)
-#: Other names of the policies, for the configurations of old recordings.
+#: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}
 OUT_PREFIX = "/igtl/out/"
 IN_TOPIC = "/igtl/in/{device}/{kind}"
 
-#: Streams that one session may open in each direction: a peer that invents names must not fill the ROS graph.
+#: Maximum number of streams of one session in each direction; it protects the ROS graph from arbitrary names.
 DEFAULT_MAX_STREAMS = 512
 
 #: Values of the setting ``profile``.
 PROFILE_NAMES = (AUTO, *BY_NAME)
 
-#: A COMMAND that takes longer than a day has no reply.
+#: Upper limit of the timeout of a COMMAND, s: one day.
 MAX_TIMEOUT_S = 86_400.0
 
-#: Longest age that can be asked for: of a year; what is older than that has no clock.
+#: Maximum of ``max_age_s``, s: one year.
 MAX_AGE_S = 365 * 86_400.0
 
-#: Deepest queue of a ROS stream: beyond it a slow reader costs memory without end.
+#: Maximum depth of the queue of a ROS stream; it bounds the memory for a slow subscriber.
 MAX_DEPTH = 100_000
 
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """What the rows of both directions have in common; "" and None stand for the gateway's setting."""
+    """Settings of the rows of both directions; "" and None: the setting of ``[gateway]`` applies."""
 
     ros_unit: str = ""
     igtl_unit: str = ""
@@ -109,7 +109,7 @@ class _Row:
 
 @dataclass(frozen=True, slots=True)
 class ToIgtlRow(_Row):
-    """A ROS topic (pattern) on its way to OpenIGTLink; ``metadata`` goes along to peers of header version 2."""
+    """Route of ROS topics (a glob) to OpenIGTLink; ``metadata`` is added for peers with header version 2."""
 
     topic: str = OUT_PREFIX + "**"
     device: str = ""
@@ -120,7 +120,7 @@ class ToIgtlRow(_Row):
 
 @dataclass(frozen=True, slots=True)
 class ToRosRow(_Row):
-    """OpenIGTLink devices (pattern) on their way to ROS; ``kinds`` chooses among the messages that they become."""
+    """Route of OpenIGTLink devices (a glob) to ROS; ``kinds`` selects the ROS messages to publish."""
 
     device: str = "**"
     type: str = "**"
@@ -133,7 +133,7 @@ class ToRosRow(_Row):
 
 @dataclass(frozen=True, slots=True)
 class TfOutRow(_Row):
-    """Frames of the tf tree on their way to OpenIGTLink, as seen from ``base``."""
+    """Route of frames of the tf tree to OpenIGTLink, as poses in ``base``."""
 
     frames: tuple[str, ...] = ()
     base: str = ""
@@ -142,7 +142,7 @@ class TfOutRow(_Row):
     max_age_s: float = 0.0
 
     def request(self, place: str = "tf_out") -> TfRequest:
-        """What is asked of the tf tree.  Raises ConfigError, naming ``place``."""
+        """Return the request for the tf tree.  Raises ConfigError with ``place``."""
         try:
             request = TfRequest.parse(f"{','.join(self.frames)}:{self.base}")
             return dataclasses.replace(request, device=self.device or request.device, type=self.type or request.type)
@@ -152,7 +152,7 @@ class TfOutRow(_Row):
 
 @dataclass(frozen=True, slots=True)
 class PeerRow:
-    """What the peers at an address (pattern) are."""
+    """Profile of the peers at an address (a glob)."""
 
     at: str = "**"
     profile: str = AUTO
@@ -162,8 +162,8 @@ class PeerRow:
 class Config:
     """The configuration of a session; see the module for the meaning of each setting.
 
-    ``watch`` adds notes.  Where it is not set (None) there are none: so it was in recordings from before there was this
-    setting.  Live sessions set it; see ``watched``.
+    ``watch`` adds notes.  None, as in recordings that are older than this setting, means no such notes.  Live sessions
+    set it; see ``watched``.
     """
 
     base_frame: str = "igtl"
@@ -190,13 +190,17 @@ class Config:
         _check_choices("gateway", self, optional=False)
         if not 0 < self.command_timeout_s < MAX_TIMEOUT_S:
             found = f"{self.command_timeout_s:g}"
-            raise ConfigError(f"gateway.command_timeout_s: found {found}, expected above 0 and below {MAX_TIMEOUT_S:g}")
+            raise ConfigError(
+                f"gateway.command_timeout_s: found {found}, expected more than 0 and less than {MAX_TIMEOUT_S:g}"
+            )
         if RelayFaults.parse(self.faults, "gateway.faults") and not self.relay:
-            raise ConfigError(f"gateway.faults: found {self.faults!r}, expected it with relay = true only")
+            raise ConfigError(f"gateway.faults: found {self.faults!r}, expected relay = true with it")
         for name in ("deny_in", "deny_out"):
             for glob in getattr(self, name):
                 if not _is_type_glob(glob):
-                    raise ConfigError(f"gateway.{name}: found {glob!r}, expected a type or a glob: COMMAND, GET_*")
+                    raise ConfigError(
+                        f"gateway.{name}: found {glob!r}, expected a type or a glob such as COMMAND, GET_*"
+                    )
         for index, peer in enumerate(self.peers):
             _check_choices(f"peers[{index}]", peer, optional=False)
         for index, frames in enumerate(self.tf_out):
@@ -217,14 +221,18 @@ class Config:
                 raise ConfigError(f"{place}.max_age_s: found {age_s:g}, expected 0 (any age) to {MAX_AGE_S:g}")
         for index, sent in enumerate(self.to_igtl):
             if not _is_topic(sent.topic):
-                raise ConfigError(f"to_igtl[{index}].topic: found {sent.topic!r}, expected one such as /camera/image")
+                raise ConfigError(
+                    f"to_igtl[{index}].topic: found {sent.topic!r}, expected a topic such as /camera/image"
+                )
             if sent.type not in _SENT_TYPES and sent.type != "":
                 raise ConfigError(
                     f"to_igtl[{index}].type: found {sent.type!r}, expected one of {', '.join(_SENT_TYPES)}"
                 )
         for index, row in enumerate(self.to_ros):
             if not (_is_topic(row.topic) and row.topic.startswith("/")):
-                raise ConfigError(f"to_ros[{index}].topic: found {row.topic!r}, expected one such as /in/{{device}}")
+                raise ConfigError(
+                    f"to_ros[{index}].topic: found {row.topic!r}, expected an absolute topic such as /in/{{device}}"
+                )
             if not _is_template(row.topic):
                 raise ConfigError(
                     f"to_ros[{index}].topic: found {row.topic!r}, "
@@ -232,22 +240,22 @@ class Config:
                 )
 
     def row_to_igtl(self, topic: str) -> ToIgtlRow | None:
-        """The row for a ROS topic: the first that matches, or None where the topic is not bridged."""
+        """Return the first row that matches a ROS topic; None if the topic is not bridged."""
         return next((row for row in (*self.to_igtl, _DEFAULT_TO_IGTL) if matches(row.topic, topic)), None)
 
     def row_to_ros(self, igtl_type: str, device: str) -> ToRosRow:
-        """The row for an OpenIGTLink stream: the first that matches (the default matches all)."""
+        """Return the first row that matches an OpenIGTLink stream; the default row matches all."""
         for row in self.to_ros:
             if matches(row.device, device) and matches(row.type, igtl_type):
                 return row
         return _DEFAULT_TO_ROS
 
     def lengths(self, row: _Row) -> LengthUnits:
-        """Units of a row."""
+        """Return the length units of a row."""
         return LengthUnits(row.ros_unit or self.ros_unit, row.igtl_unit or self.igtl_unit)
 
     def pick_stamp(self, row: _Row, source_ns: int, received_ns: int) -> int:
-        """The stamp of an outgoing message: never 0."""
+        """Return the stamp of a converted message, UTC ns; never 0 if ``received_ns`` is not."""
         # a negative stamp (before 1970) has no tick word
         return source_ns if source_ns > 0 and self.stamp_of(row) == SOURCE else received_ns
 
@@ -257,26 +265,26 @@ class Config:
         return _STAMP_ALIASES.get(policy, policy)
 
     def watched(self, unless_set: bool | None = True) -> Config:
-        """The configuration with ``watch`` settled, where it leaves that open: on in a live session."""
+        """Return the configuration with ``watch`` set to ``unless_set`` if it is None; true for a live session."""
         return dataclasses.replace(self, watch=unless_set) if self.watch is None else self
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON values: what is stored in a recording."""
+        """Return the settings as JSON values, as stored in a recording."""
         return dataclasses.asdict(self)
 
     def to_toml(self) -> str:
-        """As the text of a file: what differs from the default settings."""
+        """Return the text of a TOML file with all settings that differ from the defaults."""
         own, default = dataclasses.asdict(self), dataclasses.asdict(Config())
         lines = ["[gateway]", *_toml_lines({n: v for n, v in own.items() if n not in _TABLES and v != default[n]})]
         for name in sorted(_TABLES):
             for row in getattr(self, name):
-                given, usual = dataclasses.asdict(row), dataclasses.asdict(type(row)())
-                lines += ["", f"[[{name}]]", *_toml_lines({n: v for n, v in given.items() if v != usual[n]})]
+                values, defaults = dataclasses.asdict(row), dataclasses.asdict(type(row)())
+                lines += ["", f"[[{name}]]", *_toml_lines({n: v for n, v in values.items() if v != defaults[n]})]
         return "\n".join(lines) + "\n"
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Config:
-        """From the values of ``to_dict``.  Raises ConfigError with the path of the wrong setting."""
+        """Return the configuration for the values of ``to_dict``.  Raises ConfigError with the path of the setting."""
         settings = dict(values)
         to_igtl = _rows("to_igtl", settings.pop("to_igtl", ()), ToIgtlRow)
         to_ros = _rows("to_ros", settings.pop("to_ros", ()), ToRosRow)
@@ -287,7 +295,7 @@ class Config:
 
     @classmethod
     def from_toml(cls, path: Path) -> Config:
-        """From a TOML file.  Raises ConfigError with file and setting."""
+        """Read a TOML file.  Raises ConfigError with file and setting."""
         document = read_toml(path)
         document.pop(EDGE_TABLE, None)
         gateway = document.pop("gateway", {})
@@ -303,7 +311,7 @@ class Config:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a configuration file.  Raises ConfigError."""
+    """Return the tables of a configuration file.  Raises ConfigError."""
     try:
         return parse_toml(read_bytes(path), str(path))
     except UnsupportedRecording as error:
@@ -312,7 +320,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(str(error)) from None
 
 
-#: The table of a configuration file that says who may connect, where, and at what cost: not what is said.
+#: The table of a configuration file for the OpenIGTLink edge: addresses, access and limits, which are not recorded.
 EDGE_TABLE = "igtl"
 _TABLES = frozenset({"to_igtl", "to_ros", "tf_out", "peers"})
 
@@ -327,7 +335,7 @@ def _toml(name: str, value: Any) -> str:
     if isinstance(value, Mapping):
         pairs = (f"{json.dumps(key, ensure_ascii=False)} = {_toml(key, item)}" for key, item in value.items())
         return f"{{ {', '.join(pairs)} }}"
-    # texts, numbers, truth and lists of texts are written as in JSON
+    # strings, numbers, booleans and lists of strings are written as in JSON
     return json.dumps(value, ensure_ascii=False)
 
 
@@ -336,16 +344,16 @@ _DEFAULT_TO_ROS = ToRosRow()
 
 
 def device_of_topic(topic: str, kind: str = "") -> str:
-    """Device name of a topic that names none: its path behind ``/igtl/out/``, without the row's kind.
+    """Return the default device name of a topic: its path after ``/igtl/out/``, without the row's kind.
 
-    ``/igtl/out/Tool`` and ``/igtl/out/Tool/transform`` give ``Tool``; ``/camera/image`` gives ``camera_image``.
+    ``Tool`` for ``/igtl/out/Tool`` and ``/igtl/out/Tool/transform``; ``camera_image`` for ``/camera/image``.
     """
     path = topic.removeprefix(OUT_PREFIX).strip("/")
     head, _, tail = path.rpartition("/")
     return (head if head and tail == kind else path).replace("/", "_")
 
 
-#: What ROS messages may become.
+#: OpenIGTLink types that ROS messages can be converted to.
 _SENT_TYPES = tuple(sorted({row.igtl_type for row in TO_IGTL}))
 
 _CHOICES = {
@@ -359,17 +367,17 @@ T = TypeVar("T")
 
 
 def _is_topic(topic: str) -> bool:
-    """Whether ``topic`` (a name or a pattern) can be one of the ROS graph, whose full names begin with a slash."""
+    """Return whether ``topic`` (a name or a glob) can match a ROS topic: full names begin with a slash."""
     return topic.startswith(("/", "**")) and not any(character.isspace() for character in topic)
 
 
 def _is_type_glob(glob: str) -> bool:
-    """Whether ``glob`` can match the type of a message: twelve bytes, no blanks."""
+    """Return whether ``glob`` can match a message type, which is printable ASCII without blanks."""
     return glob.isascii() and glob.isprintable() and bool(glob) and not set(glob) & set(" /,")
 
 
 def _is_template(topic: str) -> bool:
-    """Whether ``topic`` has nothing but plain names in its braces; no attributes, indices or formats."""
+    """Return whether the braces of ``topic`` contain only known names, without attributes, indices and formats."""
     try:
         parts = list(Formatter().parse(topic))
     except ValueError:
@@ -391,8 +399,8 @@ def _check_choices(place: str, settings: object, *, optional: bool) -> None:
 
 def _rows(place: str, rows: Any, kind: type[T]) -> tuple[T, ...]:
     if not isinstance(rows, list | tuple):
-        raise ConfigError(f"{place}: found {rows!r}, expected rows [[{place}]]")
-    made = []
+        raise ConfigError(f"{place}: found {rows!r}, expected tables [[{place}]]")
+    result = []
     for index, row in enumerate(rows):
         if not isinstance(row, Mapping):
             raise ConfigError(f"{place}[{index}]: found {row!r}, expected a table")
@@ -401,51 +409,51 @@ def _rows(place: str, rows: Any, kind: type[T]) -> tuple[T, ...]:
             settings["metadata"] = tuple(settings["metadata"].items())
         if isinstance(settings.get("qos"), Mapping):
             settings["qos"] = from_values(f"{place}[{index}].qos", Qos, settings["qos"])
-        made.append(from_values(f"{place}[{index}]", kind, settings))
-    return tuple(made)
+        result.append(from_values(f"{place}[{index}]", kind, settings))
+    return tuple(result)
 
 
 def from_values(place: str, kind: type[T], settings: Mapping[str, Any]) -> T:
-    """An instance of a dataclass from plain values.  Raises ConfigError for unknown names and wrong types."""
+    """Return an instance of a dataclass for plain values.  Raises ConfigError for unknown names and wrong types."""
     fields = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    made: dict[str, Any] = {}
-    for name, given in settings.items():
+    arguments: dict[str, Any] = {}
+    for name, value in settings.items():
         if name not in fields:
             raise ConfigError(f"{place}.{name}: unknown setting, expected one of {', '.join(fields)}")
-        made[name] = _value(f"{place}.{name}", name, type(fields[name].default), given)
-    return kind(**made)
+        arguments[name] = _checked(f"{place}.{name}", name, type(fields[name].default), value)
+    return kind(**arguments)
 
 
-def _value(place: str, name: str, wanted: type, given: Any) -> Any:
-    """One setting, of the type of its default."""
-    if wanted is float and type(given) is int and abs(given) < 1 << 63:
-        return float(given)
-    if wanted in _TYPE_NAMES and type(given) is not wanted:
-        raise ConfigError(f"{place}: found {given!r}, expected a {_TYPE_NAMES[wanted]}")
-    if name == "watch" and not (given is None or type(given) is bool):
-        raise ConfigError(f"{place}: found {given!r}, expected true or false")
+def _checked(place: str, name: str, kind: type, value: Any) -> Any:
+    """Return the value of a setting as the type of its default.  Raises ConfigError."""
+    if kind is float and type(value) is int and abs(value) < 1 << 63:
+        return float(value)
+    if kind in _TYPE_NAMES and type(value) is not kind:
+        raise ConfigError(f"{place}: found {value!r}, expected {_TYPE_NAMES[kind]}")
+    if name == "watch" and not (value is None or type(value) is bool):
+        raise ConfigError(f"{place}: found {value!r}, expected true or false")
     if name in _TEXT_LISTS:
-        if not (isinstance(given, list | tuple) and all(isinstance(item, str) for item in given)):
-            raise ConfigError(f'{place}: found {given!r}, expected texts such as ["a", "b"]')
-        return tuple(given)
+        if not (isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)):
+            raise ConfigError(f'{place}: found {value!r}, expected strings such as ["a", "b"]')
+        return tuple(value)
     if name == "metadata":
-        return _pairs(place, given)
-    if name == "qos" and not (given is None or isinstance(given, Qos)):
-        raise ConfigError(f"{place}: found {given!r}, expected a table such as {{ depth = 10 }}")
-    return given
+        return _pairs(place, value)
+    if name == "qos" and not (value is None or isinstance(value, Qos)):
+        raise ConfigError(f"{place}: found {value!r}, expected a table such as {{ depth = 10 }}")
+    return value
 
 
 def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:
     pairs = tuple(tuple(pair) if isinstance(pair, list | tuple) else (pair,) for pair in value or ())
     if not all(len(pair) == 2 and all(isinstance(text, str) for text in pair) for pair in pairs):
-        raise ConfigError(f'{place}: found {value!r}, expected a table of texts such as {{ operator = "A. B." }}')
+        raise ConfigError(f'{place}: found {value!r}, expected a table of strings such as {{ operator = "A. B." }}')
     return pairs
 
 
 _TEXT_LISTS = frozenset({"allow", "connect", "deny_in", "deny_out", "frames", "kinds", "listen"})
 _TYPE_NAMES: dict[type, str] = {
-    str: "text in quotes",
+    str: "a string in quotes",
     bool: "true or false",
-    int: "whole number",
-    float: "number",
+    int: "an integer",
+    float: "a number",
 }

@@ -1,35 +1,35 @@
-"""Every error of the package, in one small tree.
+"""All errors of the package.
 
 ::
 
-    GatewayError                    base: catch this and nothing of ours escapes
-    ├── ConfigError                 the configuration or the command line (fault of the caller)
-    ├── Unavailable                 this machine lacks it now: a package, a free port
-    ├── WireError                   OpenIGTLink bytes that break the protocol (fault of the peer)
+    GatewayError                    base class of all errors of the package
+    ├── ConfigError                 invalid configuration or command line (fault of the caller)
+    ├── Unavailable                 not available on this machine: a package, a free port
+    ├── WireError                   OpenIGTLink bytes that violate the protocol (fault of the peer)
     │   ├── TruncatedMessage        the stream ended inside a message
-    │   ├── ChecksumMismatch        CRC-64 of the body differs from the header's
-    │   ├── MessageTooLarge         announced body size above the limit
-    │   └── MalformedBody           a length, count or value that the format forbids
-    ├── ConversionError             a message that has no counterpart on the other side
-    │   └── NotFinite               numbers that are none (NaN), or without end
-    ├── RosError                    the ROS 2 side: missing installation, unknown type, refused name
-    ├── ViewerError                 rerun and its viewer: not installed, nothing to draw with, no answer
-    ├── OutputError                 standard output or error takes nothing more: the disk is full
-    └── RecordingError              a session file (fault of the file or of the disk)
-        ├── DiskRefused             the disk is full, read-only or not ours
-        ├── UnsupportedRecording    not a session log, or a version we do not know
+    │   ├── ChecksumMismatch        CRC-64 of the body differs from that in the header
+    │   ├── MessageTooLarge         announced body size exceeds the limit
+    │   └── MalformedBody           a length, count or value that the format does not allow
+    ├── ConversionError             a message without a counterpart on the other side
+    │   └── NotFinite               NaN or infinity
+    ├── RosError                    ROS 2: not installed, unknown type, rejected name
+    ├── ViewerError                 rerun and its viewer: not installed, no display, no reply
+    ├── OutputError                 standard output or error cannot be written: the disk is full
+    └── RecordingError              invalid or unwritable session file (fault of the file or disk)
+        ├── DiskRefused             the disk is full, read-only or not accessible
+        ├── UnsupportedRecording    not a session log, or an unknown version
         └── DamagedRecording        a session log that cannot be read to its end
-            ├── BeingRecorded       a session log that another process is still writing
-            └── LimitExceeded       a file that asks for more memory, depth or time than it may have
+            ├── BeingRecorded       another process is still writing the file
+            └── LimitExceeded       the file needs more memory, depth or time than the limits allow
 
-Every message of an error names the place, the value found and the value expected.
+Every error message contains the place, the value found and the value expected.
 """
 
 from __future__ import annotations
 
 
 class GatewayError(Exception):
-    """Base of all errors raised on purpose by this package."""
+    """Base class of all errors that this package raises."""
 
 
 class ConfigError(GatewayError):
@@ -37,16 +37,16 @@ class ConfigError(GatewayError):
 
 
 class Unavailable(GatewayError):
-    """What was asked for can be, but not on this machine as it is: a package is missing, a port is taken."""
+    """A function is not available on this machine: a package is missing, or a port is in use."""
 
 
 class WireError(GatewayError):
     """Bytes that are not valid OpenIGTLink.
 
     Attributes:
-        place: where in the message, as ``"POLYDATA content, offset 12"``.
-        found: what was read.
-        expected: what the protocol asks for.
+        place: place in the message, such as ``"POLYDATA content, offset 12"``.
+        found: the value in the message.
+        expected: the values that the protocol allows.
     """
 
     #: Stable machine-readable name, used in notes and in the loss ledger.
@@ -60,19 +60,19 @@ class WireError(GatewayError):
 
 
 class TruncatedMessage(WireError):
-    """The stream ended, or the body is shorter than its own fields say."""
+    """The stream ended, or the body is shorter than its fields declare."""
 
     code = "truncated"
 
 
 class ChecksumMismatch(WireError):
-    """The CRC-64 in the header is not that of the body."""
+    """The CRC-64 of the body differs from that in the header."""
 
     code = "bad_crc"
 
 
 class MessageTooLarge(WireError):
-    """The header announces a body above the configured limit."""
+    """The header announces a body that exceeds the configured limit."""
 
     code = "too_large"
 
@@ -84,9 +84,9 @@ class MalformedBody(WireError):
 
 
 class ConversionError(GatewayError):
-    """A well-formed message that cannot be expressed on the other side."""
+    """A well-formed message cannot be represented on the other side."""
 
-    #: What the loss ledger calls it.
+    #: Name in the loss ledger.
     code = "conversion"
 
 
@@ -97,15 +97,15 @@ class NotFinite(ConversionError):
 
 
 class RosError(GatewayError):
-    """ROS 2 is not installed here, or refuses a type or a name."""
+    """ROS 2 is not installed, or rejects a type or a name."""
 
 
 class ViewerError(GatewayError):
-    """rerun or its viewer is not installed, has nothing to draw with, or does not answer."""
+    """rerun or its viewer is not installed, has no display, or does not reply."""
 
 
 class OutputError(GatewayError):
-    """What is printed cannot be written: the disk that stdout goes to is full."""
+    """Standard output or error cannot be written: the disk is full."""
 
 
 class RecordingError(GatewayError):
@@ -113,20 +113,20 @@ class RecordingError(GatewayError):
 
 
 class DiskRefused(RecordingError):
-    """A recording cannot begin, and not by a slip of who wants it: the disk is full, read-only or not ours."""
+    """A recording cannot start because the disk is full, read-only or not accessible; the settings are valid."""
 
 
 class UnsupportedRecording(RecordingError):
-    """The file is not a session log, or of a version that this release does not know."""
+    """The file is not a session log, or has a version that this release does not support."""
 
 
 class DamagedRecording(RecordingError):
-    """The file is a session log, but cut off or corrupt."""
+    """The file is a session log, but truncated or corrupt."""
 
 
 class BeingRecorded(DamagedRecording):
-    """The file has no end yet, and another process holds the lock of its writer."""
+    """Another process is still recording this file."""
 
 
 class LimitExceeded(DamagedRecording):
-    """The file asks for more memory, nesting, repetition or time than the limits allow (``--limit``)."""
+    """The file needs more memory, nesting, repetition or time than the limits allow (``--limit``)."""

@@ -1,11 +1,12 @@
-"""Faults on purpose, for tests of the programs at the other end: late, lost, swapped, cut, corrupt, disconnected.
+"""Fault injection, to test the peers: delayed, lost, swapped, truncated and corrupt messages, closed connections.
 
-A `FaultLine` is a line with faults on manual time: messages in at their moments, for each of them one `Fate` out, in
-the order in which they leave.  It reads no clock and no random source.  Whether a fault hits a message is told by a
-hash of the seed, the name of the line, the number of the message on it and the fault: the same seed does the same to
-the same messages on every machine, and one fault more changes nothing about where the others hit.
+A `FaultLine` applies faults to the messages of one line.  It receives each message with its time, and returns one
+`Fate` per message, in the order in which the messages are sent.  It reads neither a clock nor a random source.  A hash
+of the seed, the name of the line, the number of the message and the fault decides whether a fault affects a message.
+So the same seed affects the same messages on every machine, and an additional fault does not change which messages the
+other faults affect.
 
-Messages keep their order, as over TCP, except where ``reorder`` says otherwise.
+Messages keep their order, as over TCP, except for ``reorder``.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from igtl_gateway.wire.header import CRC_AT
 
 
 class Unit(Enum):
-    """How the value of a fault is written."""
+    """Syntax of the value of a fault."""
 
     TIME = "TIME"
     SHARE = "SHARE%"
@@ -33,7 +34,7 @@ class Unit(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A row of the table."""
+    """One kind of fault: name, syntax of the value, and meaning for the documents."""
 
     name: str
     unit: Unit
@@ -51,7 +52,7 @@ DELAY, JITTER, LOSS, REORDER, TRUNCATE, CORRUPT, DISCONNECT, CLOCK_STEP = (
     "clock-step",
 )
 
-#: All faults there are.
+#: All faults.
 FAULTS = (
     Fault(DELAY, Unit.TIME, "delay of every message"),
     Fault(JITTER, Unit.TIME, "additional delay of each message, from 0 to TIME; the order is kept"),
@@ -71,16 +72,16 @@ FAULTS = (
     ),
 )
 
-#: What a line does of its own accord, where it would hold too much.
+#: Fault of a line that would otherwise store too many bytes: a message is sent before its time.
 EARLY = "early"
 
-#: Longest delay and longest jitter: what arrives later than this is not late any more, it is absent.
+#: Maximum delay and maximum jitter, ns.
 MAX_DELAY_NS = 60 * NS_PER_S
-#: Longest step of a clock, and longest wait for it; stamps end in 1970 and in 2106.
+#: Maximum step of a clock, and maximum time before it, ns; stamps are limited to 1970 … 2106.
 MAX_STEP_NS = 50 * 365 * 86_400 * NS_PER_S
-#: How long a message waits for another one that overtakes it.
+#: Maximum time that a message waits for the next one, with which it is swapped, ns.
 OVERTAKEN_WITHIN_NS = NS_PER_S
-#: Bytes that one line holds back; half a second of full-HD pictures at 60 Hz are 187 MB.  Beyond it, the oldest go.
+#: Maximum number of bytes that one line stores (0.5 s of full-HD images at 60 Hz: 187 MB); above it, the oldest leave.
 MAX_HELD_BYTES = 256 * 2**20
 
 _NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": NS_PER_S, "min": 60 * NS_PER_S, "h": 3600 * NS_PER_S}
@@ -90,7 +91,7 @@ _SHARE = re.compile(r"(\d+(?:\.\d+)?)%", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What a line does to its messages.  Shares are from 0 to 1."""
+    """The faults of one line.  Shares are from 0 to 1."""
 
     delay_ns: int = 0
     jitter_ns: int = 0
@@ -104,7 +105,7 @@ class Faults:
 
     @classmethod
     def parse(cls, text: str, place: str = "--fault") -> Faults:
-        """From ``"delay=50ms,loss=1%"``; "" is none.  Raises ConfigError, naming ``place``."""
+        """Return the faults of ``"delay=50ms,loss=1%"``; none for "".  Raises ConfigError with ``place``."""
         rows = {fault.name: fault for fault in FAULTS}
         given: dict[str, float | int] = {}
         seen = set()
@@ -141,8 +142,8 @@ class RelayFaults:
     """The faults of a relay.
 
     Attributes:
-        inward: of what clients say to the server.
-        outward: of what the server says.
+        inward: faults of the messages from clients to the server.
+        outward: faults of the messages from the server to clients.
     """
 
     inward: Faults
@@ -150,7 +151,7 @@ class RelayFaults:
 
     @classmethod
     def parse(cls, text: str, place: str = "--fault") -> RelayFaults:
-        """As ``Faults.parse``; a fault with ``in:`` or ``out:`` before its name is of one way only."""
+        """Return the faults of a text; ``in:`` or ``out:`` before a name limits a fault to one direction."""
         ways: dict[str, list[str]] = {"in": [], "out": []}
         for part in text.split(",") if text.strip() else []:
             way, colon, fault = (word.strip() for word in part.partition(":"))
@@ -189,17 +190,17 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Fate(Generic[T]):
-    """What became of one message.
+    """The result of the fault injection for one message.
 
     Attributes:
-        message: as it was given.
-        at_ns: when it leaves (or was lost).
-        late_ns: of that, how much later than it came.
-        data: its bytes now; None: as they were.
-        lost: it does not leave at all.
-        disconnect: the connection is closed behind it.
-        done: the faults that hit it, except for delay and jitter: name and a few words, which are "" where a clock
-            has stepped before.
+        message: the object that was passed to the line.
+        at_ns: time at which the message is sent (or was lost), ns.
+        late_ns: delay since its arrival, ns.
+        data: the changed bytes; None if they are unchanged.
+        lost: whether the message is not sent.
+        disconnect: whether the connection is closed after the message.
+        done: (name, description) of the faults that affected it, except delay and jitter.  The description is "" for
+            a clock step after the first one.
     """
 
     message: T
@@ -212,21 +213,21 @@ class Fate(Generic[T]):
 
     @property
     def reportable(self) -> dict[str, str]:
-        """Of ``done`` what is worth telling."""
+        """The faults of ``done`` to report: those with a description."""
         return {name: words for name, words in self.done if words}
 
 
 class FaultLine(Generic[T]):
     """One direction of one connection, or of a replay.
 
-    Time never runs backwards here: an earlier moment counts as the last one.
+    Time never decreases: an earlier time than the last one is replaced by the last one.
 
     Args:
-        faults: what happens.
-        seed: which of all courses that this may take.
-        name: of the line: lines of one seed have courses of their own.
-        moved: gives the bytes of a message with its stamps moved by so many ns, for ``clock-step``.
-        most_bytes: see ``MAX_HELD_BYTES``.
+        faults: the faults to apply.
+        seed: seed of the fault injection.
+        name: name of the line; lines with different names have different random numbers.
+        moved: returns the bytes of a message with its stamps shifted by a number of ns, for ``clock-step``.
+        most_bytes: maximum number of stored bytes.
     """
 
     def __init__(
@@ -244,22 +245,22 @@ class FaultLine(Generic[T]):
         self._number = 0
         self._first_ns: int | None = None
         self._now_ns = 0
-        self._last_ns = 0  # nothing that comes from now on leaves before
-        self._waiting: deque[tuple[Fate[T], int]] = deque()  # with their bytes, in the order in which they leave
-        self._overtaken: tuple[Fate[T], int] | None = None  # leaves behind the next one
+        self._last_ns = 0  # send time of the last message; later messages leave at this time or after it
+        self._waiting: deque[tuple[Fate[T], int]] = deque()  # with their sizes in bytes, in the order of sending
+        self._overtaken: tuple[Fate[T], int] | None = None  # is sent after the next one
         self._held_bytes = 0
         self._stepped = False
 
     @property
     def due_ns(self) -> int | None:
-        """When the next message leaves, unless others come; None where none waits."""
+        """Send time of the next message if no others arrive, ns; None if none waits."""
         moments = [self._waiting[0][0].at_ns] if self._waiting else []
         if self._overtaken:
             moments.append(self._overtaken[0].at_ns + OVERTAKEN_WITHIN_NS)
         return min(moments, default=None)
 
     def take(self, now_ns: int, message: T, data: bytes) -> list[Fate[T]]:
-        """A message comes: what leaves, or is lost, up to now."""
+        """Add a message; return the messages that are sent or lost up to ``now_ns``."""
         left = self.due(now_ns)
         now_ns = self._now_ns
         self._number += 1
@@ -272,7 +273,7 @@ class FaultLine(Generic[T]):
         self._held_bytes += len(data)
         if self._overtaken:
             (behind, size), self._overtaken = self._overtaken, None
-            words = (REORDER, "sent behind the message that came after it")
+            words = (REORDER, "sent after the next message")
             self._waiting += (held, (self._at(behind, fate.at_ns, words), size))
         elif not fate.disconnect and self._is_hit(REORDER, self._faults.reorder):
             self._overtaken = held
@@ -280,12 +281,12 @@ class FaultLine(Generic[T]):
             self._waiting.append(held)
         left += self.due(now_ns)
         while self._waiting and self._held_bytes > self._most_bytes:
-            words = (EARLY, f"more than {self._most_bytes} bytes were held back")
+            words = (EARLY, f"more than {self._most_bytes} bytes were stored")
             left.append(self._at(self._release(), now_ns, words))
         return left
 
     def due(self, now_ns: int) -> list[Fate[T]]:
-        """What leaves up to now."""
+        """Return the messages that are sent up to ``now_ns``."""
         self._now_ns = now_ns = max(now_ns, self._now_ns)
         if self._overtaken and self._overtaken[0].at_ns + OVERTAKEN_WITHIN_NS <= now_ns:
             self._release_held()
@@ -295,7 +296,7 @@ class FaultLine(Generic[T]):
         return left
 
     def drain(self) -> list[Fate[T]]:
-        """No more comes: all that is left, each to leave at its moment."""
+        """Return all remaining messages, each with its send time, when no more messages arrive."""
         if self._overtaken:
             self._release_held()
         return [self._release() for _ in range(len(self._waiting))]
@@ -316,18 +317,16 @@ class FaultLine(Generic[T]):
         return replace(fate, at_ns=at_ns, late_ns=fate.late_ns + at_ns - fate.at_ns, done=(*fate.done, *done))
 
     def _apply_faults(self, message: T, data: bytes, now_ns: int) -> Fate[T]:
-        """The message as it will leave, and when."""
+        """Return the fate of a message: changed bytes and send time."""
         faults, done, new = self._faults, [], data
         if faults.clock_step_ns and now_ns - (self._first_ns or 0) >= faults.clock_step_at_ns:
             stepped = self._moved(data, faults.clock_step_ns)
             if stepped != data:
                 new = stepped
-                words = (
-                    "" if self._stepped else f"from here on stamps are moved by {faults.clock_step_ns / NS_PER_S:+g} s"
-                )
-                done.append((CLOCK_STEP, words))
+                step_s = faults.clock_step_ns / NS_PER_S
+                done.append((CLOCK_STEP, "" if self._stepped else f"stamps are shifted by {step_s:+g} s from here on"))
                 self._stepped = True
-        # in front of the CRC stands the size of the body: a wrong one loses all messages behind it
+        # the size of the body, before the CRC, remains valid: with a wrong size all later messages would be lost
         if self._is_hit(CORRUPT, faults.corrupt) and len(new) > CRC_AT:
             at, bit = divmod(int(self._chance("bit") * 8 * (len(new) - CRC_AT)), 8)
             at += CRC_AT
@@ -336,10 +335,10 @@ class FaultLine(Generic[T]):
         disconnect = self._is_hit(DISCONNECT, faults.disconnect)
         if self._is_hit(TRUNCATE, faults.truncate) and len(new) > 1:
             cut = 1 + int(self._chance("cut") * (len(new) - 1))
-            done.append((TRUNCATE, f"cut off behind byte {cut} of {len(new)}, connection closed"))
+            done.append((TRUNCATE, f"truncated after byte {cut} of {len(new)}, connection closed"))
             new, disconnect = new[:cut], True
         elif disconnect:
-            done.append((DISCONNECT, "connection closed behind it"))
+            done.append((DISCONNECT, "connection closed after it"))
         late_ns = faults.delay_ns
         if faults.jitter_ns:
             late_ns += int(self._chance(JITTER) * faults.jitter_ns)
@@ -350,6 +349,6 @@ class FaultLine(Generic[T]):
         return share > 0 and self._chance(fault) < share
 
     def _chance(self, of: str) -> float:
-        """A number from 0 to below 1 of this message, of nothing but seed, line, number and purpose."""
+        """Return a number x, 0 ≤ x < 1, that depends only on seed, line, number of the message and purpose."""
         digest = blake2b(f"{self._key}/{self._number}/{of}".encode(), digest_size=8).digest()
         return (int.from_bytes(digest) >> 11) * 2.0**-53

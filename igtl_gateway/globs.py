@@ -13,5 +13,5 @@ def _pattern(glob: str) -> re.Pattern[str]:
 
 
 def matches(glob: str, name: str) -> bool:
-    """Whether ``name`` fits ``glob``: ``*`` and ``?`` within one level, ``**`` across levels."""
+    """Return whether ``name`` matches ``glob``: ``*`` and ``?`` within one level, ``**`` across levels."""
     return _pattern(glob).fullmatch(name) is not None

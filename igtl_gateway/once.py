@@ -1,4 +1,4 @@
-"""Which facts were reported already: a note or warning that may be reported only once asks here."""
+"""Storage of the facts that were reported, for notes and warnings that are reported only once."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Hashable
 
 
 class Once:
-    """The keys of what was reported.  Threads may share it without a lock.
+    """The keys of the reported facts.  Threads may share an instance without a lock.
 
     Args:
-        most: number of keys from which on nothing is reported any more; None: no bound.
+        most: maximum number of keys; facts with other keys are not reported.  None: no limit.
     """
 
     def __init__(self, most: int | None = None) -> None:
@@ -17,12 +17,12 @@ class Once:
         self._seen: dict[Hashable, object] = {}
 
     def first(self, *key: Hashable) -> bool:
-        """Whether this is the first call with this key."""
+        """Return whether this is the first call with this key; always false from ``most`` keys on."""
         if self._most is not None and len(self._seen) >= self._most:
             return False
         mine = object()
-        return self._seen.setdefault(key, mine) is mine  # one operation, for it has no lock
+        return self._seen.setdefault(key, mine) is mine  # one operation, because there is no lock
 
     def forget(self) -> None:
-        """Report everything once more."""
+        """Forget all keys, so that every fact is reported once more."""
         self._seen.clear()

@@ -1,4 +1,4 @@
-"""Quality of service of a ROS stream, in plain values (the ROS edge turns them into rclpy profiles)."""
+"""Quality of service of a ROS stream as plain values; the ROS edge converts them to rclpy profiles."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Qos:
-    """KEEP_LAST with the depth, reliability and durability that a stream needs.
+    """Quality of service of a stream: history KEEP_LAST with depth, reliability and durability.
 
     Attributes:
-        depth: how many messages are kept for a reader that lags.
-        reliable: RELIABLE, else BEST_EFFORT.
-        latched: TRANSIENT_LOCAL (late subscribers get the last messages), else VOLATILE.
+        depth: number of messages stored for a subscriber that lags.
+        reliable: true for RELIABLE, false for BEST_EFFORT.
+        latched: true for TRANSIENT_LOCAL (late joiners receive the last messages), false for VOLATILE.
     """
 
     depth: int = 10
@@ -25,11 +25,11 @@ class Endpoint:
     """A publisher or a subscription in the ROS graph.
 
     Attributes:
-        topic: full name.
-        type: ``"pkg/msg/Name"``.
-        node: full name of its node.
-        publishes: it is a publisher.
-        qos: as offered or asked for.
+        topic: full name of the topic.
+        type: ROS type, ``"pkg/msg/Name"``.
+        node: full name of the node.
+        publishes: true for a publisher, false for a subscription.
+        qos: offered (publisher) or requested (subscription) quality of service.
     """
 
     topic: str
@@ -39,11 +39,11 @@ class Endpoint:
     qos: Qos
 
 
-def incompatible(offered: Qos, asked: Qos) -> str:
-    """Why nothing passes from a publisher to a subscription, or ``""``: DDS asks that no less is offered."""
+def incompatible(offered: Qos, requested: Qos) -> str:
+    """Return why DDS does not connect a publisher with a subscription, or ``""``: it offers less than requested."""
     found = []
-    if asked.reliable and not offered.reliable:
-        found.append("reliability (best effort offered, reliable asked for)")
-    if asked.latched and not offered.latched:
-        found.append("durability (volatile offered, transient local asked for)")
+    if requested.reliable and not offered.reliable:
+        found.append("reliability (best effort offered, reliable requested)")
+    if requested.latched and not offered.latched:
+        found.append("durability (volatile offered, transient local requested)")
     return " and ".join(found)

@@ -1,13 +1,12 @@
 """Time stamps: OpenIGTLink's 32.32 fixed point ⇄ integer nanoseconds ⇄ ROS time.
 
-A *tick word* is the raw 64-bit field of the OpenIGTLink header: upper 32 bits whole seconds since
-1970-01-01T00:00:00Z, lower 32 bits the fraction in units of 2⁻³² s.  0 means "not set", never 1970.
+A *tick word* is the raw 64-bit field of the OpenIGTLink header: upper 32 bits: whole seconds since
+1970-01-01T00:00:00Z, lower 32 bits: the fraction in units of 2⁻³² s.  0 means "not set", never 1970.
 
-The conversion is the one of the reference library (``igtl_util.c``), not the mathematically exact one:
-it walks the fraction from its top bit with a step that starts at half a second and is halved rounding
-*up*.  That makes ns → fraction → ns the identity for every ns, and our numbers bit-equal to what C++
-peers compute.  Fractions of 0xFFFFFFD9 and above mean 1,000,000,000 ns or more and are carried into
-the seconds here.
+The conversion is that of the reference library (``igtl_util.c``), not the mathematically exact one.  It processes the
+fraction from its top bit, with a step that begins at half a second and is halved, rounding *up*.  So ns → fraction →
+ns is the identity for every ns, and the results are bit-equal to those of C++ peers.  Fractions of 0xFFFFFFD9 and above
+are 1,000,000,000 ns or more; this module carries them into the seconds.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ NS_PER_MS = 1_000_000
 
 
 def _steps() -> tuple[int, ...]:
-    """Nanoseconds that each of the 32 fraction bits stands for, top bit first."""
+    """Return the nanoseconds of each of the 32 fraction bits, top bit first."""
     steps, step = [], NS_PER_S
     for _ in range(32):
         step = (step + 1) >> 1
@@ -29,7 +28,7 @@ def _steps() -> tuple[int, ...]:
 
 _STEPS = _steps()
 
-# The value of a fraction is a sum over its bits, so four table look-ups do for 32 steps.
+# The value of a fraction is a sum over its bits, so four table look-ups replace 32 steps.
 _BYTE_NS = tuple(
     tuple(sum(_STEPS[8 * byte + bit] for bit in range(8) if value & (0x80 >> bit)) for value in range(256))
     for byte in range(4)
@@ -42,7 +41,7 @@ _TAIL = tuple((step, 1 << (31 - bit)) for bit, step in enumerate(_STEPS) if bit 
 
 
 def fraction_to_ns(fraction: int) -> int:
-    """Nanoseconds of a 32-bit fraction, as the reference library computes them (0 … 1,000,000,010)."""
+    """Return the nanoseconds of a 32-bit fraction as the reference library computes them (0 … 1,000,000,010)."""
     return (
         _BYTE_NS[0][fraction >> 24]
         + _BYTE_NS[1][fraction >> 16 & 0xFF]
@@ -52,7 +51,7 @@ def fraction_to_ns(fraction: int) -> int:
 
 
 def ns_to_fraction(ns: int) -> int:
-    """32-bit fraction of ``ns`` (0 … 999,999,999), as the reference library computes it."""
+    """Return the 32-bit fraction of ``ns`` (0 … 999,999,999) as the reference library computes it."""
     quotient, rest = divmod(ns, _EXACT_STEP_NS)
     fraction = quotient << (32 - _EXACT_BITS)
     for step, bit in _TAIL:
@@ -65,29 +64,29 @@ def ns_to_fraction(ns: int) -> int:
 
 
 def ticks_to_ns(ticks: int) -> int:
-    """UTC nanoseconds of a tick word; 0 (unset) stays 0."""
+    """Return the UTC nanoseconds of a tick word; 0 (unset) remains 0."""
     return (ticks >> 32) * NS_PER_S + fraction_to_ns(ticks & 0xFFFFFFFF)
 
 
 def ns_to_ticks(ns: int) -> int:
-    """Tick word of UTC nanoseconds; 0 (unset) stays 0, as does what lies before 1970.  From 2106 on the field wraps."""
+    """Return the tick word of UTC nanoseconds; 0 for 0 (unset) and times before 1970.  From 2106 on the field wraps."""
     seconds, rest = divmod(max(ns, 0), NS_PER_S)
     return (seconds & 0xFFFFFFFF) << 32 | ns_to_fraction(rest)
 
 
 def ns_to_ros(ns: int) -> tuple[int, int]:
-    """``(sec, nanosec)`` of builtin_interfaces/Time (int32, uint32) for UTC nanoseconds."""
+    """Return ``(sec, nanosec)`` of builtin_interfaces/Time (int32, uint32) for UTC nanoseconds."""
     seconds, rest = divmod(ns, NS_PER_S)
-    # Time.sec is signed 32 bits: beyond 2038 it wraps, as in every ROS 2 message
+    # Time.sec has 32 bits with sign: after 2038 it wraps, as in every ROS 2 message
     return (seconds + 0x80000000) % 0x100000000 - 0x80000000, rest
 
 
 def ros_to_ns(sec: int, nanosec: int) -> int:
-    """UTC nanoseconds of a builtin_interfaces/Time; ``(0, 0)`` is "unset" and gives 0."""
+    """Return the UTC nanoseconds of a builtin_interfaces/Time; 0 for ``(0, 0)`` (unset)."""
     return sec * NS_PER_S + nanosec
 
 
 def utc_text(ns: int) -> str:
-    """UTC nanoseconds as people and log programs read them: ``2026-11-21T08:00:00.123456789Z``."""
+    """Return UTC nanoseconds as ISO 8601 text: ``2026-11-21T08:00:00.123456789Z``."""
     seconds, rest = divmod(ns, NS_PER_S)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"

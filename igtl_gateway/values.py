@@ -1,8 +1,8 @@
-"""Frozen values that are cheap to make: for what is made several times for every message.
+"""Frozen values that are fast to create, for objects that are created several times per message.
 
-Setting the fields of a frozen dataclass costs 0.3 µs each (3 µs for an ``Entry``, 0.5 µs for a plain one).  So
-``@value(frozen=True, slots=True)`` is ``@dataclass`` with these words for the type checker, which finds every
-assignment; at run time it is the same without the guard, and hashable.
+Each field of a frozen dataclass takes 0.3 µs to set (3 µs for an ``Entry``; 0.5 µs if it is not frozen).  For the type
+checker, which finds every assignment, ``@value(frozen=True, slots=True)`` is ``@dataclass`` with these arguments.  At
+run time the class is not frozen, but hashable.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ else:
     from dataclasses import dataclass
 
     def value(*, frozen, **options):
-        """As ``dataclass``; ``frozen`` is a promise."""
+        """Like ``dataclass``, but ``frozen`` is not enforced."""
         assert frozen
         return dataclass(unsafe_hash=True, **options)
 

@@ -56,9 +56,9 @@ def test_the_session_does_not_know_of_it(path: Path) -> None:
     ("text", "words"),
     [
         ("[igtl]\nmax_client = 2", "igtl.max_client: unknown setting, expected one of listen, connect"),
-        ("[igtl]\nmax_clients = '2'", "igtl.max_clients: found '2', expected a whole number"),
+        ("[igtl]\nmax_clients = '2'", "igtl.max_clients: found '2', expected an integer"),
         ("[igtl]\nmax_clients = 0", "limit max_clients: found 0, expected more than 0"),
-        ("[igtl]\nlisten = ':1'", "igtl.listen: found ':1', expected texts such as"),
+        ("[igtl]\nlisten = ':1'", "igtl.listen: found ':1', expected strings such as"),
         ("[igtl]\nlisten = ['http://:1']", "igtl.listen[0]: found 'http://:1', expected tls://HOST:PORT"),
         ("[igtl]\nmax_body = 4", "igtl.max_body: found 4, expected a table such as { STRING = 4 }"),
         ("[igtl]\nmax_body = { STRING = -1 }", "igtl.max_body: found 'STRING=-1', expected TYPE=MIB"),

@@ -30,7 +30,7 @@ def found(made: Graph) -> list[str]:
 def test_a_subscriber_with_an_incompatible_qos() -> None:
     (clash,) = graph((PROBE, POSE, False, Qos(latched=True))).clashes()
     assert (clash.topic, clash.publisher, clash.subscriber) == (PROBE, "the gateway", "/to_0")
-    assert clash.why == "durability (volatile offered, transient local asked for)"
+    assert clash.why == "durability (volatile offered, transient local requested)"
     assert list(graph((PROBE, POSE, False, Qos(reliable=False))).clashes()) == []
 
 
@@ -43,7 +43,7 @@ def test_the_endpoints_of_a_running_bridge_count() -> None:
     there = (PROBE, POSE, True, Qos(latched=True))
     assert list(graph(there, (PROBE, POSE, False, Qos(latched=True))).clashes()) == []
     (clash,) = graph((PROBE, POSE, True, Qos(reliable=False)), (PROBE, POSE, False, Qos())).clashes()
-    assert (clash.publisher, clash.why) == ("/from_0", "reliability (best effort offered, reliable asked for)")
+    assert (clash.publisher, clash.why) == ("/from_0", "reliability (best effort offered, reliable requested)")
 
 
 def test_topics_with_and_without_a_conversion() -> None:

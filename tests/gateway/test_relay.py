@@ -258,7 +258,7 @@ def test_a_step_of_the_hosts_clock_is_counted() -> None:
 
 
 def test_faults_are_for_relays() -> None:
-    with pytest.raises(ConfigError, match=r"gateway\.faults: found 'loss=1%', expected it with relay = true"):
+    with pytest.raises(ConfigError, match=r"gateway\.faults: found 'loss=1%', expected relay = true with it"):
         Config(faults="loss=1%")
     with pytest.raises(ConfigError, match=r"gateway\.faults: loss: found '1'"):
         Config(relay=True, faults="loss=1")
