@@ -151,7 +151,7 @@ class RelayFaults:
 
     @classmethod
     def parse(cls, text: str, place: str = "--fault") -> RelayFaults:
-        """Return the faults of a text; ``in:`` or ``out:`` before a name limits a fault to one direction."""
+        """Return the faults of both directions; ``in:`` or ``out:`` before a name limits a fault to one direction."""
         ways: dict[str, list[str]] = {"in": [], "out": []}
         for part in text.split(",") if text.strip() else []:
             way, colon, fault = (word.strip() for word in part.partition(":"))
