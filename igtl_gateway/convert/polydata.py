@@ -104,7 +104,7 @@ def polydata_to_igtl(message: igtl_msgs.PolyData, to: ToIgtlContext) -> Converte
     points = into_igtl(to.lengths, message.points, np.empty(message.points.shape, F4))
     if not all_finite(points):
         raise ConversionError(
-            f"{message.TYPE}: found NaN or infinity as a coordinate (float32), expected finite numbers"
+            f"{message.TYPE}: found a coordinate that is not finite (as float32), expected finite numbers"
         )
     vertices, lines, polygons, strips = (_cells(name, message) for name in _SECTIONS)
     attributes = tuple(_attribute(attribute, message, to) for attribute in message.attributes)

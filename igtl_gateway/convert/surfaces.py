@@ -152,7 +152,7 @@ def _finite(points: Array, to: ToIgtlContext, place: str) -> Array:
     """Return wire coordinates.  Raises ConversionError for NaN and infinity: cells refer to all points by index."""
     wire = into_igtl(to.lengths, points, np.empty(points.shape, ">f4"))
     if not all_finite(wire):
-        raise ConversionError(f"{place}: found NaN or infinity as a coordinate (float32), expected finite numbers")
+        raise ConversionError(f"{place}: found a coordinate that is not finite (as float32), expected finite numbers")
     return wire
 
 

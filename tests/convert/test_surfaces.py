@@ -180,9 +180,9 @@ def test_a_surface_with_a_point_nowhere_is_refused(bad: float) -> None:
     """Its cells refer to the point, so it cannot be left out as from a cloud."""
     points = CORNERS.copy()
     points[1, 1] = bad
-    with pytest.raises(ConversionError, match="found NaN or infinity"):
+    with pytest.raises(ConversionError, match="not finite"):
         surfaces.mesh_to_igtl(Mesh(np.array([[0, 1, 2]], "u4"), points), ToIgtlContext())
-    with pytest.raises(ConversionError, match="found NaN or infinity"):
+    with pytest.raises(ConversionError, match="not finite"):
         surfaces.marker_to_igtl(marker(Marker.POINTS, points=points), ToIgtlContext())
     with pytest.raises(ConversionError, match="finite"):
         surfaces.marker_to_igtl(marker(Marker.POINTS, orientation=(bad, 0.0, 0.0, 1.0)), ToIgtlContext())
