@@ -24,8 +24,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from igtl_gateway.wire.header import DEVICE_NAME, DEVICE_NAME_SIZE, TICKS_AT
-
+# A client starts with `python -I -S`, which finds no package: the offsets of igtl_gateway.wire.header, again.
+_DEVICE_NAME, _TICKS_AT = slice(14, 34), 34
 _EPOCH_S = 1_000_000_000
 _SLOW_BYTES, _SLOW_S = 64 << 10, 0.1
 _TALK_S = 0.02
@@ -41,14 +41,14 @@ def client(port: int, folder: Path, seed: int, manner: str, leave: str, seconds:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SLOW_BYTES)
     link.connect(("127.0.0.1", port))
     small = bytearray((folder / "small").read_bytes())
-    small[DEVICE_NAME] = f"Guest{rng.randrange(_DEVICES)}".encode().ljust(DEVICE_NAME_SIZE, b"\0")
+    small[_DEVICE_NAME] = f"Guest{rng.randrange(_DEVICES)}".encode().ljust(20, b"\0")
     sent = 0
     begun = time.monotonic()
     end = begun + (_FOREVER_S if leave == "killed" else seconds)
     while (now := time.monotonic()) < end:
         if manner == "talk" and now - begun >= sent * _TALK_S:
             sent += 1
-            small[TICKS_AT : TICKS_AT + 4] = struct.pack(">I", _EPOCH_S + sent)
+            small[_TICKS_AT : _TICKS_AT + 4] = struct.pack(">I", _EPOCH_S + sent)
             link.sendall(small)
         if manner in ("slow", "deaf"):
             time.sleep(min(_SLOW_S, end - now))

@@ -98,6 +98,8 @@ class Guests:
         for process, until in self._here:
             if now >= until:
                 process.kill()
+        if any(process.poll() == 1 for process, _ in self._here):  # Python's exit code of an exception
+            self._found.failures.append("a short-lived peer failed")
         self._here = [(process, until) for process, until in self._here if process.poll() is None]
         self.many = len(self._here)
         if self._node and (now >= self._node_until or self._node.poll() is not None):

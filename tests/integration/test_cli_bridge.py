@@ -114,8 +114,8 @@ def test_without_options_until_a_signal(programs: list[Program], tmp_path: Path,
     if default:
         assert "server on 127.0.0.1:18944" in shown
     assert f"recording    {path}" in shown
-    assert "devices appear on /igtl/in/<device>/<kind>, poses on /tf too (mm -> m)" in shown
-    assert "what is published on /igtl/out/<device> goes out (m -> mm)" in shown
+    assert "published on /igtl/in/<device>/<kind>, poses also on /tf (mm -> m)" in shown
+    assert "subscribed to /igtl/out/<device> (m -> mm)" in shown
     address = next(line for line in bridge.lines if "server on" in line).rpartition(":")[2]
     with RawPeer(int(address)) as peer:
         peer.send(string("to be kept"))
@@ -125,7 +125,7 @@ def test_without_options_until_a_signal(programs: list[Program], tmp_path: Path,
     assert re.search(r"stopped; OpenIGTLink: 1 in, 0 out; ROS: 0 in, \d out; rejected: 0", result.out)
     assert "LEDGER DOES NOT CLOSE" not in result.out
     messages = recorded(path)
-    assert f"recorded {len(messages)} entries into {path}" in result.out
+    assert f"recorded {len(messages)} entries to {path}" in result.out
     assert [message.data for topic, _, message in messages if topic == "/igtl/in/Raw/string"] == ["to be kept"]
 
 

@@ -319,7 +319,7 @@ def test_a_text_of_70000_bytes_from_ros(scene: Scene) -> None:
 @pytest.mark.parametrize("who", ["header", "loris"])
 def test_slow_peers_are_given_up(scene: Scene, who: str) -> None:
     """They came before all other tests; the others were served meanwhile."""
-    peer, words = (scene.silent, "then nothing") if who == "header" else (scene.loris, "too slow")
+    peer, words = (scene.silent, "and stopped") if who == "header" else (scene.loris, "too slow")
     note = scene.bridge.wait_code("stalled", links=scene.link_of(peer.name))
     assert note["text"].endswith(words)
     assert peer.closed_by_peer()
