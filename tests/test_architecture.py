@@ -376,7 +376,7 @@ def test_tests_mirror_the_package() -> None:
         ("lab.simulate.star", "import random"),
         ("lab.stage.live", "from igtl_gateway.config import Config\nfrom igtl_gateway_lab.simulate import scenario"),
         ("app", "from igtl_gateway.record.recorder import Recorder\nfrom igtl_gateway.edges import ros, tcp"),
-        ("cli.bridge", "def run():\n    from igtl_gateway.app import App\n    say(App)"),
+        ("cli.bridge", "def run():\n    from igtl_gateway.app import App\n    return App()"),
         ("__main__", "from igtl_gateway.cli import main"),
         ("lab.demo.ros_node", "import rclpy, time\nfrom igtl_gateway_lab.demo import pattern\nprint(time.time())"),
         ("stamp", "from datetime import datetime, timezone\ndatetime.fromtimestamp(0, timezone.utc)"),

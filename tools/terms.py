@@ -1,7 +1,7 @@
 """Check the words of documents, docstrings, comments, messages and help against the style guide (docs/style.md).
 
-    .venv/bin/python tools/terms.py              check all files but those in tools/terms_pending.txt
-    .venv/bin/python tools/terms.py PATH …       check these files and folders, pending or not
+    .venv/bin/python tools/terms.py              check all files
+    .venv/bin/python tools/terms.py PATH …       check these files and folders
 
 Strategy: extract the prose of each tracked file, then search it for the terms of one table.  Code between backquotes,
 fenced blocks of Markdown, identifiers and strings of a single word are not prose.  A term that a file needs, because it
@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PENDING = Path(__file__).with_name("terms_pending.txt")
 
 #: Term (regular expression, any case unless it sets its own; a space matches any white space) → what to write instead.
 TERMS = {
@@ -165,12 +164,6 @@ def check(path: str, text: str) -> Iterator[Found]:
                 yield Found(path, line, term, _INSTEAD[int(str(match.lastgroup)[1:])])
 
 
-def pending() -> tuple[str, ...]:
-    """Files, and folders that end with a slash, which are not converted yet."""
-    lines = PENDING.read_text("utf-8").splitlines() if PENDING.exists() else []
-    return tuple(line for line in lines if line)
-
-
 def tracked(paths: Iterable[str] = ()) -> list[str]:
     """The files of the repository that have prose, all or those at ``paths``."""
     listed = subprocess.run(
@@ -181,13 +174,7 @@ def tracked(paths: Iterable[str] = ()) -> list[str]:
 
 def main(args: Sequence[str] | None = None) -> int:
     paths = list(sys.argv[1:] if args is None else args)
-    left_out = () if paths else pending()
-    found = [
-        each
-        for path in tracked(paths)
-        if not path.startswith(left_out)
-        for each in check(path, (ROOT / path).read_text("utf-8"))
-    ]
+    found = [each for path in tracked(paths) for each in check(path, (ROOT / path).read_text("utf-8"))]
     for each in found:
         print(each)
     return int(bool(found))

@@ -93,7 +93,7 @@ def test_a_duration_that_is_refused_costs_no_file(tmp_path: Path, capsys: pytest
         ("acquisition --connect :1", "--connect is for --side igtl"),
         ("acquisition --side igtl --record y", "--record: with --side the bridge is yours"),
         ("test-server --type STRING --size 3", "--size: found 3, expected 30 to 60,000 bytes for STRING"),
-        ("acquisition --actor nobody", "--actor: found 'nobody', expected one of planner, robot"),
+        ("acquisition --actor pilot", "--actor: found 'pilot', expected one of planner, robot"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(words: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
