@@ -161,7 +161,11 @@ def _judge_children(content: Body) -> None:
             body = read_child(child)
         except WireError:
             continue
-        if join(body.pack()) != bytes(child.content):
+        try:
+            again = join(body.pack())
+        except WireError as error:
+            raise Broken(f"child {child.name!r} is decoded, but not encoded: {error}") from None
+        if again != bytes(child.content):
             raise Broken(f"child {child.name!r} is encoded to other bytes")
         _judge_children(body)
 
