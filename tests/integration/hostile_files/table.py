@@ -99,7 +99,8 @@ class Worker:
 
     def run(self, name: str, verb: str, arguments: Sequence[str]) -> Outcome:
         """Run one verb."""
-        if self._process is None or self._process.poll() is not None:
+        is_new = self._process is None or self._process.poll() is not None
+        if is_new:
             self._start()
         process = self._process
         assert process and process.stdin
@@ -110,9 +111,10 @@ class Worker:
         while time.monotonic() - started < WAIT_S and _cpu_s(process.pid) - spent < PATIENCE_S:
             if told := self._told():
                 outcome = judged(name, verb, told)
-                if "memory" in outcome.faults:  # what it holds now would be counted against the next file
-                    self.close()
-                return outcome
+                if "memory" not in outcome.faults:
+                    return outcome
+                self.close()  # what it holds now would be counted against the next file
+                return outcome if is_new else self.run(name, verb, arguments)  # without what earlier verbs left
             if process.poll() is not None:
                 if told := self._told():
                     return judged(name, verb, told)
