@@ -81,7 +81,7 @@ pictures: $(READY)
 fixtures: $(READY)
 	@$(BIN)/python -m tools.fixtures
 
-$(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/__init__.py hatch_build.py igtl_gateway/convert/_express.c
+$(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/__init__.py hatch_build.py $(wildcard igtl_gateway/*/_*.[ch] igtl_gateway/edges/*/_*.h)
 	@tools/setup.sh venv
 	@touch $@
 

@@ -2,230 +2,14 @@
  *
  * The functions for poses also exist in Python, with results that are equal bit for bit.  Those for bulk (strings,
  * points, clouds, images) exist only here.  For every message that is not as the sample they return None, and the full
- * path handles it.  All arithmetic is IEEE 754: for poses double precision in the order of poses.py, for many points
- * single precision as in scaling.py.  The build options prevent that the compiler contracts or reorders it
- * (-ffp-contract=off, no -ffast-math).
+ * path handles it.  Arithmetic for poses is that of _poses.h; that for many points is single precision as in scaling.py.
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
-#include <math.h>
-#include <stdint.h>
-#include <string.h>
 
-/* Sizes and offsets of igtl_gateway/wire/header.py and message.py; tests/wire/test_header.py compares them. */
-#define HEADER_SIZE 58
-#define EXTENDED_SIZE 12
-#define TICKS_AT 34
-#define BODY_SIZE_AT 42
-#define CRC_AT 50
+#include "_poses.h"
 
-#define MATRIX_BYTES 48
-#define QUATERNION_BYTES 28
-#define POSE_BYTES 56
-#define NAMES_AT 12
-#define STAMP_DIGITS 19
-#define NS_PER_S 1000000000LL
-#define FIRST_OF_19_DIGITS 1000000000000000000LL
-
-static const double ROUNDING = 1e-5;
-static double beyond_float32; /* from here on numbers round to the infinity of float32: 2^128 - 2^103 */
-
-/* -- bytes ------------------------------------------------------------------------------------------------------- */
-
-static uint64_t crc_table[256];
-
-static uint64_t crc64(const uint8_t *data, Py_ssize_t size)
-{
-    uint64_t crc = 0;
-    for (Py_ssize_t i = 0; i < size; i++)
-        crc = crc_table[(crc >> 56) ^ data[i]] ^ (crc << 8);
-    return crc;
-}
-
-static uint64_t get_u64(const uint8_t *at)
-{
-    uint64_t value;
-    memcpy(&value, at, 8);
-    return __builtin_bswap64(value);
-}
-
-static void put_u64(uint8_t *at, uint64_t value)
-{
-    value = __builtin_bswap64(value);
-    memcpy(at, &value, 8);
-}
-
-static uint32_t get_u32(const uint8_t *at)
-{
-    uint32_t word;
-    memcpy(&word, at, 4);
-    return __builtin_bswap32(word);
-}
-
-static void put_u32(uint8_t *at, uint32_t word)
-{
-    word = __builtin_bswap32(word);
-    memcpy(at, &word, 4);
-}
-
-static float float_of(uint32_t word)
-{
-    float value;
-    memcpy(&value, &word, 4);
-    return value;
-}
-
-static uint32_t word_of(float value)
-{
-    uint32_t word;
-    memcpy(&word, &value, 4);
-    return word;
-}
-
-static double get_f32(const uint8_t *at) { return float_of(get_u32(at)); }
-
-static void put_f32(uint8_t *at, double value) { put_u32(at, word_of((float)value)); }
-
-/* -- stamps (stamp.py) -------------------------------------------------------------------------------------------- */
-
-static int64_t steps[32];
-
-static int64_t ticks_to_ns(uint64_t ticks)
-{
-    int64_t ns = (int64_t)(ticks >> 32) * NS_PER_S;
-    for (int bit = 0; bit < 32; bit++)
-        if (ticks & (0x80000000u >> bit))
-            ns += steps[bit];
-    return ns;
-}
-
-static uint64_t ns_to_ticks(int64_t ns)
-{
-    if (ns < 0)
-        ns = 0;
-    int64_t rest = ns % NS_PER_S;
-    uint64_t ticks = (uint64_t)(ns / NS_PER_S) << 32;
-    for (int bit = 0; bit < 32; bit++)
-        if (rest >= steps[bit]) {
-            ticks |= 0x80000000u >> bit;
-            rest -= steps[bit];
-        }
-    return ticks;
-}
-
-static void put_ros_stamp(uint8_t *at, int64_t ns)
-{
-    int64_t seconds = ns / NS_PER_S, rest = ns % NS_PER_S;
-    if (rest < 0) {
-        rest += NS_PER_S;
-        seconds -= 1;
-    }
-    uint32_t words[2] = {(uint32_t)seconds, (uint32_t)rest};
-    memcpy(at, words, 8);
-}
-
-/* Write a stamp as STAMP_DIGITS decimal digits. */
-static void put_digits(uint8_t *at, int64_t ns)
-{
-    for (int i = STAMP_DIGITS - 1; i >= 0; i--, ns /= 10)
-        at[i] = (uint8_t)('0' + ns % 10);
-}
-
-/* -- poses (poses.py) --------------------------------------------------------------------------------------------- */
-
-static double largest(double a, double b) { return b > a ? b : a; }
-
-static int unit(const double q[4], double out[4])
-{
-    double length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    if (!(length > 0.0 && length < INFINITY))
-        return 0;
-    for (int i = 0; i < 4; i++)
-        out[i] = q[i] / length;
-    return 1;
-}
-
-/* Negate q if its last component other than 0 is negative: q and -q are the same rotation. */
-static void positive(double q[4])
-{
-    for (int i = 3; i >= 0; i--)
-        if (q[i] != 0.0) {
-            if (q[i] < 0.0)
-                for (int j = 0; j < 4; j++)
-                    q[j] = -q[j];
-            return;
-        }
-}
-
-static int pose_of_matrix(const double m[12], double out[4])
-{
-    const double a = m[0], b = m[3], c = m[6], d = m[1], e = m[4], f = m[7], g = m[2], h = m[5], i = m[8];
-    double off = fabs(a * a + d * d + g * g - 1.0);
-    off = largest(off, fabs(b * b + e * e + h * h - 1.0));
-    off = largest(off, fabs(c * c + f * f + i * i - 1.0));
-    off = largest(off, fabs(a * b + d * e + g * h));
-    off = largest(off, fabs(a * c + d * f + g * i));
-    off = largest(off, fabs(b * c + e * f + h * i));
-    if (!(off <= ROUNDING))
-        return 0;
-    if (a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0)
-        return 0;
-    double q[4], trace = a + e + i;
-    if (trace >= largest(largest(a, e), i)) {
-        q[0] = h - f, q[1] = c - g, q[2] = d - b, q[3] = 1.0 + trace;
-    } else if (a >= e && a >= i) {
-        q[0] = 1.0 + a - e - i, q[1] = b + d, q[2] = c + g, q[3] = h - f;
-    } else if (e >= i) {
-        q[0] = b + d, q[1] = 1.0 - a + e - i, q[2] = f + h, q[3] = c - g;
-    } else {
-        q[0] = c + g, q[1] = f + h, q[2] = 1.0 - a - e + i, q[3] = d - b;
-    }
-    if (!unit(q, out))
-        return 0;
-    positive(out);
-    return 1;
-}
-
-static void rotation_matrix(const double q[4], double m[9])
-{
-    const double x = q[0], y = q[1], z = q[2], w = q[3];
-    m[0] = 1.0 - 2.0 * (y * y + z * z);
-    m[3] = 2.0 * (x * y - z * w);
-    m[6] = 2.0 * (x * z + y * w);
-    m[1] = 2.0 * (x * y + z * w);
-    m[4] = 1.0 - 2.0 * (x * x + z * z);
-    m[7] = 2.0 * (y * z - x * w);
-    m[2] = 2.0 * (x * z - y * w);
-    m[5] = 2.0 * (y * z + x * w);
-    m[8] = 1.0 - 2.0 * (x * x + y * y);
-}
-
-/* -- poses: the two functions ---------------------------------------------------------------------------------------------- */
-
-static int equal(const uint8_t *a, const uint8_t *b, Py_ssize_t begin, Py_ssize_t end)
-{
-    return memcmp(a + begin, b + begin, (size_t)(end - begin)) == 0;
-}
-
-/* Read the numbers of a message that equals the sample except in stamp, CRC, message id and numbers; 0 if it does not. */
-static int numbers_of(const uint8_t *data, const uint8_t *sample, Py_ssize_t size, Py_ssize_t at, Py_ssize_t bytes,
-                      int check_crc, double *numbers)
-{
-    if (!equal(data, sample, 0, TICKS_AT) || !equal(data, sample, BODY_SIZE_AT, CRC_AT))
-        return 0;
-    if (at > HEADER_SIZE && !equal(data, sample, HEADER_SIZE, at - 4)) /* the last 4 bytes there are the message id */
-        return 0;
-    if (!equal(data, sample, at + bytes, size))
-        return 0;
-    if (check_crc && crc64(data + HEADER_SIZE, size - HEADER_SIZE) != get_u64(data + CRC_AT))
-        return 0;
-    for (Py_ssize_t i = 0; i < bytes / 4; i++) {
-        numbers[i] = get_f32(data + at + 4 * i);
-        if (!isfinite(numbers[i]))
-            return 0;
-    }
-    return 1;
-}
+/* -- poses ------------------------------------------------------------------------------------------------------------- */
 
 static int all_tuples(PyObject *forms)
 {
@@ -260,21 +44,10 @@ static PyObject *pose_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
         PyErr_SetString(PyExc_ValueError, "pose_to_ros: numbers outside the sample");
         return NULL;
     }
-    double numbers[12], pose[7];
-    if (size != PyBytes_GET_SIZE(args[1]) || !numbers_of(data, sample, size, at, bytes, check_crc, numbers))
+    struct igtl_poses stream = {sample, PyBytes_GET_SIZE(args[1]), at, bytes, check_crc, times, by};
+    double pose[7];
+    if (!pose_from_igtl(&stream, data, size, pose))
         Py_RETURN_NONE;
-    const double *position = numbers;
-    if (bytes == MATRIX_BYTES) {
-        if (!pose_of_matrix(numbers, pose + 3))
-            Py_RETURN_NONE;
-        position = numbers + 9;
-    } else {
-        if (!unit(numbers + 3, pose + 3))
-            Py_RETURN_NONE;
-        positive(pose + 3);
-    }
-    for (int i = 0; i < 3; i++)
-        pose[i] = position[i] * times / by;
     int64_t source_ns = ticks_to_ns(get_u64(data + TICKS_AT));
     int64_t stamp_ns = own && source_ns > 0 ? source_ns : received_ns;
     Py_ssize_t forms = PyTuple_GET_SIZE(args[8]);
@@ -301,9 +74,7 @@ static PyObject *pose_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
             Py_DECREF(result);
             return NULL;
         }
-        uint8_t *out = (uint8_t *)PyBytes_AS_STRING(cdr);
-        put_ros_stamp(out + stamp_at, stamp_ns);
-        memcpy(out + length - POSE_BYTES, pose, POSE_BYTES);
+        put_ros_pose((uint8_t *)PyBytes_AS_STRING(cdr), length, stamp_at, stamp_ns, pose);
         PyTuple_SET_ITEM(result, 2 + i, cdr);
     }
     return result;
@@ -332,38 +103,15 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
         PyErr_SetString(PyExc_ValueError, "pose_to_igtl: names outside the sample");
         return NULL;
     }
-    if (!PyBytes_Check(args[0]) || PyBytes_GET_SIZE(args[0]) != size)
+    if (!PyBytes_Check(args[0]))
         Py_RETURN_NONE;
-    const uint8_t *cdr = (const uint8_t *)PyBytes_AS_STRING(args[0]);
-    const uint8_t *sample = (const uint8_t *)PyBytes_AS_STRING(args[1]);
-    if (!equal(cdr, sample, 0, 4) || !equal(cdr, sample, NAMES_AT, first_end) || !equal(cdr, sample, second, end))
+    struct ros_poses stream = {(const uint8_t *)PyBytes_AS_STRING(args[1]), size, first_end, second, end, bytes, times, by};
+    int64_t header_ns;
+    double numbers[12];
+    if (!pose_from_ros(&stream, (const uint8_t *)PyBytes_AS_STRING(args[0]), PyBytes_GET_SIZE(args[0]), &header_ns, numbers))
         Py_RETURN_NONE;
-    int32_t seconds;
-    uint32_t nanoseconds;
-    memcpy(&seconds, cdr + 4, 4);
-    memcpy(&nanoseconds, cdr + 8, 4);
-    int64_t header_ns = seconds * NS_PER_S + nanoseconds;
     int64_t said_ns = header_ns ? header_ns : source_ns;
     int64_t stamp_ns = own && said_ns > 0 ? said_ns : received_ns;
-    double pose[7], numbers[12], q[4];
-    memcpy(pose, cdr + size - POSE_BYTES, POSE_BYTES);
-    for (int i = 0; i < 7; i++)
-        if (!isfinite(pose[i]))
-            Py_RETURN_NONE;
-    if (!unit(pose + 3, q))
-        Py_RETURN_NONE;
-    double *position = numbers;
-    if (bytes == MATRIX_BYTES) {
-        rotation_matrix(q, numbers);
-        position = numbers + 9;
-    } else {
-        memcpy(numbers + 3, q, sizeof q);
-    }
-    for (int i = 0; i < 3; i++) {
-        position[i] = pose[i] * times / by;
-        if (!(fabs(position[i]) < beyond_float32))
-            Py_RETURN_NONE;
-    }
     Py_ssize_t forms = PyTuple_GET_SIZE(args[8]);
     PyObject *result = PyTuple_New(1 + forms);
     if (!result)
@@ -382,7 +130,7 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
             Py_DECREF(result);
             return NULL;
         }
-        if (digits_at > 0 ? header_ns < FIRST_OF_19_DIGITS : digits_at < 0 && header_ns) {
+        if (!fits_digits(digits_at, header_ns)) {
             Py_DECREF(result); /* metadata of another size than in the template */
             Py_RETURN_NONE;
         }
@@ -393,11 +141,7 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
         }
         uint8_t *out = (uint8_t *)PyBytes_AS_STRING(message);
         put_u64(out + TICKS_AT, ns_to_ticks(stamp_ns));
-        for (Py_ssize_t k = 0; k < bytes / 4; k++)
-            put_f32(out + at + 4 * k, numbers[k]);
-        if (digits_at > 0)
-            put_digits(out + digits_at, header_ns);
-        put_u64(out + CRC_AT, crc64(out + HEADER_SIZE, length - HEADER_SIZE));
+        put_igtl_pose(out, length, at, bytes, digits_at, numbers, header_ns);
         PyTuple_SET_ITEM(result, 1 + i, message);
     }
     return result;
@@ -876,7 +620,7 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
             PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: a form without room for header or stamp");
             goto failed;
         }
-        if (digits_at > 0 ? header_ns < FIRST_OF_19_DIGITS : digits_at < 0 && header_ns) {
+        if (!fits_digits(digits_at, header_ns)) {
             Py_CLEAR(result); /* metadata of another size than in the template */
             goto general;
         }
@@ -930,16 +674,7 @@ static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_express", "See 
 
 PyMODINIT_FUNC PyInit__express(void)
 {
-    for (int byte = 0; byte < 256; byte++) {
-        uint64_t crc = (uint64_t)byte << 56;
-        for (int bit = 0; bit < 8; bit++)
-            crc = crc & 0x8000000000000000u ? (crc << 1) ^ 0x42F0E1EBA9EA3693u : crc << 1;
-        crc_table[byte] = crc;
-    }
-    int64_t step = NS_PER_S;
-    for (int bit = 0; bit < 32; bit++)
-        steps[bit] = step = (step + 1) >> 1;
-    beyond_float32 = ldexp(1.0, 128) - ldexp(1.0, 103);
+    begin_bytes();
     PyObject *fastcrc = PyImport_ImportModule("fastcrc.crc64");
     if (!fastcrc)
         return NULL;

@@ -11,7 +11,7 @@ from igtl_gateway.convert import express
 from igtl_gateway.wire import header, message
 from igtl_gateway.wire.header import Header
 
-_C_SOURCE = Path(express.__file__).with_name("_express.c")
+_C_SOURCE = Path(express.__file__).with_name("_bytes.h")
 #: What the recorder's process must not wait for.
 _HEAVY = ("numpy", "igtl_gateway.wire.message", "igtl_gateway.wire.registry")
 
