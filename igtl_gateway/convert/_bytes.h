@@ -7,6 +7,8 @@
 #include <string.h>
 #include <sys/types.h>
 
+#include "_crc64.h"
+
 /* Sizes and offsets of igtl_gateway/wire/header.py and message.py; tests/wire/test_header.py compares them. */
 #define HEADER_SIZE 58
 #define EXTENDED_SIZE 12
@@ -24,15 +26,7 @@
 
 /* -- bytes ------------------------------------------------------------------------------------------------------- */
 
-static uint64_t crc_table[256];
-
-static uint64_t crc64(const uint8_t *data, ssize_t size)
-{
-    uint64_t crc = 0;
-    for (ssize_t i = 0; i < size; i++)
-        crc = crc_table[(crc >> 56) ^ data[i]] ^ (crc << 8);
-    return crc;
-}
+static inline uint64_t crc64(const uint8_t *data, ssize_t size) { return crc64_update(0, data, size); }
 
 static uint64_t get_u64(const uint8_t *at)
 {
@@ -126,12 +120,7 @@ static void put_digits(uint8_t *at, int64_t ns)
 /* Fill the tables; to be called before anything else here. */
 static void begin_bytes(void)
 {
-    for (int byte = 0; byte < 256; byte++) {
-        uint64_t crc = (uint64_t)byte << 56;
-        for (int bit = 0; bit < 8; bit++)
-            crc = crc & 0x8000000000000000u ? (crc << 1) ^ 0x42F0E1EBA9EA3693u : crc << 1;
-        crc_table[byte] = crc;
-    }
+    begin_crc64();
     int64_t step = NS_PER_S;
     for (int bit = 0; bit < 32; bit++)
         steps[bit] = step = (step + 1) >> 1;

@@ -164,28 +164,6 @@ enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5 }
 #define MAX_TEXT 65535
 #define MIB_ASCII 3
 
-/* From about this size on, the library's CRC is faster than the table. */
-#define LONG_BODY 2048
-
-static PyObject *crc_of_long; /* fastcrc.crc64.ecma_182 */
-
-/* Compute the CRC; 0: an exception is set. */
-static int crc_of(const uint8_t *data, Py_ssize_t size, uint64_t *crc)
-{
-    if (size < LONG_BODY) {
-        *crc = crc64(data, size);
-        return 1;
-    }
-    PyObject *view = PyMemoryView_FromMemory((char *)data, size, PyBUF_READ);
-    PyObject *number = view ? PyObject_CallOneArg(crc_of_long, view) : NULL;
-    Py_XDECREF(view);
-    if (!number)
-        return 0;
-    *crc = PyLong_AsUnsignedLongLong(number);
-    Py_DECREF(number);
-    return !PyErr_Occurred();
-}
-
 static uint32_t get_u32_ros(const uint8_t *at)
 {
     uint32_t word;
@@ -389,7 +367,6 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
     const uint8_t *data = view.buf;
     Py_ssize_t size = view.len;
     PyObject *result = NULL;
-    uint64_t crc;
     if (size < at + tail || !equal(data, sample, 0, TICKS_AT) || get_u64(data + BODY_SIZE_AT) != (uint64_t)(size - HEADER_SIZE))
         goto general;
     Py_ssize_t extended = sample[1] == 2 ? EXTENDED_SIZE : 0; /* its last 4 bytes are the message id */
@@ -397,12 +374,8 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
         goto general;
     if (!equal(data, sample, HEADER_SIZE + extended, at) || memcmp(data + size - tail, sample + at, (size_t)tail))
         goto general;
-    if (check_crc) {
-        if (!crc_of(data + HEADER_SIZE, size - HEADER_SIZE, &crc))
-            goto done;
-        if (crc != get_u64(data + CRC_AT))
-            goto general;
-    }
+    if (check_crc && crc64(data + HEADER_SIZE, size - HEADER_SIZE) != get_u64(data + CRC_AT))
+        goto general;
     int64_t source_ns = ticks_to_ns(get_u64(data + TICKS_AT));
     int64_t stamp_ns = own && source_ns > 0 ? source_ns : received_ns;
     Py_ssize_t forms = PyTuple_GET_SIZE(args[8]);
@@ -643,10 +616,7 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
         put_u64(out + BODY_SIZE_AT, (uint64_t)(at + content + rest - HEADER_SIZE));
         if (digits_at > 0)
             put_digits(end + digits_at, header_ns);
-        uint64_t crc;
-        if (!crc_of(out + HEADER_SIZE, at + content + rest - HEADER_SIZE, &crc))
-            goto failed;
-        put_u64(out + CRC_AT, crc);
+        put_u64(out + CRC_AT, crc64(out + HEADER_SIZE, at + content + rest - HEADER_SIZE));
     }
     goto done;
 failed:
@@ -659,6 +629,22 @@ done:
     return result;
 }
 
+/* -- CRC, for the tests ----------------------------------------------------------------------------------------------- */
+
+/* (data, crc of the bytes before) -> CRC, as the processor allows and with the tables */
+static PyObject *crc64_both(PyObject *module, PyObject *args)
+{
+    (void)module;
+    Py_buffer view;
+    unsigned long long crc;
+    if (!PyArg_ParseTuple(args, "y*K", &view, &crc))
+        return NULL;
+    PyObject *both = Py_BuildValue("KK", (unsigned long long)crc64_update(crc, view.buf, view.len),
+                                   (unsigned long long)crc64_portable(crc, view.buf, view.len));
+    PyBuffer_Release(&view);
+    return both;
+}
+
 /* -- module --------------------------------------------------------------------------------------------------------- */
 
 static PyMethodDef functions[] = {
@@ -666,6 +652,7 @@ static PyMethodDef functions[] = {
     {"pose_to_igtl", (PyCFunction)(void (*)(void))pose_to_igtl, METH_FASTCALL, "See express.py."},
     {"bulk_to_ros", (PyCFunction)(void (*)(void))bulk_to_ros, METH_FASTCALL, "See express.py."},
     {"bulk_to_igtl", (PyCFunction)(void (*)(void))bulk_to_igtl, METH_FASTCALL, "See express.py."},
+    {"crc64_both", crc64_both, METH_VARARGS, "(data, crc) -> (CRC, CRC with the tables), for the tests"},
     {NULL, NULL, 0, NULL},
 };
 
@@ -675,12 +662,5 @@ static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_express", "See 
 PyMODINIT_FUNC PyInit__express(void)
 {
     begin_bytes();
-    PyObject *fastcrc = PyImport_ImportModule("fastcrc.crc64");
-    if (!fastcrc)
-        return NULL;
-    crc_of_long = PyObject_GetAttrString(fastcrc, "ecma_182");
-    Py_DECREF(fastcrc);
-    if (!crc_of_long)
-        return NULL;
     return PyModule_Create(&definition);
 }
