@@ -17,6 +17,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from igtl_gateway.errors import RecordingError
 from igtl_gateway.record.host import Host, in_process
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, StateInputRule
+from igtl_gateway.record.shared_queue import QueueSlot, QueueWriter
 from igtl_gateway.record.worker import FAILED, THREAD, RecordingSummary, WorkerSettings, WorkerState
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level, Note
@@ -46,6 +48,7 @@ class Recorder:
         options: how to record.
         rule: which inputs later outputs depend on; for what is left out, and for files that begin midway.
         host: where the worker works.
+        lock: for the queue; a native writer that uses the queue, too, holds the same one.
 
     Raises RecordingError when the file cannot be created.
     """
@@ -61,13 +64,14 @@ class Recorder:
         options: RecordOptions | None = None,
         rule: StateInputRule | None = None,
         host: Host = in_process,
+        lock: AbstractContextManager[object] | None = None,
     ) -> None:
         self.options = options or RecordOptions()
         self._path = path
         self._qos_of = qos_of
         self._on_note = on_note
 
-        self._lock = threading.Lock()  # held for a few operations at a time; guards all up to the empty line
+        self._lock = lock or threading.Lock()  # held for a few operations at a time; guards all up to the empty line
         self._dropped: Counter[str] = Counter()
         self._closing = False
         self._snapshots: dict[int, Future[Path]] = {}
@@ -94,20 +98,36 @@ class Recorder:
         self._thread = threading.Thread(target=self._listen, name="recorder", daemon=True)
         self._thread.start()
 
+    @property
+    def queue(self) -> QueueWriter:
+        """The queue, for a native writer: to be used under the lock only."""
+        return self._queue
+
     def __call__(self, entry: Entry) -> None:
         """Record an entry.  Its buffers may change as soon as this returns.
 
         Raises TypeError or the like for what is no entry, which counts as dropped.
         """
+        copy = self.reserve(entry)
+        if copy:
+            copy()
+
+    def reserve(self, entry: Entry) -> Callable[[], None] | None:
+        """Record an entry, but leave the copy of a large payload to the function that is returned.
+
+        This takes microseconds, so the caller may have a lock that gives entries their order.  It calls the function
+        once, without that lock; the buffers must not change before.  None: nothing is to be done.  Raises as a call.
+        """
         with self._lock:
-            taken = False
+            taken: bool | QueueSlot = False
             try:
-                taken = not (self._closing or self._state.failure) and self._queue.put(entry)
+                taken = not (self._closing or self._state.failure) and self._queue.reserve(entry)
             finally:
-                if not taken:
+                if taken is False:
                     self._count_drop(entry)
         if self._queue.pressing:
             self._wake()
+        return taken if isinstance(taken, QueueSlot) else None
 
     def counters(self) -> dict[str, Any]:
         """What was written, waits, was dropped and was left out, so far."""
@@ -156,6 +176,7 @@ class Recorder:
             if not (self._closing or self._ended):
                 self._queue.command(*words)
             self._closing = True
+            self._queue.close()
         self._wake()
         self._thread.join()
         if self._summary is None:
@@ -213,6 +234,8 @@ class Recorder:
                     self._command("fail", f"recording to {self._path} failed: {type(error).__name__}: {error}")
             case "state":
                 self._state = values[0]
+                if self._state.failure:
+                    self._queue.close()
             case "qos":
                 self._send(self._qos(*values))
             case "drops":
@@ -225,6 +248,7 @@ class Recorder:
                 with self._lock:
                     self._state, self._summary = values
                     self._ended = True
+                    self._queue.close()
 
     def _qos(self, topic: str, ros_type: str) -> Any:
         """The QoS, or the words of a defect."""
@@ -246,6 +270,7 @@ class Recorder:
             self._dropped["(with the recorder's process)"] += lost
             self._state = replace(values, failure=failure)
             self._ended = True
+            self._queue.close()
         self._on_worker_end()
         then = "the bridge stops" if self.options.stop_on_failure else "the bridge goes on without recording"
         self._on_note(Note(Level.ERROR, FAILED, f"{failure}; {then}; igtl-gateway recover repairs the file"))

@@ -3,9 +3,12 @@
 To put an entry is to copy it: no lock is shared, no system call is made, no thread has to run.  So what was put is
 safe from whatever happens to the process that did, and costs it microseconds.
 
-Layout: a page of counters, then room for records.  A record is five numbers and bytes; it is never split.  What all
-entries of a stream have in common is written once, in a record before the first of them; an entry is the number of that
-stream, three numbers of its own, and the payload.  Commands, and what does not fit into that, are marshalled.
+``_queue.h`` documents the layout, and is a second writer for native code.  What all entries of a stream have in common
+is written once, in a record before the first of them; an entry is the number of that stream, three numbers of its own,
+and the payload.  Commands, and what does not fit into that, are marshalled.
+
+Large payloads are copied in two steps: the first one takes the place in the order of the log, the second one copies
+without the interpreter lock, and with ``reserve`` without the caller's lock.
 
 Records follow each other, until a mark has the place of the next one: where the room ends, where
 something waits still, and as soon as there is room at the beginning, so that the same few pages, which are there
@@ -22,12 +25,14 @@ import struct
 import sys
 import tempfile
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from operator import index
 from typing import Any
+
+import numpy as np
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.session.entry import Entry, Kind
@@ -37,6 +42,7 @@ _MARSHAL = 2  # the version without references, which a head has no use for
 #: What a record is, and the size of its payload; of an entry then its number, stamp and source stamp.
 _RECORD = struct.Struct("=QQQQQ")
 _RECORD_BYTES = _RECORD.size
+_WORD = struct.Struct("=Q")
 #: Streams that have numbers at once.
 _MAX_STREAMS = 10_000
 #: What a record is: an entry of the stream of this number, or one of these.  A mark has the place instead of the size,
@@ -46,10 +52,22 @@ _ALIGN = 16
 _KINDS = tuple(Kind)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 
-#: Places in the page of counters: of the putter, of the getter, and of both.
+#: Slots of the page of counters, as ``_queue.h`` has them: of the writers, of the reader, and of both.
 _HEAD, _REFUSED = 0, 1
 _TAIL, _DONE_ENTRIES, _DONE_BYTES = 8, 9, 10
 _BELL = 16
+#: What only the writers know; it is in the page because the native writer shares it.
+_PLACE, _LIMIT, _ENTRIES, _TAKEN = 32, 33, 34, 35
+_MAX_ENTRIES, _MAX_BYTES, _GENERATION, _CLOSED = 40, 41, 42, 43
+#: Place, limit, entries and bytes at once: one access instead of four.
+_STATE = struct.Struct("=QQQQ")
+_STATE_AT = 8 * _PLACE
+#: Entries and bytes that the reader is done with.
+_DONE = struct.Struct("=QQ")
+_DONE_AT = 8 * _DONE_ENTRIES
+
+#: Added to what a record is while its payload is copied, or if that failed.
+_FILLING, _VOID = 1 << 32, 1 << 33
 
 #: Memory that stays with the queue when it is empty; of what a burst took, the rest goes back to the system.
 _KEPT_BYTES = 64 << 20
@@ -76,11 +94,9 @@ ENTRY_BYTES = 500
 _WAKE_BYTES = 8 << 20
 _WAKE_ENTRIES = 2_000
 
-#: Payloads from this size on find no room in the last eighth of the bound.
+#: Payloads from this size on find no room in the last eighth of the bound, are copied in a second step, and
+#: may be lent.
 _LARGE_BYTES = 64 << 10
-
-#: Payloads from this size on may be lent.
-_LENT_BYTES = 64 << 10
 
 
 def memory(queue_bytes: int, largest: int) -> mmap.mmap:
@@ -121,8 +137,42 @@ class _QueueEnd:
         self._size = len(self._room)
 
 
+class QueueSlot:
+    """The place of an entry whose payload is still to be copied: call it, without a lock, as soon as possible.
+
+    The reader waits for it.  If it is never called the reader counts the entry as lost.
+    """
+
+    __slots__ = ("_begin", "_parts", "_room")
+
+    def __init__(self, room: memoryview, begin: int, parts: Sequence[Buffer]) -> None:
+        self._room, self._begin = room, begin
+        self._parts = [np.frombuffer(part, np.uint8) for part in parts]
+
+    def __call__(self) -> None:
+        """Copy the payload, which must not have changed, and hand the entry to the reader."""
+        end = self._begin + _RECORD_BYTES
+        room = np.frombuffer(self._room, np.uint8)
+        for part in self._parts:
+            begin, end = end, end + len(part)
+            room[begin:end] = part  # without the interpreter lock, unlike a memoryview
+        self._end(0)
+
+    def __del__(self) -> None:
+        if self._parts:
+            self._end(_VOID)
+
+    def _end(self, mark: int) -> None:
+        self._parts = []
+        (what,) = _WORD.unpack_from(self._room, self._begin)
+        barrier = threading.Lock()
+        with barrier:  # as for the position: the payload is there before the record is complete
+            pass
+        _WORD.pack_into(self._room, self._begin, what & ~_FILLING | mark)
+
+
 class QueueWriter(_QueueEnd):
-    """The end that puts.  Its caller ensures that only one thread at a time uses it.
+    """The end that puts.  Its caller ensures that only one thread at a time uses it, the native writer included.
 
     Args:
         place: as for both ends.
@@ -131,17 +181,20 @@ class QueueWriter(_QueueEnd):
 
     def __init__(self, place: mmap.mmap, max_entries: int, max_bytes: int) -> None:
         super().__init__(place)
+        self._counters[_MAX_ENTRIES], self._counters[_MAX_BYTES] = max_entries, max_bytes
         self._max_entries, self._max_bytes = max_entries, max_bytes
         self._max_large = max_bytes - max_bytes // 8
-        self._entries = self._taken = 0
-        self._position = self._place = 0  # of the next record
+        self._barrier = threading.Lock()
         self._run = (0, 0)  # position and place of the first record since the last mark
         self._runs: deque[tuple[int, int, int]] = deque()  # those before, with the place of their end
-        self._limit = 0  # the place up to which nothing is in the way
-        self._barrier = threading.Lock()
         self._streams: dict[tuple[Kind, str, str, tuple[int, ...]], int] = {}
         #: Whether so much waits, after the last entry, that the getter should look.
         self.pressing = False
+
+    @property
+    def memory(self) -> mmap.mmap:
+        """What ``queue_open`` of the native writer needs the address of."""
+        return self._map
 
     def warm_up(self) -> None:
         """Have the system provide the memory that serves most, so that no entry waits for it page by page."""
@@ -152,21 +205,45 @@ class QueueWriter(_QueueEnd):
     @property
     def waiting(self) -> tuple[int, int]:
         """Entries and bytes that were put and are not done with."""
-        return self._entries - self._counters[_DONE_ENTRIES], self._taken - self._counters[_DONE_BYTES]
+        counters = self._counters
+        return counters[_ENTRIES] - counters[_DONE_ENTRIES], counters[_TAKEN] - counters[_DONE_BYTES]
 
     @property
     def entries_put(self) -> int:
         """Entries that were put so far."""
-        return self._entries
+        return self._counters[_ENTRIES]
+
+    def close(self) -> None:
+        """Have the native writer put nothing any more."""
+        self._counters[_CLOSED] = 1
+
+    def stream_number(self, kind: Kind, channel: str, type_name: str, links: tuple[int, ...]) -> int:
+        """The stream by which the native writer names the entries with these fields; -1 if there is no room for it.
+
+        It is valid until all numbers are taken; the native writer detects that, and asks again.
+        """
+        number = self._streams.get((kind, channel, type_name, links), -1)
+        if number < 0:
+            number = self._new_stream(kind, channel, type_name, links)
+        return -1 if number == _ENTRY else self._counters[_GENERATION] << 32 | number
 
     def put(self, entry: Entry) -> bool:
-        """Add an entry; False if there is no room for it.  Raises TypeError or the like for other objects.
+        """Add an entry; False if there is no room for it.  Raises TypeError or the like for other objects."""
+        slot = self.reserve(entry)
+        if type(slot) is QueueSlot:
+            slot()
+        return slot is not False
+
+    def reserve(self, entry: Entry) -> bool | QueueSlot:
+        """Add an entry, except for a large payload: the slot copies that.  False if there is no room.
 
         That a peer came or went finds room beyond the bound, as commands do: without it every later output to the peers
         would be another one than that of the recording.  Large ones give way first: pictures fill a queue in seconds,
         and what the gateway learns from, such as a query, is small.
+
+        Raises TypeError or the like for other objects.
         """
-        taken = False
+        taken: bool | QueueSlot = False
         counters = self._counters
         try:
             payload = entry.payload
@@ -178,43 +255,48 @@ class QueueWriter(_QueueEnd):
             try:
                 stream = self._streams.get((entry.kind, entry.channel, entry.type, entry.links), -1)
                 if stream < 0:
-                    stream = self._new_stream(entry)
+                    _, _, kind, channel, type_name, links, _ = _fields_of(entry)
+                    stream = self._new_stream(_KINDS[kind], channel, type_name, links)
             except TypeError:  # a list of links
                 stream = _ENTRY
-            entries = self._entries - counters[_DONE_ENTRIES]
-            waiting = self._taken - counters[_DONE_BYTES] + size + ENTRY_BYTES
+            done_entries, done_bytes = _DONE.unpack_from(self._map, _DONE_AT)
+            _, _, entries, counted = _STATE.unpack_from(self._map, _STATE_AT)
+            waiting_entries, waiting = entries - done_entries, counted - done_bytes + size + ENTRY_BYTES
             most = self._max_bytes if size < _LARGE_BYTES else self._max_large
-            if (entries < self._max_entries and (waiting <= most or not entries)) or entry.kind is Kind.LINK:
+            if (
+                waiting_entries < self._max_entries and (waiting <= most or not waiting_entries)
+            ) or entry.kind is Kind.LINK:
                 try:
-                    taken = stream < _MAX_STREAMS and self._add(
-                        stream, size, (entry.seq, entry.stamp_ns, entry.source_ns), payload, size
-                    )
+                    if stream < _MAX_STREAMS:
+                        numbers = entry.seq, entry.stamp_ns, entry.source_ns
+                        if size < _LARGE_BYTES:
+                            taken = self._add(stream, size, numbers, payload, size, size + ENTRY_BYTES) >= 0
+                        else:
+                            begin = self._add(stream | _FILLING, size, numbers, (), size, size + ENTRY_BYTES)
+                            taken = begin >= 0 and QueueSlot(self._room, begin, payload)
                 except struct.error:  # beyond 64 bits
                     stream = _ENTRY
                 if stream == _ENTRY:
-                    taken = self._add_fields(_ENTRY, _fields_of(entry), payload, size)
+                    taken = self._add_fields(_ENTRY, _fields_of(entry), payload, size, size + ENTRY_BYTES)
         finally:
-            if not taken:
+            if taken is False:
                 counters[_REFUSED] += 1
-        self.pressing = waiting > _WAKE_BYTES or entries >= _WAKE_ENTRIES
-        if taken:
-            self._entries += 1
-            self._taken += size + ENTRY_BYTES
+        self.pressing = waiting > _WAKE_BYTES or waiting_entries >= _WAKE_ENTRIES
         return taken
 
-    def _new_stream(self, entry: Entry) -> int:
-        """The number of an entry's stream, which the other end gets; ``_ENTRY`` where there is no room for that.
+    def _new_stream(self, kind: Kind, channel: str, type_name: str, links: tuple[int, ...]) -> int:
+        """The number of a new stream, which the other end gets; ``_ENTRY`` where there is no room for that.
 
         When all numbers are taken both ends start again: each set of peers that gets a message is a stream, and peers
         come and go.
         """
-        _, _, kind, channel, type_name, links, _ = _fields_of(entry)
-        if not self._add_fields(_STREAM, (kind, channel, type_name, links)):
+        if not self._add_fields(_STREAM, (_NUMBERS[kind], channel, type_name, links)):
             return _ENTRY
         if len(self._streams) == _MAX_STREAMS:
             self._streams.clear()
+            self._counters[_GENERATION] += 1
         number = len(self._streams)
-        self._streams[entry.kind, channel, type_name, links] = number
+        self._streams[kind, channel, type_name, links] = number
         return number
 
     def command(self, name: str, *words: Any) -> bool:
@@ -228,37 +310,59 @@ class QueueWriter(_QueueEnd):
         self._counters[_BELL] = 1
         return True
 
-    def _add_fields(self, what: int, words: tuple[Any, ...], payload: Sequence[Buffer] = (), size: int = 0) -> bool:
+    def _add_fields(
+        self, what: int, words: tuple[Any, ...], payload: Sequence[Buffer] = (), size: int = 0, counted: int = 0
+    ) -> bool:
         encoded = marshal.dumps(words, _MARSHAL)
-        return self._add(what, size, (len(encoded), 0, 0), (encoded, *payload), len(encoded) + size)
+        parts, length = (encoded, *payload), len(encoded) + size
+        return self._add(what, size, (len(encoded), 0, 0), parts, length, counted) >= 0
 
-    def _add(self, what: int, size: int, numbers: tuple[int, int, int], parts: Sequence[Buffer], length: int) -> bool:
-        """Add a record with these bytes, ``length`` of them together; False if there is no room."""
+    def _add(
+        self,
+        what: int,
+        size: int,
+        numbers: tuple[int, int, int],
+        parts: Sequence[Buffer],
+        length: int,
+        counted: int,
+    ) -> int:
+        """Add a record with these bytes, for which there are ``length``; its place, or -1 if there is no room.
+
+        ``counted``: what it counts if it is an entry, otherwise 0.
+        """
+        memory = self._map
         need = (_RECORD_BYTES + length + _ALIGN - 1) & -_ALIGN
-        if self._place + need > self._limit and not self._reserve(need):
-            return False
-        room, place = self._room, self._place
+        place, limit, entries, taken = _STATE.unpack_from(memory, _STATE_AT)
+        if place + need > limit:
+            if not self._reserve(need):
+                return -1
+            place, limit, entries, taken = _STATE.unpack_from(memory, _STATE_AT)
+        room = self._room
         _RECORD.pack_into(room, place, what, size, *numbers)
         end = place + _RECORD_BYTES
         for part in parts:
             at = end
             end = at + len(part)
             room[at:end] = part
-        self._place = place + need
-        self._position += need
+        _STATE.pack_into(memory, _STATE_AT, place + need, limit, entries + (counted > 0), taken + counted)
+        self._publish(need)
+        return int(place)
+
+    def _publish(self, need: int) -> None:
+        """Have the position include a record or mark of this size."""
         with self._barrier:  # on processors that reorder writes, the record is there before the position includes it
             pass
-        self._counters[_HEAD] = self._position
-        return True
+        self._counters[_HEAD] += need
 
     def _reserve(self, need: int) -> bool:
         """Make room for a record of this size at the place of the next one; False if there is none."""
-        tail = self._counters[_TAIL]
+        counters = self._counters
+        tail, last = counters[_TAIL], counters[_PLACE]
         while self._runs and self._runs[0][0] + self._runs[0][2] - self._runs[0][1] <= tail:
             self._runs.popleft()
         taken = [(place + max(0, tail - position), end) for position, place, end in self._runs]
         position, place = self._run
-        taken.append((min(place + max(0, tail - position), self._place), self._place + _RECORD_BYTES))
+        taken.append((min(place + max(0, tail - position), last), last + _RECORD_BYTES))
         taken.sort()
         free, begin = [], 0
         for start, end in taken:
@@ -266,20 +370,21 @@ class QueueWriter(_QueueEnd):
             begin = end
         free.append((begin, self._size))
         need += _RECORD_BYTES  # behind each record there is room for a mark
-        obstacle = next((start for start, _ in taken if start > self._place), self._size)
-        fits = self._place + need <= obstacle
+        obstacle = next((start for start, _ in taken if start > last), self._size)
+        fits = last + need <= obstacle
         enough = need + _FREE_BYTES if fits else need  # not to go back for a few bytes
         there = next((gap for gap in free if gap[1] - gap[0] >= enough), None)
-        if there and (not fits or there[0] + enough <= min(_ENOUGH_BYTES, self._place)):
-            _RECORD.pack_into(self._room, self._place, _MARK, there[0], 0, 0, 0)
-            self._runs.append((*self._run, self._place + _RECORD_BYTES))
-            self._position += _RECORD_BYTES
-            self._place, obstacle = there
-            self._run = self._position, self._place
+        if there and (not fits or there[0] + enough <= min(_ENOUGH_BYTES, last)):
+            _RECORD.pack_into(self._room, last, _MARK, there[0], 0, 0, 0)
+            self._runs.append((*self._run, last + _RECORD_BYTES))
+            last, obstacle = there
+            counters[_PLACE] = last
+            self._publish(_RECORD_BYTES)
+            self._run = counters[_HEAD], last
         elif not fits:
             return False
-        wish = max(_ENOUGH_BYTES, self._place + need + _FREE_BYTES)  # up to where not to ask again
-        self._limit = min(obstacle, wish) - _RECORD_BYTES
+        wish = max(_ENOUGH_BYTES, last + need + _FREE_BYTES)  # up to where not to ask again
+        counters[_LIMIT] = min(obstacle, wish) - _RECORD_BYTES
         return True
 
 
@@ -289,7 +394,7 @@ _FLAT = frozenset({bytes, bytearray})
 def _flat(part: Buffer) -> Buffer:
     """The same bytes as a row of bytes, of whatever shape and items the buffer is."""
     view = memoryview(part)
-    return view if view.format == "B" and view.ndim == 1 else view.tobytes()
+    return view if view.format == "B" and view.ndim == 1 and view.c_contiguous else view.tobytes()
 
 
 def _fields_of(entry: Entry) -> tuple[int, int, int, str, str, tuple[int, ...], int]:
@@ -317,6 +422,12 @@ class QueueReader(_QueueEnd):
         super().__init__(place)
         #: Whether the large payloads of entries are the queue's own memory, which is theirs until :meth:`done` only.
         self.lends = False
+        #: Whether the putter has ended: what it did not copy to the end is lost.
+        self.abandoned = False
+        #: Whether the next record is there, except that its payload is being copied.
+        self.filling = False
+        #: Entries whose payload was not copied, by stream.
+        self.lost: Counter[str] = Counter()
         self._position = self._place = 0
         self._head = 0  # position up to which there is something, as far as this has looked
         self._entries = self._done = 0
@@ -347,7 +458,16 @@ class QueueReader(_QueueEnd):
                 return None
             room, place = self._room, self._place
             what, size, number, stamp_ns, source_ns = _RECORD.unpack_from(room, place)
+            if what >= _FILLING:
+                self.filling = what < _VOID and not self.abandoned
+                if self.filling:
+                    return None
+                self._lose(what, size)
+                continue
             if what < _MAX_STREAMS:
+                if size >= _LARGE_BYTES:
+                    with self._barrier:  # as for the position
+                        pass
                 begin = place + _RECORD_BYTES
                 kind, channel, type_name, links = self._streams[what]
                 break
@@ -374,10 +494,19 @@ class QueueReader(_QueueEnd):
         self._entries += 1
         self._done += size + ENTRY_BYTES
         payload = room[begin:end]
-        lent = size >= _LENT_BYTES and self.lends
+        lent = size >= _LARGE_BYTES and self.lends
         return Entry(
             number, stamp_ns, kind, channel, type_name, (payload if lent else bytes(payload),), links, source_ns
         )
+
+    def _lose(self, what: int, size: int) -> None:
+        """Go on behind an entry whose payload was not copied."""
+        kind, channel, _, _ = self._streams[what & ~(_FILLING | _VOID)]
+        self.lost[channel or kind.value] += 1
+        self._advance(self._place, self._place + _RECORD_BYTES + size)
+        self._entries += 1
+        self._done += size + ENTRY_BYTES
+        self.done()
 
     def _advance(self, place: int, end: int) -> None:
         """Go on behind a record."""
@@ -392,6 +521,7 @@ class QueueReader(_QueueEnd):
             pass
         if self._position != self._head:
             return True
+        self.filling = False
         if self._free != self._head:
             self._release()
         return False

@@ -42,6 +42,8 @@ THREAD = "record_thread"
 PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
 
 _LOOK_S = 0.05
+#: Until it looks again whether the bridge has copied the next payload.
+_FILLING_S = 0.002
 _LOOK_NS = 50_000_000
 _NOTE_NS = 1_000_000_000
 #: The worker has raised priority from when the first part of the queue's bound waits until the second part does.
@@ -264,6 +266,7 @@ class _RecorderWorker:
             self._guarded(self._run_once)
         self._set_hurried(True)
         if self._ledger is None:  # what it left behind
+            self._queue.abandoned = True
             self._guarded(self._drain)
         self._finish()
 
@@ -280,10 +283,10 @@ class _RecorderWorker:
         """Wait until the next poll is due, or the bridge signals; True for the former."""
         rested = False
         try:
-            if self._pipe.poll(_LOOK_S):
+            if self._pipe.poll(_FILLING_S if self._queue.filling else _LOOK_S):
                 self._pipe.recv()
             else:
-                rested = True
+                rested = not self._queue.filling  # no output can follow after such a time
                 self._gone = self._gone or self._orphaned()
         except (EOFError, OSError):
             self._gone = True
@@ -323,7 +326,11 @@ class _RecorderWorker:
 
     def _state(self) -> WorkerState:
         return WorkerState(
-            self._writer.entries, dict(self._dropped), dict(self._gate.left_out), self._failure, self._gate.paused
+            self._writer.entries,
+            dict(self._dropped + self._queue.lost),
+            dict(self._gate.left_out),
+            self._failure,
+            self._gate.paused,
         )
 
     def _qos_of(self, topic: str, ros_type: str) -> Qos | None:

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -376,6 +377,7 @@ def test_a_type_without_definition_is_recorded_and_noted_once(path: Path) -> Non
 
 RECORDING_CHILD = """
 import sys, threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.record.recorder import Recorder
@@ -480,6 +482,7 @@ def test_signals_to_all_processes_of_a_service_leave_the_end_to_the_bridge(path:
 
 DROPPING_CHILD = """
 import os, signal, sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.record.options import RecordOptions
@@ -517,6 +520,7 @@ def test_when_the_process_is_killed_while_it_drops_the_counts_close(path: Path) 
 
 FORKING_CHILD = """
 import os, signal, sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.record.recorder import Recorder
@@ -528,6 +532,56 @@ if forked:
     print(forked, flush=True)
 signal.pause()
 """
+
+
+FILLING_CHILD = """
+import signal, sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.record.recorder import Recorder
+from tests.record import samples
+recorder = Recorder(Path(sys.argv[1]), {}, qos_of=lambda *_: None, on_note=print, clock=SystemClock())
+recorder(samples.igtl(1))
+copies = [recorder.reserve(samples.igtl(seq, body=bytes(100_000))) for seq in (2, 3)]
+recorder(samples.igtl(4))
+copies[1]()
+print("given", flush=True)
+signal.pause()
+"""
+
+
+def test_when_the_process_is_killed_only_the_payload_that_it_copies_is_lost(path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", FILLING_CHILD, str(path)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "given\n"
+        child.kill()
+        child.wait()
+    with closed(path) as file:
+        assert [entry.seq for entry in file.entries()] == [1, 3, 4]
+        assert file.ledger is not None
+        assert file.ledger["recorder"]["dropped"] == {"TRANSFORM/ProbeToTracker": 1}
+
+
+def test_the_end_waits_for_a_payload_that_is_being_copied(path: Path) -> None:
+    lock = threading.Lock()
+    recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=print, clock=SystemClock(), lock=lock)
+    large = samples.igtl(2, body=bytes(100_000))
+    assert recorder.reserve(samples.igtl(1)) is None
+    copy = recorder.reserve(large)
+    assert copy is not None and not lock.locked()
+    with ThreadPoolExecutor() as pool:
+        end = pool.submit(recorder.close, {})
+        with pytest.raises(TimeoutError):
+            end.result(0.3)
+        copy()
+        assert end.result(DEADLINE_S).entries == 2
+    assert recorder.reserve(large) is None
+    assert recorder.counters()["dropped_entries"] == 1
+    with SessionFile.open(path) as file:
+        assert [entry.data() for entry in file.entries()] == [samples.igtl(1).data(), large.data()]
 
 
 def test_when_the_process_is_killed_and_one_that_it_forked_is_not(path: Path) -> None:
@@ -604,6 +658,7 @@ def test_after_kill_9_of_both_everything_flushed_is_there(path: Path, work: str)
 
 FULL_DISK_CHILD = """
 import json, os, resource, sys, threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.record.recorder import Recorder
@@ -656,6 +711,7 @@ def test_a_full_disk_at_the_start_is_told_and_leaves_nothing(path: Path) -> None
 import resource
 import shutil
 resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from igtl_gateway.errors import RecordingError
 from igtl_gateway.sessionfile.writer import SessionWriter

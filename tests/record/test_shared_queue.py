@@ -1,21 +1,29 @@
-"""The queue between two processes: order, bounds, the end of the ring, memory that goes back, and what is random."""
+"""The queue between two processes: order, bounds, the end of the ring, memory that goes back; its native writer."""
 
 from __future__ import annotations
 
 import array
+import ctypes
 import mmap
 import os
 import random
+import re
+import shlex
+import subprocess
+import sysconfig
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from igtl_gateway.record import shared_queue
-from igtl_gateway.record.shared_queue import ENTRY_BYTES, QueueReader, QueueWriter, shared_memory
+from igtl_gateway.record.shared_queue import ENTRY_BYTES, QueueReader, QueueSlot, QueueWriter, shared_memory
 from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
 
@@ -35,13 +43,18 @@ class Pair:
         return item
 
 
-@pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[Pair]:
-    """A ring so small that its end comes soon."""
+def shrink(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the end of the ring come soon."""
     monkeypatch.setattr(shared_queue, "_SLACK_BYTES", 4096)
     monkeypatch.setattr(shared_queue, "_KEPT_BYTES", 8192)
     monkeypatch.setattr(shared_queue, "_FREE_BYTES", 5000)
     monkeypatch.setattr(shared_queue, "_ENOUGH_BYTES", 12_000)
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[Pair]:
+    """A ring so small that its end comes soon."""
+    shrink(monkeypatch)
     pair = Pair(max_bytes=20_000, largest=10_000)
     yield pair
     os.close(pair.memory)
@@ -251,3 +264,260 @@ def test_the_bell_rings_once() -> None:
     assert [pair.putter.signal(), pair.putter.signal()] == [True, False]
     pair.getter.clear_signal()
     assert pair.putter.signal()
+
+
+LARGE = bytes(range(200)) * 1000
+
+
+def test_the_reader_waits_for_a_payload_that_is_copied_later() -> None:
+    pair = Pair()
+    assert pair.putter.reserve(samples.igtl(1)) is True
+    slot = pair.putter.reserve(replace(samples.igtl(2, body=LARGE), payload=(b"head", b"", memoryview(LARGE)[::2])))
+    assert isinstance(slot, QueueSlot)
+    assert pair.putter.put(samples.igtl(3))
+    assert pair.get() == samples.flat(samples.igtl(1))
+    assert (pair.get(), pair.getter.filling) == (None, True)
+    slot()
+    found = pair.get()
+    assert isinstance(found, Entry) and found.data() == b"head" + LARGE[::2]
+    assert pair.get() == samples.flat(samples.igtl(3))
+    assert (pair.get(), pair.getter.filling) == (None, False)
+    assert pair.putter.waiting == (0, 0)
+
+
+def test_a_payload_that_is_never_copied_is_lost() -> None:
+    pair = Pair()
+    slot = pair.putter.reserve(samples.igtl(1, body=LARGE))
+    assert slot and pair.putter.put(samples.igtl(2))
+    assert pair.get() is None
+    del slot
+    assert pair.get() == samples.flat(samples.igtl(2))
+    assert (pair.get(), pair.getter.filling) == (None, False)
+    assert pair.getter.lost == {samples.igtl(1).channel: 1}
+    assert pair.putter.waiting == (0, 0)
+
+
+def test_what_the_putter_did_not_copy_before_its_end_is_lost() -> None:
+    pair = Pair()
+    slots = [pair.putter.reserve(samples.igtl(seq, body=LARGE)) for seq in (1, 2, 3)]
+    assert isinstance(slots[1], QueueSlot)
+    slots[1]()
+    assert pair.get() is None
+    pair.getter.abandoned = True
+    assert pair.get() == samples.flat(samples.igtl(2, body=LARGE))
+    assert pair.get() is None
+    assert pair.getter.lost.total() == 2 and pair.putter.waiting == (0, 0)
+
+
+# --- the native writer -----------------------------------------------------------------------------------------
+
+HEADER = Path(shared_queue.__file__).with_name("_queue.h")
+
+SHIM = """
+#include "_queue.h"
+int put(void *memory, uint64_t stream, uint64_t number, uint64_t stamp_ns, uint64_t source_ns, const void *payload,
+        uint64_t size)
+{
+    struct queue queue = queue_open(memory);
+    return queue_put(&queue, stream, number, stamp_ns, source_ns, payload, size);
+}
+int fits(void *memory, uint64_t entries, uint64_t payload_bytes)
+{
+    struct queue queue = queue_open(memory);
+    return queue_fits(&queue, entries, payload_bytes);
+}
+"""
+
+
+class Native:
+    """The native writer of a pair."""
+
+    def __init__(self, library: ctypes.CDLL, pair: Pair) -> None:
+        self._library, self._pair = library, pair
+        self._address = ctypes.addressof(ctypes.c_char.from_buffer(pair.putter.memory))
+
+    def put(self, stream: int, entry: Entry) -> bool:
+        data = entry.data()
+        numbers = (ctypes.c_uint64(word) for word in (stream, entry.seq, entry.stamp_ns, entry.source_ns))
+        return bool(self._library.put(ctypes.c_void_p(self._address), *numbers, data, ctypes.c_uint64(len(data))))
+
+    def fits(self, entries: int, payload_bytes: int) -> bool:
+        words = ctypes.c_uint64(entries), ctypes.c_uint64(payload_bytes)
+        return bool(self._library.fits(ctypes.c_void_p(self._address), *words))
+
+    def stream(self, entry: Entry) -> int:
+        return self._pair.putter.stream_number(entry.kind, entry.channel, entry.type, entry.links)
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    folder = tmp_path_factory.mktemp("native")
+    source, target = folder / "shim.c", folder / "shim.so"
+    source.write_text(SHIM)
+    compiler = shlex.split(sysconfig.get_config_var("CC") or "cc")[0]
+    words = [compiler, "-O2", "-Wall", "-Wextra", "-Werror", "-std=gnu11", "-shared", "-fPIC", f"-I{HEADER.parent}"]
+    try:
+        subprocess.run([*words, "-o", target, source], check=True)
+    except FileNotFoundError:
+        pytest.skip("no C compiler")
+    return ctypes.CDLL(str(target))
+
+
+@pytest.fixture
+def pair() -> Iterator[Pair]:
+    pair = Pair()
+    yield pair
+    os.close(pair.memory)
+
+
+def test_the_constants_are_those_of_the_header() -> None:
+    names = dict(re.findall(r"^#define QUEUE_(\w+) ([^/\n]+)", HEADER.read_text(), re.MULTILINE))
+    assert len(names) > 20
+    for name, words in names.items():
+        value = eval(words.replace("ULL", ""), {})
+        ours = shared_queue.ENTRY_BYTES if name == "ENTRY_BYTES" else getattr(shared_queue, f"_{name}")
+        assert ours == value, name
+
+
+def test_what_is_put_is_got(library: ctypes.CDLL, pair: Pair) -> None:
+    native = Native(library, pair)
+    stream = native.stream(samples.igtl(1))
+    assert pair.putter.put(samples.igtl(1))
+    entries = [samples.flat(samples.igtl(seq, body=bytes(seq), source_ns=seq)) for seq in range(2, 100)]
+    assert all(native.put(stream, entry) for entry in entries)
+    assert pair.putter.entries_put == 99
+    assert pair.putter.waiting == (99, samples.igtl(1).size + sum(each.size for each in entries) + 99 * ENTRY_BYTES)
+    assert [pair.get() for _ in range(100)] == [samples.flat(samples.igtl(1)), *entries, None]
+    assert pair.putter.waiting == (0, 0)
+
+
+def test_what_it_leaves_to_python(library: ctypes.CDLL, monkeypatch: pytest.MonkeyPatch) -> None:
+    def new() -> tuple[Pair, Native, int]:
+        pair = Pair(max_entries=2, max_bytes=100_000)
+        assert pair.putter.put(samples.igtl(1)) and pair.get()
+        native = Native(library, pair)
+        return pair, native, native.stream(samples.igtl(1))
+
+    _, native, stream = new()
+    assert native.put(stream, samples.igtl(2)) and native.put(stream, samples.igtl(3))
+    assert not native.put(stream, samples.igtl(4))  # the bound of entries
+    _, native, stream = new()
+    large, medium = samples.igtl(2, body=bytes(64 << 10)), samples.igtl(2, body=bytes(60_000))
+    assert not native.put(stream, large)
+    assert native.put(stream, medium) and not native.put(stream, medium)  # the bound of bytes
+    _, native, _ = new()
+    assert native.fits(2, 90_000) and not native.fits(2, 100_000) and not native.fits(3, 0)
+    pair, native, stream = new()
+    pair.putter.close()
+    assert not native.put(stream, samples.igtl(2))
+    assert pair.getter.refused == 0
+
+
+def test_it_does_not_wake_the_reader(library: ctypes.CDLL) -> None:
+    pair = Pair(max_entries=10_000, max_bytes=8 << 20)
+    assert pair.putter.put(samples.igtl(1))
+    native = Native(library, pair)
+    stream = native.stream(samples.igtl(1))
+    put = 1
+    while native.put(stream, samples.igtl(2, body=b"")):
+        put += 1
+    assert put == shared_queue._WAKE_ENTRIES
+    assert pair.putter.put(samples.igtl(3)) and pair.putter.pressing and pair.putter.signal()
+    assert native.put(stream, samples.igtl(4, body=b""))
+
+
+def test_a_number_of_a_stream_ends_when_numbers_start_again(
+    library: ctypes.CDLL, pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shared_queue, "_MAX_STREAMS", 2)
+    native = Native(library, pair)
+    first = samples.ros(1)
+    stream = native.stream(first)
+    assert stream == native.stream(first)
+    assert pair.putter.put(replace(first, channel="/second"))
+    assert native.put(stream, first)
+    assert pair.putter.put(replace(first, channel="/third"))
+    assert not native.put(stream, first)
+    assert native.put(native.stream(first), first)
+    found = [pair.get() for _ in range(4)]
+    assert [each.channel for each in found if isinstance(each, Entry)] == ["/second", "/chatter", "/third", "/chatter"]
+
+
+def test_there_is_no_number_without_room(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pair.putter, "_reserve", lambda need: False)
+    assert pair.putter.stream_number(Kind.ROS_IN, "/chatter", "std_msgs/msg/String", ()) == -1
+
+
+STEPS = st.lists(
+    st.tuples(
+        st.sampled_from(("native", "python", "command", "reserve", "fill", "get", "get", "get")),
+        st.integers(0, 3),
+        st.sampled_from((0, 1, 50, 700, 3000, 7000)),
+    ),
+    min_size=20,
+    max_size=200,
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(steps=STEPS)
+def test_both_writers_alternate(library: ctypes.CDLL, steps: list[tuple[str, int, int]]) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        shrink(patch)
+        patch.setattr(shared_queue, "_LARGE_BYTES", 2000)
+        patch.setattr(shared_queue, "_MAX_STREAMS", 3)
+        pair = Pair(max_bytes=20_000, largest=10_000)
+        try:
+            _alternate(pair, Native(library, pair), steps)
+        finally:
+            os.close(pair.memory)
+
+
+def _alternate(pair: Pair, native: Native, steps: list[tuple[str, int, int]]) -> None:
+    waiting: deque[tuple[int, Entry | tuple[object, ...]]] = deque()
+    unfilled: deque[tuple[int, Callable[[], None]]] = deque()
+    lost = 0
+
+    def get() -> None:
+        found = pair.get()
+        if not waiting or (unfilled and waiting[0][0] == unfilled[0][0]):
+            assert found is None
+            assert pair.getter.filling == bool(waiting)
+        else:
+            assert found == waiting.popleft()[1]
+
+    for number, (step, device, size) in enumerate(steps, 1):
+        entry = samples.flat(samples.igtl(number, device=f"device {device}", body=bytes([number % 256]) * size))
+        match step:
+            case "native":
+                if native.put(native.stream(entry), entry) or pair.putter.put(entry):
+                    waiting.append((number, entry))
+                else:
+                    lost += 1
+            case "python":
+                if pair.putter.put(entry):
+                    waiting.append((number, entry))
+                else:
+                    lost += 1
+            case "reserve":
+                slot = pair.putter.reserve(entry)
+                if slot is False:
+                    lost += 1
+                    continue
+                waiting.append((number, entry))
+                if not isinstance(slot, bool):
+                    unfilled.append((number, slot))
+            case "fill" if unfilled:
+                unfilled.popleft()[1]()
+            case "command":
+                assert pair.putter.command("now", number)
+                waiting.append((number, ("now", number)))
+            case "get":
+                get()
+    while unfilled:
+        unfilled.popleft()[1]()
+    while waiting:
+        get()
+    get()
+    assert pair.getter.refused == lost
+    assert pair.putter.waiting == (0, 0)
