@@ -4,7 +4,7 @@ Three threads work beside the callers of `RosEdge.publish`:
 
 * *receiver*: takes messages and calls ``on_message`` (``receiver``, ``subscribing``);
 * *executor*: rclpy's own, for the services and the parameters of the node (``node``);
-* *keeper*: checks the graph four times a second, subscribes to what is wanted, sends held messages (``keeper``).
+* *keeper*: waits for changes of the graph, subscribes to what is wanted, sends held messages (``keeper``).
 
 Three rules that DDS leaves to its users:
 
@@ -47,7 +47,7 @@ class RosEdge:
         wants: called for every topic and type that others publish, until it returns the QoS to subscribe with instead
             of None.  Reliability and durability are weakened to what all publishers offer.
         on_note: called with facts (subscribed, unknown type, losses …), from any thread.
-        on_listener: called with the topic when a subscriber joins what we publish, within a quarter of a second.
+        on_listener: called with the topic when a subscriber joins what we publish, at once.
         direct: receive by our own wait set; False (or an rclpy without its internals) by the executor.
 
     Attributes:

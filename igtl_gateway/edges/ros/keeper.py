@@ -9,9 +9,20 @@ from igtl_gateway.edges.ros.publishing import Publishing
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.edges.ros.subscribing import Subscribing, Wants
 
-_DISCOVER_NS = 250_000_000
-_RELEASE_S = 0.02  # between two checks of held messages; a match also wakes the thread at once
-_BURST_S = 0.002  # between two bursts of held messages, so that a subscription of the same depth can take them
+#: From a change of the graph to the look at it: what changes together comes within this time.
+_GATHER_NS = 10_000_000
+#: From one look at the graph to the next, however often it changes.
+_PAUSE_NS = 50_000_000
+#: From a change to one more look: the matches that it brings come a little later.
+_SETTLE_NS = 250_000_000
+#: Without a change: in case that one was missed.
+_SAFETY_NS = 5_000_000_000
+#: The same where changes are not noticed.
+_BLIND_NS = 250_000_000
+#: Between two notes of lost messages, which no event reports.
+_LOSSES_NS = 1_000_000_000
+_RELEASE_NS = 20_000_000  # between two checks of held messages; a match also wakes the thread at once
+_BURST_NS = 2_000_000  # between two bursts of held messages, so that a subscription of the same depth can take them
 
 
 class Keeper:
@@ -35,25 +46,60 @@ class Keeper:
         self._thread.join()
 
     def _run(self) -> None:
-        node, now_ns = self._node, self._node.clock.monotonic_ns
-        discover_ns = 0
-        while not node.stopping.is_set():
-            if (begun_ns := now_ns()) >= discover_ns:
-                discover_ns = begun_ns + _DISCOVER_NS
-                self._maintain()
-            bursting = self._publishing.send_held()
-            node.notify()
-            left_s = max(0, discover_ns - now_ns()) / 1e9
-            holding = self._publishing.is_holding()
-            node.wake.wait(_BURST_S if bursting else min(_RELEASE_S, left_s) if holding else left_s)
-            node.wake.clear()
+        node, watch, now_ns = self._node, self._node.graph, self._node.clock.monotonic_ns
+        times = LookTimes(now_ns(), sees_changes=watch.sees_changes)
+        try:
+            while not node.stopping.is_set():
+                begun_ns = now_ns()
+                if begun_ns >= times.look_ns:
+                    times.looked(begun_ns)
+                    self._look()
+                if begun_ns >= times.losses_ns:
+                    times.losses_ns = begun_ns + _LOSSES_NS
+                    self._subscribing.poll_events()
+                    self._subscribing.note_losses()
+                self._publishing.notify_first_subscribers()
+                bursting = self._publishing.send_held()
+                node.notify()
+                left_ns = max(0, min(times.look_ns, times.losses_ns) - now_ns())
+                if bursting or self._publishing.is_holding():
+                    left_ns = min(left_ns, _BURST_NS if bursting else _RELEASE_NS)
+                if watch.wait(left_ns):
+                    times.changed(now_ns())
+        finally:
+            watch.close()
 
-    def _maintain(self) -> None:
-        """What is due four times a second."""
+    def _look(self) -> None:
+        """Look at the graph, and take the events that a change brings."""
         try:
             self._subscribing.discover(self._wants)
         except Exception as error:  # of ``wants``, or of a graph that changes meanwhile: try again
             self._reports.callback_failed("looking at the graph", error, "graph")
         self._subscribing.poll_events()
-        self._publishing.notify_first_subscribers()
-        self._subscribing.note_losses()
+
+
+class LookTimes:
+    """When the keeper is to look at the graph, and to note losses, in monotonic ns.
+
+    Args:
+        now_ns: the time of the start, at which both are due.
+        sees_changes: whether `changed` is called for each change of the graph.
+    """
+
+    def __init__(self, now_ns: int, *, sees_changes: bool) -> None:
+        self.look_ns = self.losses_ns = now_ns
+        self._unchanged_ns = _SAFETY_NS if sees_changes else _BLIND_NS
+        self._looked_ns = 0
+        self._settled_ns = now_ns + _SETTLE_NS
+
+    def changed(self, now_ns: int) -> None:
+        """The graph has changed."""
+        self._settled_ns = now_ns + _SETTLE_NS
+        self.look_ns = min(self.look_ns, max(now_ns + _GATHER_NS, self._looked_ns + _PAUSE_NS))
+
+    def looked(self, now_ns: int) -> None:
+        """A look begins."""
+        self._looked_ns = now_ns
+        self.look_ns = now_ns + self._unchanged_ns
+        if now_ns < self._settled_ns:
+            self.look_ns = min(self.look_ns, self._settled_ns)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from igtl_gateway.clock import SystemClock
+from igtl_gateway.edges.ros.graph_watch import BlindWatch, GraphWatch, watch_graph
 from igtl_gateway.edges.ros.middleware import first_line, import_rclpy, interface_class
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.errors import RosError
@@ -33,7 +34,7 @@ class RosNode:
         lock: guards the making of entities and the tables of topics; no message on its way takes it.
         stopping: set as soon as the stop has begun.
         changed: notified when subscribers are matched, when held messages are sent, and at stop.
-        wake: set to have the edge look after its topics at once.
+        graph: where the edge's own thread waits for changes of the graph; made by the start.
         clock: the system's; DDS stamps are compared with it.
         started_ns: when the node joined the graph (monotonic).
         rclpy: the module; None before the start.
@@ -43,7 +44,7 @@ class RosNode:
         self.lock = threading.RLock()
         self.stopping = threading.Event()
         self.changed = threading.Condition()
-        self.wake = threading.Event()
+        self.graph: GraphWatch = BlindWatch()
         self.clock = SystemClock()
         self.started_ns = 0
         self.rclpy: Any = None
@@ -87,6 +88,7 @@ class RosNode:
         executor = rclpy.executors.MultiThreadedExecutor(_CALLS_AT_ONCE, context=context)
         executor.add_node(node)
         spinner = threading.Thread(target=self._spin, args=(context, executor), name="igtl-ros-executor", daemon=True)
+        self.graph = watch_graph(rclpy, context, node)
         self._running = _RunningNode(context, node, executor, spinner)
         self.started_ns = self.clock.monotonic_ns()
         spinner.start()
@@ -102,7 +104,7 @@ class RosNode:
         self.stopping.set()
         if running is None:
             return None
-        self.wake.set()
+        self.graph.wake()
         running.executor.create_task(lambda: None)  # wakes spin_once and makes it return
         running.spinner.join()
         return lambda: self._leave(running)

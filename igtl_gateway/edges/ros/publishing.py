@@ -23,7 +23,7 @@ DISCOVERY_NS = 3_000_000_000
 
 _LINGER_NS = 500_000_000  # for acknowledgements at the end; a subscriber that hangs must not delay us
 _CDR_HEADER = 4
-_MATCHES_MAX = 10_000  # matches not reported yet: at most those of a quarter of a second
+_MATCHES_MAX = 10_000  # matches not reported yet: at most those of one turn of the keeper
 
 
 class Publishing:
@@ -226,13 +226,13 @@ class Publishing:
         if not self._graph.subscriptions_of(topic):
             publisher.deadline_ns = discovered_ns
             publisher.ready = now_ns >= discovered_ns
-        self._node.wake.set()
+        self._node.graph.wake()
         return publisher
 
     def _on_matched(self, topic: str, change: int) -> None:
         if change > 0 and self._on_first_subscriber:
             self._listened.append(topic)
-        self._node.wake.set()
+        self._node.graph.wake()
         self._node.notify()
 
     def _note_incompatible(self, topic: str, event: Any) -> None:
