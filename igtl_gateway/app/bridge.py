@@ -9,7 +9,6 @@ import json
 import os
 import platform
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -20,6 +19,7 @@ from igtl_gateway import __version__
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
 from igtl_gateway.app.hub import Hub, Sink
 from igtl_gateway.app.recording import serve_recording
+from igtl_gateway.app.timer import Timer
 from igtl_gateway.app.video import VideoCodecs
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
@@ -30,7 +30,7 @@ from igtl_gateway.edges.tcp import PeerLimits, TcpEdge, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError
 from igtl_gateway.gateway import CUT, LINKS_TOPIC, LISTENED, Session, make_core
-from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, PERIOD_NS, Diagnostics, PeerFacts
+from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics, PeerFacts
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.globs import matches
 from igtl_gateway.once import Once
@@ -42,12 +42,13 @@ from igtl_gateway.record.worker import RecordingSummary
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_MS
 
-#: Interval of the ticks: a ping or a timeout is late by at most this time.
-_TICK_S = 0.05
+#: Longest delay of a ping or a timeout: time from a tick to the next one if its deadline has come and stays.
+_TICK_NS = 50 * NS_PER_MS
 
-#: Interval of the ticks of a relay with fault injection, which delays messages.
-_FAULTY_TICK_S = 0.001
+#: The same of a relay with fault injection, which delays messages.
+_FAULTY_TICK_NS = NS_PER_MS
 
 #: QoS of topics that are recorded only: the depth covers a burst; the reliability is that of the publishers.
 _RECORDED = Qos(depth=100)
@@ -126,18 +127,24 @@ class Bridge:
         self.summary: RecordingSummary | None = None
         self._clock = clock
         self._noted = Once()  # topic and type of the reported topics without a conversion
-        self._stopping = threading.Event()
-        self._timer = threading.Thread(target=self._tick, name="igtl-timer", daemon=True)
         self.commands: CommandService | None = None
         self.video: VideoCodecs | None = None
         self.losses: dict[str, Any] = {}
         self._diagnostics: Diagnostics | None = None
-        self._diagnostics_due_ns = 0
         sinks: list[Sink] = [self._dispatch]
         if options.record:
             sinks.append(self._record)
         sinks += [watcher for watcher in (on_entry, viewer) if watcher]
         self.hub = Hub(Session(self.gateway), clock, sinks)
+        self._timer = Timer(
+            self.hub.tick,
+            lambda: self.gateway.due_ns,
+            self.hub.now_ns,
+            self._publish_diagnostics,
+            _FAULTY_TICK_NS if config.faults else _TICK_NS,
+            clock,
+        )
+        self.gateway.deadline_set = self._timer.deadline_set
         self.tcp = TcpEdge(
             on_frame=self.hub.igtl,
             on_link=lambda link, _up, note: self.hub.link(link, note),
@@ -227,11 +234,9 @@ class Bridge:
 
     def stop(self) -> None:
         """Close both sides, then the recording with its ledger.  A second call has no effect."""
-        self._stopping.set()
         if self.commands:
             self.commands.stop()
-        if self._timer.ident:
-            self._timer.join()
+        self._timer.stop()
         if self.video:
             self.video.stop()
         self.tcp.stop()
@@ -283,20 +288,13 @@ class Bridge:
         if self.gateway.has_subscriber:
             self.hub.note(Note(Level.INFO, LISTENED, f"{topic} has a subscriber", topic))
 
-    def _tick(self) -> None:
-        """Send ticks to the hub and publish the diagnostics, until the bridge stops.  Runs in a thread of its own."""
-        while not self._stopping.wait(_FAULTY_TICK_S if self.gateway.config.faults else _TICK_S):
-            self.hub.tick()
-            if self._diagnostics and self._clock.monotonic_ns() >= self._diagnostics_due_ns:
-                self._publish_diagnostics(self._diagnostics)
-
-    def _publish_diagnostics(self, diagnostics: Diagnostics) -> None:
-        """Publish the diagnostics, which are not part of the log.
+    def _publish_diagnostics(self) -> None:
+        """Publish the diagnostics, which are not part of the log, if they have a subscriber.
 
         Runs in the timer's thread, without a lock that delays messages.
         """
-        self._diagnostics_due_ns = self._clock.monotonic_ns() + PERIOD_NS
-        if not self.ros or not self.ros.has_subscriber(DIAGNOSTICS_TOPIC):
+        diagnostics = self._diagnostics
+        if not diagnostics or not self.ros or not self.ros.has_subscriber(DIAGNOSTICS_TOPIC):
             return
         counters = self.tcp.counters()
         peers = [

@@ -70,8 +70,15 @@ class Hub:
         """Submit a note of an edge or the recorder."""
         self._submit(Kind.EDGE_NOTE, note.pack(), "", "", (link,) if link else ())
 
-    def tick(self) -> None:
-        """Submit a tick if a deadline of the gateway has come, and a note if the host's clock was set."""
+    def now_ns(self) -> int:
+        """Return gateway time."""
+        return self._utc_ns() + self._ahead_ns
+
+    def tick(self) -> int | None:
+        """Submit a tick if a deadline of the gateway has come, and a note if the host's clock was set.
+
+        Returns the deadline (gateway time, UTC ns), None if there is none.
+        """
         with self._lock:  # the peers and commands of the gateway change only under this lock
             self._owner = threading.get_ident()
             try:
@@ -80,8 +87,9 @@ class Hub:
             finally:
                 self._owner = 0
             due_ns = self._session.gateway.due_ns
-        if due_ns is not None and due_ns <= self._utc_ns() + self._ahead_ns:
+        if due_ns is not None and due_ns <= self.now_ns():
             self.note(Note(Level.INFO, TICK, "a deadline has come"))
+        return due_ns
 
     def _check_clock(self) -> None:
         """Submit a note if the host's clock was set, and adapt ``_ahead_ns``; the caller has the lock.

@@ -61,10 +61,12 @@ class Gateway:
 
     Attributes:
         fast: entry point of the fast path.
+        deadline_set: called after each input that may have set ``due_ns`` to an earlier time; see ``app.timer``.
     """
 
     def __init__(self, config: Config, *, fast_path: bool = True) -> None:
         self.config = config
+        self.deadline_set: Callable[[], None] | None = None
         self._peers = peers = Peers(config)
         self._accounts = Bookkeeper(peers)
         self._streams = streams = Streams(config)
@@ -140,6 +142,8 @@ class Gateway:
         except Exception as error:  # an internal error must cost one message, not the session
             self._streams.opened.clear()
             outputs = self._accounts.fail(entry, error)
+        if self.deadline_set:
+            self.deadline_set()
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
 
     # -- queries by the edges: none of them changes what influences outputs ------------------------------------

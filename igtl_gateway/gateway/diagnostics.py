@@ -18,7 +18,6 @@ from igtl_gateway.session.timing import best
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
-PERIOD_NS = NS_PER_S
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
 

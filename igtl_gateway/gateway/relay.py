@@ -13,7 +13,7 @@ the input, which may be a tick, at which it is due, and with the faults applied.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
@@ -50,6 +50,7 @@ class RelayGateway:
         self.config = config
         self.fast: Fast = no_fast_path
         self.has_subscriber: Ask | None = None
+        self.deadline_set: Callable[[], None] | None = None
         self.guard = Guard(watch=False)
         self.ledger = Ledger()
         self._partners: dict[int, int] = {}
@@ -71,6 +72,8 @@ class RelayGateway:
             outputs += self._relay(entry)
         elif ClockStep.of(entry):
             self.ledger.count("edges", "", CLOCK_STEP)
+        if self._lines and self.deadline_set:
+            self.deadline_set()
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
 
     @property

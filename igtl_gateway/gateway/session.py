@@ -5,7 +5,7 @@ Live traffic, replay, verification, slices and the viewer use the gateway throug
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Protocol
 
@@ -30,6 +30,7 @@ class Core(Protocol):
     config: Config
     fast: Fast
     has_subscriber: Ask | None
+    deadline_set: Callable[[], None] | None
 
     @property
     def ledger(self) -> Ledger: ...

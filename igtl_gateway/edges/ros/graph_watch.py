@@ -2,7 +2,7 @@
 
 rcl has a guard condition that the middleware triggers whenever a node, a publisher or a subscription comes or goes.
 rclpy does not pass it on, so this module waits for it with rcl's own wait set, through ctypes: with the GIL released,
-in the thread of the caller.  Where rclpy or rcl are not as expected the caller is told to look by itself.
+in the thread of the caller.  Where rclpy or rcl are not as expected the caller has to look by itself.
 """
 
 from __future__ import annotations

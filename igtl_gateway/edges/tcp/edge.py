@@ -233,7 +233,6 @@ class TcpEdge:
     # ── the I/O thread ────────────────────────────────────────────────────────────────────────────────────────
 
     def _run(self) -> None:
-        self._loop.run(self._registry.check_liveness)
         while not self._loop.stopping:
             self._loop.run_once(None)
         self._finish()

@@ -39,7 +39,8 @@ class LinkRegistry:
         self._gone = LinkCounters()
         self._dialers: dict[int, Dialer] = {}  # of the links that we made
         self._last_number = 0
-        self._checked_ns = self._loop.looked_ns
+        self._checked_ns = 0
+        self._is_checking = False  # whether a check of all links is due at some time
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
@@ -122,11 +123,19 @@ class LinkRegistry:
         other.pair_with(one)
         self._announce(other, partner=one.number)
 
-    def check_liveness(self) -> None:
-        """Close the links that do not move any more, and check again after a while."""
-        limits, now_ns = self._context.limits, self._loop.looked_ns
+    def _check_later(self) -> float:
+        """Check the links after a while; return after how many seconds."""
+        limits = self._context.limits
         pause_s = min(limits.stall_s / 4, limits.idle_s / 4 or 1.0, 1.0)
-        self._loop.call_later(pause_s, self.check_liveness)
+        self._loop.call_later(pause_s, self._check_liveness)
+        return pause_s
+
+    def _check_liveness(self) -> None:
+        """Close the links that do not move any more, and check again after a while, unless there are none."""
+        self._is_checking = bool(self.links)
+        if not self._is_checking:
+            return
+        pause_s, now_ns = self._check_later(), self._loop.looked_ns
         # If we were stopped or had no time ourselves, no peer is to blame for all of it.
         step_ns = min(now_ns - self._checked_ns, round(2 * pause_s * NS_PER_S))
         self._checked_ns = now_ns
@@ -150,6 +159,9 @@ class LinkRegistry:
         self._last_number += 1
         with self.changed:
             self.links[link.number] = link
+        if not self._is_checking:
+            self._is_checking, self._checked_ns = True, self._loop.looked_ns
+            self._check_later()
         return link
 
     def _announce(self, link: Link, **facts: int) -> None:
