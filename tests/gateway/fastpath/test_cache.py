@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -393,6 +394,91 @@ def test_and_of_a_topic(made: Any, version: int) -> None:
         message = made(count)
         session.input(T0_NS, Kind.ROS_IN, (message.pack(),), channel="/igtl/out/T", type_name=message.TYPE)
     assert general == [Kind.IGTL_IN, Kind.ROS_IN]
+
+
+@pytest.fixture(params=[True, False], ids=["AVX2", "plain"])
+def vectors(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Run with the loops for AVX2, if the processor has it, and without."""
+    module = pytest.importorskip("igtl_gateway.convert._express", reason="installed without the C part")
+    module.allow_avx2(request.param)
+    yield
+    module.allow_avx2(True)
+
+
+#: More points than one block has: the C part converts a large content in blocks.
+MANY = 12_345
+PLACES = np.random.default_rng(5).uniform(-500.0, 500.0, (MANY, 3)).astype(np.float32)
+
+
+def _at_place(places: npt.NDArray[np.float32], index: int, value: float) -> npt.NDArray[np.float32]:
+    odd = places.copy()
+    odd[index, 1] = value
+    return odd
+
+
+def _large_contents() -> list[tuple[str, Any]]:
+    """Contents of several blocks, and then with something odd in the first, a middle and the last one."""
+    places = PLACES.astype(">f4")
+    labelled = Points.of(PLACES[:4000])
+    labelled.elements["name"][3000] = b"here"
+    vertices = Cells.of_all(MANY)
+    disordered = vertices.data.copy()
+    disordered[-1], disordered[-2] = disordered[-2], disordered[-1]
+    contents: list[tuple[str, Any]] = [
+        ("POLYDATA", PolyData(places, vertices)),
+        ("POLYDATA", PolyData(places)),
+        *(("POLYDATA", PolyData(_at_place(places, index, math.nan), vertices)) for index in (0, 7000, MANY - 1)),
+        ("POLYDATA", PolyData(places, replace(vertices, data=disordered))),
+        ("POINT", Points.of(PLACES[:4000])),
+        ("POINT", labelled),
+        ("STRING", StringBody(b"x" * 65_000)),
+        ("STRING", StringBody(b"x" * 65_400 + b"\xff")),
+        ("IMAGE", Image((401, 307, 1), 3, PLACES.tobytes()[: 401 * 307], 1)),
+        ("IMAGE", Image((401, 307, 1), 3, PLACES.tobytes()[1 : 401 * 307 + 1], 1)),
+    ]
+    return contents
+
+
+@pytest.mark.usefixtures("vectors")
+@pytest.mark.parametrize("version", [1, 2])
+def test_large_contents_are_converted_as_on_the_full_path(version: int) -> None:
+    steps: list[Step] = []
+    for index, (name, content) in enumerate(_large_contents()):
+        data = join(encode(Message(name, f"B{index}", content, ns_to_ticks(T0_NS), version)))
+        damaged = bytearray(data)
+        damaged[min(len(data) - 1, 70_000)] ^= 1
+        steps += [("igtl", data, 1)] * 3 + [("igtl", bytes(damaged), 1)] * 2
+    assert played(steps, Config(), None, fast_path=True) == played(steps, Config(), None, fast_path=False)
+
+
+@pytest.mark.usefixtures("vectors")
+@pytest.mark.parametrize("topic", ["/igtl/out/C", "/igtl/out/POINT"])
+@pytest.mark.parametrize(("names", "step"), [("xyz", 12), ("xyz", 16), ("xyz", 20), ("zyx", 12), ("yxz", 32)])
+def test_large_clouds_are_converted_as_on_the_full_path(topic: str, names: str, step: int) -> None:
+    shown = join(encode(Message("STATUS", "Peer", Status(1), header_version=2)))
+    steps: list[Step] = [("igtl", shown, 1)]  # peers of both header versions
+    odd = [_at_place(PLACES, index, math.inf) for index in (0, 9999, MANY - 1)]
+    for places in (PLACES, PLACES, PLACES[::-1], odd[0], PLACES, PLACES, odd[1], PLACES, PLACES, odd[2]):
+        data = np.full((MANY, step // 4), 1e-40, "<f4")
+        data[:, :3] = places
+        message = rosmsg.PointCloud2(
+            rosmsg.Header(T0_NS, "m"), 1, MANY, fields(*names), False, step, step * MANY, data.tobytes(), True
+        )
+        steps.append(("ros", topic, message.TYPE, message.pack(), T0_NS))
+    config = CONFIGS[1]
+    assert played(steps, config, None, fast_path=True) == played(steps, config, None, fast_path=False)
+
+
+@pytest.mark.usefixtures("vectors")
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8"])
+@pytest.mark.parametrize("width", [1, 2, 5, 6, 253])
+def test_large_pictures_are_converted_as_on_the_full_path(encoding: str, width: int) -> None:
+    steps: list[Step] = []
+    for begin in range(3):
+        data = PLACES.tobytes()[begin : begin + 3 * width * 190]
+        message = rosmsg.Image(rosmsg.Header(T0_NS, "m"), 190, width, encoding, 0, 3 * width, data)
+        steps += [("ros", "/igtl/out/I", message.TYPE, message.pack(), T0_NS)] * 2
+    assert played(steps, Config(), None, fast_path=True) == played(steps, Config(), None, fast_path=False)
 
 
 @compiled

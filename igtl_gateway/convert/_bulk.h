@@ -1,0 +1,598 @@
+/* Strings, points, clouds and pictures of compiled streams: igtl_gateway/convert/express.py documents the conversions;
+ * without Python.
+ *
+ * A large content is converted in blocks that fit the processor's cache, and the CRC of a block is taken while it is
+ * there: each byte is read from and written to memory once.  Arithmetic for points is single precision as in scaling.py;
+ * the variants for AVX2 have the same results.
+ */
+#ifndef IGTL_GATEWAY_BULK_H
+#define IGTL_GATEWAY_BULK_H
+
+#include "_poses.h"
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#define WITH_AVX2 __attribute__((target("avx2")))
+#endif
+
+/* The conversions of bulk messages; the same numbers as in express.py. */
+enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5 };
+
+#define POINT_BYTES 136 /* name 64, group 32, rgba 4, position 12, diameter 4, owner 20 */
+#define GROUP_AT 64
+#define RGBA_AT 96
+#define POSITION_AT 100
+#define OWNER_AT 116
+#define POLYDATA_HEAD 40
+#define ROW_OF_POINTS 20 /* x, y, z, rgba, diameter */
+#define ROW_OF_CLOUD 12
+#define WHITE 0xFFFFFFFFu
+#define MAX_TEXT 65535
+#define MIB_ASCII 3
+
+/* Bytes of content that are converted at a time: whole numbers of points, of pixels and of words. */
+#define BLOCK_BYTES (480 * POINT_BYTES)
+
+/* Whether the processor has AVX2. */
+static int has_avx2;
+
+/* Look at the processor; to be called before anything else here.  ``allowed``: 0 for the loops without AVX2. */
+static inline void begin_bulk(int allowed)
+{
+#if defined(__x86_64__)
+    __builtin_cpu_init();
+    has_avx2 = allowed && __builtin_cpu_supports("avx2");
+#else
+    (void)allowed;
+#endif
+}
+
+static inline uint32_t get_u32_ros(const uint8_t *at)
+{
+    uint32_t word;
+    memcpy(&word, at, 4);
+    return word;
+}
+
+static inline void put_u32_ros(uint8_t *at, uint32_t word) { memcpy(at, &word, 4); }
+
+/* Scale a length in single precision, with one rounding: one of the two factors is 1. */
+static inline float scaled(uint32_t word, float times, float by) { return float_of(word) * times / by; }
+
+/* Return whether a float is NaN or infinity: all bits of its exponent are set. */
+static inline uint32_t not_finite(uint32_t word) { return (word & 0x7F800000u) == 0x7F800000u; }
+
+/* -- loops over many numbers: each returns 0, or another number for a message that needs the full path ---------------- */
+
+#define INLINE static inline __attribute__((always_inline))
+
+/* Scale words of big-endian floats to little-endian ones. */
+INLINE uint32_t floats_to_ros_loop(const uint8_t *restrict from, uint8_t *restrict to, ssize_t count, float times,
+                                   float by)
+{
+    uint32_t odd = 0;
+    for (ssize_t i = 0; i < count; i++) {
+        uint32_t word = word_of(scaled(get_u32(from + 4 * i), times, by));
+        odd |= not_finite(word);
+        put_u32_ros(to + 4 * i, word);
+    }
+    return odd;
+}
+
+/* Scale words of little-endian floats to big-endian ones. */
+INLINE uint32_t floats_to_igtl_loop(const uint8_t *restrict from, uint8_t *restrict to, ssize_t count, float times,
+                                    float by)
+{
+    uint32_t odd = 0;
+    for (ssize_t i = 0; i < count; i++) {
+        uint32_t word = word_of(scaled(get_u32_ros(from + 4 * i), times, by));
+        odd |= not_finite(word);
+        put_u32(to + 4 * i, word);
+    }
+    return odd;
+}
+
+/* Compare words with ``first``, ``first`` + 1 … */
+INLINE uint32_t are_numbers_loop(const uint8_t *from, ssize_t count, uint32_t first)
+{
+    uint32_t odd = 0;
+    for (ssize_t i = 0; i < count; i++)
+        odd |= get_u32(from + 4 * i) ^ (first + (uint32_t)i);
+    return odd;
+}
+
+/* Write ``first``, ``first`` + 1 … */
+INLINE uint32_t put_numbers_loop(uint8_t *to, ssize_t count, uint32_t first)
+{
+    for (ssize_t i = 0; i < count; i++)
+        put_u32(to + 4 * i, first + (uint32_t)i);
+    return 0;
+}
+
+/* Look for NUL and for bytes that are not ASCII. */
+INLINE uint32_t plain_text_loop(const uint8_t *text, ssize_t size)
+{
+    uint8_t odd = 0;
+    for (ssize_t i = 0; i < size; i++)
+        odd |= (uint8_t)(text[i] - 1) | text[i];
+    return odd & 0x80;
+}
+
+/* The function NAME for the processor: its loop compiled twice. */
+#if defined(__x86_64__)
+#define TWICE(NAME, PARAMETERS, ...)                                                                                   \
+    WITH_AVX2 static uint32_t NAME##_avx2 PARAMETERS { return NAME##_loop(__VA_ARGS__); }                              \
+    static inline uint32_t NAME PARAMETERS { return has_avx2 ? NAME##_avx2(__VA_ARGS__) : NAME##_loop(__VA_ARGS__); }
+#else
+#define TWICE(NAME, PARAMETERS, ...)                                                                                   \
+    static inline uint32_t NAME PARAMETERS { return NAME##_loop(__VA_ARGS__); }
+#endif
+
+TWICE(floats_to_ros, (const uint8_t *from, uint8_t *to, ssize_t count, float times, float by), from, to, count, times,
+      by)
+TWICE(floats_to_igtl, (const uint8_t *from, uint8_t *to, ssize_t count, float times, float by), from, to, count, times,
+      by)
+TWICE(are_numbers, (const uint8_t *from, ssize_t count, uint32_t first), from, count, first)
+TWICE(put_numbers, (uint8_t *to, ssize_t count, uint32_t first), to, count, first)
+TWICE(plain_text, (const uint8_t *text, ssize_t size), text, size)
+
+/* Positions of a PointCloud2. */
+struct points {
+    const uint8_t *first;
+    ssize_t step, x, y, z; /* bytes from one point to the next, and to the coordinates */
+    float times, by;
+};
+
+static uint32_t place_to_igtl(const struct points *points, const uint8_t *one, uint8_t *row)
+{
+    uint32_t x = word_of(scaled(get_u32_ros(one + points->x), points->times, points->by));
+    uint32_t y = word_of(scaled(get_u32_ros(one + points->y), points->times, points->by));
+    uint32_t z = word_of(scaled(get_u32_ros(one + points->z), points->times, points->by));
+    put_u32(row, x);
+    put_u32(row + 4, y);
+    put_u32(row + 8, z);
+    return not_finite(x) | not_finite(y) | not_finite(z);
+}
+
+#if defined(__x86_64__)
+/* Convert positions of which x, y and z follow one another in points of at least 16 bytes. */
+WITH_AVX2 static uint32_t wide_places_to_igtl(const struct points *points, ssize_t begin, ssize_t count, uint8_t *row)
+{
+    const __m128i swap = _mm_set_epi8(12, 13, 14, 15, 8, 9, 10, 11, 4, 5, 6, 7, 0, 1, 2, 3);
+    const __m128i exponent = _mm_set1_epi32(0x7F800000);
+    const __m128i place = _mm_set_epi32(0, -1, -1, -1); /* the fourth word can be anything, numbers that are slow too */
+    const __m128 times = _mm_set1_ps(points->times), by = _mm_set1_ps(points->by);
+    const uint8_t *one = points->first + begin * points->step;
+    __m128i odd = _mm_setzero_si128();
+    ssize_t i = 0;
+    for (; i + 1 < count; i++, one += points->step, row += 12) { /* each writes 4 bytes into the next row */
+        __m128i words = _mm_and_si128(_mm_loadu_si128((const __m128i *)(const void *)(one + points->x)), place);
+        words = _mm_castps_si128(_mm_div_ps(_mm_mul_ps(_mm_castsi128_ps(words), times), by));
+        odd = _mm_or_si128(odd, _mm_cmpeq_epi32(_mm_and_si128(words, exponent), exponent));
+        _mm_storeu_si128((__m128i *)(void *)row, _mm_shuffle_epi8(words, swap));
+    }
+    uint32_t last = i < count ? place_to_igtl(points, one, row) : 0;
+    return last | (uint32_t)_mm_movemask_epi8(odd);
+}
+
+/* Swap the first and the last byte of each three; ``size`` is a multiple of 3. */
+WITH_AVX2 static ssize_t swapped_blue(const uint8_t *from, uint8_t *to, ssize_t size)
+{
+    const __m128i swap = _mm_set_epi8(15, 12, 13, 14, 9, 10, 11, 6, 7, 8, 3, 4, 5, 0, 1, 2);
+    ssize_t i = 0;
+    for (; i + 16 <= size; i += 15) { /* each writes one byte of the next pixel */
+        __m128i pixels = _mm_loadu_si128((const __m128i *)(const void *)(from + i));
+        _mm_storeu_si128((__m128i *)(void *)(to + i), _mm_shuffle_epi8(pixels, swap));
+    }
+    return i;
+}
+#endif
+
+/* Convert ``count`` positions from the one numbered ``begin`` to rows of ``row_size`` bytes. */
+static uint32_t places_to_igtl(const struct points *points, ssize_t begin, ssize_t count, uint8_t *row, ssize_t row_size)
+{
+    const uint8_t *one = points->first + begin * points->step;
+    int joined = points->y == points->x + 4 && points->z == points->x + 8;
+    if (joined && points->step == 12 && row_size == 12)
+        return floats_to_igtl(one, row, 3 * count, points->times, points->by);
+#if defined(__x86_64__)
+    if (has_avx2 && joined && points->step >= points->x + 16 && row_size == 12)
+        return wide_places_to_igtl(points, begin, count, row);
+#endif
+    uint32_t odd = 0;
+    for (; count > 0; count--, one += points->step, row += row_size)
+        odd |= place_to_igtl(points, one, row);
+    return odd;
+}
+
+/* Copy pixels of blue, green and red as red, green and blue. */
+static void put_blue_first(const uint8_t *from, uint8_t *to, ssize_t size)
+{
+    ssize_t i = 0;
+#if defined(__x86_64__)
+    if (has_avx2)
+        i = swapped_blue(from, to, size);
+#endif
+    for (; i + 3 <= size; i += 3) {
+        to[i] = from[i + 2];
+        to[i + 1] = from[i + 1];
+        to[i + 2] = from[i];
+    }
+}
+
+/* -- from OpenIGTLink to ROS -------------------------------------------------------------------------------------------- */
+
+/* A compiled stream of a device, see bulk_to_ros in express.py. */
+struct igtl_bulk {
+    const uint8_t *sample; /* the bytes before (``at``) and after (``tail``) the content */
+    ssize_t at, tail;
+    int check_crc;
+    double times, by;
+};
+
+/* A form of a ROS message: its template, and its room. */
+struct ros_form {
+    int form;
+    const uint8_t *template;
+    ssize_t room, stamp_at, width_at;
+    ssize_t count; /* points, see prepare_form */
+    ssize_t size;  /* of the message; 0: the row does not apply */
+    uint8_t *out;
+};
+
+/* Return whether all but content, stamp, CRC and message id of ``data`` is as in the sample. */
+static int bulk_from_igtl_fits(const struct igtl_bulk *stream, const uint8_t *data, ssize_t size)
+{
+    const uint8_t *sample = stream->sample;
+    ssize_t at = stream->at, tail = stream->tail;
+    if (size < at + tail || !equal(data, sample, 0, TICKS_AT) ||
+        get_u64(data + BODY_SIZE_AT) != (uint64_t)(size - HEADER_SIZE))
+        return 0;
+    ssize_t extended = sample[1] == 2 ? EXTENDED_SIZE : 0; /* its last 4 bytes are the message id */
+    if (extended && !equal(data, sample, HEADER_SIZE, HEADER_SIZE + EXTENDED_SIZE - 4))
+        return 0;
+    return equal(data, sample, HEADER_SIZE + extended, at) && !memcmp(data + size - tail, sample + at, (size_t)tail);
+}
+
+static int ascii_compatible(uint32_t encoding)
+{
+    return encoding == MIB_ASCII || encoding == 4 || encoding == 106 || encoding == 2252;
+}
+
+/* Set the number of points of POLYDATA; 0: not only points. */
+static int count_cloud(const uint8_t *content, ssize_t size, ssize_t *count)
+{
+    if (size < POLYDATA_HEAD)
+        return 0;
+    uint64_t points = get_u32(content), cells = get_u32(content + 4), cells_size = get_u32(content + 8);
+    for (int word = 3; word < 10; word++) /* lines, polygons, strips, attributes */
+        if (get_u32(content + 4 * word))
+            return 0;
+    if (!points || (uint64_t)size != POLYDATA_HEAD + 12 * points + cells_size)
+        return 0;
+    if (cells ? cells != 1 || cells_size != 4 * (points + 1) || get_u32(content + POLYDATA_HEAD + 12 * points) != points
+              : cells_size != 0)
+        return 0;
+    *count = (ssize_t)points;
+    return 1;
+}
+
+/* Set count and size of a form for this content; 0: the message needs the full path. */
+static int prepare_form(struct ros_form *form, const uint8_t *content, ssize_t size)
+{
+    if (form->form == TEXT) {
+        uint32_t head = size < 4 ? 0 : get_u32(content);
+        form->size = 4 + size + 1;
+        return size >= 4 && size == 4 + (ssize_t)(head & 0xFFFF) && ascii_compatible(head >> 16);
+    }
+    if (form->form == PICTURE) {
+        form->size = form->room + size;
+        return size == (ssize_t)get_u32_ros(form->template + form->room - 4);
+    }
+    if (form->form == CLOUD) {
+        if (!count_cloud(content, size, &form->count))
+            return 0;
+    } else if (size && size % POINT_BYTES == 0) {
+        form->count = size / POINT_BYTES;
+    } else {
+        return 0;
+    }
+    if (form->form == POINT) {
+        form->size = form->count == 1 ? form->room : 0;
+        return 1;
+    }
+    ssize_t bytes = form->count * (form->form == CLOUD ? ROW_OF_CLOUD : ROW_OF_POINTS);
+    form->size = form->room + bytes + 1;
+    return bytes <= UINT32_MAX;
+}
+
+/* First bytes of name, group and owner.  If one is not 0, a list with labels is published, too. */
+static uint32_t labels_of(const uint8_t *one) { return one[0] | one[GROUP_AT] | one[OWNER_AT]; }
+
+static uint32_t put_point(uint8_t *out, const uint8_t *content, double times, double by)
+{
+    double place[3];
+    for (int axis = 0; axis < 3; axis++) {
+        double value = get_f32(content + POSITION_AT + 4 * axis);
+        if (!isfinite(value))
+            return 1;
+        place[axis] = value * times / by;
+    }
+    memcpy(out, place, sizeof place);
+    return labels_of(content);
+}
+
+static uint32_t put_points(uint8_t *row, const uint8_t *one, ssize_t count, float times, float by)
+{
+    uint32_t odd = 0;
+    for (; count > 0; count--, one += POINT_BYTES, row += ROW_OF_POINTS) {
+        for (int axis = 0; axis < 3; axis++) {
+            uint32_t word = word_of(scaled(get_u32(one + POSITION_AT + 4 * axis), times, by));
+            odd |= not_finite(word);
+            put_u32_ros(row + 4 * axis, word);
+        }
+        uint32_t rgba = get_u32(one + RGBA_AT), diameter = word_of(scaled(get_u32(one + POSITION_AT + 12), times, by));
+        odd |= not_finite(diameter) | labels_of(one);
+        put_u32_ros(row + 12, rgba << 24 | rgba >> 8);
+        put_u32_ros(row + 16, diameter);
+    }
+    return odd;
+}
+
+/* Write everything of a message but its content. */
+static void put_frame(const struct ros_form *form, ssize_t size, int64_t stamp_ns)
+{
+    uint8_t *out = form->out;
+    if (form->form == TEXT) {
+        memcpy(out, "\0\1\0\0", 4);
+        put_u32_ros(out + 4, (uint32_t)(size - 4 + 1));
+        out[form->size - 1] = 0;
+        return;
+    }
+    memcpy(out, form->template, (size_t)form->room);
+    if (form->form == CLOUD || form->form == POINTS) {
+        uint32_t bytes = (uint32_t)(form->size - form->room - 1);
+        put_u32_ros(out + form->width_at, (uint32_t)form->count);
+        put_u32_ros(out + form->room - 8, bytes);
+        put_u32_ros(out + form->room - 4, bytes);
+        out[form->size - 1] = 1; /* is_dense */
+    }
+    if (form->stamp_at)
+        put_ros_stamp(out + form->stamp_at, stamp_ns);
+}
+
+/* Convert the block of the content from ``begin`` to ``end``; not 0: the message needs the full path. */
+static uint32_t put_block(const struct ros_form *form, const struct igtl_bulk *stream, const uint8_t *content,
+                          ssize_t begin, ssize_t end)
+{
+    float times = (float)stream->times, by = (float)stream->by;
+    uint8_t *out = form->out + form->room;
+    if (form->form == PICTURE) {
+        memcpy(out + begin, content + begin, (size_t)(end - begin));
+        return 0;
+    }
+    if (form->form == TEXT) {
+        if (begin == 0)
+            begin = 4;
+        memcpy(form->out + 4 + begin, content + begin, (size_t)(end - begin));
+        return plain_text(content + begin, end - begin);
+    }
+    if (form->form == POINT)
+        return put_point(form->out + form->size - 24, content, stream->times, stream->by);
+    if (form->form == POINTS)
+        return put_points(out + begin / POINT_BYTES * ROW_OF_POINTS, content + begin, (end - begin) / POINT_BYTES, times,
+                          by);
+    uint32_t odd = 0;
+    if (begin == 0)
+        begin = POLYDATA_HEAD;
+    ssize_t places_end = POLYDATA_HEAD + 12 * form->count, numbers = places_end + 4;
+    if (begin < places_end) {
+        ssize_t until = end < places_end ? end : places_end;
+        odd = floats_to_ros(content + begin, out + begin - POLYDATA_HEAD, (until - begin) / 4, times, by);
+    }
+    if (end > numbers) {
+        ssize_t from = begin > numbers ? begin : numbers;
+        odd |= are_numbers(content + from, (end - from) / 4, (uint32_t)(from - numbers) / 4);
+    }
+    return odd;
+}
+
+/* Convert a message that fits to all forms, whose ``out`` have room for ``size`` bytes; 0: it needs the full path. */
+static int bulk_from_igtl(const struct igtl_bulk *stream, const uint8_t *data, ssize_t size, const struct ros_form *forms,
+                          ssize_t count, int64_t stamp_ns)
+{
+    const uint8_t *content = data + stream->at;
+    ssize_t content_size = size - stream->at - stream->tail;
+    for (ssize_t i = 0; i < count; i++)
+        if (forms[i].size)
+            put_frame(&forms[i], content_size, stamp_ns);
+    uint64_t crc = stream->check_crc ? crc64_update(0, data + HEADER_SIZE, stream->at - HEADER_SIZE) : 0;
+    for (ssize_t begin = 0; begin < content_size; begin += BLOCK_BYTES) {
+        ssize_t end = content_size - begin > BLOCK_BYTES ? begin + BLOCK_BYTES : content_size;
+        const uint8_t *block = content + begin;
+        for (ssize_t i = 0; i < count; i++) {
+            if (forms[i].size && put_block(&forms[i], stream, content, begin, end))
+                return 0;
+            if (forms[i].form == PICTURE)
+                block = forms[i].out + forms[i].room + begin; /* a large copy is cached, its source is not */
+        }
+        if (stream->check_crc)
+            crc = crc64_update(crc, block, end - begin);
+    }
+    return !stream->check_crc || crc64_update(crc, data + size - stream->tail, stream->tail) == get_u64(data + CRC_AT);
+}
+
+/* -- from ROS to OpenIGTLink -------------------------------------------------------------------------------------------- */
+
+/* A compiled stream of a topic, see bulk_to_igtl in express.py. */
+struct ros_bulk {
+    const uint8_t *sample; /* the bytes before the content */
+    ssize_t size;
+    int form;
+    ssize_t height_at, data_at;   /* of clouds and pictures */
+    ssize_t step, x, y, z;        /* of the points of a cloud; step of a picture: the size of its data */
+    const ssize_t *places;        /* begin and end of each part of the sample that must be equal */
+    ssize_t places_count;         /* numbers in ``places`` */
+    double times, by;
+};
+
+/* What a ROS message has for the content. */
+struct found {
+    const uint8_t *data; /* the text, the first point or the pixels */
+    ssize_t count;       /* its size in bytes, or the number of points */
+    ssize_t size;        /* of the content in OpenIGTLink */
+    int64_t header_ns;   /* stamp in UTC ns, 0 = unset */
+};
+
+/* A form of an OpenIGTLink message: the bytes before and after the content, and the digits in the latter. */
+struct igtl_form {
+    const uint8_t *head, *tail;
+    ssize_t head_size, tail_size, digits_at;
+    uint8_t *out;
+};
+
+/* Find the text of a String; 0: the message needs the full path. */
+static int find_text(const uint8_t *cdr, ssize_t size, struct found *found)
+{
+    if (size < 8)
+        return 0;
+    ssize_t length = get_u32_ros(cdr + 4);
+    if (length > size - 8)
+        return 0;
+    while (length && !cdr[8 + length - 1])
+        length--;
+    found->data = cdr + 8;
+    found->count = length;
+    found->size = 4 + length;
+    return length <= MAX_TEXT && !plain_text(cdr + 8, length);
+}
+
+/* Find the points of a cloud; 0: the message needs the full path. */
+static int find_cloud(const struct ros_bulk *stream, const uint8_t *cdr, ssize_t size, struct found *found)
+{
+    if (size < stream->data_at + 1)
+        return 0;
+    uint64_t height = get_u32_ros(cdr + stream->height_at), width = get_u32_ros(cdr + stream->height_at + 4);
+    uint64_t row = get_u32_ros(cdr + stream->data_at - 8), length = get_u32_ros(cdr + stream->data_at - 4);
+    uint64_t step = (uint64_t)stream->step;
+    if (length + 1 > (uint64_t)(size - stream->data_at) || (height != 1 && row != width * step))
+        return 0;
+    if (!height || !width || height > length || width > length || height * width > length / step)
+        return 0;
+    found->count = (ssize_t)(height * width);
+    found->size = POINT_BYTES * found->count;
+    if (stream->form == CLOUD)
+        found->size = POLYDATA_HEAD + 12 * found->count + 4 * (found->count + 1);
+    return 1;
+}
+
+/* Find the content of a message; 0: it needs the full path. */
+static int find_in_ros(const struct ros_bulk *stream, const uint8_t *cdr, ssize_t size, struct found *found)
+{
+    found->header_ns = 0;
+    if (size < stream->size || stream->size < 4 || !equal(cdr, stream->sample, 0, 4))
+        return 0;
+    if (stream->form == TEXT)
+        return find_text(cdr, size, found);
+    for (ssize_t i = 0; i + 1 < stream->places_count; i += 2)
+        if (!equal(cdr, stream->sample, stream->places[i], stream->places[i + 1]))
+            return 0;
+    found->data = cdr + stream->data_at;
+    if (stream->form >= PICTURE) {
+        found->count = found->size = stream->step;
+        if (size - stream->data_at < found->size)
+            return 0;
+    } else if (!find_cloud(stream, cdr, size, found)) {
+        return 0;
+    }
+    int32_t seconds;
+    memcpy(&seconds, cdr + 4, 4);
+    found->header_ns = seconds * NS_PER_S + get_u32_ros(cdr + 8);
+    return found->size <= UINT32_MAX;
+}
+
+/* Write the next bytes of the content, of which ``done`` are written; return their number, or -1: the message needs the
+ * full path. */
+static ssize_t put_next(const struct ros_bulk *stream, const struct found *found, uint8_t *out, ssize_t done)
+{
+    ssize_t block = found->size - done > BLOCK_BYTES ? BLOCK_BYTES : found->size - done;
+    if (stream->form == TEXT) {
+        if (done == 0) {
+            put_u32(out, (uint32_t)MIB_ASCII << 16 | (uint32_t)found->count);
+            return 4;
+        }
+        memcpy(out + done, found->data + done - 4, (size_t)block);
+        return block;
+    }
+    if (stream->form == PICTURE) {
+        memcpy(out + done, found->data + done, (size_t)block);
+        return block;
+    }
+    if (stream->form == BLUE_FIRST) {
+        put_blue_first(found->data + done, out + done, block);
+        return block;
+    }
+    const struct points points = {.first = found->data,
+                                  .step = stream->step,
+                                  .x = stream->x,
+                                  .y = stream->y,
+                                  .z = stream->z,
+                                  .times = (float)stream->times,
+                                  .by = (float)stream->by};
+    if (stream->form == POINTS) {
+        ssize_t count = block / POINT_BYTES;
+        memset(out + done, 0, (size_t)block);
+        for (ssize_t i = 0; i < count; i++)
+            put_u32(out + done + POINT_BYTES * i + RGBA_AT, WHITE);
+        return places_to_igtl(&points, done / POINT_BYTES, count, out + done + POSITION_AT, POINT_BYTES) ? -1 : block;
+    }
+    ssize_t places_end = POLYDATA_HEAD + 12 * found->count, numbers = places_end + 4;
+    if (done == 0) {
+        memset(out, 0, POLYDATA_HEAD);
+        put_u32(out, (uint32_t)found->count);
+        put_u32(out + 4, 1);
+        put_u32(out + 8, (uint32_t)(4 * (found->count + 1)));
+        return POLYDATA_HEAD;
+    }
+    if (done < places_end) {
+        ssize_t count = (block < places_end - done ? block : places_end - done) / 12;
+        return places_to_igtl(&points, (done - POLYDATA_HEAD) / 12, count, out + done, 12) ? -1 : 12 * count;
+    }
+    if (done < numbers) {
+        put_u32(out + done, (uint32_t)found->count);
+        return 4;
+    }
+    put_numbers(out + done, block / 4, (uint32_t)(done - numbers) / 4);
+    return block;
+}
+
+/* Write all forms, whose ``out`` have room for head, content and tail; 0: the message needs the full path. */
+static int bulk_from_ros(const struct ros_bulk *stream, const struct found *found, const struct igtl_form *forms,
+                         ssize_t count, int64_t stamp_ns)
+{
+    for (ssize_t i = 0; i < count; i++) {
+        const struct igtl_form *form = &forms[i];
+        uint8_t *content = form->out + form->head_size, *end = content + found->size;
+        memcpy(form->out, form->head, (size_t)form->head_size);
+        memcpy(end, form->tail, (size_t)form->tail_size);
+        put_u64(form->out + TICKS_AT, ns_to_ticks(stamp_ns));
+        put_u64(form->out + BODY_SIZE_AT, (uint64_t)(form->head_size + found->size + form->tail_size - HEADER_SIZE));
+        if (form->digits_at > 0)
+            put_digits(end + form->digits_at, found->header_ns);
+        uint64_t crc = crc64_update(0, form->out + HEADER_SIZE, form->head_size - HEADER_SIZE);
+        const uint8_t *made = i ? forms[0].out + forms[0].head_size : NULL;
+        for (ssize_t done = 0, next; done < found->size; done += next) {
+            if (made) {
+                next = found->size - done > BLOCK_BYTES ? BLOCK_BYTES : found->size - done;
+                memcpy(content + done, made + done, (size_t)next);
+            } else if ((next = put_next(stream, found, content, done)) < 0) {
+                return 0;
+            }
+            crc = crc64_update(crc, content + done, next);
+        }
+        put_u64(form->out + CRC_AT, crc64_update(crc, end, form->tail_size));
+    }
+    return 1;
+}
+
+#endif
