@@ -297,11 +297,13 @@ class Config:
     def from_toml(cls, path: Path) -> Config:
         """Read a TOML file.  Raises ConfigError with file and setting."""
         document = read_toml(path)
-        document.pop(EDGE_TABLE, None)
+        for table in (EDGE_TABLE, HOST_TABLE):
+            document.pop(table, None)
         gateway = document.pop("gateway", {})
         if unknown := set(document) - _TABLES:
             expected = ", ".join(f"[[{name}]]" for name in sorted(_TABLES))
-            raise ConfigError(f"{path}: found [{sorted(unknown)[0]}], expected [gateway], [{EDGE_TABLE}], {expected}")
+            tables = f"[gateway], [{HOST_TABLE}], [{EDGE_TABLE}]"
+            raise ConfigError(f"{path}: found [{sorted(unknown)[0]}], expected {tables}, {expected}")
         if not isinstance(gateway, dict):
             raise ConfigError(f"{path}: found gateway = {gateway!r}, expected a table [gateway]")
         try:
@@ -322,6 +324,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 #: The table of a configuration file for the OpenIGTLink edge: addresses, access and limits, which are not recorded.
 EDGE_TABLE = "igtl"
+#: The table for the scheduling on this host, which is not recorded either.
+HOST_TABLE = "host"
 _TABLES = frozenset({"to_igtl", "to_ros", "tf_out", "peers"})
 
 

@@ -55,6 +55,7 @@ LEVELS = {
     "edges.ros": 4,
     "edges.tcp": 4,
     "exchange": 4,
+    "realtime": 4,
     "record": 4,
     "replay": 4,
     "ros_interfaces": 4,

@@ -28,13 +28,14 @@ from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import PeerLimits, TcpEdge, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
-from igtl_gateway.errors import RosError
+from igtl_gateway.errors import RosError, Unavailable
 from igtl_gateway.gateway import CUT, LINKS_TOPIC, LISTENED, Session, make_core
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics, PeerFacts
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.globs import matches
 from igtl_gateway.once import Once
 from igtl_gateway.qos import Qos
+from igtl_gateway.realtime import RealtimeOptions
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateInputRule
@@ -83,6 +84,7 @@ class BridgeOptions:
         recording: options of the recorder.
         video: options of the codec from ROS images to VIDEO and back; None: neither encode nor decode.
         diagnostics: publish the state of the bridge on /diagnostics once a second.
+        realtime: scheduling of the threads that pass messages.
     """
 
     listen: tuple[Address, ...] = ()
@@ -99,6 +101,7 @@ class BridgeOptions:
     recording: RecordOptions = field(default_factory=RecordOptions)
     video: VideoOptions | None = None
     diagnostics: bool = False
+    realtime: RealtimeOptions = field(default_factory=RealtimeOptions)
 
 
 class Bridge:
@@ -130,6 +133,7 @@ class Bridge:
         self.commands: CommandService | None = None
         self.video: VideoCodecs | None = None
         self.losses: dict[str, Any] = {}
+        self.realtime = ""  # one line of text on the scheduling, after the start
         self._diagnostics: Diagnostics | None = None
         sinks: list[Sink] = [self._dispatch]
         if options.record:
@@ -174,8 +178,10 @@ class Bridge:
     def start(self) -> None:
         """Open both sides and the recording.
 
-        Raises ConfigError, RecordingError or RosError.  After an error everything is closed, and no file is left.
+        Raises ConfigError, RecordingError, RosError, or Unavailable for a port in use or a missing permission.  After
+        an error everything is closed, and no file is left.
         """
+        self.options.realtime.check()
         try:
             if self.gateway.config.relay:
                 (server,) = self.options.connect
@@ -211,6 +217,11 @@ class Bridge:
             raise
         self._timer.start()
         self.tcp.start()
+        try:
+            self.realtime = self.options.realtime.apply()
+        except Unavailable:
+            self.stop()
+            raise
 
     def _publish_initial_state(self, ros: RosEdge) -> None:
         """Advertise the topics and services that exist from the start: links, /tf, diagnostics, commands."""

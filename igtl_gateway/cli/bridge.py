@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from igtl_gateway.app.bridge import Address, Bridge, BridgeOptions
 from igtl_gateway.app.interpreter import tune_interpreter
 from igtl_gateway.app.status import BridgeStatus
-from igtl_gateway.cli import admission, recording, routes
+from igtl_gateway.cli import admission, realtime, recording, routes
 from igtl_gateway.cli.bridge_output import BridgeOutput, EntryWatch, JsonOutput, TextOutput
 from igtl_gateway.cli.common import load_config, stop_event
 from igtl_gateway.cli.edge_file import with_file_settings
@@ -111,6 +111,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_video(parser.add_argument_group("video (needs PyAV)"))
     recording.add_arguments(parser.add_argument_group("recording"))
+    realtime.add_arguments(parser.add_argument_group("scheduling"))
     _add_diagnostics(parser.add_argument_group("diagnostics"))
     add_faults(
         parser,
@@ -186,7 +187,7 @@ def run(options: argparse.Namespace) -> int:
         started_ns = clock.monotonic_ns()
         try:
             with recording.recording_controls(bridge.recorder) as keys:
-                out.started(bridge, config, [*notes, keys] if keys else notes, metrics)
+                out.started(bridge, config, [note for note in (*notes, bridge.realtime, keys) if note], metrics)
                 tune_interpreter()
                 while not stop.wait(_STATUS_EVERY_S):
                     out.events(watch.take())
@@ -234,6 +235,7 @@ def _settings(options: argparse.Namespace, how: RecordOptions) -> tuple[Config, 
         recording=how,
         video=_video(options),
         diagnostics=not (options.no_ros or options.no_diagnostics),
+        realtime=realtime.realtime_options(options, options.config),
     )
 
 

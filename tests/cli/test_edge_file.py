@@ -63,7 +63,7 @@ def test_the_session_does_not_know_of_it(path: Path) -> None:
         ("[igtl]\nmax_body = 4", "igtl.max_body: found 4, expected a table such as { STRING = 4 }"),
         ("[igtl]\nmax_body = { STRING = -1 }", "igtl.max_body: found 'STRING=-1', expected TYPE=MIB"),
         ("igtl = 4", "found igtl = 4, expected a table [igtl]"),
-        ("[edge]\nlisten = []", "found [edge], expected [gateway], [igtl], [[peers]]"),
+        ("[edge]\nlisten = []", "found [edge], expected [gateway], [host], [igtl], [[peers]]"),
     ],
 )
 def test_what_is_wrong_is_named_with_its_place(path: Path, text: str, words: str) -> None:
