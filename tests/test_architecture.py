@@ -113,7 +113,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "asyncio": (),
     "select": ("edges.tcp.sender",),
     "selectors": ("edges.tcp.loop",),
-    "socket": ("edges.tcp", "lab.bench.programs"),  # a measurement has a peer that costs nothing
+    "socket": ("edges.tcp", "lab.bench"),  # a measurement has a peer that costs nothing, and a port for any bridge
     "socketserver": (),
     "ssl": ("edges.tcp.tls",),
     "http": ("app.metrics",),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatch
 
 from igtl_gateway_lab.bench.cases import CASES
-from igtl_gateway_lab.bench.runner import Row
+from igtl_gateway_lab.bench.figures import Row
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +21,7 @@ class Bound:
         stream: pattern for what was sent.
         flood: for floods (True), for what has a rate (False), for both (None).
         recording: the same, for what was measured with a recording.
+        rate_hz: only for this rate.
     """
 
     field: str
@@ -30,6 +31,7 @@ class Bound:
     least: bool = False
     flood: bool | None = None
     recording: bool | None = None
+    rate_hz: float | None = None
 
     @property
     def text(self) -> str:
@@ -43,36 +45,48 @@ class Bound:
         return (
             any(fnmatch(row["case"], case) for case in self.cases)
             and fnmatch(row.get("stream", row["case"]), self.stream)
-            and self.flood in (None, row["rate_hz"] is None)
+            and self.flood in (None, row.get("rate_hz") is None)
+            and self.rate_hz in (None, row.get("rate_hz"))
             and self.recording in (None, row.get("recording", False))
         )
 
 
-_LARGE = ("image-*", "cloud-*", "polydata-*")
-_SMALL = ("transform", "string-*", "points-*")
+#: A floor whose p99 is below this leaves room for an absolute bound.
+_CALM_MS = 2.0
+_POSES_TEXTS = ("transform", "string-*")
 _ALONE = tuple(name for name, case in CASES.items() if not case.together)
 
 BOUNDS: Sequence[Bound] = (
     Bound("lost", 0),
-    Bound("ratio", 1.3, _LARGE),
-    Bound("ratio", 1.6, _SMALL),
+    Bound("ratio_hop", 1.10, _POSES_TEXTS, flood=False),
+    Bound("ratio", 1.10, ("image-*",)),
+    Bound("ratio", 1.15, ("cloud-*", "polydata-*")),
+    Bound("ratio", 1.6, ("points-*",)),
     Bound("p99/p50", 3, _ALONE, flood=False),
     Bound("ms over floor", 2, ("points-10000", "cloud-10k")),
     Bound("p50_ms", 150, ("polydata-600k",), flood=False),
-    Bound("received_per_s", 20_000, ("transform",), least=True, flood=True),
+    Bound("gateway_cpu_us_per_message", 60, _POSES_TEXTS, rate_hz=1000.0),
+    Bound("gateway_cpu_us_per_message", 300, _POSES_TEXTS, rate_hz=30.0),
+    Bound("received_per_s", 30_000, ("transform",), least=True, flood=True),
+    Bound("rate/DDS", 0.85, ("transform",), least=True, flood=True),
     Bound("received_per_s", 60, ("image-fullhd",), least=True, flood=True),
-    Bound("p99_ms", 3, ("mixed",), stream="transform"),
-    Bound("recording_p50_ratio", 1.10),
-    Bound("recording_p99_ratio", 1.25),
+    Bound("ratio_p99", 1.5, ("mixed",), stream="transform"),
+    Bound("p99_ms where that of the floor is below 2", 3, ("mixed",), stream="transform"),
+    Bound("recording_p50_ratio", 1.05),
+    Bound("recording_p99_ratio", 1.10),
     Bound("recorder_dropped", 0),
     Bound("gateway_rss_peak_mb", 400, ("stalled-client",), recording=False),
     Bound("lost after resume", 0, ("stalled-client",), stream="transform"),
+    Bound("gateway_cpu_percent", 0.5, ("idle",)),
+    Bound("times_mixed_load", 8, ("recording",), least=True),
+    Bound("p50_s", 0.5, ("start-up",)),
+    Bound("gateway_rss_mb", 120, ("start-up", "idle")),
 )
 
 
 def with_verdict(row: Row) -> Row:
-    """A row of a measurement, with our own programs, with its ``bounds``: what should be → whether it is."""
-    if not row.get("direction") or row.get("peer"):
+    """A row of the gateway, with our own programs, with its ``bounds``: what should be → whether it is."""
+    if row.get("peer") or row.get("bridge"):
         return row
     values = with_derived_figures(row)
     found = {
@@ -80,19 +94,22 @@ def with_verdict(row: Row) -> Row:
         for bound in BOUNDS
         if values.get(bound.field) is not None and bound.concerns(row)
     }
-    return row | {"bounds": found}
+    return row | {"bounds": found} if found or row.get("direction") else row
 
 
 def with_derived_figures(row: Row) -> Row:
     """A row, and what bounds need to know besides."""
-    p50, floor = row.get("p50_ms"), row.get("floor_p50_ms")
+    p50, p99, floor, rate = (row.get(name) for name in ("p50_ms", "p99_ms", "floor_p50_ms", "received_per_s"))
+    dds, floor_p99 = row.get("floor_dds_per_s"), row.get("floor_p99_ms")
     told = row | {
-        "p99/p50": row["p99_ms"] / p50 if p50 else None,
+        "p99/p50": p99 / p50 if p50 and p99 else None,
         "ms over floor": p50 - floor if p50 and floor else None,
+        "rate/DDS": rate / dds if rate and dds else None,
+        "p99_ms where that of the floor is below 2": p99 if floor_p99 is not None and floor_p99 < _CALM_MS else None,
     }
     if "sent_after_resume" in row:
         return told | {"lost after resume": row["sent_after_resume"] - row["delivered_after_resume"]}
-    return told | {"lost": row["sent"] - row["delivered"]}
+    return told | {"lost": row["sent"] - row["delivered"]} if "direction" in row else told
 
 
 def shown(row: Row) -> str:

@@ -12,6 +12,8 @@ import numpy.typing as npt
 from igtl_gateway.stamp import NS_PER_S
 
 Times = npt.NDArray[np.int64]
+#: Fields of one row of the result.
+Row = dict[str, Any]
 
 _MS = 1e6
 
@@ -40,6 +42,19 @@ class Transmission:
         return received - self.sent[numbers - 1], received
 
 
+def in_turn(first: Transmission, second: Transmission) -> Transmission:
+    """As if each message had passed one after the other: it needs the sum of both latencies.
+
+    Only what arrived by both counts as arrived.
+    """
+    (early, _), (late, _) = (Transmission(one.sent, one.numbers, one.received).measured() for one in (first, second))
+    first_numbers, second_numbers = (
+        np.unique(one.numbers[(one.numbers > 0) & (one.numbers <= len(one.sent))]) for one in (first, second)
+    )
+    numbers, at_first, at_second = np.intersect1d(first_numbers, second_numbers, return_indices=True)
+    return Transmission(first.sent, numbers, first.sent[numbers - 1] + early[at_first] + late[at_second], first.warm)
+
+
 def latency(passages: Sequence[Transmission]) -> dict[str, Any]:
     """Of several streams of the same kind together: messages, rate of arrival, latencies in ms.
 
@@ -54,10 +69,11 @@ def latency(passages: Sequence[Transmission]) -> dict[str, Any]:
     span_ns = int(arrived.max() - arrived.min()) if len(arrived) > 1 else 0
     told["received_per_s"] = round((len(arrived) - 1) * NS_PER_S / span_ns, 2) if span_ns else None
     if not len(waited):
-        return told | dict.fromkeys(("p50_ms", "p99_ms", "mean_ms", "sd_ms", "max_ms"))
+        return told | dict.fromkeys(("p50_ms", "p99_ms", "p999_ms", "mean_ms", "sd_ms", "max_ms"))
     return told | {
         "p50_ms": _ms(quantile(waited, 0.50)),
         "p99_ms": _ms(quantile(waited, 0.99)),
+        "p999_ms": _ms(quantile(waited, 0.999)),
         "mean_ms": _ms(float(waited.mean())),
         "sd_ms": _ms(float(waited.std())),
         "max_ms": _ms(float(waited[-1])),

@@ -55,6 +55,7 @@ class Form:
 
     Attributes:
         at, size: its bytes in the message.
+        layout: of ``struct``, or "text".
         write: those bytes.
         number: of a message.
         numbers: of many: from an array with a row of those bytes for each.
@@ -62,6 +63,7 @@ class Form:
 
     at: int
     size: int
+    layout: str
     write: Callable[[int], bytes]
     number: Number
     numbers: Callable[[Bytes], Numbers]
@@ -72,6 +74,7 @@ def _of_struct(at: int, layout: str, start: int = 0, unit: float = 1) -> Form:
     return Form(
         at,
         packing.size,
+        layout,
         lambda number: packing.pack(start + number * unit),
         lambda message: round((packing.unpack_from(message, at)[0] - start) / unit),
         lambda rows: np.rint((rows.view(column)[:, 0].astype(np.float64) - start) / unit).astype(np.int64),
@@ -82,6 +85,7 @@ def _of_text(at: int) -> Form:
     return Form(
         at,
         _DIGITS,
+        "text",
         lambda number: b"%010d" % number,
         lambda message: int(bytes(message[at : at + _DIGITS])),
         lambda rows: rows.view(f"S{_DIGITS}")[:, 0].astype(np.int64),

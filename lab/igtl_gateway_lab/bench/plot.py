@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from igtl_gateway_lab.bench.runner import Row
+from igtl_gateway_lab.bench.figures import Row
 from igtl_gateway_lab.bench.sweeps import SWEEPS
 
 if TYPE_CHECKING:

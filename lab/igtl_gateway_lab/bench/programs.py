@@ -30,22 +30,24 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import decode
 from igtl_gateway_lab.bench.cases import payload
 from igtl_gateway_lab.bench.cutter import Arrivals, Cutter
+from igtl_gateway_lab.bench.figures import Times
 from igtl_gateway_lab.bench.jobs import Job, JobStream
+from igtl_gateway_lab.bench.native import SOCKET_BYTES, NativeIgtlSide, NativeRosSide, connect
 from igtl_gateway_lab.bench.pace import Schedule, Send, SendPacer
 from igtl_gateway_lab.bench.payloads import Form
 from igtl_gateway_lab.bench.ros_side import RosTransport
 from igtl_gateway_lab.bench.window import SendWindow, progress
 
 _KNOCK_S = 0.1
+_FIRST_LOOK_S = 0.01
 #: Knocks of large messages must not become a queue: slower than that no gateway is.
 _KNOCK_BYTES_PER_S = 5 << 20
 _FOUND_S = 60.0
 _BEGIN_NS = 50_000_000
-_SOCKET_BYTES = 4 << 20
 
 
 class BenchTransport(Protocol):
-    """A connection to the world."""
+    """A connection to the world, used from Python."""
 
     def open(self) -> None:
         """Connect, and be there for who looks for us."""
@@ -81,7 +83,7 @@ class IgtlTransport:
         for readers in self._clients:
             link = self._connection()
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_BYTES)
             thread = threading.Thread(
                 target=self._read, args=(link, Cutter(readers)), name="igtl-bench-reader", daemon=True
             )
@@ -91,10 +93,10 @@ class IgtlTransport:
 
     def _connection(self) -> socket.socket:
         if not self._job.listen:
-            return socket.create_connection(self._job.address)
+            return connect(self._job.address)
         with socket.create_server(self._job.address) as server:
             host, port = server.getsockname()
-            print_event({"event": "listening", "host": host, "port": port})
+            _print_listening(host, port)
             return server.accept()[0]
 
     def wait_for_peers(self) -> None:
@@ -140,32 +142,125 @@ class IgtlTransport:
             reading.wait()
 
 
+class BenchSide(Protocol):
+    """What a program does; its loops are native or in Python."""
+
+    def open(self) -> None:
+        """Connect, and be there for who looks for us."""
+
+    def wait_for_peers(self) -> None:
+        """Wait for the others."""
+
+    def knock(self) -> None:
+        """Send message 0 of every stream."""
+
+    def send(self, begin_ns: int, until_ns: int) -> Sequence[Sequence[int] | Times]:
+        """Send everything; for each stream when its messages were sent."""
+
+    def stop_sending(self) -> None:
+        """End ``send``, from another thread."""
+
+    def stall(self, stopped: bool) -> None:
+        """Read nothing, or read again."""
+
+    def count(self) -> int:
+        """How many messages have arrived."""
+
+    def close(self) -> None:
+        """Leave."""
+
+    def columns(self) -> dict[str, Times]:
+        """Numbers and times of what has arrived, after ``close``."""
+
+
+class PythonSide:
+    """The loops in Python, around a transport."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._heard = {part.key: Arrivals(_first_of(part, job.side), progress(part.progress)) for part in job.hears}
+        self._transport = _transport(job, self._heard)
+        self._clock = SystemClock()
+        self._pace = SendPacer(self._clock)
+        self._senders: list[Send] = []
+
+    def open(self) -> None:
+        self._transport.open()
+
+    def wait_for_peers(self) -> None:
+        self._transport.wait_for_peers()
+        self._senders = [self._transport.sender(part) for part in self._job.sends]
+
+    def knock(self) -> None:
+        for send in self._senders:
+            send(0, 1)
+
+    def send(self, begin_ns: int, until_ns: int) -> list[list[int]]:
+        schedules = [
+            Schedule(
+                send,
+                part.stream.rate_hz,
+                part.count,
+                SendWindow(progress(part.progress), part.window, self._clock) if part.window else None,
+            )
+            for part, send in zip(self._job.sends, self._senders, strict=True)
+        ]
+        return self._pace.run(schedules, begin_ns, until_ns)
+
+    def stop_sending(self) -> None:
+        self._pace.stop()
+
+    def stall(self, stopped: bool) -> None:
+        if isinstance(self._transport, IgtlTransport):
+            (self._transport.reading.clear if stopped else self._transport.reading.set)()
+
+    def count(self) -> int:
+        return sum(len(one.times) for one in self._heard.values())
+
+    def close(self) -> None:
+        self._transport.close()
+
+    def columns(self) -> dict[str, Times]:
+        told = {}
+        for key, arrivals in self._heard.items():
+            told[f"numbers {key}"] = np.frombuffer(arrivals.numbers, np.int64)
+            told[f"received {key}"] = np.frombuffer(arrivals.times, np.int64)
+        return told
+
+
 def run(job: Job) -> None:
     """A program from beginning to end."""
     prepare_environment()
-    heard = {part.key: Arrivals(_first_of(part, job.side), progress(part.progress)) for part in job.hears}
-    side = _side(job, heard)
+    side = _side(job)
     side.open()
-    orders = _StdinCommands(heard, side)
+    orders = _StdinCommands(side)
     try:
         side.wait_for_peers()
         print_event({"event": "ready"})
+        if isinstance(side, NativeRosSide | NativeIgtlSide):
+            threading.Thread(target=_report_firsts, args=(job, side, orders), name="igtl-bench-firsts").start()
         sent = _send(job, side, orders)
         orders.ended.wait()
     finally:
+        orders.ended.set()
         side.close()
-    columns = {}
+    columns = side.columns()
     for part, times in zip(job.sends, sent, strict=True):
         columns[f"sent {part.device}"] = np.array(times, np.int64)
-    for key, arrivals in heard.items():
-        columns[f"numbers {key}"] = np.frombuffer(arrivals.numbers, np.int64)
-        columns[f"received {key}"] = np.frombuffer(arrivals.times, np.int64)
     with Path(job.times).open("wb") as file:
         np.savez(file, allow_pickle=False, **columns)
     print_event({"event": "written"})
 
 
-def _side(job: Job, heard: dict[str, Arrivals]) -> BenchTransport:
+def _side(job: Job) -> BenchSide:
+    if job.native and job.side == "ros":
+        return NativeRosSide(job)
+    if job.native and job.side == "igtl":
+        return NativeIgtlSide(job, _print_listening)
+    return PythonSide(job)
+
+
+def _transport(job: Job, heard: dict[str, Arrivals]) -> BenchTransport:
     match job.side:
         case "ros":
             return RosTransport(job, heard)
@@ -180,11 +275,9 @@ def _side(job: Job, heard: dict[str, Arrivals]) -> BenchTransport:
 class _StdinCommands:
     """The commands on standard input."""
 
-    def __init__(self, heard: dict[str, Arrivals], side: BenchTransport) -> None:
+    def __init__(self, side: BenchSide) -> None:
         self.knocking, self.begun, self.ended = threading.Event(), threading.Event(), threading.Event()
-        self._heard = heard
         self._side = side
-        self.pace: SendPacer | None = None
         threading.Thread(target=self._read_commands, name="igtl-bench-orders", daemon=True).start()
 
     def _read_commands(self) -> None:
@@ -198,44 +291,38 @@ class _StdinCommands:
                         self.knocking.set()
                     case b"begin":
                         self.begun.set()
-                    case b"stall" | b"resume" if isinstance(self._side, IgtlTransport):
-                        (self._side.reading.clear if line == b"stall" else self._side.reading.set)()
+                    case b"stall" | b"resume":
+                        self._side.stall(line == b"stall")
                     case b"count":
-                        print_event({"event": "count", "messages": sum(len(one.times) for one in self._heard.values())})
+                        print_event({"event": "count", "messages": self._side.count()})
         self.ended.set()
         self.begun.set()
         self.knocking.set()
-        if self.pace:
-            self.pace.stop()
+        self._side.stop_sending()
 
 
-def _send(job: Job, side: BenchTransport, orders: _StdinCommands) -> list[list[int]]:
+def _send(job: Job, side: BenchSide, orders: _StdinCommands) -> Sequence[Sequence[int] | Times]:
     """Knock, then send; when each message was sent."""
-    senders = [side.sender(part) for part in job.sends]
     size = sum(payload(part.stream.kind).size for part in job.sends)
     orders.knocking.wait()
     while not orders.begun.is_set():
-        for send in senders:
-            send(0, 1)
+        side.knock()
         orders.begun.wait(max(_KNOCK_S, size / _KNOCK_BYTES_PER_S))
-    clock = SystemClock()
-    pace = orders.pace = SendPacer(clock)
-    if orders.ended.is_set():
-        pace.stop()
-    begin_ns = clock.monotonic_ns() + _BEGIN_NS
-    schedules = [
-        Schedule(
-            send,
-            part.stream.rate_hz,
-            part.count,
-            SendWindow(progress(part.progress), part.window, clock) if part.window else None,
-        )
-        for part, send in zip(job.sends, senders, strict=True)
-    ]
-    sent = pace.run(schedules, begin_ns, begin_ns + round(job.seconds * NS_PER_S))
+    begin_ns = SystemClock().monotonic_ns() + _BEGIN_NS
+    sent = side.send(begin_ns, begin_ns + round(job.seconds * NS_PER_S))
     if job.sends:
         print_event({"event": "sent", "messages": sum(map(len, sent))})
     return sent
+
+
+def _report_firsts(job: Job, side: NativeRosSide | NativeIgtlSide, orders: _StdinCommands) -> None:
+    """Check and report the first message of each stream; then nothing else runs beside the loops."""
+    missing = {part.key for part in job.hears}
+    while missing and not orders.ended.wait(_FIRST_LOOK_S):
+        for part, message in side.firsts():
+            if part.key in missing:
+                _first_of(part, job.side)(message)
+                missing.remove(part.key)
 
 
 def _first_of(part: JobStream, side: str) -> Callable[[Buffer], None]:
@@ -249,6 +336,10 @@ def _first_of(part: JobStream, side: str) -> Callable[[Buffer], None]:
             print_event({"event": "heard", "key": part.key, "as": part.topic, "bytes": len(message)})
 
     return first
+
+
+def _print_listening(host: str, port: int) -> None:
+    print_event({"event": "listening", "host": host, "port": port})
 
 
 def _received(source: socket.socket, view: memoryview) -> int:

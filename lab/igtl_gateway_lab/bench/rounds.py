@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from statistics import median_low
 from typing import Any
 
-from igtl_gateway_lab.bench.figures import ratio
-from igtl_gateway_lab.bench.runner import Row
+from igtl_gateway_lab.bench.figures import Row, ratio
 
 #: Numeric fields that identify a measurement, besides all fields without numbers.
 _NAMES = frozenset({"rate_hz", "x", "clients"})

@@ -1,30 +1,31 @@
-"""Runs a case: the gateway, the programs on both sides, and the same programs without it."""
+"""Runs a case: the gateway or another bridge, the programs on both sides, and the same programs without it."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway.clock import Clock
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway_lab.bench import flame
-from igtl_gateway_lab.bench.cases import FLOOD, BenchStream, Case, Direction, payload
-from igtl_gateway_lab.bench.figures import Transmission, latency, lateness, ratio
+from igtl_gateway_lab.bench import bridges, flame
+from igtl_gateway_lab.bench.bridges import HOP, START_S, Address, Bridge, wait_ready
+from igtl_gateway_lab.bench.cases import CASES, FLOOD, BenchStream, Case, Direction, payload
+from igtl_gateway_lab.bench.figures import Row, Transmission, in_turn, latency, lateness
+from igtl_gateway_lab.bench.floors import against_floor, against_hop, against_mixed_floor
 from igtl_gateway_lab.bench.jobs import Job, JobStream
 from igtl_gateway_lab.bench.peers import LIBRARY, PEERS, Library, command, times_of
-from igtl_gateway_lab.bench.processes import BenchError, Program, Usage
-from igtl_gateway_lab.bench.stalled import NAMES, STALLED, Stall
+from igtl_gateway_lab.bench.probe import compile_probe
+from igtl_gateway_lab.bench.processes import BenchError, Program, Usage, wakeups
+from igtl_gateway_lab.bench.stalled import NAMES, STALLED
 from igtl_gateway_lab.bench.window import window
-from igtl_gateway_lab.programs import ours
 
 #: Warm-up before the messages that count: seconds, the largest number of messages, and the number of a flood.
 _WARM_S, _WARM_MOST, _WARM_FLOOD = 0.5, 200, 20
-_START_S = 120.0  # a first start compiles igtl_msgs
 _HEARD_S = 60.0
 _LOOK_S = 0.25
 #: After this time without a message none will arrive: DDS might wait for a heartbeat, every 3 s, to send again.
@@ -32,11 +33,16 @@ _SILENCE_S = 8.0
 _LARGE_SILENCE_S, _LARGE_BYTES = 20.0, 4 << 20
 #: Messages that the floor is measured with, at most: its median is all that is used; and for how long in a flood.
 _FLOOR_COUNT, _FLOOR_FLOOD_S = 300, 3.0
+#: After the connection of all programs, until discovery is over.
+_SETTLE_S = 3.0
 #: A gateway without a parent ends itself this long after its runs.
 _GATEWAY_S = 600.0
 
-Row = dict[str, Any]
-Address = tuple[str, int]
+#: Which programs measure; those in Python need no compiler.
+NATIVE, PYTHON = "native", "python"
+
+#: Stands for what was passed: device and client.
+Passages = Mapping[tuple[str, int], Transmission]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +71,9 @@ class BenchPlan:
         directions: which ways.
         extent: how long.
         floor: measure the bare hops too.
+        hop: measure a bridge that does nothing but the hop, too.
+        against: commands of other bridges to measure.
+        programs: ``NATIVE`` or ``PYTHON``.
         record: the gateway records.
         peer: whose program is on the side of OpenIGTLink, "" for ours; see ``peers``.
         clients: how many there are on the side of OpenIGTLink, all of which receive everything.
@@ -75,6 +84,9 @@ class BenchPlan:
     directions: tuple[Direction, ...]
     extent: Extent
     floor: bool = True
+    hop: bool = False
+    against: tuple[str, ...] = ()
+    programs: str = PYTHON
     record: bool = False
     peer: str = ""
     clients: int = 1
@@ -91,25 +103,10 @@ class RunResult:
         begin, end: what the gateway had used, where there is one.
     """
 
-    passages: dict[tuple[str, int], Transmission]
+    passages: Passages
     seconds: float
     begin: Usage | None = None
     end: Usage | None = None
-
-
-@dataclass(frozen=True)
-class _Gateway:
-    """The gateway's process, and its report on the recording at its end."""
-
-    program: Program
-    stall: Stall
-    recorded: Row = field(default_factory=dict)
-
-    @cached_property
-    def address(self) -> Address:
-        """Where it waits for OpenIGTLink peers, as soon as it does."""
-        place = self.program.wait_for("started", _START_S)["listen"][0]
-        return place["host"], place["port"]
 
 
 class Runner:
@@ -130,50 +127,82 @@ class Runner:
         self._library = Library(folder)
 
     def measure(self, plan: BenchPlan) -> list[Row]:
-        """The rows of a case.  Raises BenchError."""
-        runs: list[tuple[Sequence[Direction], RunResult]] = []
-        turns = [plan.directions] if plan.case.at_once else [(direction,) for direction in plan.directions]
-        with self._gateway(plan) as gateway:
-            for directions in turns:
-                marks = (plan.peer, "recording" if plan.record else "")
-                self._print_status(" ".join(filter(None, (plan.case.name, *(way.value for way in directions), *marks))))
-                runs.append((directions, self._through_gateway(plan, directions, gateway)))
-        rows = [row | gateway.recorded for run in runs for row in self._rows(plan, *run, gateway.stall)]
+        """The rows of a case: those of the gateway, then those of the other bridges.  Raises BenchError."""
+        rows = self._of_bridge(plan, "")
+        for name in (*plan.against, *((HOP,) if plan.hop else ())):
+            rows += self._of_bridge(plan, name)
         if plan.peer:
             hop = self._bare(self._briefly(plan), LIBRARY)["p50_ms"] if plan.peer == LIBRARY else None
             rows = [row | {"peer": plan.peer, "peer_hop_p50_ms": hop} for row in rows]
-        elif plan.floor and not plan.case.together:
-            self._print_status(f"{plan.case.name} floor")
+        elif plan.floor and plan.case.together:
+            self._status(plan, "floor")
+            floors = self._bare_together(plan)
+            rows = [row | against_mixed_floor(row, floors[row["direction"], row["stream"]]) for row in rows]
+        elif plan.floor:
+            self._status(plan, "floor")
             brief = self._briefly(plan)
             dds, tcp = self._bare(brief, "ros"), self._bare(brief, "igtl")
             rows = [row | against_floor(row, dds, tcp) for row in rows]
-        return rows
+        return against_hop(rows) if plan.hop else rows
 
-    # -- the gateway ---------------------------------------------------------------------------------------------
+    def idle(self, name: str, programs: str, seconds: float) -> Row:
+        """What a bridge uses while one peer and one ROS node are connected and nothing passes.  Raises BenchError."""
+        plan = BenchPlan(CASES["transform"], tuple(Direction), Extent(seconds), programs=programs)
+        out, back = (self._parts(plan, direction) for direction in Direction)
+        with self._bridge(plan, name) as bridge, ExitStack() as stack:
+            node = self._job(plan, "ros", "bench_node", sends=out, hears=back)
+            peer = self._job(plan, "igtl", "client", sends=back, hears=out, address=bridge.address)
+            started = [self._start(stack, job) for job in (node, peer)]
+            wait_ready(started, bridge)
+            self._rest.wait(_SETTLE_S)
+            pid = bridge.program.pid
+            begun_ns, begin, waited = self._clock.monotonic_ns(), Usage.of(pid), wakeups(pid)
+            self._rest.wait(seconds)
+            spent_s = (self._clock.monotonic_ns() - begun_ns) / NS_PER_S
+            end, woken = Usage.of(pid), wakeups(pid)
+            for program in started:
+                program.order("knock")
+                program.order("begin")
+                program.end()
+        return {
+            "seconds": seconds,
+            "gateway_cpu_percent": round(100 * (_spent_s(begin, end, bridge)) / spent_s, 3),
+            "wakeups_per_s": round(sum(count - waited.get(task, 0) for task, count in woken.items()) / spent_s, 1),
+            "threads": len(woken),
+            "gateway_rss_mb": round(end.rss_mb, 1),
+        }
 
-    @contextmanager
-    def _gateway(self, plan: BenchPlan) -> Iterator[_Gateway]:
+    # -- bridges -------------------------------------------------------------------------------------------------
+
+    def _of_bridge(self, plan: BenchPlan, name: str) -> list[Row]:
+        """The rows of the gateway (""), of the hop, or of a command."""
+        runs: list[tuple[Sequence[Direction], RunResult]] = []
+        turns = [plan.directions] if plan.case.at_once else [(direction,) for direction in plan.directions]
+        with self._bridge(plan, name) as bridge:
+            for directions in turns:
+                self._status(plan, *(way.value for way in directions), plan.peer, "recording" * plan.record, name)
+                runs.append((directions, self._through_bridge(plan, directions, bridge)))
+        marks: Row = {"programs": plan.programs} | ({"bridge": name} if name else {})
+        return [row | bridge.recorded | marks for run in runs for row in self._rows(plan, *run, bridge)]
+
+    def _bridge(self, plan: BenchPlan, name: str) -> AbstractContextManager[Bridge]:
+        if name:
+            return bridges.foreign(name, plan.case, self._probe)
         longest = max(
             plan.extent.count / stream.rate_hz if stream.rate_hz and plan.extent.count else plan.extent.seconds
             for stream in plan.case.streams
         )
-        seconds = _GATEWAY_S + len(Direction) * longest
-        words = ["bridge", "--json", "--listen", "127.0.0.1:0", "--duration", str(seconds)]
-        for stream in plan.case.streams:
-            topic, device = (f(Direction.ROS_TO_IGTL) for f in (stream.topic, stream.device))
-            words += ["--send", f"{topic}={device}:{payload(stream.kind).igtl_type}"]
-        if plan.record:
-            words += ["--record", str(self._folder / "recording.mcap"), "--overwrite"]
-        with Program("gateway", ours(*words)) as program:
-            gateway = _Gateway(program, Stall())
-            yield gateway
-            program.interrupt_and_wait()
-            told = program.wait_for("stopped", _START_S, gateway.stall.note)
-            if plan.record:
-                gateway.recorded["recorder_dropped"] = told["recording"]["dropped"]
-                gateway.recorded["recorded_mb"] = round(told["recording"]["bytes"] / 1e6, 1)
+        recording = self._folder / "recording.mcap" if plan.record else None
+        return bridges.gateway(plan.case, _GATEWAY_S + len(Direction) * longest, recording)
 
-    def _through_gateway(self, plan: BenchPlan, directions: Sequence[Direction], gateway: _Gateway) -> RunResult:
+    @cached_property
+    def _probe(self) -> Path:
+        return compile_probe(self._folder)
+
+    def _status(self, plan: BenchPlan, *words: str) -> None:
+        self._print_status(" ".join(filter(None, (plan.case.name, *words))))
+
+    def _through_bridge(self, plan: BenchPlan, directions: Sequence[Direction], bridge: Bridge) -> RunResult:
         parts = {direction: self._parts(plan, direction) for direction in directions}
         out = parts.get(Direction.ROS_TO_IGTL, ())
         back = parts.get(Direction.IGTL_TO_ROS, ())
@@ -184,17 +213,16 @@ class Runner:
             nodes.append(self._job(plan, "ros", "bench_listener", hears=back))
         hears = tuple(replace(part, client=client) for client in range(plan.clients) for part in out)
         with ExitStack() as stack:
-            # the nodes start beside the gateway, which takes as long
+            # the nodes start beside the bridge, which takes as long
             programs = [(job, self._start(stack, job)) for job in nodes]
-            client = self._job(plan, plan.peer or "igtl", "client", sends=back, hears=hears, address=gateway.address)
+            client = self._job(plan, plan.peer or "igtl", "client", sends=back, hears=hears, address=bridge.address)
             programs.append((client, self._start(stack, client)))
             if plan.case.stalls:
                 hears = tuple(replace(part, client=STALLED, progress="") for part in out)
-                idler = self._job(plan, "igtl", "stalled", hears=hears, address=gateway.address)
+                idler = self._job(plan, "igtl", "stalled", hears=hears, address=bridge.address)
                 programs.append((idler, self._start(stack, idler)))
-            for _, program in programs:
-                program.wait_for("ready", _START_S)
-            return self._passed(programs, plan, gateway)
+            wait_ready([program for _, program in programs], bridge)
+            return self._passed(programs, plan, bridge)
 
     # -- the floor -----------------------------------------------------------------------------------------------
 
@@ -218,14 +246,41 @@ class Runner:
             hearing = self._start(stack, listener)
             address = ("127.0.0.1", 0)
             if side != "ros":
-                place = hearing.wait_for("listening", _START_S)
+                place = hearing.wait_for("listening", START_S)
                 address = (place["host"], place["port"])
             sender = self._job(plan, side, "bench_sender", sends=parts, address=address)
             sending = self._start(stack, sender)
-            for program in (hearing, sending):
-                program.wait_for("ready", _START_S)
+            wait_ready((hearing, sending), None)
             passed = self._passed([(listener, hearing), (sender, sending)], plan, None)
         return latency(list(passed.passages.values()))
+
+    def _bare_together(self, plan: BenchPlan) -> dict[tuple[str, str], Row]:
+        """The streams of both ways over bare DDS and over bare TCP, at the same time; by direction and kind.
+
+        Each message then has a latency in DDS and one in TCP: their sum is its floor.
+        """
+        ways = {direction: self._parts(plan, direction) for direction in plan.directions}
+        out, back = (ways.get(direction, ()) for direction in Direction)
+        bare = tuple(replace(part, topic=f"/bench/floor/{part.device}") for part in (*out, *back))
+        with ExitStack() as stack:
+            server = self._job(plan, "igtl", "server", sends=out, hears=back, listen=True)
+            listener = self._job(plan, "ros", "bench_listener", hears=bare)
+            sender = self._job(plan, "ros", "bench_sender", sends=bare)
+            started = [(job, self._start(stack, job)) for job in (server, listener, sender)]
+            place = started[0][1].wait_for("listening", START_S)
+            client = self._job(plan, "igtl", "client", sends=back, hears=out, address=(place["host"], place["port"]))
+            started.insert(1, (client, self._start(stack, client)))
+            wait_ready([program for _, program in started], None)
+            self._drive(started, plan, None)
+        tcp, dds = _passages(started[:2]), _passages(started[2:])
+        floors: dict[tuple[str, str], Row] = {}
+        for direction, parts in ways.items():
+            kinds: dict[str, list[Transmission]] = {}
+            for part in parts:
+                sums = in_turn(dds[part.device, 0], tcp[part.device, 0])
+                kinds.setdefault(part.stream.kind, []).append(replace(sums, warm=warm(part.stream)))
+            floors |= {(direction.value, kind): latency(sums) for kind, sums in kinds.items()}
+        return floors
 
     # -- one run -------------------------------------------------------------------------------------------------
 
@@ -257,13 +312,28 @@ class Runner:
     ) -> Job:
         self._runs += 1
         times = str(self._folder / f"times-{self._runs}.npz")
-        return Job(side, name, sends, hears, plan.extent.seconds, times, address, listen)
+        native = str(self._probe) if plan.programs == NATIVE else ""
+        return Job(side, name, sends, hears, plan.extent.seconds, times, address, listen, native)
 
     def _start(self, stack: ExitStack, job: Job) -> Program:
         return stack.enter_context(Program(f"{job.side} {job.name}", command(job, self._library)))
 
-    def _passed(self, programs: Sequence[tuple[Job, Program]], plan: BenchPlan, gateway: _Gateway | None) -> RunResult:
-        """Knock, begin, wait until all have arrived or nothing more does, end; all programs are ready."""
+    def _passed(self, programs: Sequence[tuple[Job, Program]], plan: BenchPlan, bridge: Bridge | None) -> RunResult:
+        """One run of programs that are ready."""
+        begun_ns, begin, end = self._drive(programs, plan, bridge)
+        passages = _passages(programs)
+        # not until now: where something is lost, we have waited for it
+        last_ns = max((int(one.received.max()) for one in passages.values() if len(one.received)), default=begun_ns)
+        return RunResult(passages, (last_ns - begun_ns) / NS_PER_S, begin, end)
+
+    def _drive(
+        self, programs: Sequence[tuple[Job, Program]], plan: BenchPlan, bridge: Bridge | None
+    ) -> tuple[int, Usage | None, Usage | None]:
+        """Knock, begin, wait until all have arrived or nothing more does, end; all programs are ready.
+
+        Returns:
+            When they began, monotonic, and what the bridge had used then and at the end.
+        """
         senders = [(job, program) for job, program in programs if job.sends]
         listeners = [(job, program) for job, program in programs if job.hears]
         for _, program in senders:
@@ -274,26 +344,23 @@ class Runner:
                 try:
                     missing.discard(program.wait_for("heard", _HEARD_S)["key"])
                 except BenchError:
-                    for _, other in programs:
+                    for other in (*((bridge.program,) if bridge else ()), *(program for _, program in programs)):
                         other.check()  # it may be the cause
                     raise
-        with flame.drawn(gateway.program, plan.flame) if gateway and plan.flame else nullcontext():
-            begin = Usage.of(gateway.program.pid) if gateway else None
+        with flame.drawn(bridge.program, plan.flame) if bridge and plan.flame else nullcontext():
+            begin = Usage.of(bridge.program.pid) if bridge else None
             begun_ns = self._clock.monotonic_ns()
             for _, program in senders:
                 program.order("begin")
-            if gateway and plan.case.stalls:
+            if bridge and plan.case.stalls:
                 (idler,) = [program for job, program in listeners if job.name == "stalled"]
-                gateway.stall.run(idler, plan.extent.seconds, self._rest.wait, self._clock.monotonic_ns)
+                bridge.stall.run(idler, plan.extent.seconds, self._rest.wait, self._clock.monotonic_ns)
             sent = sum(program.wait_for("sent", self._limit_s(job))["messages"] for job, program in senders)
             self._wait_for_arrivals([program for _, program in listeners], sent * plan.clients, plan)
-            end = Usage.of(gateway.program.pid) if gateway else None
+            end = Usage.of(bridge.program.pid) if bridge else None
         for _, program in programs:
             program.end()
-        passages = _passages(programs)
-        # not until now: where something is lost, we have waited for it
-        last_ns = max((int(one.received.max()) for one in passages.values() if len(one.received)), default=begun_ns)
-        return RunResult(passages, (last_ns - begun_ns) / NS_PER_S, begin, end)
+        return begun_ns, begin, end
 
     def _wait_for_arrivals(self, listeners: Sequence[Program], sent: int, plan: BenchPlan) -> None:
         large = any(payload(stream.kind).size > _LARGE_BYTES for stream in plan.case.streams) and not plan.case.stalls
@@ -316,11 +383,11 @@ class Runner:
         return 2 * max(longest, job.seconds) + _HEARD_S
 
     @staticmethod
-    def _rows(plan: BenchPlan, directions: Sequence[Direction], passed: RunResult, stall: Stall) -> list[Row]:
+    def _rows(plan: BenchPlan, directions: Sequence[Direction], passed: RunResult, bridge: Bridge) -> list[Row]:
         kinds: dict[str, list[BenchStream]] = {}
         for stream in plan.case.streams:
             kinds.setdefault(stream.kind, []).append(stream)
-        usage = _usage(passed, sum(len(passage.numbers) for passage in passed.passages.values()))
+        usage = _usage(passed, sum(len(passage.numbers) for passage in passed.passages.values()), bridge)
         rows: list[Row] = []
         for direction in directions:
             for kind, streams in kinds.items():
@@ -340,23 +407,9 @@ class Runner:
                     rows.append(row | latency(passages) | late | usage)
                     continue
                 for client, ((stream, passage),) in sorted(heard.items()):
-                    told = stall.to_row(stream, passage) if client == STALLED else {}
+                    told = bridge.stall.to_row(stream, passage) if client == STALLED else {}
                     rows.append(row | {"client": NAMES[client]} | latency([passage]) | late | told | usage)
         return rows
-
-
-def against_floor(row: Row, dds: Row, tcp: Row) -> Row:
-    """What stands in a row of the bare hops: in a flood their rates, else their medians and how many times those."""
-    if row["rate_hz"] is None:
-        return {"floor_dds_per_s": dds["received_per_s"], "floor_tcp_per_s": tcp["received_per_s"]}
-    hops = (dds["p50_ms"], tcp["p50_ms"])
-    floor = round(sum(hops), 4) if None not in hops else None
-    return {
-        "floor_dds_p50_ms": hops[0],
-        "floor_tcp_p50_ms": hops[1],
-        "floor_p50_ms": floor,
-        "ratio": ratio(row["p50_ms"], floor),
-    }
 
 
 def warm(stream: BenchStream) -> int:
@@ -366,12 +419,12 @@ def warm(stream: BenchStream) -> int:
     return max(1, min(_WARM_MOST, round(_WARM_S * stream.rate_hz)))
 
 
-def _usage(passed: RunResult, arrived: int) -> Row:
-    """What the gateway used meanwhile, by all streams together."""
+def _usage(passed: RunResult, arrived: int, bridge: Bridge) -> Row:
+    """What the bridge used meanwhile, by all streams together."""
     begin, end = passed.begin, passed.end
     if begin is None or end is None or not arrived:
         return {}
-    cpu_s = end.cpu_s - begin.cpu_s
+    cpu_s = _spent_s(begin, end, bridge)
     return {
         "gateway_cpu_percent": round(100 * cpu_s / passed.seconds, 1),
         "gateway_cpu_us_per_message": round(1e6 * cpu_s / arrived, 1),
@@ -380,6 +433,12 @@ def _usage(passed: RunResult, arrived: int) -> Row:
         "gateway_rss_growth_mb": round(end.rss_mb - begin.rss_mb, 1),
         "gateway_rss_peak_mb": round(end.peak_mb, 1),
     }
+
+
+def _spent_s(begin: Usage, end: Usage, bridge: Bridge) -> float:
+    """CPU time of a bridge; the gateway's child is its recorder, that of another might be the bridge itself."""
+    children_s = end.children_cpu_s - begin.children_cpu_s if bridge.foreign else 0.0
+    return end.cpu_s - begin.cpu_s + children_s
 
 
 def _passages(programs: Sequence[tuple[Job, Program]]) -> dict[tuple[str, int], Transmission]:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway_lab.bench.cases import SIZES, USUAL_HZ, BenchStream, Case, Direction, payload
-from igtl_gateway_lab.bench.runner import BenchPlan, Extent, Row
+from igtl_gateway_lab.bench.figures import Row
+from igtl_gateway_lab.bench.runner import BenchPlan, Extent
 
 _CPU, _P50, _FLOOR = "gateway_cpu_percent", "p50_ms", "floor_p50_ms"
 _BYTES_PER_S = 60e6  # of the largest pictures, which would not pass at 30 Hz

@@ -20,13 +20,16 @@ from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway_lab.bench.bridges import HOP
 from igtl_gateway_lab.bench.cases import CASES, BenchStream, Direction, payload
+from igtl_gateway_lab.bench.figures import Row
 from igtl_gateway_lab.bench.jobs import Job, JobStream
 from igtl_gateway_lab.bench.processes import Program, Usage
-from igtl_gateway_lab.bench.runner import Row
+from igtl_gateway_lab.bench.runner import NATIVE, PYTHON, Runner
 from igtl_gateway_lab.programs import ours
 
 _STARTS = 5
+_IDLE_S = 20.0
 _START_S = 120.0
 _RECORDED_S = 10  # seconds of the mixed load, of the recorded session
 _LARGE_BYTES, _HEAD_BYTES = 100_000, 200  # of messages that are made noise of, and what stays of them
@@ -45,11 +48,15 @@ class WorkContext:
         folder: for recordings.
         clock: monotonic.
         print_status: prints a status line.
+        programs: which programs measure, see ``runner``.
+        against: commands of other bridges to measure.
     """
 
     folder: Path
     clock: Clock
     print_status: Callable[[str], None]
+    programs: str = PYTHON
+    against: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +89,17 @@ def start_up(shop: WorkContext) -> list[Row]:
             "gateway_rss_mb": round(memory, 1),
         }
     ]
+
+
+def idle(shop: WorkContext) -> list[Row]:
+    """What it costs to be awake: a peer and a node are connected, and nothing passes."""
+    runner = Runner(shop.folder, shop.clock, shop.print_status)
+    rows = []
+    for name in ("", *shop.against, *((HOP,) if shop.programs == NATIVE else ())):
+        shop.print_status(" ".join(filter(None, ("idle", name))))
+        row: Row = {"case": "idle"} | ({"bridge": name} if name else {})
+        rows.append(row | runner.idle(name, shop.programs, _IDLE_S))
+    return rows
 
 
 def recording(shop: WorkContext) -> list[Row]:
@@ -176,6 +194,7 @@ def verify(shop: WorkContext) -> list[Row]:
 
 WORKS: dict[str, Work] = {
     "start-up": Work("from the command to the open port and the node in ROS", start_up),
+    "idle": Work("20 s with one peer and one ROS node, without messages", idle),
     "recording": Work("the mixed load through the recorder alone, as fast as it writes", recording),
     "replay": Work("20,000 transforms and 30 Full HD pictures, recorded, to a local peer at once", replay),
     "verify": Work("the recorded suturing session and 20,000 transforms", verify),

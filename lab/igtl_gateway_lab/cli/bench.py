@@ -21,10 +21,12 @@ from igtl_gateway.extras import missing
 from igtl_gateway_lab.bench import flame
 from igtl_gateway_lab.bench.bounds import shown, with_verdict
 from igtl_gateway_lab.bench.cases import CASES, FLOOD, TABLE_1, Case, Direction
+from igtl_gateway_lab.bench.figures import Row
 from igtl_gateway_lab.bench.peers import PEERS, lacks
 from igtl_gateway_lab.bench.plot import latency_plots, sweep_plots
+from igtl_gateway_lab.bench.probe import lacks_probe
 from igtl_gateway_lab.bench.rounds import merge_rounds, with_costs
-from igtl_gateway_lab.bench.runner import BenchPlan, Extent, Row, Runner
+from igtl_gateway_lab.bench.runner import NATIVE, PYTHON, BenchPlan, Extent, Runner
 from igtl_gateway_lab.bench.sweeps import SWEEPS, fit_lines
 from igtl_gateway_lab.bench.works import WORKS, WorkContext
 
@@ -61,12 +63,17 @@ _COLUMNS = {
     "/s": ("received_per_s", ",.0f"),
     "p50 ms": ("p50_ms", ".3f"),
     "p99 ms": ("p99_ms", ".3f"),
+    "p99.9 ms": ("p999_ms", ".3f"),
     "mean ms": ("mean_ms", ".3f"),
     "sd ms": ("sd_ms", ".3f"),
     "max ms": ("max_ms", ".3f"),
     "floor ms": ("floor_p50_ms", ".3f"),
     "ratio": ("ratio", ".2f"),
+    "p99 ratio": ("ratio_p99", ".2f"),
+    "hop ms": ("hop_p50_ms", ".3f"),
+    "to hop": ("ratio_hop", ".2f"),
     "CPU %": ("gateway_cpu_percent", ".0f"),
+    "CPU us": ("gateway_cpu_us_per_message", ".0f"),
     "RSS MB": ("gateway_rss_mb", ".0f"),
     "bounds": ("bounds", ""),
 }
@@ -111,7 +118,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--floor",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="also send the same bytes over a bare DDS hop and a bare TCP connection " + default("--floor"),
+        help="also send the same bytes over a bare DDS hop and a bare TCP connection, and through a bridge that only "
+        "passes them on " + default("--floor"),
+    )
+    comparisons.add_argument(
+        "--against",
+        action="append",
+        default=[],
+        metavar="COMMAND",
+        help="also measure another bridge, in turns with ours; {port} and {case} in the command are replaced",
+    )
+    comparisons.add_argument(
+        "--programs",
+        choices=(NATIVE, PYTHON),
+        help="the measuring programs on both sides " + default(f"{NATIVE}, without a C compiler {PYTHON}"),
     )
     comparisons.add_argument(
         "--peers", action="store_true", help=f"also measure with {' and '.join(PEERS)} as peer, if installed"
@@ -130,6 +150,7 @@ def run(options: argparse.Namespace) -> int:
         for name, sweep in SWEEPS.items():
             print_line(f"{f'--sweep {name}':<15} {sweep.text}")
         return 0
+    options.programs = options.programs or _programs_here()
     groups, works = _selected(options)
     if importlib.util.find_spec("rclpy") is None:
         raise Unavailable(missing("rclpy"))
@@ -144,7 +165,7 @@ def run(options: argparse.Namespace) -> int:
         runner = Runner(Path(folder), clock, _print_status)
         for group in groups:
             rows += merge_rounds([_measured(runner, group) for _ in range(options.rounds)])
-        workshop = WorkContext(Path(folder), clock, _print_status)
+        workshop = WorkContext(Path(folder), clock, _print_status, options.programs, tuple(options.against))
         for name in works:
             rows += merge_rounds([WORKS[name].run(workshop) for _ in range(options.rounds)])
     rows = [with_verdict(row) for row in rows]
@@ -199,7 +220,9 @@ def _selected(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
         plans = SWEEPS[name].plans(Extent(options.duration, options.count or 0), directions)
         if not plans:
             raise ConfigError(f"--direction: found {options.direction}, --sweep {name} goes the other way only")
-        groups += [_Group((plan,), {"sweep": name} | marks) for marks, plan in plans]
+        groups += [
+            _Group((replace(plan, programs=options.programs),), {"sweep": name} | marks) for marks, plan in plans
+        ]
     works = [name for name in names if name in WORKS]
     if options.flame:
         groups = _in_flames(groups, works, options)
@@ -211,8 +234,17 @@ def _group(case: Case, directions: tuple[Direction, ...], extent: Extent, option
     ways = tuple(way for way in directions if way in case.ways)
     if not ways:
         raise ConfigError(f"--direction: found {options.direction}, {case.name} goes {case.ways[0].value} only")
-    plan = BenchPlan(case, ways, extent, options.floor)
-    recorded = [replace(plan, record=True, floor=False)] if options.record else []
+    alone = case.stalls
+    plan = BenchPlan(
+        case,
+        ways,
+        extent,
+        options.floor and not alone,
+        hop=options.floor and not alone and options.programs == NATIVE,
+        against=() if alone else tuple(options.against),
+        programs=options.programs,
+    )
+    recorded = [replace(plan, record=True, floor=False, hop=False, against=())] if options.record else []
     return _Group((plan, *recorded, *(_with_peers(plan) if options.peers else ())))
 
 
@@ -228,11 +260,20 @@ def _in_flames(groups: list[_Group], works: list[str], options: argparse.Namespa
     return [_Group((replace(group.plans[0], flame=options.flame.absolute()),), group.marks)]
 
 
+def _programs_here() -> str:
+    """The native measuring programs where they can be compiled."""
+    reason = lacks_probe()
+    if reason:
+        _print_status(f"the measuring programs are those in Python: {reason}")
+    return PYTHON if reason else NATIVE
+
+
 def _with_peers(plan: BenchPlan) -> list[BenchPlan]:
     """Return the plan once for each available peer; print why the others are left out."""
     reasons = {peer: lacks(peer, plan.case) for peer in PEERS}
     for reason in filter(None, reasons.values()):
         _print_status(f"left out: {reason}")
+    plan = replace(plan, floor=False, hop=False, against=())
     return [replace(plan, peer=peer) for peer, reason in reasons.items() if not reason]
 
 
@@ -265,9 +306,9 @@ def _table(rows: list[Row]) -> list[str]:
             told = ", ".join(
                 f"{name.replace('_', ' ')} {_shown(value)}"
                 for name, value in row.items()
-                if name not in ("case", "rounds")
+                if name not in ("case", "rounds", "bounds")
             )
-            lines.append(f"{row['case']}: {told}")
+            lines.append(f"{row['case']}: {told}" + (f", bounds {shown(row)}" if "bounds" in row else ""))
         else:
             lines += [f"{_name(row)}, {row['direction']}: {text}" for text in _remarks(row)]
     return lines
@@ -280,7 +321,9 @@ def _remarks(row: Row) -> list[str]:
         times = " and ".join(f"{name} {row[f'recording_{name}_ratio']} times" for name in ("p50", "p99"))
         told.append(f"{times} that without recording")
     if "floor_dds_per_s" in row:
-        told.append(f"bare hops {row['floor_dds_per_s']:,.0f}/s (DDS) and {row['floor_tcp_per_s']:,.0f}/s (TCP)")
+        hop = f", with the hop between them {row['hop_per_s']:,.0f}/s" if row.get("hop_per_s") else ""
+        bare = f"{row['floor_dds_per_s']:,.0f}/s (DDS) and {row['floor_tcp_per_s']:,.0f}/s (TCP)"
+        told.append(f"bare hops {bare}{hop}")
     if "sent_after_resume" in row:
         after = f"{row['delivered_after_resume']:,} of {row['sent_after_resume']:,} sent after it read again"
         told.append(f"{after}, {row['gateway_dropped']:,} dropped by the gateway")
@@ -301,7 +344,7 @@ def _cell(row: Row, field: str, form: str) -> str:
         return "flood"
     if field == "bounds":
         return shown(row)
-    value = row.get(field)
+    value = row.get("ratio_p50") if field == "ratio" and field not in row else row.get(field)
     return "" if value is None else format(value, form)
 
 
@@ -314,6 +357,8 @@ def _name(row: Row) -> str:
         clients,
         "+rec" if row.get("recording") else "",
         row.get("peer"),
+        row.get("bridge"),
+        "(Python programs)" if row.get("programs") == PYTHON else "",
     )
     return " ".join(filter(None, marks))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway_lab.bench.figures import Transmission, latency, lateness, quantile, ratio
+from igtl_gateway_lab.bench.figures import Transmission, in_turn, latency, lateness, quantile, ratio
 
 MS = 1_000_000
 
@@ -66,3 +66,12 @@ def test_how_late_a_sender_was() -> None:
     sent = (np.array([5.0, 10.0, 15.5, 20.0]) * MS).astype(np.int64)
     assert lateness([Transmission(sent, nothing, nothing)], 200.0) == {"late_p99_ms": 0.5, "late_max_ms": 0.5}
     assert lateness([Transmission(nothing, nothing, nothing)], 200.0)["late_p99_ms"] is None
+
+
+def test_two_hops_in_turn_need_the_sum() -> None:
+    first, second = passage([1.0, 2.0, 3.0], warm=1), passage([10.0, 20.0, 30.0])
+    lost = Transmission(second.sent, second.numbers[[0, 2]], second.received[[0, 2]])
+    measured, _ = in_turn(first, second).measured()
+    assert list(measured // MS) == [22, 33]  # the first one warms up
+    measured, _ = in_turn(first, lost).measured()
+    assert list(measured // MS) == [33]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from igtl_gateway_lab.bench.figures import Row
 from igtl_gateway_lab.bench.rounds import merge_rounds, with_costs
-from igtl_gateway_lab.bench.runner import Row
 
 
 def row(p50: float, delivered: int = 10, recording: bool = False, **more: float) -> Row:

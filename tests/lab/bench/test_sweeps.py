@@ -7,8 +7,9 @@ from xml.etree import ElementTree
 import pytest
 
 from igtl_gateway_lab.bench.cases import SIZES, Direction, payload
+from igtl_gateway_lab.bench.figures import Row
 from igtl_gateway_lab.bench.plot import sweep_plots
-from igtl_gateway_lab.bench.runner import Extent, Row
+from igtl_gateway_lab.bench.runner import Extent
 from igtl_gateway_lab.bench.sweeps import SWEEPS, fit_lines, line
 
 SVG = "{http://www.w3.org/2000/svg}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,10 @@ import pytest
 from igtl_gateway.cli import main
 from igtl_gateway.clock import SystemClock
 from igtl_gateway_lab.bench import works
+from igtl_gateway_lab.bench.bridges import HOP
 from igtl_gateway_lab.bench.cases import BenchStream
+from igtl_gateway_lab.bench.probe import lacks_probe
+from igtl_gateway_lab.bench.runner import NATIVE, PYTHON
 from igtl_gateway_lab.bench.works import WORKS, WorkContext
 
 
@@ -34,6 +38,15 @@ def test_recording(shop: WorkContext) -> None:
         assert row["entries"] > 2 * 2 * 1060  # in and out, both ways
         assert row["entries_per_s"] > 0 and row["times_mixed_load"] > 0
         assert row["gateway_cpu_percent"] > 0 and row["recorder_cpu_percent"] > 0
+
+
+@pytest.mark.ros
+def test_idle(shop: WorkContext, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(works, "_IDLE_S", 0.5)
+    rows = WORKS["idle"].run(replace(shop, programs=PYTHON if lacks_probe() else NATIVE))
+    assert [row.get("bridge", "") for row in rows] == ([""] if lacks_probe() else ["", HOP])
+    for row in rows:
+        assert row["gateway_cpu_percent"] > 0 and row["wakeups_per_s"] > 0 and row["threads"] > 1
 
 
 def test_replay(shop: WorkContext) -> None:
