@@ -1,4 +1,4 @@
-"""Other bridges: how they are started, and what becomes of one that does not work."""
+"""Other bridges: how they are started, and errors of those that do not work."""
 
 from __future__ import annotations
 
