@@ -1,13 +1,26 @@
-"""Turns and faults of the direct receiver, on a stand-in for rclpy's wait set (`test_ros.py` has the real one)."""
+"""Turns and faults of the direct receiver, on a stand-in for rclpy's wait set (`test_ros.py` has the real one).
+
+Also the memory of messages that C takes (`_take.h`), on a stand-in for rcl.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import gc
+import importlib.util
+import shlex
+import subprocess
+import sysconfig
 import threading
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
+from igtl_gateway.edges.ros import receiver
 from igtl_gateway.edges.ros.receiver import DirectReceiver
 
 TIMEOUT_S = 10.0
@@ -169,3 +182,118 @@ def test_no_executor_waits_for_subscriptions_or_their_events() -> None:
 def test_missing_internals_are_seen() -> None:
     assert DirectReceiver.available(stand_in())
     assert not DirectReceiver.available(stand_in(wait_set=type("WaitSet", (), {})))
+
+
+# The memory of taken messages
+
+_MODULE = """
+#define PY_SSIZE_T_CLEAN
+#include "_take.h"
+
+static PyObject *take(PyObject *module, PyObject *args)
+{
+    static struct rcl_serialized memory;
+    unsigned long long address;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "K", &address))
+        return NULL;
+    memory.allocator = TAKE_ALLOCATOR;
+    return take_serialized((rcl_take_function)(uintptr_t)address, NULL, &memory);
+}
+
+static PyMethodDef functions[] = {{"take", take, METH_VARARGS, ""}, {NULL, NULL, 0, NULL}};
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "taking", "", -1, functions, NULL, NULL, NULL, NULL};
+
+PyMODINIT_FUNC PyInit_taking(void) { return begin_take() ? NULL : PyModule_Create(&definition); }
+"""
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Any]:
+    """Return `take_serialized`, compiled with the address of the function of rcl as its argument."""
+    folder = tmp_path_factory.mktemp("take")
+    source, target = folder / "taking.c", folder / "taking.so"
+    source.write_text(_MODULE)
+    compiler = shlex.split(sysconfig.get_config_var("CC") or "cc")[0]
+    includes = [f"-I{sysconfig.get_path('include')}", f"-I{Path(receiver.__file__).parent}"]
+    command = [compiler, "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", *includes, "-o", str(target), str(source)]
+    try:
+        subprocess.run(command, check=True, capture_output=True, text=True)
+    except OSError:
+        pytest.skip("needs a C compiler")
+    spec = importlib.util.spec_from_file_location("taking", target)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    function: Callable[[int], Any] = module.take
+    return function
+
+
+_REALLOCATE = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
+
+
+class Serialized(ctypes.Structure):
+    """rcl_serialized_message_t."""
+
+    _fields_ = (
+        *((name, ctypes.c_size_t) for name in ("buffer", "length", "capacity")),
+        *((name, ctypes.c_void_p) for name in ("allocate", "deallocate")),
+        ("reallocate", _REALLOCATE),
+        *((name, ctypes.c_void_p) for name in ("zero_allocate", "state")),
+    )
+
+
+class Info(ctypes.Structure):
+    """rmw_message_info_t up to the publication number."""
+
+    _fields_ = (("source_ns", ctypes.c_int64), ("received_ns", ctypes.c_int64), ("number", ctypes.c_uint64))
+
+
+class Rcl:
+    """A stand-in for rcl with messages to take, and the code of an error to return after the last one."""
+
+    def __init__(self, *messages: bytes, code: int = 401) -> None:
+        self.messages = deque(messages)
+        self.code = code
+        pointer = ctypes.POINTER
+        kind = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, pointer(Serialized), pointer(Info), ctypes.c_void_p)
+        self._function = kind(self._take)
+        self.address = ctypes.cast(self._function, ctypes.c_void_p).value or 0
+
+    def _take(self, _subscription: int | None, message: Any, info: Any, _allocation: int | None) -> int:
+        if not self.messages:
+            return self.code
+        data, one = self.messages.popleft(), message[0]
+        if one.capacity < len(data):
+            one.buffer = one.reallocate(one.buffer, len(data), one.state)
+            one.capacity = len(data)
+        one.length = len(data)
+        ctypes.memmove(one.buffer, data, len(data))
+        info[0].source_ns, info[0].number = 1_700_000_000_000_000_000, 10**10 + len(self.messages)
+        return 0
+
+
+def test_small_messages_are_bytes_and_large_ones_views(take: Callable[[int], Any]) -> None:
+    messages = [b"small", b"a" * 100_000, b"", b"b" * 16_383, b"c" * 16_384, b"d" * 1_000_000]
+    rcl = Rcl(*messages)
+    taken = [take(rcl.address) for _ in messages]
+    assert take(rcl.address) is None
+    gc.collect()
+    assert [bytes(cdr) for cdr, _, _ in taken] == messages
+    assert [type(cdr) for cdr, _, _ in taken] == [bytes, memoryview, bytes, bytes, memoryview, memoryview]
+    assert {source_ns for _, source_ns, _ in taken} == {1_700_000_000_000_000_000}
+    assert [number - 10**10 for _, _, number in taken] == [5, 4, 3, 2, 1, 0]
+
+
+def test_a_view_is_read_only_and_keeps_the_memory(take: Callable[[int], Any]) -> None:
+    cdr = take(Rcl(b"x" * 50_000 + b"end").address)[0]
+    assert cdr.readonly and cdr.format == "B" and cdr.c_contiguous
+    end = cdr[-3:]
+    del cdr
+    gc.collect()
+    take(Rcl(b"y" * 50_003).address)
+    assert bytes(end) == b"end"
+
+
+def test_rcl_refuses(take: Callable[[int], Any]) -> None:
+    with pytest.raises(RuntimeError, match=r"rcl cannot take a message \(code 1\)"):
+        take(Rcl(code=1).address)
