@@ -95,9 +95,14 @@ class SelectionFilter:
         self._open = True  # for the outputs of the last input
         self._held: list[Entry] = []
 
+    @property
+    def passes_all(self) -> bool:
+        """Whether :meth:`take` returns the entry itself, whatever it is."""
+        return self._all and self._open and not self.paused
+
     def take(self, entry: Entry) -> Sequence[Entry]:
         """The entries that are to be recorded now that this one has come."""
-        if self._all and self._open and not self.paused:
+        if self.passes_all:
             return (entry,)
         if entry.kind.is_input:
             self._drop_held()

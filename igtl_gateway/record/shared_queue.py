@@ -36,6 +36,7 @@ import numpy as np
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.chunk_rows import RowStream
 
 _PAGE = 4096
 _MARSHAL = 2  # the version without references, which a head has no use for
@@ -96,7 +97,7 @@ _WAKE_ENTRIES = 2_000
 
 #: Payloads from this size on find no room in the last eighth of the bound, are copied in a second step, and
 #: may be lent.
-_LARGE_BYTES = 64 << 10
+LARGE_BYTES = 64 << 10
 
 
 def memory(queue_bytes: int, largest: int) -> mmap.mmap:
@@ -262,14 +263,14 @@ class QueueWriter(_QueueEnd):
             done_entries, done_bytes = _DONE.unpack_from(self._map, _DONE_AT)
             _, _, entries, counted = _STATE.unpack_from(self._map, _STATE_AT)
             waiting_entries, waiting = entries - done_entries, counted - done_bytes + size + ENTRY_BYTES
-            most = self._max_bytes if size < _LARGE_BYTES else self._max_large
+            most = self._max_bytes if size < LARGE_BYTES else self._max_large
             if (
                 waiting_entries < self._max_entries and (waiting <= most or not waiting_entries)
             ) or entry.kind is Kind.LINK:
                 try:
                     if stream < _MAX_STREAMS:
                         numbers = entry.seq, entry.stamp_ns, entry.source_ns
-                        if size < _LARGE_BYTES:
+                        if size < LARGE_BYTES:
                             taken = self._add(stream, size, numbers, payload, size, size + ENTRY_BYTES) >= 0
                         else:
                             begin = self._add(stream | _FILLING, size, numbers, (), size, size + ENTRY_BYTES)
@@ -436,6 +437,10 @@ class QueueReader(_QueueEnd):
         self._gone: list[tuple[int, int]] = []  # what it has not, before the last mark
         self._barrier = threading.Lock()
         self._streams: list[tuple[Kind, str, str, tuple[int, ...]]] = []
+        #: For each stream that has a number, what the caller needs to take its entries as rows; None at first.
+        self.row_streams: list[RowStream | None] = []
+        #: The number of the stream of the last entry that :meth:`get` returned; -1 if it has none.
+        self.stream = -1
 
     @property
     def refused(self) -> int:
@@ -465,11 +470,12 @@ class QueueReader(_QueueEnd):
                 self._lose(what, size)
                 continue
             if what < _MAX_STREAMS:
-                if size >= _LARGE_BYTES:
+                if size >= LARGE_BYTES:
                     with self._barrier:  # as for the position
                         pass
                 begin = place + _RECORD_BYTES
                 kind, channel, type_name, links = self._streams[what]
+                self.stream = what
                 break
             if what == _MARK:
                 self._gone.append((self._begin, place + _RECORD_BYTES))
@@ -481,6 +487,7 @@ class QueueReader(_QueueEnd):
             if what == _ENTRY:
                 number, stamp_ns, kind_number, channel, type_name, links, source_ns = words
                 kind = _KINDS[kind_number]
+                self.stream = -1
                 break
             self._advance(place, begin)
             if what == _COMMAND:
@@ -488,16 +495,32 @@ class QueueReader(_QueueEnd):
             kind_number, channel, type_name, links = words
             if len(self._streams) == _MAX_STREAMS:
                 self._streams.clear()
+                self.row_streams.clear()
             self._streams.append((_KINDS[kind_number], channel, type_name, links))
+            self.row_streams.append(None)
         end = begin + size
         self._advance(place, end)
         self._entries += 1
         self._done += size + ENTRY_BYTES
         payload = room[begin:end]
-        lent = size >= _LARGE_BYTES and self.lends
+        lent = size >= LARGE_BYTES and self.lends
         return Entry(
             number, stamp_ns, kind, channel, type_name, (payload if lent else bytes(payload),), links, source_ns
         )
+
+    def rows(self) -> tuple[memoryview, int, int]:
+        """The records that wait, up to a mark: the room, and their begin and end in it."""
+        if self._position == self._head:
+            self._poll()
+        return self._room, self._place, self._place + self._head - self._position
+
+    def take_rows(self, end: int, entries: int, size: int) -> None:
+        """Go on behind rows of :meth:`rows` that were written: so many entries with so many bytes of payload."""
+        self._position += end - self._place
+        self._place = end
+        self._entries += entries
+        self._done += size + entries * ENTRY_BYTES
+        self.done()
 
     def _lose(self, what: int, size: int) -> None:
         """Go on behind an entry whose payload was not copied."""

@@ -28,7 +28,7 @@ from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.ring import Ring
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, SelectionFilter, StateInputRule
-from igtl_gateway.record.shared_queue import QueueReader
+from igtl_gateway.record.shared_queue import LARGE_BYTES, QueueReader
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile import layout
@@ -221,6 +221,9 @@ class _RecorderWorker:
             if self.options.stop_on_failure:
                 raise
             self._writer = _NullWriter(settings.path, str(error))
+        self._row_writer: SessionWriter | None = None
+        if isinstance(self._writer, SessionWriter) and self._writer.takes_rows(LARGE_BYTES):
+            self._row_writer = self._writer
 
     def _open(self, path: Path, rule: StateInputRule) -> SessionWriter | PartsWriter | Ring:
         """The writer for these options."""
@@ -365,25 +368,56 @@ class _RecorderWorker:
     def _drain(self) -> bool:
         """All that waits, up to the end of the recording: what comes behind that is not of it.  False: nothing did."""
         some = False
-        queue, take, monotonic_ns = self._queue, self._gate.take, self._clock.monotonic_ns
-        while self._ledger is None and (item := queue.get()) is not None:
+        queue, monotonic_ns = self._queue, self._clock.monotonic_ns
+        while self._ledger is None and (self._add_rows() or self._take_next()):
             some = True
-            try:
-                if isinstance(item, Entry):
-                    if self._asked and item.kind.is_input:
-                        self._take_requested_snapshots()
-                    for passed in take(item):
-                        self._write(passed)
-                else:
-                    self._apply_command(*item)
-            finally:
-                queue.done()
             # what time brings, between any two entries: if the disk is too slow, there is always another one
             if monotonic_ns() >= self._due_ns or queue.refused != self._seen_refused:
                 self._run_periodic()
         now_ns = monotonic_ns()
         self._late_ns, self._empty_ns = now_ns - self._empty_ns, now_ns
         return some
+
+    def _add_rows(self) -> bool:
+        """Write the small entries that are next, of streams that were written before; False: there are none.
+
+        Nothing depends on what they are: everything is recorded, and into one file.
+        """
+        writer = self._row_writer
+        if writer is None or self._failure or not self._gate.passes_all:
+            return False
+        room, begin, end = self._queue.rows()
+        if begin == end:
+            return False
+        try:
+            place, rows, size = writer.add_rows(room, begin, end, self._queue.row_streams)
+            if rows:
+                self._queue.take_rows(place, rows, size)
+                writer.end_full_chunk()
+        except RecordingError as error:
+            self._fail(str(error))
+            return False
+        return rows > 0
+
+    def _take_next(self) -> bool:
+        """Write the next entry, or apply the next command; False: nothing waits."""
+        queue = self._queue
+        item = queue.get()
+        if item is None:
+            return False
+        try:
+            if isinstance(item, Entry):
+                if self._asked and item.kind.is_input:
+                    self._take_requested_snapshots()
+                for passed in self._gate.take(item):
+                    self._write(passed)
+                if self._row_writer and queue.stream >= 0 and queue.row_streams[queue.stream] is None:
+                    queue.row_streams[queue.stream] = self._row_writer.row_stream(item)
+            else:
+                self._apply_command(*item)
+        finally:
+            queue.done()
+        return True
 
     def _run_periodic(self) -> None:
         """What time brings."""

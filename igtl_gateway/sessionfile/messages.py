@@ -179,6 +179,11 @@ class RawPacker:
         self._pack = struct.Struct(f"{_RAW_HEAD.format}{len(same)}sI").pack
         self._is_out = entry.kind is Kind.IGTL_OUT
 
+    @property
+    def common(self) -> tuple[int, bytes]:
+        """What all have in common: the direction, and the head from the links to the device name."""
+        return int(self._is_out), self._same
+
     def head(self, entry: Entry, data: Buffer) -> bytes:
         """All before the payload, which is ``data``, in one piece.  Raises LayoutError."""
         sec, nanosec = divmod(entry.stamp_ns, NS_PER_S)

@@ -12,7 +12,6 @@ large message, because an input and its outputs have much in common.
 from __future__ import annotations
 
 import sys
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from io import BufferedWriter, BytesIO
@@ -34,6 +33,7 @@ from mcap.records import (
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.sessionfile import records
+from igtl_gateway.sessionfile.chunk_rows import RowStream, add_rows, index_messages
 from igtl_gateway.sessionfile.compression import NAMES, Compression, compress
 from igtl_gateway.sessionfile.records import MAGIC, MESSAGE, MESSAGE_HEAD, MESSAGE_RECORD, crc32, pack
 
@@ -71,7 +71,6 @@ class McapStream:
         self._compression = compression
         self._poor: dict[int, int] = {}  # large chunks in a row that hardly shrank, by channel of the large message
         self._chunk = bytearray()
-        self._messages: defaultdict[int, list[int]] = defaultdict(list)  # of the chunk, by channel: time, place, time …
         #: Definitions so far; number 1 comes first.
         self.schemas: list[Schema] = []
         self.channels: list[Channel] = []
@@ -123,8 +122,7 @@ class McapStream:
     def _define(self, record: McapRecord) -> None:
         data = pack(record)
         self._chunk += data
-        if len(self._chunk) > self._chunk_bytes:
-            self._end_chunk()
+        self.end_full_chunk()
         self._put(data)
 
     def add_message(
@@ -134,7 +132,6 @@ class McapStream:
         size = len(head) + len(data)
         chunk = self._chunk
         begin = MESSAGE_RECORD.pack(MESSAGE, MESSAGE_HEAD.size + size, channel, sequence, log_time, publish_time)
-        self._messages[channel] += (log_time, len(chunk))
         chunk += begin
         chunk += head
         if size >= self._large:
@@ -143,6 +140,23 @@ class McapStream:
             chunk += data
             if len(chunk) > self._chunk_bytes:
                 self._end_chunk()
+
+    def takes_rows(self, largest: int) -> bool:
+        """Whether there is :meth:`add_rows`, and messages of up to this size do not end their chunk."""
+        return add_rows is not None and largest < self._large
+
+    def add_rows(
+        self, room: memoryview, begin: int, end: int, streams: list[RowStream | None]
+    ) -> tuple[int, int, int, int, int]:
+        """Messages from the recorder's queue, as ``chunk_rows.add_rows``; :meth:`end_full_chunk` has to follow."""
+        if add_rows is None:
+            raise TypeError("installed without the C part")
+        return add_rows(self._chunk, room, begin, end, streams, self._chunk_bytes)
+
+    def end_full_chunk(self) -> None:
+        """Write the chunk if it has its size."""
+        if len(self._chunk) > self._chunk_bytes:
+            self._end_chunk()
 
     def flush(self) -> None:
         """End the chunk, and hand all to the operating system."""
@@ -190,7 +204,8 @@ class McapStream:
 
     def _end_chunk(self, channel: int = 0, rest: Buffer = b"") -> None:
         """Write the chunk, if there is a message in it; ``rest``: the end of its last one, a large one of a channel."""
-        if not self._messages:
+        first, last, index, rows = index_messages(self._chunk)
+        if not rows:
             return
         size = len(self._chunk) + len(rest)
         crc = crc32(self._chunk)
@@ -198,20 +213,16 @@ class McapStream:
             crc = crc32(rest, crc)
         name, parts = self._compressed(channel, rest, size)
         packed = sum(map(len, parts))
-        first = min(min(found[::2]) for found in self._messages.values())
-        last = max(max(found[::2]) for found in self._messages.values())
         begin = self.size
         self._put(records.pack_chunk_head(first, last, size, crc, name, packed))
         for part in parts:
             self._put(part)
         end = self.size
         offsets: list[int] = []  # by channel: its number, the place of its index
-        index = bytearray()
         counts = self._counts
-        for number, found in self._messages.items():
-            offsets += (number, end + len(index))
-            index += records.pack_message_index(number, found)
-            counts[number] = counts.get(number, 0) + len(found) // 2
+        for number, place, count in rows:
+            offsets += (number, end + place)
+            counts[number] = counts.get(number, 0) + count
         self._put(index)
         self._chunks += records.pack_chunk_index(
             first, last, begin, end - begin, offsets, len(index), name, packed, size
@@ -220,7 +231,6 @@ class McapStream:
         self._last = max(self._last, last)
         self._chunk_count += 1
         self._chunk.clear()
-        self._messages.clear()
 
     def _compressed(self, channel: int, rest: Buffer, size: int) -> tuple[str, Sequence[Buffer]]:
         """The name of the compression of the chunk, and the parts that are to be written."""

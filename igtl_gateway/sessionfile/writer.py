@@ -22,6 +22,7 @@ from igtl_gateway.errors import RecordingError
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.chunk_rows import RowStream
 from igtl_gateway.sessionfile.compression import Compression
 from igtl_gateway.sessionfile.layout import LayoutError
 from igtl_gateway.sessionfile.messages import RawPacker, device_name, pack_message
@@ -39,6 +40,8 @@ DefinitionOf = Callable[[str], tuple[str, str] | None]
 _MAX_ROS_CHANNELS = 60_000
 #: Bound of the known streams and links: more than a session has, unless a peer invents names.
 _MAX_KNOWN = 10_000
+#: More than the head of a message has: links, type and device name of its stream.
+_HEAD_BYTES = 64 << 10
 _U64 = 1 << 64
 _DATASYNC = getattr(os, "fdatasync", os.fsync)  # not every system has fdatasync
 
@@ -147,6 +150,37 @@ class SessionWriter:
         self.start_ns = self.start_ns or stamp_ns
         self.end_ns = stamp_ns
         self.entries += 1
+
+    def takes_rows(self, largest: int) -> bool:
+        """Whether :meth:`add_rows` takes entries whose payload is below this size."""
+        return self._mcap.takes_rows(largest + _HEAD_BYTES)
+
+    def row_stream(self, entry: Entry) -> RowStream | None:
+        """How :meth:`add_rows` writes the entries of a stream, of which this one was written; None if it does not."""
+        known = self._known.get((entry.kind, entry.channel, entry.type, entry.links))
+        if known is None or entry.kind in layout.NOTE_KINDS:
+            return None
+        channel, packer = known
+        return (channel, *packer.common) if packer else (channel, -1, b"")
+
+    def add_rows(self, room: memoryview, begin: int, end: int, streams: list[RowStream | None]) -> tuple[int, int, int]:
+        """Add entries straight from the recorder's queue, as :meth:`write` would.
+
+        Arguments as of ``chunk_rows.add_rows``.  Returns the end of the last row that was taken, the number of rows,
+        and the bytes of their payloads.  What it left goes to :meth:`write`.  Raises RecordingError as that.
+        """
+        self._check_open()
+        place, rows, size, first_ns, last_ns = self._mcap.add_rows(room, begin, end, streams)
+        if rows:
+            self.start_ns = self.start_ns or first_ns
+            self.end_ns = last_ns
+            self.entries += rows
+        return place, rows, size
+
+    def end_full_chunk(self) -> None:
+        """Write what :meth:`add_rows` took as soon as it fills a chunk.  Raises RecordingError."""
+        with self._disk_errors():
+            self._mcap.end_full_chunk()
 
     def flush(self) -> None:
         """Hand all entries to the operating system: SIGKILL does not lose them.  Raises RecordingError.

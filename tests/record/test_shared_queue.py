@@ -375,7 +375,7 @@ def test_the_constants_are_those_of_the_header() -> None:
     assert len(names) > 20
     for name, words in names.items():
         value = eval(words.replace("ULL", ""), {})
-        ours = shared_queue.ENTRY_BYTES if name == "ENTRY_BYTES" else getattr(shared_queue, f"_{name}")
+        ours = getattr(shared_queue, name if name in ("ENTRY_BYTES", "LARGE_BYTES") else f"_{name}")
         assert ours == value, name
 
 
@@ -464,7 +464,7 @@ STEPS = st.lists(
 def test_both_writers_alternate(library: ctypes.CDLL, steps: list[tuple[str, int, int]]) -> None:
     with pytest.MonkeyPatch.context() as patch:
         shrink(patch)
-        patch.setattr(shared_queue, "_LARGE_BYTES", 2000)
+        patch.setattr(shared_queue, "LARGE_BYTES", 2000)
         patch.setattr(shared_queue, "_MAX_STREAMS", 3)
         pair = Pair(max_bytes=20_000, largest=10_000)
         try:

@@ -1,21 +1,30 @@
-"""The worker goes behind others as long as it keeps up."""
+"""The worker goes behind others as long as it keeps up; files with and without rows are equal."""
 
 from __future__ import annotations
 
 import os
+import random
 import threading
+from dataclasses import replace
 from itertools import count
 from multiprocessing import Pipe
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
 
-from igtl_gateway.clock import Clock, SystemClock
-from igtl_gateway.record.host import WorkerHost, in_process
+from igtl_gateway.clock import Clock, ManualClock, SystemClock
+from igtl_gateway.record import shared_queue
+from igtl_gateway.record.host import WorkerHost, in_process, in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory
 from igtl_gateway.record.worker import WorkerSettings, run_worker
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile import stream
+from igtl_gateway.sessionfile.chunk_rows import add_rows
+from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 
 DEADLINE_S = 60
@@ -117,3 +126,70 @@ def test_its_session_goes_behind_others(tmp_path: Path) -> None:
         looks += 1
     assert list(sessions().values()) == ["10"]
     recorder.close({})
+
+
+def recorded(path: Path, entries: list[Entry], *, rows: bool, chunk_bytes: int = 1 << 20) -> bytes:
+    """The file of these entries; ``rows``: with the compiled part for small entries."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not rows:
+            patch.setattr(stream, "add_rows", None)
+        recorder = Recorder(
+            path,
+            samples.SESSION,
+            qos_of=lambda *_: None,
+            on_note=lambda note: None,
+            clock=ManualClock(),
+            options=RecordOptions(overwrite=True, chunk_bytes=chunk_bytes),
+            host=in_thread,
+        )
+        for entry in entries:
+            recorder(entry)
+        summary = recorder.close({})
+    assert summary.entries + sum(summary.dropped.values()) == len(entries)
+    return path.read_bytes()
+
+
+def repeated(entries: list[Entry], times: int) -> list[Entry]:
+    """The same again and again, with other numbers and stamps."""
+    return [
+        replace(entry, seq=1 + place + time * len(entries), stamp_ns=entry.stamp_ns + place + time * len(entries))
+        for time in range(times)
+        for place, entry in enumerate(entries)
+    ]
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=40)
+@given(entries=samples.sessions())
+def test_files_with_rows_are_equal(tmp_path: Path, entries: list[Entry]) -> None:
+    entries = repeated(entries, 4)
+    assert recorded(tmp_path / "a", entries, rows=True) == recorded(tmp_path / "a", entries, rows=False)
+
+
+def test_a_file_of_many_chunks_with_rows_is_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled = add_rows
+    if compiled is None:
+        pytest.skip("installed without the C part")
+    taken = []
+
+    def counted(*arguments: Any) -> tuple[int, int, int, int, int]:
+        told = compiled(*arguments)
+        taken.append(told[1])
+        return told
+
+    monkeypatch.setattr(stream, "add_rows", counted)
+    monkeypatch.setattr(shared_queue, "_MAX_STREAMS", 20)
+    chance = random.Random(3)
+    entries = [
+        samples.igtl(
+            seq, device=f"device {chance.randrange(30)}", links=(chance.randrange(2),),
+            body=chance.randbytes(chance.choice((0, 20, 48, 1000, 63_000, 70_000, 200_000))),
+        )
+        for seq in range(1, 400)
+    ]  # fmt: skip
+    entries = repeated([*entries, *samples.every_kind(300)], 2)
+    entries = [replace(entry, stamp_ns=samples.START_NS + entry.seq) for entry in entries]
+    files = [recorded(tmp_path / "a", entries, rows=rows, chunk_bytes=600_000) for rows in (True, False)]
+    assert files[0] == files[1]
+    assert sum(taken) > len(entries) // 3
+    with SessionFile.open(tmp_path / "a") as file:
+        assert list(file.entries()) == [samples.flat(entry) for entry in entries]
