@@ -1,6 +1,6 @@
-"""Compiles the optional C part of the package where there is a compiler; without one, the package is pure Python.
+"""Compiles the optional C parts of the package where there is a compiler; without one, the package is pure Python.
 
-What the part (``igtl_gateway/convert/_express.c``) does, Python does with the same results, only slower.
+What these parts do, Python does with the same results, only slower.
 """
 
 from __future__ import annotations
@@ -13,16 +13,19 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-SOURCE = Path("igtl_gateway/convert/_express.c")
+SOURCES = (
+    Path("igtl_gateway/convert/_express.c"),
+    Path("igtl_gateway/sessionfile/_chunk.c"),
+)
 #: Results have to be those of Python's floats: no fused or reordered arithmetic.
 FLAGS = ("-O3", "-fPIC", "-shared", "-std=gnu11", "-ffp-contract=off", "-Wall", "-Wextra")
 
 
-def compiled(root: Path) -> Path | None:
-    """Compile beside the source; None, and a word of why, where that is not possible."""
-    target = root / SOURCE.with_suffix(sysconfig.get_config_var("EXT_SUFFIX") or ".so")
+def compiled(root: Path, source: Path) -> Path | None:
+    """Compile a source beside it; None where that is not possible."""
+    target = root / source.with_suffix(sysconfig.get_config_var("EXT_SUFFIX") or ".so")
     compiler = shlex.split(sysconfig.get_config_var("CC") or "cc")[0]
-    command = [compiler, *FLAGS, f"-I{sysconfig.get_path('include')}", "-o", str(target), str(root / SOURCE), "-lm"]
+    command = [compiler, *FLAGS, f"-I{sysconfig.get_path('include')}", "-o", str(target), str(root / source), "-lm"]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except (OSError, subprocess.CalledProcessError):
@@ -41,10 +44,14 @@ class Hook(BuildHookInterface[Any]):
         if self.target_name != "wheel":
             return
         root = Path(self.root)
-        target = compiled(root)
-        if target is None:
-            self.app.display_warning("no C compiler or no Python headers: igtl-gateway is installed without its C part")
+        targets = [target for source in SOURCES if (target := compiled(root, source))]
+        if len(targets) < len(SOURCES):
+            self.app.display_warning(
+                "no C compiler or no Python headers: igtl-gateway is installed without its C parts, or some of them"
+            )
+        if not targets:
             return
         build_data["pure_python"] = False
         build_data["infer_tag"] = True
-        build_data["force_include"][str(target)] = str(target.relative_to(root))
+        for target in targets:
+            build_data["force_include"][str(target)] = str(target.relative_to(root))

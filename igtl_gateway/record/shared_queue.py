@@ -515,7 +515,7 @@ class QueueReader(_QueueEnd):
         return self._room, self._place, self._place + self._head - self._position
 
     def take_rows(self, end: int, entries: int, size: int) -> None:
-        """Go on behind rows of :meth:`rows` that were written: so many entries with so many bytes of payload."""
+        """Go on behind rows of :meth:`rows` that were written, with these numbers of entries and payload bytes."""
         self._position += end - self._place
         self._place = end
         self._entries += entries
