@@ -88,6 +88,7 @@ SIBLINGS = {
     "session": "untrusted",
     "faults": "wire.header",
     "wire": "wire.header",
+    "doctor": "realtime",  # which permissions a process has
     "exchange": "sessionfile",
     "record": "sessionfile",
     "replay": "sessionfile",

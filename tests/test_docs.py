@@ -11,6 +11,7 @@ import pytest
 from igtl_gateway.convert.profiles import PROFILES
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.doctor import RULES
+from igtl_gateway.doctor.host_checks import HOST_CHECKS
 from igtl_gateway.gateway import metadata
 from igtl_gateway.wire.layout import Field
 from igtl_gateway.wire.registry import BODIES
@@ -86,6 +87,14 @@ def test_every_rule_is_there() -> None:
     for rule in RULES:
         line = next(line for line in doctor().splitlines() if line.startswith(f"| `{rule.id}`"))
         assert rule.title in line and rule.advice in line
+
+
+def test_every_check_of_the_machine_is_there() -> None:
+    numbers = [check.id[6:] for check in HOST_CHECKS]
+    assert len(set(numbers)) == len(numbers) and {number[0] for number in numbers} == {"9"}
+    for check in HOST_CHECKS:
+        line = next(line for line in doctor().splitlines() if line.startswith(f"| `{check.id}`"))
+        assert check.title in line and check.advice in line and check.expected in line
 
 
 def test_links_lead_somewhere(page: str) -> None:

@@ -28,7 +28,7 @@ from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
 from igtl_gateway.convert.profiles import CPP_FACTORY, PROFILES, PeerProfile
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToIgtl, ConversionToRos, Role
-from igtl_gateway.doctor import checks
+from igtl_gateway.doctor import checks, host_checks, host_probe
 from igtl_gateway.doctor.observer import MAX_STREAMS
 from igtl_gateway.doctor.protocols import PROTOCOLS
 from igtl_gateway.doctor.rules import RULES, Rule
@@ -711,6 +711,7 @@ igtl-gateway doctor --listen :18944           # listen, and wait for a client
 igtl-gateway doctor --listen :18944 10.0.0.7  # the same; also check whether that host has a server
 igtl-gateway doctor tls://or1.clinic --tls-cert me.pem --tls-ca clinic.pem    # connect to a server with TLS
 igtl-gateway doctor :18944 --ros              # check the ROS graph too
+igtl-gateway doctor --host                    # check this machine for causes of jitter
 igtl-gateway lint out.mcap                    # check a recording"""
 
 
@@ -787,6 +788,27 @@ def doctor() -> str:
         prose(
             f"""A pause is reported if it is longer than {checks.GAP_FACTOR} mean intervals and longer than a second, in
             streams of at least {checks.MIN_MESSAGES} messages."""
+        ),
+        "## The machine",
+        prose(
+            f"""`doctor --host` checks the machine on which it runs, without a peer.  It takes two seconds and changes
+            no setting.  Each finding has what was found, what is expected and how to get it.  Then follow the checks
+            without a problem, and those whose fact the system does not show: a virtual machine has no CPU frequency,
+            and some facts are for root only.  Limits and CPUs are those of `doctor` itself, so run it as the same
+            user, in the same container and from the same service manager as the bridge.
+
+            The measurement has two parts.  A thread sleeps {host_probe.SLEEPS:,} times for 1 ms, and each delay of its
+            wake-up counts, as in cyclictest.  Two threads hand over to each other {host_probe.HANDOVERS:,} times, and
+            half of each round trip counts.  Both use Python's locks, as the bridge does, without a real-time priority.
+
+            `--json` prints one object: `checks` (`id`, `severity`, `title`, `status`: `ok`, `finding` or `unknown`,
+            `found`, `expected`, `advice`, `section`) and `measured` (`lateness` and `handover` in nanoseconds;
+            `steal`, a share of the time).  No check is an error, because the bridge runs on every machine.  So the exit
+            code is 0.  For the options of the bridge, see [performance.md](performance.md#priority-memory-and-cpus)."""
+        ),
+        table(
+            ("check", "subject", "expected", "how to get it"),
+            [(f"`{row.id}`", row.title, row.expected, row.advice) for row in host_checks.HOST_CHECKS],
         ),
         "## Limits",
         prose(

@@ -1,4 +1,4 @@
-"""``igtl-gateway doctor``: diagnose the connection to a peer."""
+"""``igtl-gateway doctor``: diagnose the connection to a peer, or the machine."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from igtl_gateway.cli.common import load_config, stop_event
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, add_allow, add_config, add_json, default
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.clock import SystemClock
+from igtl_gateway.doctor.host_report import HostReport, examine_host
 from igtl_gateway.doctor.report import DoctorReport
 from igtl_gateway.errors import ConfigError
 
@@ -24,6 +25,8 @@ EXAMPLES = """\
   igtl-gateway doctor tls://or1.clinic --tls-cert me.pem --tls-ca clinic.pem
   # also compare with the ROS graph; for programs
   igtl-gateway doctor :18944 --ros --json
+  # check this machine: scheduling, timers, limits, memory
+  igtl-gateway doctor --host
 
 exit code 0: no error found; 1: an error; 2: wrong usage"""
 
@@ -57,6 +60,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ros", action="store_true", help="also compare with the topics, types and QoS of the ROS graph"
     )
+    parser.add_argument(
+        "--host",
+        action="store_true",
+        help="check this machine for causes of jitter instead of a peer: kernel, CPUs, timers, limits, memory, clock",
+    )
     add_config(parser, "configuration of the bridge (TOML)")
     add_json(parser)
     group = parser.add_argument_group("security")
@@ -65,8 +73,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    if options.host:
+        return _run_host(options)
     if not options.peer and not options.listen:
-        raise ConfigError("found no peer, expected its HOST:PORT, or --listen")
+        raise ConfigError("found no peer, expected its HOST:PORT, --listen or --host")
     if not 0 < options.seconds < float("inf"):
         raise ConfigError(f"--seconds: found {options.seconds:g}, expected a number above 0")
     if options.messages < 0:
@@ -87,7 +97,18 @@ def run(options: argparse.Namespace) -> int:
     )
     with stop_event() as stop:
         report = DoctorReport.of(examine(load_config(options.config), how, SystemClock(), stop))
-    if options.json:
+    return _printed(report, options.json)
+
+
+def _run_host(options: argparse.Namespace) -> int:
+    if options.peer or options.listen or options.ros:
+        raise ConfigError("--host: found a peer, --listen or --ros, expected --host alone: it checks this machine only")
+    return _printed(examine_host(SystemClock()), options.json)
+
+
+def _printed(report: DoctorReport | HostReport, as_json: bool) -> int:
+    """Print a report, and return the exit code."""
+    if as_json:
         print_json(report.to_dict())
     else:
         for line in report.lines():
