@@ -1,8 +1,8 @@
 """The worker: takes entries out of the queue and writes them.
 
 What is recorded is chosen by a gate (``selection``) and goes into one file, into parts (``parts``) or into a ring in
-memory that is written on request (``ring``).  The worker polls the queue twenty times a second, and is woken when much
-waits.
+memory that is written on request (``ring``).  The worker polls the queue twenty times a second; only once in each flush
+interval while few entries come, because they cannot be in the file earlier.  It is woken when much waits.
 
 If the bridge ends without closing the recording, the worker writes all queued entries and closes the file, or writes
 the entries of the ring; the ledger states it.
@@ -42,6 +42,8 @@ THREAD = "record_thread"
 PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
 
 _LOOK_S = 0.05
+#: A poll that finds no more entries than this is followed by a longer pause.
+_FEW = 32
 #: Until it looks again whether the bridge has copied the next payload.
 _FILLING_S = 0.002
 _LOOK_NS = 50_000_000
@@ -189,6 +191,7 @@ class _RecorderWorker:
         self._hurried = True
         self._empty_ns = clock.monotonic_ns()  # when the queue was empty
         self._late_ns = 0  # since it was so before
+        self._taken = 0  # entries and commands at the last poll
         self.options = settings.options
         self._session = dict(settings.session) | settings.options.selection.facts()
         if self.options.custom:
@@ -282,11 +285,11 @@ class _RecorderWorker:
 
     # -- the bridge -------------------------------------------------------------------------------------------
 
-    def _wait(self) -> bool:
+    def _wait(self, pause_s: float) -> bool:
         """Wait until the next poll is due, or the bridge signals; True for the former."""
         rested = False
         try:
-            if self._pipe.poll(_FILLING_S if self._queue.filling else _LOOK_S):
+            if self._pipe.poll(_FILLING_S if self._queue.filling else pause_s):
                 self._pipe.recv()
             else:
                 rested = not self._queue.filling  # no output can follow after such a time
@@ -295,6 +298,12 @@ class _RecorderWorker:
             self._gone = True
         self._queue.clear_signal()
         return rested
+
+    def _pause_ns(self) -> int:
+        """Return the time until the next poll: until the next flush, unless something has to be soon."""
+        if self._taken > _FEW or self._asked or self._hurried:
+            return _LOOK_NS
+        return max(_LOOK_NS, self._flushed_ns + self._flush_ns - self._clock.monotonic_ns())
 
     def _send(self, *words: Any) -> None:
         if self._gone:
@@ -359,36 +368,40 @@ class _RecorderWorker:
     # -- the work ---------------------------------------------------------------------------------------------
 
     def _run_once(self) -> None:
-        rested = self._wait()
-        if not self._drain() and rested:
+        pause_ns, begun_ns = self._pause_ns(), self._clock.monotonic_ns()
+        rested = self._wait(pause_ns / 1_000_000_000)
+        # what it rested as planned is no lateness
+        self._empty_ns += max(0, min(pause_ns, self._clock.monotonic_ns() - begun_ns) - _LOOK_NS)
+        self._taken = self._drain()
+        if not self._taken and rested:
             self._take_requested_snapshots()
         self._run_periodic()
         self._send_state()
 
-    def _drain(self) -> bool:
-        """All that waits, up to the end of the recording: what comes behind that is not of it.  False: nothing did."""
-        some = False
+    def _drain(self) -> int:
+        """All that waits, up to the end of the recording: what comes behind that is not of it.  Return how many."""
+        taken = 0
         queue, monotonic_ns = self._queue, self._clock.monotonic_ns
-        while self._ledger is None and (self._add_rows() or self._take_next()):
-            some = True
+        while self._ledger is None and (step := self._add_rows() or self._take_next()):
+            taken += step
             # what time brings, between any two entries: if the disk is too slow, there is always another one
             if monotonic_ns() >= self._due_ns or queue.refused != self._seen_refused:
                 self._run_periodic()
         now_ns = monotonic_ns()
         self._late_ns, self._empty_ns = now_ns - self._empty_ns, now_ns
-        return some
+        return taken
 
-    def _add_rows(self) -> bool:
-        """Write the small entries that are next, of streams that were written before; False: there are none.
+    def _add_rows(self) -> int:
+        """Write the small entries that are next, of streams that were written before; return how many.
 
         Nothing depends on what they are: everything is recorded, and into one file.
         """
         writer = self._row_writer
         if writer is None or self._failure or not self._gate.passes_all:
-            return False
+            return 0
         room, begin, end = self._queue.rows()
         if begin == end:
-            return False
+            return 0
         try:
             place, rows, size = writer.add_rows(room, begin, end, self._queue.row_streams)
             if rows:
@@ -396,8 +409,8 @@ class _RecorderWorker:
                 writer.end_full_chunk()
         except RecordingError as error:
             self._fail(str(error))
-            return False
-        return rows > 0
+            return 0
+        return rows
 
     def _take_next(self) -> bool:
         """Write the next entry, or apply the next command; False: nothing waits."""

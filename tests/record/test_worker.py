@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import threading
+import time
 from dataclasses import replace
 from itertools import count
 from multiprocessing import Pipe
@@ -193,3 +194,35 @@ def test_a_file_of_many_chunks_with_rows_is_equal(tmp_path: Path, monkeypatch: p
     assert sum(taken) > len(entries) // 3
     with SessionFile.open(tmp_path / "a") as file:
         assert list(file.entries()) == [samples.flat(entry) for entry in entries]
+
+
+def test_a_queue_in_which_nothing_comes_is_polled_once_in_a_flush_interval(tmp_path: Path) -> None:
+    polls: list[float] = []
+
+    def orphaned() -> bool:  # asked at each poll that no signal ended
+        polls.append(time.monotonic())
+        return False
+
+    def host(settings: WorkerSettings, clock: Clock) -> WorkerHost:
+        ours, theirs = Pipe()
+        place = memory(QUEUE_BYTES, QUEUE_BYTES)
+        getter, putter = QueueReader(place), QueueWriter(place, 1000, QUEUE_BYTES)
+        arguments = (settings, getter, theirs, clock, orphaned, lambda hurried: True)
+        threading.Thread(target=run_worker, args=arguments, daemon=True).start()
+        return WorkerHost(ours, putter, lambda: "its end")
+
+    recorder = Recorder(
+        tmp_path / "a.mcap",
+        samples.SESSION,
+        qos_of=lambda *_: None,
+        on_note=lambda note: None,
+        clock=SystemClock(),
+        options=RecordOptions(flush_s=0.5),
+        host=host,
+    )
+    time.sleep(2.0)
+    assert len(polls) <= 8, "twenty times a second at first, then twice"
+    recorder(samples.igtl(1))
+    time.sleep(1.0)
+    assert recorder.counters()["written_entries"] == 1, "within the interval"
+    assert recorder.close({}).entries == 1
