@@ -134,5 +134,5 @@ def to_svg(figure: Figure) -> str:
 def _label(row: Row) -> str:
     rate = f"{row['rate_hz']:g} Hz" if row.get("rate_hz") else "flood"
     stream = "".join(f" {row[name]}" for name in ("stream", "client") if name in row)
-    peer = f", {row['peer']}" if row.get("peer") else ""
-    return f"{row['case']}{stream}, {rate}{', recording' if row.get('recording') else ''}{peer}"
+    others = "".join(f", {row[name]}" for name in ("peer", "bridge") if row.get(name))
+    return f"{row['case']}{stream}, {rate}{', recording' if row.get('recording') else ''}{others}"

@@ -137,6 +137,7 @@ class OutStream:
 
     def __init__(self, data: bytes, form: Form, *, publisher: int = 0, link: int = 0) -> None:
         self.data = np.frombuffer(data, np.uint8).copy()
+        self._progress: memoryview | None = None
         # a message of OpenIGTLink whose number is in its body: the CRC changes with each
         self._flips = _crc_flips(self.data, form) if not publisher and form.at >= HEADER_SIZE else None
         self.struct = _Out(publisher=publisher, link=link)
@@ -151,6 +152,7 @@ class OutStream:
         """Send at the rate of a job; ``progress`` is the last received number, for a window."""
         self.struct.rate_hz, self.struct.count = part.stream.rate_hz, part.count
         self.struct.offset_ns, self.struct.window = offset_ns, part.window
+        self._progress = progress  # its memory must not go before the loop has ended
         if progress is not None:
             self.struct.progress = ctypes.addressof(ctypes.c_int64.from_buffer(progress))
 

@@ -54,7 +54,7 @@ def with_costs(rows: Sequence[Row]) -> list[Row]:
     """The rows, those of recordings with how many times they took of what they take without."""
 
     def key(row: Row) -> tuple[Any, ...]:
-        return row["case"], row.get("stream"), row.get("direction"), row.get("peer")
+        return row["case"], row.get("stream"), row.get("direction"), row.get("peer"), row.get("bridge")
 
     plain = {key(row): row for row in rows if not row.get("recording")}
     return [

@@ -257,7 +257,7 @@ def _in_flames(groups: list[_Group], works: list[str], options: argparse.Namespa
     if not flame.tool():
         raise ConfigError("--flame: found no py-spy on the path, it is needed: pip install py-spy")
     (group,) = groups
-    return [_Group((replace(group.plans[0], flame=options.flame.absolute()),), group.marks)]
+    return [_Group((replace(group.plans[0], hop=False, against=(), flame=options.flame.absolute()),), group.marks)]
 
 
 def _programs_here() -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import socket
 import threading
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +53,32 @@ def test_all_messages_of_all_streams_arrive(side: str, tmp_path: Path) -> None:
     for part in PARTS:
         assert list(told[f"numbers {part.device}"]) == list(range(1, 21))
         assert np.all(told[f"received {part.device}"] > told[f"sent {part.device}"])
+
+
+@pytest.mark.ros
+def test_a_flood_and_a_rate_at_once(tmp_path: Path) -> None:
+    native = str(compile_probe(tmp_path))
+    flood = replace(PARTS[2], stream=BenchStream("image-vga", 0.0), count=0, window=3)
+    hears = (PARTS[0], replace(flood, progress=str(tmp_path / "progress")))
+    jobs = (
+        Job("ros", "listener", (), hears, 0.0, str(tmp_path / "heard.npz"), native=native),
+        Job("ros", "sender", hears, (), 0.5, str(tmp_path / "sent.npz"), native=native),
+    )
+    with ExitStack() as stack:
+        hearing, sending = (stack.enter_context(Program(job.name, command(job, Library(tmp_path)))) for job in jobs)
+        for program in (hearing, sending):
+            program.wait_for("ready", 60.0)
+        sending.order("knock")
+        assert {hearing.wait_for("heard", 60.0)["key"] for _ in hears} == {part.device for part in hears}
+        sending.order("begin")
+        sent = sending.wait_for("sent", 60.0)["messages"]
+        arrived = 0
+        while arrived < sent:
+            hearing.order("count")
+            arrived = hearing.wait_for("count", 60.0)["messages"]
+        sending.end()
+        hearing.end()
+    assert sent > PARTS[0].count + 3
 
 
 def test_a_picture_has_a_thread_of_its_own() -> None:

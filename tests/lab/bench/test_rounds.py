@@ -42,6 +42,7 @@ def test_what_was_not_measured_in_one_round() -> None:
 
 
 def test_what_a_recording_costs() -> None:
-    plain, recorded = with_costs([row(2.0), row(3.0, recording=True)])
+    other: Row = row(1.0) | {"bridge": "hop"}
+    plain, recorded, _ = with_costs([row(2.0), row(3.0, recording=True), other])
     assert "recording_p50_ratio" not in plain
     assert (recorded["recording_p50_ratio"], recorded["recording_p99_ratio"]) == (1.5, 1.5)

@@ -87,6 +87,23 @@ def test_the_table(plans: list[BenchPlan], capsys: pytest.CaptureFixture[str]) -
 
 
 @pytest.mark.ros
+def test_what_is_compared_with_what(plans: list[BenchPlan], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("igtl_gateway_lab.bench.flame.tool", lambda: "py-spy")
+    words = ["bench", "--programs", "native", "--against", "x {port}", "--direction", "ros-to-igtl", "--json", "--case"]
+    assert main([*words, "transform", "--record"]) == 0
+    assert main([*words, "stalled-client"]) == 0
+    assert main([*words, "transform", "--flame", str(tmp_path / "x.svg")]) == 0
+    assert main(["bench", "--case", "transform", "--programs", "python", "--json"]) == 0
+    assert [(plan.floor, plan.hop, plan.against) for plan in plans] == [
+        (True, True, ("x {port}",)),
+        (False, False, ()),  # with recording
+        (False, False, ()),  # two clients
+        (True, False, ()),  # drawn
+        (True, False, ()),  # in Python
+    ]
+
+
+@pytest.mark.ros
 def test_rounds_take_turns(plans: list[BenchPlan], capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--case", "mixed", "--record", "--rounds", "3", "--direction", "ros-to-igtl", "--json"]
     assert main(["bench", *words]) == 0
