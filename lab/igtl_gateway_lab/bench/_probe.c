@@ -25,7 +25,7 @@
 /* Between two looks whether a full window has room again, and whether a stopped reader may go on. */
 #define LOOK_NS 50000
 #define STALL_LOOK_NS 1000000
-/* A wait ends after this time at the latest, to see whether it is time to stop. */
+/* A sender that waits looks after this time at the latest whether it is time to stop. */
 #define WAIT_NS 100000000LL
 /* After this time without a new number the messages on their way are lost. */
 #define PATIENCE_NS (2 * SECOND)
@@ -117,11 +117,10 @@ struct probe_rcl {
                     size_t services, size_t events, void *context, struct rcl_allocator allocator);
     int32_t (*clear)(struct rcl_wait_set *set);
     int32_t (*add)(struct rcl_wait_set *set, const void *subscription, size_t *index);
+    int32_t (*add_guard)(struct rcl_wait_set *set, const void *guard, size_t *index);
     int32_t (*wait)(struct rcl_wait_set *set, int64_t timeout_ns);
     int32_t (*fini)(struct rcl_wait_set *set);
 };
-
-#define RCL_RET_TIMEOUT 2
 
 static struct probe_rcl rcl;
 
@@ -482,9 +481,9 @@ static const struct rcl_allocator ALLOCATOR = {allocate, deallocate, reallocate,
 
 /* Wait on the subscriptions with a wait set, as rclcpp's executor does, and take what there is, until `stop` is 1.
  *
- * Returns 0 or the code of rcl or errno.
+ * `guard` is an rcl_guard_condition_t that ends the wait then.  Returns 0 or the code of rcl or errno.
  */
-int32_t probe_receive_ros(void *context, struct probe_in **ins, int32_t number, const int32_t *stop) {
+int32_t probe_receive_ros(void *context, const void *guard, struct probe_in **ins, int32_t number, const int32_t *stop) {
     struct rcl_serialized message = {NULL, 0, 0, ALLOCATOR};
     struct rcl_message_info info;
     struct rcl_wait_set set = rcl.zero_wait_set();
@@ -492,19 +491,17 @@ int32_t probe_receive_ros(void *context, struct probe_in **ins, int32_t number, 
     if (number > MOST_TOPICS)
         return E2BIG;
     prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0);
-    int32_t fault = rcl.init(&set, (size_t)number, 0, 0, 0, 0, 0, context, ALLOCATOR);
+    int32_t fault = rcl.init(&set, (size_t)number, 1, 0, 0, 0, 0, context, ALLOCATOR);
     if (fault)
         return fault;
     while (!fault && !stopped(stop)) {
         fault = rcl.clear(&set);
+        fault = fault ? fault : rcl.add_guard(&set, guard, NULL);
         for (int32_t at = 0; !fault && at < number; ++at)
             fault = rcl.add(&set, ins[at]->subscription, &index[at]);
         if (fault)
             break;
-        const int32_t code = rcl.wait(&set, WAIT_NS);
-        if (code == RCL_RET_TIMEOUT)
-            continue;
-        fault = code;
+        fault = rcl.wait(&set, -1);
         for (int32_t at = 0; !fault && at < number; ++at) {
             if (!set.subscriptions[index[at]])
                 continue;

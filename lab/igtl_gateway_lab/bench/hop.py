@@ -20,7 +20,7 @@ from typing import Any
 
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway_lab.bench.cases import CASES, BenchStream, Direction, payload
-from igtl_gateway_lab.bench.native import SOCKET_BYTES, PlainNode, by_size
+from igtl_gateway_lab.bench.native import SOCKET_BYTES, PlainNode
 from igtl_gateway_lab.bench.probe import Flag, InStream, OutStream, Probe, compile_probe, igtl_bytes, ros_bytes
 from igtl_gateway_lab.bench.ros_side import queue_depth
 
@@ -37,7 +37,7 @@ class Hop:
         self._node = PlainNode("igtl_hop")
         self._probe = Probe(library, ros=True)
         self._link = self._probe.link(-1)
-        self._stop, self._pause = Flag(), Flag()
+        self._pause = Flag()
         self._entities: list[Any] = []
         self._from_ros: list[tuple[int, InStream]] = []
         self._from_igtl: list[InStream] = []
@@ -46,10 +46,8 @@ class Hop:
         for stream in streams:
             self._add(stream)
         self._threads = [
-            threading.Thread(
-                target=self._probe.receive_ros, args=(self._node.context, group, self._stop), name="igtl-hop-ros"
-            )
-            for group in by_size(self._from_ros)
+            threading.Thread(target=loop, name="igtl-hop-ros")
+            for loop in self._node.receivers(self._probe, self._from_ros)
         ]
 
     def run(self, port: int) -> None:
@@ -65,7 +63,7 @@ class Hop:
         except KeyboardInterrupt:
             pass
         finally:
-            self._stop.set()
+            self._node.end_loops()
             self._leave_peer()
             for thread in self._threads:
                 thread.join()

@@ -33,7 +33,11 @@ Stream = TypeVar("Stream")
 
 
 class PlainNode:
-    """A ROS node without an executor: only its publishers and subscriptions are used, by their pointers."""
+    """A ROS node without an executor: only its publishers and subscriptions are used, by their pointers.
+
+    Attributes:
+        stop: set by ``end_loops``; the loops of ``receivers`` end then.
+    """
 
     def __init__(self, name: str) -> None:
         self._rclpy = import_rclpy()
@@ -42,11 +46,8 @@ class PlainNode:
         self._node = self._rclpy.node.Node(
             name, context=self._context, enable_rosout=False, start_parameter_services=False
         )
-
-    @property
-    def context(self) -> int:
-        """The rcl_context_t."""
-        return int(self._context.handle.pointer)
+        self._guards: list[Any] = []
+        self.stop = Flag()
 
     def publisher(self, topic: str, type_name: str, depth: int) -> Any:
         return self._node.create_publisher(interface_class(type_name), topic, self._profile(depth))
@@ -56,7 +57,30 @@ class PlainNode:
             interface_class(type_name), topic, _no_message, self._profile(depth), raw=True
         )
 
+    def receivers(self, probe: Probe, sized: Sequence[tuple[int, InStream]]) -> list[Callable[[], None]]:
+        """The loops that take the messages of subscriptions, for a thread each.
+
+        Args:
+            probe: where the loops are.
+            sized: the size of the messages of each stream in bytes, and the stream.
+        """
+        loops: list[Callable[[], None]] = []
+        for group in by_size(sized):
+            guard = self._rclpy.guard_condition.GuardCondition(None, None, context=self._context)
+            self._guards.append(guard)
+            pointers = self._context.handle.pointer, guard.handle.pointer
+            loops.append(partial(probe.receive_ros, *pointers, group, self.stop))
+        return loops
+
+    def end_loops(self) -> None:
+        """Have the loops end; their threads are to be joined before ``close``."""
+        self.stop.set()
+        for guard in self._guards:
+            guard.trigger()
+
     def close(self) -> None:
+        for guard in self._guards:
+            guard.destroy()
         self._node.destroy_node()
         self._context.try_shutdown()
 
@@ -165,8 +189,7 @@ class NativeRosSide(_NativeSide):
             publisher = self._node.publisher(part.topic, made.ros_type, queue_depth(made.size))
             self._publishers.append(publisher)
             self._outs.append((part, OutStream(ros_bytes(made), made.forms[0], publisher=publisher.handle.pointer)))
-        for group in by_size(sized):
-            self._threads.append(self._thread(partial(self._probe.receive_ros, self._node.context, group, self._stop)))
+        self._threads += map(self._thread, self._node.receivers(self._probe, sized))
 
     def wait_for_peers(self) -> None:
         """Until each topic that is published has a subscriber.  Raises BenchError."""
@@ -180,6 +203,7 @@ class NativeRosSide(_NativeSide):
 
     def close(self) -> None:
         self._stop.set()
+        self._node.end_loops()
         for thread in self._threads:
             thread.join()
         self._node.close()

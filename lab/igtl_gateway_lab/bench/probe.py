@@ -40,6 +40,7 @@ _RCL = (
     "rcl_wait_set_init",
     "rcl_wait_set_clear",
     "rcl_wait_set_add_subscription",
+    "rcl_wait_set_add_guard_condition",
     "rcl_wait",
     "rcl_wait_set_fini",
 )
@@ -247,10 +248,18 @@ class Probe:
         )
         _check("receive", code)
 
-    def receive_ros(self, context: int, streams: list[InStream], stop: Flag) -> None:
-        """Take the messages of subscriptions until ``stop``; ``context`` is the rcl_context_t.  Raises BenchError."""
+    def receive_ros(self, context: int, guard: int, streams: list[InStream], stop: Flag) -> None:
+        """Take the messages of subscriptions until ``stop`` is set and then ``guard`` triggered.  Raises BenchError.
+
+        Args:
+            context: address of the rcl_context_t.
+            guard: address of the rcl_guard_condition_t; each loop needs its own.
+            streams: which.
+            stop: see above.
+        """
+        pointers = _pointers(streams)
         code = self._library.probe_receive_ros(
-            c_void_p(context), _pointers(streams), c_int32(len(streams)), ctypes.byref(stop)
+            c_void_p(context), c_void_p(guard), pointers, c_int32(len(streams)), ctypes.byref(stop)
         )
         _check("receive", code)
 
