@@ -562,7 +562,8 @@ class QueueReader(_QueueEnd):
             start = -(-(_PAGE + max(begin, _KEPT_BYTES)) // _PAGE) * _PAGE
             length = (_PAGE + end) // _PAGE * _PAGE - start
             if length > 0 and _REMOVE is not None:
-                self._map.madvise(_REMOVE, start, length)
+                with suppress(OSError):  # --lock-memory locks it where the getter is a thread of the bridge
+                    self._map.madvise(_REMOVE, start, length)
         self._gone.clear()
         self._begin = self._place
         self._free = self._position

@@ -51,6 +51,7 @@ MISSING = [
 REFUSED = [
     Case("bridge --no-ros --duration 0.1 --listen 127.0.0.1:{port}", 1, "the port is in use by another program"),
     Case(f"{BRIDGE} --metrics {{port}}", 1, "the port is in use by another program"),
+    Case(f"{BRIDGE} --cpu-affinity 8000", 1, "--cpu-affinity: found CPU 8000, expected CPUs of "),
     Case("replay {fixture} --to igtl --listen 127.0.0.1:{port}", 1, "the port is in use by another program"),
     *(
         Case(f"{call} {place}", 1, said)
@@ -74,6 +75,8 @@ REFUSED = [
 #: Errors that a retry does not repair: 2.
 USAGE = [
     Case("bridge --listen 127.0.0.1:99999", 2, "found '127.0.0.1:99999', expected HOST:PORT"),
+    Case(f"{BRIDGE} --realtime-priority 100", 2, "found 100, expected 1 (lowest) to 99"),
+    Case(f"{BRIDGE} --cpu-affinity two", 2, "found 'two', expected CPUs such as 2,4-6"),
     Case("bridge --listen 0.0.0.0:0 --no-ros", 2, "none may connect"),
     Case("bridge --listen no.such.host.invalid:0 --no-ros", 2, "expected an address of this machine"),
     Case("bridge --listen 203.0.113.77:0 --allow any --no-ros", 2, "expected an address of this machine"),

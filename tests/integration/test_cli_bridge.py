@@ -312,3 +312,25 @@ def test_the_services_of_a_recording(programs: list[Program], tmp_path: Path) ->
         assert bridge.end().code == 0
     notes = [message.code for topic, _, message in recorded(path) if topic == "/igtl_gateway/notes"]
     assert [code for code in notes if code.startswith("record_")] == ["record_paused", "record_resumed"]
+
+
+@needs_ros
+def test_the_threads_that_pass_messages_get_their_cpu(programs: list[Program], tmp_path: Path) -> None:
+    """Those of Fast DDS, of TCP and of ROS; not the others, and not the recorder's process."""
+    usable = os.sched_getaffinity(0)
+    cpu = max(usable)
+    bridge = Bridge("--cpu-affinity", str(cpu), "--record", str(tmp_path / "out.mcap"))
+    programs.append(bridge)
+    (line,) = [line for line in bridge.events[0]["environment"] if line.startswith("real-time: ")]
+    found = re.fullmatch(rf"real-time: CPUs {cpu} for (\d+) threads \((.*)\)", line)
+    assert found, line
+    names = found[2].split(", ")
+    assert len(names) == int(found[1]) and {"igtl-tcp", "igtl-ros-receiver"} < set(names)
+    assert any(name.startswith("dds.udp.") for name in names) and "dds.shm.wdog" not in names
+    process = bridge.process.pid
+    tasks = [int(task.name) for task in Path(f"/proc/{process}/task").iterdir()]
+    pinned = [task for task in tasks if os.sched_getaffinity(task) == {cpu}]
+    if len(usable) > 1:
+        assert process not in pinned and len(pinned) < len(tasks)
+        assert [os.sched_getaffinity(child) for child in children(process)] == [usable]
+    assert len(pinned) >= len(names)

@@ -60,6 +60,20 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[Pair]:
     os.close(pair.memory)
 
 
+def test_memory_that_is_locked_stays(small: Pair) -> None:
+    """The system refuses to take it back, which must not end the reader."""
+    memory = small.getter._map
+    address = ctypes.addressof(ctypes.c_char.from_buffer(memory))
+    assert ctypes.CDLL(None).mlock(ctypes.c_void_p(address), ctypes.c_size_t(len(memory))) == 0
+    with pytest.raises(OSError, match="Invalid argument"):
+        memory.madvise(mmap.MADV_REMOVE, 0, mmap.PAGESIZE)
+    entries = [replace(each, payload=(bytes(9000),)) for each in samples.every_kind(30)]
+    for first in range(0, len(entries), 2):  # beyond the memory that is kept
+        some = entries[first : first + 2]
+        assert all(map(small.putter.put, some))
+        assert [small.get() for _ in some] == list(map(samples.flat, some))
+
+
 def test_entries_and_commands_come_in_their_order() -> None:
     pair = Pair()
     entries = [*samples.every_kind(20), Entry(-1, -1, Kind.ROS_IN, "/\udc80", "x", (), (), 2**70)]
