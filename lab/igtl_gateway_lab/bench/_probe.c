@@ -224,11 +224,6 @@ struct probe_link *probe_link_new(int fd) {
     return link;
 }
 
-void probe_link_free(struct probe_link *link) {
-    pthread_mutex_destroy(&link->lock);
-    free(link);
-}
-
 /* Another connection; -1: none, messages to it are dropped. */
 void probe_link_set(struct probe_link *link, int fd) {
     pthread_mutex_lock(&link->lock);

@@ -79,7 +79,7 @@ def foreign(name: str, case: Case, library: Path | None) -> Iterator[Bridge]:
     try:
         program = Program(name, command)
     except OSError as error:
-        raise BenchError(f"--against {name}: {error}") from None
+        raise BenchError(str(error)) from None
     with program:
         yield Bridge(program, ("127.0.0.1", port))
         program.interrupt()

@@ -142,7 +142,9 @@ class _NativeSide:
         return [(part, first) for part, stream in self._ins if (first := stream.first()) is not None]
 
     def columns(self) -> dict[str, npt.NDArray[np.int64]]:
-        """What has arrived, after ``close``."""
+        """What has arrived, after ``close``.  Raises BenchError if a loop failed."""
+        if self._faults:
+            raise self._faults[0]
         told = {}
         for part, stream in self._ins:
             told[f"numbers {part.key}"], told[f"received {part.key}"] = stream.arrivals()

@@ -6,6 +6,7 @@ import argparse
 import importlib.util
 import os
 import platform
+import shlex
 import tempfile
 from dataclasses import dataclass, field, replace
 from importlib import metadata
@@ -40,8 +41,10 @@ EXAMPLES = """\
   igtl-gateway bench --case mixed --duration 60 --record --rounds 3
   # also with the C++ library and pyigtl as peers
   igtl-gateway bench --case transform image-vga --peers
+  # in turns with another bridge on the same topics (docs/performance.md)
+  igtl-gateway bench --case transform --rounds 3 --against "my_bridge --port {port}"
   # measurements other than the transfer of messages
-  igtl-gateway bench --case start-up replay verify
+  igtl-gateway bench --case start-up idle replay verify
   # where the gateway spends its time
   igtl-gateway bench --case mixed --flame out.svg
   # growing load, with fitted lines and plots
@@ -213,6 +216,8 @@ def _selected(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
     ):
         if value is not None and not 0 < value <= most:
             raise ConfigError(f"{name}: found {value:g}, expected above 0 and at most {most:g}")
+    for command in options.against:
+        _check_command(command)
     directions = tuple(one for one in Direction if options.direction in (one.value, _BOTH))
     extent = Extent(options.duration, options.count or (_TABLE_COUNT if options.table1 else 0))
     groups = [_group(_at_rate(CASES[name], options), directions, extent, options) for name in names if name in CASES]
@@ -227,6 +232,16 @@ def _selected(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
     if options.flame:
         groups = _in_flames(groups, works, options)
     return groups, works
+
+
+def _check_command(command: str) -> None:
+    """Raises ConfigError for a command of another bridge that cannot be started."""
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise ConfigError(f"--against: found {command!r}, expected a command ({error})") from None
+    if not any("{port}" in word for word in words):
+        raise ConfigError(f"--against: found {command!r}, expected {{port}} in it")
 
 
 def _group(case: Case, directions: tuple[Direction, ...], extent: Extent, options: argparse.Namespace) -> _Group:

@@ -50,6 +50,8 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[BenchPlan]:
         (["--case", "transform", "--rounds", "0"], "--rounds: found 0"),
         (["--case", "stalled-client", "--direction", "igtl-to-ros"], "stalled-client goes ros-to-igtl only"),
         (["--sweep", "clients", "--direction", "igtl-to-ros"], "--sweep clients goes the other way only"),
+        (["--case", "transform", "--against", "x 'y"], "expected a command (No closing quotation)"),
+        (["--case", "transform", "--against", "bridge 18944"], "found 'bridge 18944', expected {port} in it"),
         (["--case", "transform", "--flame", "x.svg"], "--flame: found 2 measurements, expected one"),
     ],
 )
@@ -161,6 +163,16 @@ def test_a_real_run_against_another_bridge(capsys: pytest.CaptureFixture[str]) -
     assert "bounds" in ours and "bounds" not in theirs
     runs = [line.removeprefix("transform igtl-to-ros").strip() for line in status.splitlines() if "igtl-to-ros" in line]
     assert runs == ["", other, "hop"] * 2
+
+
+@pytest.mark.ros
+def test_a_bridge_that_does_not_work_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--case", "transform", "--count", "5", "--direction", "ros-to-igtl", "--no-floor", "--json"]
+    assert main(["bench", *words, "--against", "no-such-bridge {port}"]) == 0
+    told, status = capsys.readouterr()
+    (row,) = json.loads(told)["rows"]
+    assert row["delivered"] == 5 and "bridge" not in row
+    assert "left out: no-such-bridge {port}: " in status
 
 
 @pytest.mark.ros
