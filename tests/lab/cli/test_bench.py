@@ -148,6 +148,7 @@ def test_a_real_run_both_ways(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.ros
+@pytest.mark.slow
 @pytest.mark.skipif(bool(lacks_probe()), reason=lacks_probe())
 def test_a_real_run_against_another_bridge(capsys: pytest.CaptureFixture[str]) -> None:
     other = f"{sys.executable} -m igtl_gateway_lab.bench.hop --port {{port}} --case {{case}}"
@@ -176,6 +177,7 @@ def test_a_bridge_that_does_not_work_is_left_out(capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.ros
+@pytest.mark.slow
 @pytest.mark.skipif(bool(lacks_probe()), reason=lacks_probe())
 def test_the_mixed_load_has_a_floor(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "--case", "mixed", "--count", "10", "--json"]) == 0
