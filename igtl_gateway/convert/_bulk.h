@@ -1,4 +1,4 @@
-/* Strings, points, clouds and pictures of compiled streams: igtl_gateway/convert/express.py documents the conversions;
+/* Strings, points, clouds, surfaces and pictures of compiled streams: igtl_gateway/convert/express.py documents the conversions;
  * without Python.
  *
  * A large content is converted in blocks that fit the processor's cache, and the CRC of a block is taken while it is
@@ -16,7 +16,7 @@
 #endif
 
 /* The conversions of bulk messages; the same numbers as in express.py. */
-enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5 };
+enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, MESH = 6, TRIANGLES = 7 };
 
 #define POINT_BYTES 136 /* name 64, group 32, rgba 4, position 12, diameter 4, owner 20 */
 #define GROUP_AT 64
@@ -26,6 +26,8 @@ enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5 }
 #define POLYDATA_HEAD 40
 #define ROW_OF_POINTS 20 /* x, y, z, rgba, diameter */
 #define ROW_OF_CLOUD 12
+#define CELL_BYTES 16 /* of a triangle: the number 3, and three indices */
+#define MAX_PIECES 12000000 /* surfaces.py */
 #define WHITE 0xFFFFFFFFu
 #define MAX_TEXT 65535
 #define MIB_ASCII 3
@@ -92,6 +94,82 @@ INLINE uint32_t floats_to_igtl_loop(const uint8_t *restrict from, uint8_t *restr
     return odd;
 }
 
+/* Scale big-endian floats to little-endian doubles. */
+INLINE uint32_t floats_to_doubles_loop(const uint8_t *restrict from, uint8_t *restrict to, ssize_t count, double times,
+                                       double by)
+{
+    uint32_t odd = 0;
+    for (ssize_t i = 0; i < count; i++) {
+        uint32_t word = get_u32(from + 4 * i);
+        double value = (double)float_of(word) * times / by;
+        odd |= not_finite(word);
+        memcpy(to + 8 * i, &value, 8);
+    }
+    return odd;
+}
+
+/* Scale little-endian doubles to big-endian floats. */
+INLINE uint32_t doubles_to_floats_loop(const uint8_t *restrict from, uint8_t *restrict to, ssize_t count, double times,
+                                       double by)
+{
+    uint32_t odd = 0;
+    for (ssize_t i = 0; i < count; i++) {
+        double value;
+        memcpy(&value, from + 8 * i, 8);
+        uint32_t word = word_of((float)(value * times / by));
+        odd |= not_finite(word);
+        put_u32(to + 4 * i, word);
+    }
+    return odd;
+}
+
+/* Copy the indices of triangular cells, which must be below ``points``. */
+INLINE uint32_t cells_to_ros_loop(const uint8_t *restrict from, uint8_t *restrict to, ssize_t count, uint32_t points)
+{
+    uint32_t odd = 0;
+    for (ssize_t i = 0; i < count; i++) {
+        odd |= get_u32(from + CELL_BYTES * i) ^ 3;
+        for (int corner = 0; corner < 3; corner++) {
+            uint32_t index = get_u32(from + CELL_BYTES * i + 4 + 4 * corner);
+            odd |= index >= points;
+            put_u32_ros(to + 12 * i + 4 * corner, index);
+        }
+    }
+    return odd;
+}
+
+/* Write triangular cells of indices, which must be below ``points``. */
+INLINE uint32_t cells_to_igtl_loop(const uint8_t *restrict from, uint8_t *restrict to, ssize_t count, uint32_t points)
+{
+    uint32_t odd = 0;
+    for (ssize_t i = 0; i < count; i++) {
+        put_u32(to + CELL_BYTES * i, 3);
+        for (int corner = 0; corner < 3; corner++) {
+            uint32_t index = get_u32_ros(from + 12 * i + 4 * corner);
+            odd |= index >= points;
+            put_u32(to + CELL_BYTES * i + 4 + 4 * corner, index);
+        }
+    }
+    return odd;
+}
+
+/* Write the scaled corners of triangular cells; ``places``: the big-endian floats of ``points`` points. */
+INLINE uint32_t corners_to_ros_loop(const uint8_t *restrict cells, uint8_t *restrict to, ssize_t count,
+                                    const uint8_t *restrict places, uint32_t points, double times, double by)
+{
+    uint32_t odd = 0;
+    for (ssize_t i = 0; i < count; i++, cells += CELL_BYTES, to += 72) {
+        odd |= get_u32(cells) ^ 3;
+        for (int corner = 0; corner < 3; corner++) {
+            uint32_t index = get_u32(cells + 4 + 4 * corner);
+            if (index >= points)
+                return 1;
+            odd |= floats_to_doubles_loop(places + 12 * (ssize_t)index, to + 24 * corner, 3, times, by);
+        }
+    }
+    return odd;
+}
+
 /* Compare words with ``first``, ``first`` + 1 … */
 INLINE uint32_t are_numbers_loop(const uint8_t *from, ssize_t count, uint32_t first)
 {
@@ -132,6 +210,15 @@ TWICE(floats_to_ros, (const uint8_t *from, uint8_t *to, ssize_t count, float tim
       by)
 TWICE(floats_to_igtl, (const uint8_t *from, uint8_t *to, ssize_t count, float times, float by), from, to, count, times,
       by)
+TWICE(floats_to_doubles, (const uint8_t *from, uint8_t *to, ssize_t count, double times, double by), from, to, count,
+      times, by)
+TWICE(doubles_to_floats, (const uint8_t *from, uint8_t *to, ssize_t count, double times, double by), from, to, count,
+      times, by)
+TWICE(cells_to_ros, (const uint8_t *from, uint8_t *to, ssize_t count, uint32_t points), from, to, count, points)
+TWICE(cells_to_igtl, (const uint8_t *from, uint8_t *to, ssize_t count, uint32_t points), from, to, count, points)
+TWICE(corners_to_ros,
+      (const uint8_t *cells, uint8_t *to, ssize_t count, const uint8_t *places, uint32_t points, double times, double by),
+      cells, to, count, places, points, times, by)
 TWICE(are_numbers, (const uint8_t *from, ssize_t count, uint32_t first), from, count, first)
 TWICE(put_numbers, (uint8_t *to, ssize_t count, uint32_t first), to, count, first)
 TWICE(plain_text, (const uint8_t *text, ssize_t size), text, size)
@@ -235,7 +322,8 @@ struct ros_form {
     int form;
     const uint8_t *template;
     ssize_t room, stamp_at, width_at;
-    ssize_t count; /* points, see prepare_form */
+    ssize_t rest; /* bytes of the template after the points of a marker */
+    ssize_t count, cells; /* points and triangles, see prepare_form */
     ssize_t size;  /* of the message; 0: the row does not apply */
     uint8_t *out;
 };
@@ -277,6 +365,23 @@ static int count_cloud(const uint8_t *content, ssize_t size, ssize_t *count)
     return 1;
 }
 
+/* Set the numbers of points and triangles of POLYDATA; 0: not only these. */
+static int count_surface(const uint8_t *content, ssize_t size, struct ros_form *form)
+{
+    if (size < POLYDATA_HEAD)
+        return 0;
+    uint64_t points = get_u32(content), cells = get_u32(content + 20);
+    for (int word = 1; word < 10; word++) /* vertices, lines, strips, attributes */
+        if (word != 5 && word != 6 && get_u32(content + 4 * word))
+            return 0;
+    form->count = (ssize_t)points, form->cells = (ssize_t)cells;
+    return points && cells && cells <= MAX_PIECES && get_u32(content + 24) == CELL_BYTES * cells &&
+           (uint64_t)size == POLYDATA_HEAD + 12 * points + CELL_BYTES * cells;
+}
+
+/* Return the offset of the vertices in a Mesh with this number of triangles. */
+static ssize_t vertices_at(ssize_t cells) { return 12 + 12 * cells + (cells & 1 ? 4 : 0); }
+
 /* Set count and size of a form for this content; 0: the message needs the full path. */
 static int prepare_form(struct ros_form *form, const uint8_t *content, ssize_t size)
 {
@@ -288,6 +393,12 @@ static int prepare_form(struct ros_form *form, const uint8_t *content, ssize_t s
     if (form->form == PICTURE) {
         form->size = form->room + size;
         return size == (ssize_t)get_u32_ros(form->template + form->room - 4);
+    }
+    if (form->form == MESH || form->form == TRIANGLES) {
+        if (!count_surface(content, size, form))
+            return 0;
+        form->size = form->form == MESH ? vertices_at(form->cells) + 24 * form->count : form->room + 72 * form->cells;
+        return 1;
     }
     if (form->form == CLOUD) {
         if (!count_cloud(content, size, &form->count))
@@ -349,7 +460,20 @@ static void put_frame(const struct ros_form *form, ssize_t size, int64_t stamp_n
         out[form->size - 1] = 0;
         return;
     }
-    memcpy(out, form->template, (size_t)form->room);
+    if (form->form == MESH) {
+        ssize_t vertices = vertices_at(form->cells);
+        memcpy(out, "\0\1\0\0", 4);
+        put_u32_ros(out + 4, (uint32_t)form->cells);
+        put_u32_ros(out + vertices - 4, 0); /* padding, or the next */
+        put_u32_ros(out + 8 + 12 * form->cells, (uint32_t)form->count);
+        return;
+    }
+    ssize_t before = form->room - form->rest;
+    memcpy(out, form->template, (size_t)before);
+    if (form->form == TRIANGLES) {
+        memcpy(out + form->size - form->rest, form->template + before, (size_t)form->rest);
+        put_u32_ros(out + form->width_at, (uint32_t)(3 * form->cells));
+    }
     if (form->form == CLOUD || form->form == POINTS) {
         uint32_t bytes = (uint32_t)(form->size - form->room - 1);
         put_u32_ros(out + form->width_at, (uint32_t)form->count);
@@ -359,6 +483,31 @@ static void put_frame(const struct ros_form *form, ssize_t size, int64_t stamp_n
     }
     if (form->stamp_at)
         put_ros_stamp(out + form->stamp_at, stamp_ns);
+}
+
+/* Convert a block of a surface: its points, and the triangles that end in it. */
+static uint32_t put_surface_block(const struct ros_form *form, const struct igtl_bulk *stream, const uint8_t *content,
+                                  ssize_t begin, ssize_t end)
+{
+    const uint8_t *places = content + POLYDATA_HEAD;
+    ssize_t cells_at = POLYDATA_HEAD + 12 * form->count;
+    uint32_t odd = 0, points = (uint32_t)form->count;
+    if (form->form == MESH && begin < cells_at) {
+        ssize_t from = begin ? begin - POLYDATA_HEAD : 0, until = (end < cells_at ? end : cells_at) - POLYDATA_HEAD;
+        uint8_t *out = form->out + vertices_at(form->cells);
+        odd = floats_to_doubles(places + from, out + 2 * from, (until - from) / 4, stream->times, stream->by);
+    }
+    if (end > cells_at) {
+        ssize_t first = begin > cells_at ? (begin - cells_at) / CELL_BYTES : 0;
+        ssize_t count = (end - cells_at) / CELL_BYTES - first;
+        const uint8_t *cells = content + cells_at + CELL_BYTES * first;
+        if (form->form == MESH)
+            odd |= cells_to_ros(cells, form->out + 8 + 12 * first, count, points);
+        else
+            odd |= corners_to_ros(cells, form->out + form->room - form->rest + 72 * first, count, places, points,
+                                  stream->times, stream->by);
+    }
+    return odd;
 }
 
 /* Convert the block of the content from ``begin`` to ``end``; not 0: the message needs the full path. */
@@ -383,6 +532,8 @@ static uint32_t put_block(const struct ros_form *form, const struct igtl_bulk *s
         return put_points(out + begin / POINT_BYTES * ROW_OF_POINTS, content + begin, (end - begin) / POINT_BYTES, times,
                           by);
     uint32_t odd = 0;
+    if (form->form == MESH || form->form == TRIANGLES)
+        return put_surface_block(form, stream, content, begin, end);
     if (begin == 0)
         begin = POLYDATA_HEAD;
     ssize_t places_end = POLYDATA_HEAD + 12 * form->count, numbers = places_end + 4;
@@ -440,7 +591,9 @@ struct ros_bulk {
 struct found {
     const uint8_t *data; /* the text, the first point or the pixels */
     ssize_t count;       /* its size in bytes, or the number of points */
-    ssize_t size;        /* of the content in OpenIGTLink */
+    const uint8_t *triangles;
+    ssize_t cells; /* triangles of a mesh */
+    ssize_t size;  /* of the content in OpenIGTLink */
     int64_t header_ns;   /* stamp in UTC ns, 0 = unset */
 };
 
@@ -486,6 +639,24 @@ static int find_cloud(const struct ros_bulk *stream, const uint8_t *cdr, ssize_t
     return 1;
 }
 
+/* Find triangles and points of a Mesh; 0: the message needs the full path. */
+static int find_mesh(const uint8_t *cdr, ssize_t size, struct found *found)
+{
+    if (size < 8)
+        return 0;
+    found->cells = get_u32_ros(cdr + 4);
+    found->triangles = cdr + 8;
+    if (!found->cells || found->cells > (size - 12) / 12)
+        return 0;
+    ssize_t at = vertices_at(found->cells);
+    found->count = get_u32_ros(cdr + 8 + 12 * found->cells);
+    found->data = cdr + at;
+    if (!found->count || found->count > (size - at) / 24)
+        return 0;
+    found->size = POLYDATA_HEAD + 12 * found->count + CELL_BYTES * found->cells;
+    return found->size <= UINT32_MAX;
+}
+
 /* Find the content of a message; 0: it needs the full path. */
 static int find_in_ros(const struct ros_bulk *stream, const uint8_t *cdr, ssize_t size, struct found *found)
 {
@@ -494,6 +665,8 @@ static int find_in_ros(const struct ros_bulk *stream, const uint8_t *cdr, ssize_
         return 0;
     if (stream->form == TEXT)
         return find_text(cdr, size, found);
+    if (stream->form == MESH)
+        return find_mesh(cdr, size, found);
     for (ssize_t i = 0; i + 1 < stream->places_count; i += 2)
         if (!equal(cdr, stream->sample, stream->places[i], stream->places[i + 1]))
             return 0;
@@ -531,6 +704,24 @@ static ssize_t put_next(const struct ros_bulk *stream, const struct found *found
     if (stream->form == BLUE_FIRST) {
         put_blue_first(found->data + done, out + done, block);
         return block;
+    }
+    if (stream->form == MESH) {
+        ssize_t cells_at = POLYDATA_HEAD + 12 * found->count;
+        if (done == 0) {
+            memset(out, 0, POLYDATA_HEAD);
+            put_u32(out, (uint32_t)found->count);
+            put_u32(out + 20, (uint32_t)found->cells);
+            put_u32(out + 24, (uint32_t)(CELL_BYTES * found->cells));
+            return POLYDATA_HEAD;
+        }
+        if (done < cells_at) {
+            ssize_t first = (done - POLYDATA_HEAD) / 4, count = (block < cells_at - done ? block : cells_at - done) / 4;
+            const uint8_t *from = found->data + 8 * first;
+            return doubles_to_floats(from, out + done, count, stream->times, stream->by) ? -1 : 4 * count;
+        }
+        ssize_t first = (done - cells_at) / CELL_BYTES, count = block / CELL_BYTES;
+        const uint8_t *from = found->triangles + 12 * first;
+        return cells_to_igtl(from, out + done, count, (uint32_t)found->count) ? -1 : CELL_BYTES * count;
     }
     const struct points points = {.first = found->data,
                                   .step = stream->step,

@@ -199,14 +199,17 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
     for (Py_ssize_t i = 0; i < forms_count; i++) {
         struct ros_form *form = &forms[i];
         PyObject *template;
-        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(args[8], i), "iSnn", &form->form, &template, &form->stamp_at,
-                              &form->width_at))
+        form->rest = 0;
+        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(args[8], i), "iSnn|n", &form->form, &template, &form->stamp_at,
+                              &form->width_at, &form->rest))
             goto failed;
         form->template = (const uint8_t *)PyBytes_AS_STRING(template);
         form->room = PyBytes_GET_SIZE(template);
-        if (form->form < TEXT || form->form > PICTURE || form->stamp_at < 0 || form->width_at < 0 ||
-            (form->form != TEXT &&
-             (form->room < 32 || form->stamp_at + 8 > form->room || form->width_at + 4 > form->room))) {
+        Py_ssize_t before = form->room - form->rest;
+        if (form->form < TEXT || form->form > TRIANGLES || form->form == BLUE_FIRST || form->stamp_at < 0 ||
+            form->width_at < 0 || form->rest < 0 ||
+            (form->form != TEXT && form->form != MESH &&
+             (before < 32 || form->stamp_at + 8 > before || form->width_at + 4 > before))) {
             PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a form without room for stamp and width");
             goto failed;
         }
@@ -275,12 +278,13 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     ssize_t places[6 + 2 * MAX_PLACES];
     if (PyErr_Occurred() || !PyArg_ParseTuple(args[7], "dd", &stream.times, &stream.by))
         return NULL;
-    if (stream.form < TEXT || stream.form == POINT || stream.form > BLUE_FIRST ||
-        (stream.form != TEXT && (places_count < 6 || places_count % 2 || places_count > 6 + 2 * MAX_PLACES))) {
+    int has_places = stream.form != TEXT && stream.form != MESH;
+    if (stream.form < TEXT || stream.form == POINT || stream.form > MESH ||
+        (has_places && (places_count < 6 || places_count % 2 || places_count > 6 + 2 * MAX_PLACES))) {
         PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: invalid form or places");
         return NULL;
     }
-    if (stream.form != TEXT && !read_places(args[2], &stream, places, places_count))
+    if (has_places && !read_places(args[2], &stream, places, places_count))
         return NULL;
     if (forms_count > MAX_FORMS)
         Py_RETURN_NONE;
@@ -288,7 +292,7 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     if (PyObject_GetBuffer(args[0], &view, PyBUF_SIMPLE))
         return NULL;
     struct igtl_form forms[MAX_FORMS];
-    struct found found;
+    struct found found = {0};
     PyObject *result = NULL;
     if (!find_in_ros(&stream, view.buf, view.len, &found))
         goto general;

@@ -184,16 +184,17 @@ COMPILED = False
 
 #: Conversions of bulk messages: STRING ⇄ String of ASCII, POINT of one point → PointStamped, POINT of unlabelled
 #: points ⇄ PointCloud2, POLYDATA with points only ⇄ PointCloud2, IMAGE ⇄ Image with everything but the pixels as in
-#: the sample, and Image of BGR → IMAGE of RGB.  Clouds to OpenIGTLink have only the fields x, y and z as float32; all
-#: numbers are finite.
-TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST = range(6)
+#: the sample, Image of BGR → IMAGE of RGB, POLYDATA of points and triangles ⇄ Mesh, and the same → Marker of triangles.
+#: Clouds to OpenIGTLink have only the fields x, y and z as float32; all numbers are finite.
+TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES = range(8)
 
 Fill = Callable[..., tuple[Any, ...] | None]
 
 #: Like ``pose_to_ros``, with other meanings of some arguments.  ``sample``: the bytes before and after the content.
 #: ``at``, ``size``: the sizes of these two.  ``forms``: for each form the conversion, a template (for clouds and images
-#: up to the data; for a point the whole message), and the offsets of its stamp (0: none) and of its width.  The result
-#: has None for a form that does not apply to the content.
+#: up to the data; for a point the whole message; for a marker all but its points), the offsets of its stamp (0: none)
+#: and of its width (of a marker: of the number of its points), and for a marker the number of bytes after the points.
+#: The result has None for a form that does not apply to the content.
 bulk_to_ros: Fill | None = None
 
 #: Like ``pose_to_igtl``, with other meanings of some arguments.  ``sample``: the bytes before the content.  ``names``:

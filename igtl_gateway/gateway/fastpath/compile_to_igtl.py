@@ -9,11 +9,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.config import SOURCE
-from igtl_gateway.convert import clouds, express, images, poses, rosmsg, texts
+from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts
 from igtl_gateway.convert.common_msgs import PoseStamped
-from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, MATRIX, PICTURE, POINTS, QUATERNION, TEXT, Fill
+from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, MATRIX, MESH, PICTURE, POINTS, QUATERNION, TEXT, Fill
 from igtl_gateway.convert.rosmsg import PointCloud2, String, TransformStamped
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
@@ -25,6 +27,7 @@ from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.message import EXTENDED_SIZE
+from igtl_gateway.wire.polydata import PolyData
 
 #: Conversion function of a pose → number of bytes of its content in OpenIGTLink.
 _TO_IGTL: dict[Callable[..., Any], int] = {
@@ -39,9 +42,13 @@ _BULK_TO_IGTL: dict[Callable[..., Any], int] = {
     clouds.cloud_to_points: POINTS,
     clouds.cloud_to_polydata: CLOUD,
     images.image_to_igtl: PICTURE,
+    surfaces.mesh_to_igtl: MESH,
 }
 #: ROS types whose streams can be compiled.
-TYPES = frozenset({TransformStamped.TYPE, PoseStamped.TYPE, String.TYPE, PointCloud2.TYPE, rosmsg.Image.TYPE})
+TYPES = frozenset(
+    {TransformStamped.TYPE, PoseStamped.TYPE, String.TYPE, PointCloud2.TYPE, rosmsg.Image.TYPE, rosmsg.Mesh.TYPE}
+)
+_SMALL = PolyData(np.zeros((1, 3), ">f4"))
 _LITTLE_ENDIAN = b"\x00\x01"
 _POSE_SIZE = 56
 _XYZ, _FLOAT32 = ("x", "y", "z"), 7
@@ -65,6 +72,8 @@ def compile_to_igtl(
         return None
     if any(peer.stream_requests or type(out.content) in peer.profile.adapt for peer in peers):
         return None
+    if form == MESH:  # the bytes around the content are those around any content
+        out = replace(out, content=_SMALL)
     content = size or sum(memoryview(part).nbytes for part in out.content.pack())
     extra = 0
     if size:
@@ -73,7 +82,7 @@ def compile_to_igtl(
         extra, content = IMAGE_HEAD, content - IMAGE_HEAD
         form, names = _picture_places(cdr, content)
     else:
-        names = () if form == TEXT else _cloud_places(cdr)
+        names = () if form in (TEXT, MESH) else _cloud_places(cdr)
     if names is None:
         return None
     first, second = (

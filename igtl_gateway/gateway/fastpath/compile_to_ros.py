@@ -6,26 +6,41 @@ functions of `igtl_gateway.convert.express` fill.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from igtl_gateway.config import SOURCE
 from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts, tracking, volumes
 from igtl_gateway.convert.assembly import VolumeAssembler, form_of
 from igtl_gateway.convert.context import ToRosContext
-from igtl_gateway.convert.express import CLOUD, MATRIX, PICTURE, POINT, POINTS, QUATERNION, TEXT, Fill
+from igtl_gateway.convert.express import (
+    CLOUD,
+    MATRIX,
+    MESH,
+    PICTURE,
+    POINT,
+    POINTS,
+    QUATERNION,
+    TEXT,
+    TRIANGLES,
+    Fill,
+)
 from igtl_gateway.convert.polydata import exceeds_standard
 from igtl_gateway.convert.table import ConversionToRos
 from igtl_gateway.convert.trajectories import is_labeled
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, STAMP_AT, CompileContext, end_of_name
-from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Volume
+from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Defer, Volume
 from igtl_gateway.gateway.to_ros.route import RosOrigin
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.message import EXTENDED_SIZE, ExtendedHeader
+from igtl_gateway.wire.polydata import Cells, PolyData
 
 #: Conversion function of a pose → offset of the stamp in its CDR, which ends with the pose.
 _TO_ROS: dict[Callable[..., Any], int] = {
@@ -42,12 +57,24 @@ _BULK_TO_ROS: dict[Callable[..., Any], int] = {
     clouds.point_to_ros: POINT,
     clouds.points_to_cloud: POINTS,
     clouds.polydata_to_cloud: CLOUD,
+    surfaces.polydata_to_mesh: MESH,
+    surfaces.polydata_to_marker: TRIANGLES,
     images.image_to_ros: PICTURE,
 }
-#: Conditions of rows that never apply to bulk data, or (for images) that apply if they apply to the sample.
+#: Conditions of rows that never apply to bulk data, or (for images, clouds, surfaces) apply if they do to the sample.
 _NEVER: frozenset[Callable[..., bool]] = frozenset(
-    {is_labeled, surfaces.has_faces, surfaces.has_lines, exceeds_standard, volumes.exceeds_picture, volumes.has_slices}
+    {
+        is_labeled,
+        surfaces.has_faces,
+        surfaces.has_lines,
+        surfaces.is_point_cloud,
+        exceeds_standard,
+        volumes.exceeds_picture,
+        volumes.has_slices,
+    }
 )
+#: The smallest surface: a template needs no other.
+_TRIANGLE = PolyData(np.zeros((3, 3), ">f4"), polygons=Cells.of(np.arange(3).reshape(1, 3)))
 #: Types whose streams can be compiled.
 TYPES = frozenset({*_POSES, "STRING", "POINT", "POLYDATA", "IMAGE"})
 #: Offset of the translation in the content.
@@ -79,6 +106,7 @@ def compile_to_ros(
             return None
         at, volume = at + IMAGE_HEAD, (assembler, form_of(content), content.array.dtype)
     forms: list[tuple[str, str, tuple[Any, ...]]] = []
+    rows: dict[str, ConversionToRos] = {}
     for row, topic in stream.outputs:
         if not isinstance(message.content, row.content):
             return None
@@ -88,6 +116,7 @@ def compile_to_ros(
         if form is None:
             return None
         forms.append((topic, row.message.TYPE, form))
+        rows[topic] = row
     if to.warnings:
         return None
     own = common.config.stamp_of(stream.row) == SOURCE
@@ -113,6 +142,17 @@ def compile_to_ros(
         place_at,
         (common.waiting, latched),
         volume,
+        _defer(rows, to) if isinstance(content, PolyData) else None,
+    )
+
+
+def _defer(rows: dict[str, ConversionToRos], to: ToRosContext) -> Defer:
+    """Return what keeps messages for the first subscribers of their topics, not decoded."""
+    return lambda entry, topic, stamp_ns: (
+        entry,
+        rows[topic],
+        None,
+        replace(to, stamp_ns=stamp_ns, warnings=[], made={}),
     )
 
 
@@ -125,16 +165,20 @@ def _pose_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[by
     return made.pack(), stamp_at
 
 
-def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[int, bytes, int, int] | None:
-    """Return the form, its template, and the offsets of stamp and width in it."""
+def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[Any, ...] | None:
+    """Return the form as ``bulk_to_ros`` needs it: itself, its template, and offsets in it."""
     form = _BULK_TO_ROS.get(row.convert)
     if form == TEXT:
         return TEXT, b"", 0, 0
     if form == POINT:
         header = rosmsg.Header(to.stamp_ns, to.frame_id)
         return POINT, rosmsg.PointStamped(header, (0.0, 0.0, 0.0)).pack(), STAMP_AT, 0
-    if form is None:
+    if form is None or (form in (MESH, TRIANGLES) and exceeds_standard(content)):
         return None
+    if form == MESH:
+        return MESH, b"", 0, 0
+    if form == TRIANGLES:
+        return TRIANGLES, *_marker_template(row.convert(_TRIANGLE, to))
     made: Any = row.convert(content, to)
     cdr = made.pack()
     end = len(cdr) - memoryview(made.data).nbytes
@@ -142,3 +186,12 @@ def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[in
         return form, cdr[:end], STAMP_AT, 0
     frame_end = end_of_name(cdr, NAMES_AT)
     return form, cdr[: end - 1], STAMP_AT, frame_end + -frame_end % 4 + 4
+
+
+def _marker_template(made: Any) -> tuple[bytes, int, int, int]:
+    """Return a marker without its points, the offsets of stamp and number of points, and the size after the points."""
+    points = np.full((6, 3), math.pi)
+    one, other = (replace(made, points=points[:count]).pack() for count in (3, 6))
+    begin, size = one.index(points[:3].tobytes()), points[:3].nbytes
+    count_at = next(at for at in range(begin) if one[at] != other[at])
+    return one[:begin] + one[begin + size :], STAMP_AT, count_at, len(one) - begin - size

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,9 @@ from igtl_gateway.session.ledger import Ledger
 #: The assembler with the latest image of a device, and form and dtype of the images of a stream.
 Volume = tuple[VolumeAssembler, Form, np.dtype[Any]]
 
+#: Entry, latched topic and ROS stamp (UTC ns) → what ``Subscribers.waiting`` has for the topic.
+Defer = Callable[[Entry, str, int], Any]
+
 #: The translation in OpenIGTLink.
 _PLACE = struct.Struct(">3f")
 
@@ -34,6 +37,7 @@ class CompiledToRos:
         place_at: offset of the translation in the message, for poses.
         waiting: last messages of latched topics without a subscriber, and the latched topics of ``forms``.
         volume: for images, of which later messages may be parts.
+        defer: keeps a message for latched topics without a subscriber; None: then the full path takes it.
     """
 
     def __init__(
@@ -51,6 +55,7 @@ class CompiledToRos:
         place_at: int | None,
         waiting: tuple[dict[str, Any], frozenset[str]],
         volume: Volume | None = None,
+        defer: Defer | None = None,
     ) -> None:
         self._fill = fill
         self._sample = sample
@@ -68,16 +73,20 @@ class CompiledToRos:
         self._count = ledger.counter("igtl_in", entry.channel)
         self._waiting, self._latched = waiting
         self._volume = volume
+        self._defer = defer
 
     def __call__(
         self, seq: int, stamp_ns: int, payload: Sequence[Buffer], links: tuple[int, ...], ask: Ask | None
     ) -> list[Entry] | None:
         """Return the entries of a message; [] sends it to the full path, None also all further messages."""
         outputs, forms = self._outputs, self._forms
+        later: frozenset[str] = frozenset()
         if ask is not None:
             outputs = tuple(one for one in outputs if ask(one[0], one[1]))
             forms = tuple(form for _, _, form, _ in outputs)
-            if self._latched and not self._latched <= {topic for topic, _, _, _ in outputs}:
+            if self._latched:
+                later = self._latched - {topic for topic, _, _, _ in outputs}
+            if later and self._defer is None:
                 return []  # the full path keeps the message for the first subscriber
             if not forms and self._place is None:
                 return []  # without a subscriber, only the full path checks bulk data
@@ -104,6 +113,8 @@ class CompiledToRos:
             entries.append(Entry(seq + step, stamp_ns + step, Kind.ROS_OUT, topic, ros_type, (cdr,), (), shown_ns))
         for topic in self._latched:
             self._waiting.pop(topic, None)
+        if self._defer is not None:
+            self._waiting.update((topic, self._defer(entries[0], topic, shown_ns)) for topic in later)
         if volume:
             assembler, form, dtype = volume
             assembler.keep(form, dtype, memoryview(payload[0])[at : len(payload[0]) - size])

@@ -29,7 +29,7 @@ from igtl_gateway.gateway.to_ros.subscribers import Subscribers
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level
-from igtl_gateway.wire import Message, Raw, encode
+from igtl_gateway.wire import Message, Raw, decode, encode
 
 RAW_QOS = Qos(depth=100)
 _METADATA_QOS = Qos(depth=100)
@@ -97,6 +97,8 @@ class Converter:
         if waiting is None:
             return []
         entry, row, content, to = waiting
+        if content is None:  # from the fast path
+            content = decode(entry.payload[0], check_crc=False).content
         try:
             return [ros_output(topic, message, to.stamp_ns) for message in _converted(row, content, to)]
         except ConversionError as error:

@@ -25,6 +25,7 @@ class Subscribers:
     Attributes:
         ask: returns whether a topic has a subscriber; None: build all outputs.
         waiting: latched topic → its last message, which is built for the first subscriber; at most one per topic.
+            Entry, row, content (None: still to be decoded) and context.
     """
 
     def __init__(self, *, needs_tf: bool) -> None:

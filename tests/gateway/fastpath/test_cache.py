@@ -144,6 +144,18 @@ def _cloud(draw: st.DrawFn) -> PolyData:
     return PolyData(places, vertices, lines, attributes=attributes)
 
 
+def _surface(draw: st.DrawFn) -> PolyData:
+    """Mostly of triangles."""
+    places = draw(positions()).astype(">f4")
+    count = len(places) + _mostly(draw, 0, 1)
+    corners = st.integers(0, count - 1) if count else st.just(0)
+    size = _mostly(draw, 3, 4, 2)
+    triangles = draw(st.lists(st.tuples(*[corners] * size), min_size=1, max_size=4))
+    polygons = Cells.of([list(triangle) for triangle in triangles] + _mostly(draw, [], [[0, 0, 0, 0]]))
+    strips = Cells.of([[0, 0, 0]]) if _mostly(draw, False, bool(count)) else NO_CELLS
+    return PolyData(places, polygons=polygons, triangle_strips=strips)
+
+
 def _image(draw: st.DrawFn) -> Image:
     size = draw(st.sampled_from([(2, 3, 1), (2, 3, 1), (40, 30, 1), (2, 1, 2)]))
     part = _mostly(draw, size, (1, 1, 1))
@@ -156,7 +168,7 @@ def _image(draw: st.DrawFn) -> Image:
 @st.composite
 def igtl_bulk(draw: st.DrawFn) -> Step:
     """STRING, POINT, POLYDATA and IMAGE."""
-    name = draw(st.sampled_from(["STRING", "POINT", "POLYDATA", "IMAGE"]))
+    name = draw(st.sampled_from(["STRING", "POINT", "POLYDATA", "SURFACE", "IMAGE"]))
     content: Any
     match name:
         case "STRING":
@@ -167,6 +179,8 @@ def igtl_bulk(draw: st.DrawFn) -> Step:
             content = _points(draw)
         case "IMAGE":
             content = _image(draw)
+        case "SURFACE":
+            name, content = "POLYDATA", _surface(draw)
         case _:
             content = _cloud(draw)
     version = _mostly(draw, draw(st.sampled_from([1, 2])), 2)
@@ -174,13 +188,13 @@ def igtl_bulk(draw: st.DrawFn) -> Step:
     message = Message(name, "B", content, ns_to_ticks(draw(stamps)), version, draw(st.integers(0, 3)), items)
     data = bytearray(join(encode(message)))
     if draw(st.integers(0, 9)) == 0:
-        data[draw(st.sampled_from([49, 50, 58, min(70, len(data) - 1), len(data) - 1]))] ^= 1
+        data[draw(st.sampled_from([49, 50, min(58, len(data) - 1), min(70, len(data) - 1), len(data) - 1]))] ^= 1
     return "igtl", bytes(data), draw(st.sampled_from([1, 2]))
 
 
 @st.composite
 def ros_bulk(draw: st.DrawFn) -> Step:
-    """String, PointCloud2 and Image."""
+    """String, PointCloud2, Mesh and Image."""
     end = draw(st.sampled_from([b"", b"", b"\0", b"\0\0\0"]))
     if draw(st.booleans()):
         text = _mostly(draw, draw(st.sampled_from(["", "Hello", "Hello, world", "x" * 3000])), "für", "a\0b", "end\0")
@@ -194,6 +208,12 @@ def ros_bulk(draw: st.DrawFn) -> Step:
         image = rosmsg.Image(header, 3, 2, name, big, 2 * size + padding, data)
         return "ros", "/igtl/out/I", image.TYPE, image.pack() + end, draw(stamps)
     places = draw(positions())
+    if draw(st.integers(0, 3)) == 0:
+        corners = np.array(draw(st.lists(st.tuples(*[st.integers(0, len(places))] * 3), max_size=4)), np.uint32)
+        if not draw(st.booleans()):
+            corners = np.minimum(corners, max(len(places) - 1, 0))
+        cdr = rosmsg.Mesh(corners.reshape(-1, 3), places * _mostly(draw, 1e-3, 1e36)).pack() + end
+        return "ros", "/igtl/out/M", rosmsg.Mesh.TYPE, cdr[: len(cdr) - _mostly(draw, 0, 1, 5)], draw(stamps)
     kind, datatype = _mostly(draw, ("<f4", 7), (">f4", 7), ("<f8", 8))
     step = draw(st.sampled_from([12, 12, 16])) * (2 if datatype == 8 else 1)
     names = _mostly(draw, "xyz", "zyx", "xyzi", "xyy")
@@ -218,7 +238,7 @@ def ros_bulk(draw: st.DrawFn) -> Step:
 def others(draw: st.DrawFn) -> Step:
     kind, link = draw(st.sampled_from([LINK_UP, LINK_DOWN, "STT", "STP", LISTENED])), draw(st.sampled_from([1, 2, 3]))
     if kind == LISTENED:
-        return "listened", "/igtl/in/B/points"
+        return "listened", draw(st.sampled_from(["/igtl/in/B/points", "/igtl/in/B/mesh", "/igtl/in/B/marker"]))
     if kind in ("STT", "STP"):
         content = StartTracking(20, "") if kind == "STT" else EmptyQuery()
         return "igtl", join(encode(Message(f"{kind}_TDATA", "", content, 0, 2))), link
@@ -298,7 +318,12 @@ def test_a_session_with_the_fast_path_is_the_session_without(
 @given(
     st.lists(igtl_bulk() | igtl_bulk() | ros_bulk() | ros_bulk() | others(), max_size=25),
     st.sampled_from(CONFIGS),
-    st.sampled_from([None, set(), {"/igtl/in/B/point"}, {"/igtl/in/B/points", "/igtl/in/B/image"}]),
+    st.sampled_from(
+        [
+            *(None, set(), {"/igtl/in/B/point"}, {"/igtl/in/B/points", "/igtl/in/B/image"}),
+            *({"/igtl/in/B/mesh"}, {"/igtl/in/B/marker"}, {"/igtl/in/B/mesh", "/igtl/in/B/marker"}),
+        ]
+    ),
 )
 def test_so_is_one_of_texts_points_and_pictures(steps: list[Step], config: Config, heard: set[str] | None) -> None:
     assert played(steps, config, heard, fast_path=True) == played(steps, config, heard, fast_path=False)
@@ -359,6 +384,7 @@ def fields(*names: str) -> tuple[rosmsg.PointField, ...]:
         ("POINT", lambda n: Points.of(ROWS[:n])),
         ("POLYDATA", lambda n: PolyData(ROWS[:n].astype(">f4"), Cells.of_all(n))),
         ("POLYDATA", lambda n: PolyData(ROWS[:n].astype(">f4"))),
+        ("POLYDATA", lambda n: PolyData(ROWS[:n].astype(">f4"), polygons=Cells.of(np.zeros((n, 3), int)))),
         ("IMAGE", lambda n: Image((2, 2, 1), 3, bytes([n % 256]) * 12, 3)),
     ],
 )
@@ -383,6 +409,7 @@ def test_so_does_the_second_text_cloud_or_picture_of_a_peer(made: tuple[str, Any
         lambda n: rosmsg.PointCloud2(
             rosmsg.Header(T0_NS, "map"), n, 2, fields("z", "y", "x"), False, 16, 32, bytes(32 * n), True
         ),
+        lambda n: rosmsg.Mesh(np.zeros((n, 3), np.uint32), ROWS[:n]),
         lambda n: rosmsg.Image(rosmsg.Header(T0_NS, "map"), 2, 2, "bgr8", 0, 6, bytes([n % 256]) * 12),
     ],
 )
@@ -416,6 +443,18 @@ def _at_place(places: npt.NDArray[np.float32], index: int, value: float) -> npt.
     return odd
 
 
+CORNERS = np.random.default_rng(6).integers(0, MANY, (9999, 3)).astype(np.uint32)
+
+
+def _large_triangles() -> list[npt.NDArray[np.uint32]]:
+    """Triangles in several blocks: an odd and an even number, then with an index beyond the points at three places."""
+    found = [CORNERS, CORNERS[:-1]]
+    for place in (0, 5000, len(CORNERS) - 1):
+        found.append(CORNERS.copy())
+        found[-1][place, 2] = MANY
+    return found
+
+
 def _large_contents() -> list[tuple[str, Any]]:
     """Contents of several blocks, and then with something odd in the first, a middle and the last one."""
     places = PLACES.astype(">f4")
@@ -429,6 +468,8 @@ def _large_contents() -> list[tuple[str, Any]]:
         ("POLYDATA", PolyData(places)),
         *(("POLYDATA", PolyData(_at_place(places, index, math.nan), vertices)) for index in (0, 7000, MANY - 1)),
         ("POLYDATA", PolyData(places, replace(vertices, data=disordered))),
+        *(("POLYDATA", PolyData(places, polygons=Cells.of(corners))) for corners in _large_triangles()),
+        ("POLYDATA", PolyData(_at_place(places, 7000, math.nan), polygons=Cells.of(CORNERS))),
         ("POINT", Points.of(PLACES[:4000])),
         ("POINT", labelled),
         ("STRING", StringBody(b"x" * 65_000)),
@@ -467,6 +508,31 @@ def test_large_clouds_are_converted_as_on_the_full_path(topic: str, names: str, 
         steps.append(("ros", topic, message.TYPE, message.pack(), T0_NS))
     config = CONFIGS[1]
     assert played(steps, config, None, fast_path=True) == played(steps, config, None, fast_path=False)
+
+
+@pytest.mark.usefixtures("vectors")
+def test_large_surfaces_are_converted_as_on_the_full_path() -> None:
+    shown = join(encode(Message("STATUS", "Peer", Status(1), header_version=2)))
+    steps: list[Step] = [("igtl", shown, 1)]  # peers of both header versions
+    for place, corners in [(PLACES, corners) for corners in _large_triangles()] + [
+        (_at_place(PLACES, index, math.nan), CORNERS) for index in (0, 9999)
+    ]:
+        good = rosmsg.Mesh(CORNERS[::-1], PLACES.astype(np.float64) * 1.1)
+        mesh = rosmsg.Mesh(corners, place.astype(np.float64) / 3)
+        steps += [("ros", "/igtl/out/M", mesh.TYPE, one.pack(), T0_NS) for one in (good, good, mesh)]
+    assert played(steps, Config(), None, fast_path=True) == played(steps, Config(), None, fast_path=False)
+
+
+@pytest.mark.parametrize("heard", [{"/igtl/in/B/mesh"}, {"/igtl/in/B/marker"}])
+def test_a_surface_waits_for_the_first_subscriber_of_its_other_topic(heard: set[str]) -> None:
+    steps: list[Step] = []
+    for index in range(4):
+        surface = PolyData(PLACES[index : index + 3].astype(">f4"), polygons=Cells.of([[0, 1, 2]]))
+        steps.append(("igtl", join(encode(Message("POLYDATA", "B", surface, ns_to_ticks(T0_NS)))), 1))
+        steps += [("listened", f"/igtl/in/B/{name}") for name in ("mesh", "marker") if index % 2]
+    entries, counts = played(steps, Config(), heard, fast_path=True)
+    assert (entries, counts) == played(steps, Config(), heard, fast_path=False)
+    assert counts["ros_out"].keys() >= {"/igtl/in/B/mesh", "/igtl/in/B/marker"}
 
 
 @pytest.mark.usefixtures("vectors")
