@@ -25,7 +25,10 @@ from igtl_gateway.errors import ConfigError, Unavailable
 PRIORITIES = range(1, 100)
 
 #: Beginnings of the names of threads that pass messages.  Fast DDS names its own; ours have the names of Python.
-MESSAGE_THREADS = ("dds.shm.", "dds.udp.", "dds.tcp.", "dds.asyn.", "dds.ev.", "igtl-tcp", "igtl-ros-receiver")
+MESSAGE_THREADS = (
+    *("dds.shm.", "dds.udp.", "dds.tcp.", "dds.asyn.", "dds.ev."),
+    *("igtl-tcp", "igtl-ros-receiver", "igtl-passage"),
+)
 #: Threads with such a name that pass none: it removes segments of killed processes.
 _OTHER_THREADS = ("dds.shm.wdog",)
 
