@@ -47,6 +47,9 @@ replay and verification use the settings of the recorded session.
     [igtl]                         # the OpenIGTLink side of a bridge, see ``cli.edge_file``; not recorded
     listen = ["127.0.0.1:18944"]
 
+    [host]                         # scheduling of a bridge on this machine, see ``cli.realtime``; not recorded
+    realtime_priority = 20
+
 Rows may override ros_unit, igtl_unit, stamp and, as ``qos = { depth = 10, reliable = true, latched = false }``,
 the quality of service.  By default, the messages of a device are published on ``/igtl/in/<device>/<kind>``, and ROS
 messages on topics below ``/igtl/out/`` are sent to the peers.
