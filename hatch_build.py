@@ -15,6 +15,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 SOURCES = (
     Path("igtl_gateway/convert/_express.c"),
+    Path("igtl_gateway/passage/_passage.c"),
     Path("igtl_gateway/sessionfile/_chunk.c"),
 )
 #: Results have to be those of Python's floats: no fused or reordered arithmetic.
@@ -22,10 +23,11 @@ FLAGS = ("-O3", "-fPIC", "-shared", "-std=gnu11", "-ffp-contract=off", "-Wall", 
 
 
 def compiled(root: Path, source: Path) -> Path | None:
-    """Compile a source beside it; None where that is not possible."""
+    """Compile a source, with the result beside it; None where that is not possible."""
     target = root / source.with_suffix(sysconfig.get_config_var("EXT_SUFFIX") or ".so")
     compiler = shlex.split(sysconfig.get_config_var("CC") or "cc")[0]
-    command = [compiler, *FLAGS, f"-I{sysconfig.get_path('include')}", "-o", str(target), str(root / source), "-lm"]
+    include = f"-I{sysconfig.get_path('include')}"
+    command = [compiler, *FLAGS, include, "-o", str(target), str(root / source), "-lm", "-pthread"]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except (OSError, subprocess.CalledProcessError):
@@ -44,14 +46,12 @@ class Hook(BuildHookInterface[Any]):
         if self.target_name != "wheel":
             return
         root = Path(self.root)
-        targets = [target for source in SOURCES if (target := compiled(root, source))]
-        if len(targets) < len(SOURCES):
-            self.app.display_warning(
-                "no C compiler or no Python headers: igtl-gateway is installed without its C parts, or some of them"
-            )
-        if not targets:
-            return
-        build_data["pure_python"] = False
-        build_data["infer_tag"] = True
-        for target in targets:
+        for source in SOURCES:
+            target = compiled(root, source)
+            if target is None:
+                cause = "no C compiler, no Python headers, or a system that lacks what it uses"
+                self.app.display_warning(f"{cause}: igtl-gateway is installed without {source.name}")
+                continue
+            build_data["pure_python"] = False
+            build_data["infer_tag"] = True
             build_data["force_include"][str(target)] = str(target.relative_to(root))

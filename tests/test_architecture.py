@@ -45,6 +45,7 @@ LEVELS = {
     "wire": 1,
     "wire.header": 1,  # the places of its fields, for modules that need no whole message
     "faults": 1,
+    "passage": 1,  # the part in C; without it, nothing
     "config": 2,
     "convert": 2,
     "gateway": 3,
@@ -62,6 +63,7 @@ LEVELS = {
     "sessionfile": 4,
     "view": 4,
     "child": 4,
+    "passage.streams": 4,
     "app": 5,
     "cli": 6,
     "testing": 6,

@@ -18,6 +18,7 @@ from typing import Any
 from igtl_gateway import __version__
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
 from igtl_gateway.app.hub import Hub, Sink
+from igtl_gateway.app.passage import BridgePassage, make_passage
 from igtl_gateway.app.recording import serve_recording
 from igtl_gateway.app.timer import Timer
 from igtl_gateway.app.video import VideoCodecs
@@ -34,6 +35,7 @@ from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics, Pee
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.globs import matches
 from igtl_gateway.once import Once
+from igtl_gateway.passage.streams import OnPassed
 from igtl_gateway.qos import Qos
 from igtl_gateway.realtime import RealtimeOptions
 from igtl_gateway.record.options import RecordOptions
@@ -85,6 +87,7 @@ class BridgeOptions:
         video: options of the codec from ROS images to VIDEO and back; None: neither encode nor decode.
         diagnostics: publish the state of the bridge on /diagnostics once a second.
         realtime: scheduling of the threads that pass messages.
+        native: let messages of compiled streams pass natively, where that is possible.
     """
 
     listen: tuple[Address, ...] = ()
@@ -102,6 +105,7 @@ class BridgeOptions:
     video: VideoOptions | None = None
     diagnostics: bool = False
     realtime: RealtimeOptions = field(default_factory=RealtimeOptions)
+    native: bool = True
 
 
 class Bridge:
@@ -111,8 +115,10 @@ class Bridge:
         config: the options that influence the content of messages; stored in the recording.
         options: the options that do not.
         clock: source of gateway time and monotonic time.
-        on_entry: called with every entry.
+        on_entry: called with every entry, except those that ``on_passed`` counts.
         viewer: called with every entry; the gateway then also builds outputs without a subscriber.
+        on_passed: called with kind and number of the entries that passed natively.  Without it (and with a viewer) none
+            do, if ``on_entry`` is given.
     """
 
     def __init__(
@@ -122,6 +128,7 @@ class Bridge:
         clock: Clock,
         on_entry: OnEntry | None = None,
         viewer: OnEntry | None = None,
+        on_passed: OnPassed | None = None,
     ) -> None:
         self.options = options
         self.gateway = make_core(config)
@@ -139,7 +146,9 @@ class Bridge:
         if options.record:
             sinks.append(self._record)
         sinks += [watcher for watcher in (on_entry, viewer) if watcher]
-        self.hub = Hub(Session(self.gateway), clock, sinks)
+        sees_all = viewer is not None or (on_entry is not None and on_passed is None)
+        passage = make_passage(clock) if options.native and not (sees_all or config.relay) else None
+        self.hub = Hub(Session(self.gateway, passage), clock, sinks, passage)
         self._timer = Timer(
             self.hub.tick,
             lambda: self.gateway.due_ns,
@@ -157,6 +166,7 @@ class Bridge:
             limits=options.limits,
             allow=options.allow,
             tls=options.tls,
+            passage=passage,
         )
         self.ros: RosEdge | None = None
         self._all_built = viewer is not None or options.record is not None  # also outputs without a subscriber
@@ -167,6 +177,7 @@ class Bridge:
                 wants=self.subscription_for,
                 on_note=self._on_edge_note,
                 on_listener=self._on_first_subscriber,
+                passage=passage,
             )
             if not self._all_built:
                 self.gateway.has_subscriber = self._has_subscriber
@@ -174,6 +185,9 @@ class Bridge:
                 self._diagnostics = Diagnostics(platform.node())
             if options.video:
                 self.video = VideoCodecs(options.video, config, self.hub, self.ros)
+        self._passage: BridgePassage | None = None
+        if passage:
+            self._passage = BridgePassage(passage, self.gateway, self.tcp, self.ros, on_passed or _ignore)
 
     def start(self) -> None:
         """Open both sides and the recording.
@@ -205,7 +219,10 @@ class Bridge:
                     clock=self._clock,
                     options=self.options.recording,
                     rule=state_rule(self.gateway.config),
+                    lock=self._passage.recorder_lock if self._passage else None,
                 )
+            if self._passage:
+                self._passage.start(self.recorder, builds_all=self.gateway.has_subscriber is None)
             if self.ros:
                 self.ros.start()
                 self._publish_initial_state(self.ros)
@@ -251,6 +268,8 @@ class Bridge:
         if self.video:
             self.video.stop()
         self.tcp.stop()
+        if self._passage:
+            self._passage.stop()
         if self.ros:
             self.ros.stop()
         if not self.losses:
@@ -259,8 +278,14 @@ class Bridge:
         if self.recorder and not self.summary:
             self.summary = self.recorder.close(self.losses)
 
+    def collect(self) -> None:
+        """Take over what was counted natively."""
+        if self._passage:
+            self._passage.collect()
+
     def ledger(self) -> dict[str, Any]:
         """Return the loss ledger: the counts of the gateway by stream, and those of the edges, as JSON values."""
+        self.collect()
         sent = {
             str(link): {
                 "sent_messages": counts.sent_messages,
@@ -307,6 +332,7 @@ class Bridge:
         diagnostics = self._diagnostics
         if not diagnostics or not self.ros or not self.ros.has_subscriber(DIAGNOSTICS_TOPIC):
             return
+        self.collect()
         counters = self.tcp.counters()
         peers = [
             PeerFacts(
@@ -383,6 +409,10 @@ class Bridge:
         """Whether the recording has failed and the options require the bridge to stop."""
         failed = self.recorder is not None and bool(self.recorder.failure)
         return failed and self.options.recording.stop_on_failure
+
+
+def _ignore(_kind: Kind, _number: int) -> None:
+    """The entries are not counted."""
 
 
 def state_rule(config: Config) -> StateInputRule:

@@ -11,6 +11,8 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
+from igtl_gateway.app.sequence import PythonSequence
+from igtl_gateway.app.sequence import Sequence as InputSequence
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.clock import Clock
 from igtl_gateway.gateway import TICK, Session
@@ -37,17 +39,18 @@ class Hub:
         session: the sequencer with its gateway.
         clock: source of gateway time.
         sinks: called with every entry, in order.
+        sequence: the lock and the numbers; those of the session, if it has any.
     """
 
-    def __init__(self, session: Session, clock: Clock, sinks: Sequence[Sink]) -> None:
+    def __init__(
+        self, session: Session, clock: Clock, sinks: Sequence[Sink], sequence: InputSequence | None = None
+    ) -> None:
         self._session = session
         self._clock = clock
         self._utc_ns = clock.utc_ns
-        self._last_ns = 0  # gateway time of the last input
-        self._ahead_ns = 0  # gateway time less the time of the host's clock
         self._offset_ns: int | None = None  # the host's clock less the monotonic clock
         self._sinks = tuple(sinks)
-        self._lock = threading.Lock()
+        self.sequence: InputSequence = sequence or PythonSequence()
         self._owner = 0
         self._noted = Once()  # sinks whose failure was reported
         # inputs that a sink submits while this thread has the lock: they are processed after the current entries
@@ -72,27 +75,28 @@ class Hub:
 
     def now_ns(self) -> int:
         """Return gateway time."""
-        return self._utc_ns() + self._ahead_ns
+        return self._utc_ns() + self.sequence.ahead_ns
 
     def tick(self) -> int | None:
         """Submit a tick if a deadline of the gateway has come, and a note if the host's clock was set.
 
         Returns the deadline (gateway time, UTC ns), None if there is none.
         """
-        with self._lock:  # the peers and commands of the gateway change only under this lock
+        with self.sequence:  # the peers and commands of the gateway change only under this lock
             self._owner = threading.get_ident()
             try:
                 self._check_clock()
                 self._process_waiting()
             finally:
                 self._owner = 0
+            self._session.collect()
             due_ns = self._session.gateway.due_ns
         if due_ns is not None and due_ns <= self.now_ns():
             self.note(Note(Level.INFO, TICK, "a deadline has come"))
         return due_ns
 
     def _check_clock(self) -> None:
-        """Submit a note if the host's clock was set, and adapt ``_ahead_ns``; the caller has the lock.
+        """Submit a note if the host's clock was set, and adapt ``ahead_ns``; the caller has the lock.
 
         After a step backwards, gateway time would otherwise not advance until the host's clock reaches it again.
         """
@@ -106,8 +110,8 @@ class Hub:
         if self._offset_ns is None or abs(step_ns) >= LEAST_NS:
             self._offset_ns = offset_ns
         if abs(step_ns) >= LEAST_NS:
-            step = ClockStep.after(step_ns, self._ahead_ns)
-            self._ahead_ns = step.ahead_ns
+            step = ClockStep.after(step_ns, self.sequence.ahead_ns)
+            self.sequence.ahead_ns = step.ahead_ns
             self._process(Kind.EDGE_NOTE, step.note().pack(), "", "", (), 0)
 
     def _submit(
@@ -123,7 +127,7 @@ class Hub:
         if self._owner == me:
             self._waiting.append((kind, payload, channel, type_name, links, source_ns))
             return
-        with self._lock:
+        with self.sequence:
             self._owner = me
             try:
                 self._process(kind, payload, channel, type_name, links, source_ns)
@@ -138,11 +142,11 @@ class Hub:
     def _process(
         self, kind: Kind, payload: Buffer, channel: str, type_name: str, links: tuple[int, ...], source_ns: int
     ) -> None:
-        now_ns = self._utc_ns() + self._ahead_ns
-        if now_ns < self._last_ns:
+        now_ns = self._utc_ns() + self.sequence.ahead_ns
+        if now_ns < self.sequence.last_ns:
             self._check_clock()
-            now_ns = self._utc_ns() + self._ahead_ns
-        self._last_ns = now_ns
+            now_ns = self._utc_ns() + self.sequence.ahead_ns
+        self.sequence.last_ns = now_ns
         entries = self._session.input(
             now_ns,
             kind,

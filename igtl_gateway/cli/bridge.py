@@ -180,7 +180,7 @@ def run(options: argparse.Namespace) -> int:
     with stop_event() as stop:
         notes = [tune_malloc()] if options.no_ros else prepare_environment()
         window = _window(config) if options.view else None
-        bridge = Bridge(config, bridge_options, clock, watch, window)
+        bridge = Bridge(config, bridge_options, clock, watch, window, watch.add)
         status = BridgeStatus(bridge, watch, clock)
         metrics = _start(bridge, options, status, window)
         out: BridgeOutput = JsonOutput(clock) if options.log_format == "json" else TextOutput(is_terminal())
@@ -192,6 +192,7 @@ def run(options: argparse.Namespace) -> int:
                 while not stop.wait(_STATUS_EVERY_S):
                     out.events(watch.take())
                     seconds = (clock.monotonic_ns() - started_ns) / NS_PER_S
+                    bridge.collect()
                     out.status(bridge, watch, seconds)
                     if metrics:
                         status.sample()

@@ -55,6 +55,10 @@ class EntryWatch:
             self.refused += note.level >= Level.ERROR
             self._events.append(Event(entry.stamp_ns, entry.kind, note, entry.links))
 
+    def add(self, kind: Kind, number: int) -> None:
+        """Count entries that passed natively."""
+        self.counts[kind] += number
+
     def take(self) -> list[Event]:
         """Return the notes since the last call."""
         taken = []

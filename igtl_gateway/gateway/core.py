@@ -144,7 +144,12 @@ class Gateway:
             outputs = self._accounts.fail(entry, error)
         if self.deadline_set:
             self.deadline_set()
+        self.fast_path.end_full_path(entry)
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
+
+    def collect(self) -> None:
+        """Take over what the native passage has counted."""
+        self.fast_path.collect()
 
     # -- queries by the edges: none of them changes what influences outputs ------------------------------------
 

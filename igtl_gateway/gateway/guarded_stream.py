@@ -44,6 +44,9 @@ _WORDS = {
 }
 
 Place = tuple[float, float, float]
+#: Watched, judged by Python only, reported as without a stamp, maximum age, ``ahead_ns``, stamp of the last message,
+#: ``look_ns``, time of the next check, stamp and time of the last check, checks with that stamp, translation then.
+NativeState = tuple[bool, bool, bool, int, int, int, int, int, int, int, int, Place | None]
 #: Level, code and text of a note.
 Remark = tuple[Level, str, str]
 
@@ -101,6 +104,41 @@ class GuardedStream:
         """Age of the last checked message; None if it had no stamp, and before the first check."""
         known = self._seen_ns not in (0, self.arrived_ns)
         return self.arrived_ns - self.ahead_ns - self._seen_ns if known else None
+
+    # -- the native passage -------------------------------------------------------------------------------------
+
+    def native_state(self) -> NativeState:
+        """Return what the native passage needs to judge messages that give no reason for a remark."""
+        return (
+            self._watch,
+            bool(self.stale or self.episodes),
+            self._unknown_said,
+            self._max_age_ns,
+            self.ahead_ns,
+            self.last_ns,
+            self.look_ns,
+            self._due_ns,
+            self._seen_ns,
+            self.arrived_ns,
+            self._still,
+            self._place,
+        )
+
+    def after_native(
+        self,
+        state: tuple[int, int, int, int, int, int, Place | None],
+        looks: Sequence[tuple[int, int]],
+    ) -> None:
+        """Take over the state after messages that the native passage has judged.
+
+        Args:
+            state: stamp of the last message, ``look_ns``, time of the next check, stamp and time of the last check,
+                number of checks with that stamp, translation at the last check.
+            looks: stamp (0: unset) and time of arrival by the host's clock of each check; UTC ns.
+        """
+        self.last_ns, self.look_ns, self._due_ns, self._seen_ns, self.arrived_ns, self._still, self._place = state
+        for stamp_ns, arrival_ns in looks:
+            self.timing.add(stamp_ns, arrival_ns)
 
     # -- maximum age --------------------------------------------------------------------------------------------
 

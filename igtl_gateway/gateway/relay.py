@@ -61,6 +61,9 @@ class RelayGateway:
         self._lines: dict[int, FaultLine[Entry]] = {}  # link → fault line of the messages to it
         self._cut: set[int] = set()  # links that are being closed
 
+    def collect(self) -> None:
+        """Nothing passes natively."""
+
     def handle(self, entry: Entry) -> list[Entry]:
         """Return the entries that ``entry`` causes, with the numbers and nanoseconds directly after it."""
         outputs: list[Output] = []

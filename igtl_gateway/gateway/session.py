@@ -43,6 +43,8 @@ class Core(Protocol):
 
     def handle(self, entry: Entry) -> list[Entry]: ...
 
+    def collect(self) -> None: ...
+
     def subscription(self, topic: str, ros_type: str) -> Qos | None: ...
 
     def lacks_conversion(self, topic: str, ros_type: str) -> bool: ...
@@ -57,14 +59,29 @@ def make_core(config: Config, *, fast_path: bool = True) -> Core:
     return RelayGateway(config) if config.relay else Gateway(config, fast_path=fast_path)
 
 
-class Session:
-    """A core with the numbering of the entries."""
+class Numbers(Protocol):
+    """Number and gateway time (UTC ns) of the last entry."""
 
-    def __init__(self, gateway: Core) -> None:
+    seq: int
+    stamp_ns: int
+
+
+class _Numbers:
+    def __init__(self) -> None:
+        self.seq = self.stamp_ns = 0
+
+
+class Session:
+    """A core with the numbering of the entries.
+
+    Args:
+        numbers: where the last number is kept, if the native passage numbers entries, too.
+    """
+
+    def __init__(self, gateway: Core, numbers: Numbers | None = None) -> None:
         self.gateway = gateway
         self._fast = gateway.fast
-        self._seq = 0
-        self._stamp_ns = 0
+        self._numbers = numbers or _Numbers()
 
     def input(
         self,
@@ -81,17 +98,22 @@ class Session:
 
         Channel, type and stamp of OpenIGTLink input are read from its header.
         """
-        stamp_ns = max(
-            now_ns, self._stamp_ns + 1
-        )  # stamps increase in the order of the log, even if the host's clock steps back
-        entries = self._fast(self._seq + 1, stamp_ns, kind, payload, channel, type_name, links, source_ns)
+        numbers = self._numbers
+        seq = numbers.seq + 1
+        # stamps increase in the order of the log, even if the host's clock steps back
+        stamp_ns = max(now_ns, numbers.stamp_ns + 1)
+        entries = self._fast(seq, stamp_ns, kind, payload, channel, type_name, links, source_ns)
         if not entries:
             if kind is Kind.IGTL_IN:
                 channel, type_name, source_ns = header_names(payload[0])
-            entry = Entry(self._seq + 1, stamp_ns, kind, channel, type_name, payload, links, source_ns)
+            entry = Entry(seq, stamp_ns, kind, channel, type_name, payload, links, source_ns)
             entries = [entry, *self.gateway.handle(entry)]
-        self._seq, self._stamp_ns = entries[-1].seq, entries[-1].stamp_ns
+        numbers.seq, numbers.stamp_ns = entries[-1].seq, entries[-1].stamp_ns
         return entries
+
+    def collect(self) -> None:
+        """Take over what the native passage has counted: deadlines depend on it."""
+        self.gateway.collect()
 
     def recorded(self, entry: Entry) -> list[Entry]:
         """Return the entries that a recorded input causes, numbered after it; always by the full path.
@@ -100,7 +122,7 @@ class Session:
         """
         outputs = self.gateway.handle(entry)
         last = outputs[-1] if outputs else entry
-        self._seq, self._stamp_ns = last.seq, last.stamp_ns
+        self._numbers.seq, self._numbers.stamp_ns = last.seq, last.stamp_ns
         return outputs
 
 

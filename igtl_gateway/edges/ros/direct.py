@@ -32,11 +32,16 @@ class RclPublisher(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DirectPublisher:
-    """The methods of a publisher, without the layers above them; see ``RclPublisher``."""
+    """The methods of a publisher, without the layers above them; see ``RclPublisher``.
+
+    Attributes:
+        pointer: address of the rcl_publisher_t; 0: unknown.
+    """
 
     publish: Callable[[bytes], None]
     get_subscription_count: Callable[[], int]
     wait_for_all_acked: Callable[[Any], bool]
+    pointer: int = 0
 
 
 def direct_publisher(publisher: Any) -> RclPublisher:
@@ -56,7 +61,8 @@ def direct_publisher(publisher: Any) -> RclPublisher:
         else:
             large(cdr)
 
-    return DirectPublisher(publish, handle.get_subscription_count, publisher.wait_for_all_acked)
+    pointer = getattr(handle, "pointer", 0)
+    return DirectPublisher(publish, handle.get_subscription_count, publisher.wait_for_all_acked, pointer)
 
 
 def closed_publisher() -> RclPublisher:
@@ -85,11 +91,26 @@ class _Serialized(ctypes.Structure):
     )
 
 
+class Rcl:
+    """Functions of the rcl that rclpy has loaded.  Raises OSError or AttributeError for what cannot be found."""
+
+    def __init__(self) -> None:
+        self._library = ctypes.CDLL("librcl.so")
+
+    def function(self, name: str) -> Any:
+        """Return a function for calls from Python."""
+        return getattr(self._library, name)
+
+    def address(self, name: str) -> int:
+        """Return the address of a function, for the native passage."""
+        return ctypes.cast(self.function(name), ctypes.c_void_p).value or 0
+
+
 @cache
 def _rcl_publish() -> Any:
-    """Return ``rcl_publish_serialized_message`` of the rcl that rclpy has loaded; None if it cannot be found."""
+    """Return ``rcl_publish_serialized_message``; None if it cannot be found."""
     try:
-        function = ctypes.CDLL("librcl.so").rcl_publish_serialized_message
+        function = Rcl().function("rcl_publish_serialized_message")
     except (OSError, AttributeError):
         return None
     function.argtypes = (ctypes.c_void_p, ctypes.POINTER(_Serialized), ctypes.c_void_p)

@@ -22,15 +22,19 @@ import atexit
 from collections.abc import Callable
 from typing import Any
 
+from igtl_gateway.edges.ros.direct import Rcl
 from igtl_gateway.edges.ros.graph import Graph, Publication
 from igtl_gateway.edges.ros.keeper import Keeper
 from igtl_gateway.edges.ros.middleware import first_line, import_rclpy, interface_class
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.publishing import Publishing
-from igtl_gateway.edges.ros.receiver import DirectReceiver, ExecutorReceiver, Receiver
+from igtl_gateway.edges.ros.receiver import DirectReceiver, ExecutorReceiver, NativeReceiver, Receiver
 from igtl_gateway.edges.ros.reports import OnNote, Reports
 from igtl_gateway.edges.ros.streams import Topics, TopicSubscription
 from igtl_gateway.edges.ros.subscribing import Callback, OnMessage, Subscribing, Wants, message_callback
+from igtl_gateway.passage import Passage
+from igtl_gateway.passage import Publisher as NativePublisher
+from igtl_gateway.passage import Subscription as NativeSubscription
 from igtl_gateway.qos import Endpoint, Qos
 from igtl_gateway.session.note import Level
 
@@ -49,6 +53,7 @@ class RosEdge:
         on_note: called with facts (subscribed, unknown type, losses …), from any thread.
         on_listener: called with the topic when a subscriber joins what we publish, at once.
         direct: receive by our own wait set; False (or an rclpy without its internals) by the executor.
+        passage: the native passage, whose streams the topics may have; None: there is none.
 
     Attributes:
         publish, count_if_unsubscribed, has_subscriber: see `Publishing`.  They are its methods, without a layer in
@@ -65,9 +70,11 @@ class RosEdge:
         on_note: OnNote,
         on_listener: Callable[[str], None] | None = None,
         direct: bool = True,
+        passage: Passage | None = None,
     ) -> None:
         self._on_message = on_message
         self._direct = direct
+        self._passage = passage
         self._topics = Topics()
         self._reports = Reports(on_note)
         self._node = RosNode(node_name, namespace, self._reports)
@@ -169,6 +176,19 @@ class RosEdge:
         """
         return self._publishing.wait_acked(topic, timeout_s)
 
+    def native_subscription(self, topic: str, type_name: str) -> NativeSubscription | None:
+        """Return a subscription as the native passage has it; None: all its messages are Python's."""
+        return self._subscribing.native(topic, type_name)
+
+    def native_publisher(self, topic: str, type_name: str) -> NativePublisher | None:
+        """Return a publisher for the native passage; None: Python publishes."""
+        return self._publishing.native(topic, type_name)
+
+    def sync(self) -> None:
+        """Take over what the native passage has counted."""
+        self._subscribing.sync()
+        self._publishing.sync()
+
     def counters(self) -> dict[str, dict[str, int]]:
         """Per topic: messages received, published, held now, lost (before we took them, or while held), failed."""
         return self._reports.counters()
@@ -179,6 +199,8 @@ class RosEdge:
 
     def _make_receiver(self, context: Any) -> Receiver:
         if self._direct:
+            if self._passage and DirectReceiver.available(self._node.rclpy):
+                return NativeReceiver(self._passage, Rcl(), self._on_receive_error)
             if DirectReceiver.available(self._node.rclpy):
                 return DirectReceiver(self._node.rclpy, context, self._on_receive_error)
             self._reports.note(Level.WARN, "ros_slow", "this rclpy lacks a wait set: its executor receives, slowly")

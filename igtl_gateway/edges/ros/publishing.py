@@ -13,6 +13,7 @@ from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.edges.ros.streams import HOLD_MESSAGES, EchoFilter, TopicPublisher, Topics
 from igtl_gateway.errors import RosError
+from igtl_gateway.passage import Publisher as NativePublisher
 from igtl_gateway.qos import Qos
 from igtl_gateway.stamp import NS_PER_S
 
@@ -106,6 +107,20 @@ class Publishing:
             return False
         publisher.counts.unheard += 1
         return True
+
+    def native(self, topic: str, type_name: str) -> NativePublisher | None:
+        """Return a publisher for the native passage; None: Python publishes, such as while messages are held."""
+        publisher = self._publishers.get(topic)
+        if publisher is None or publisher.type_name != type_name or not publisher.ready or publisher.echo is not None:
+            return None
+        if publisher.native is None and (pointer := getattr(publisher.publisher, "pointer", 0)):
+            publisher.native = NativePublisher(pointer)
+        return publisher.native
+
+    def sync(self) -> None:
+        """Take over what the native passage has counted."""
+        for publisher in self._all():
+            self._reports.publish_failed(publisher.topic, publisher.sync())
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> TopicPublisher | None:
         """The publisher of the topic, made if there is none; None (and a note) if that is impossible."""

@@ -12,6 +12,11 @@ import threading
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from igtl_gateway.edges.ros.direct import Rcl
+from igtl_gateway.errors import RosError
+from igtl_gateway.passage import Passage
+from igtl_gateway.passage import Subscription as NativeSubscription
+
 #: Fields of the events of rclpy with the number of changes; an event without any has zeros.
 _CHANGES = ("total_count_change", "current_count_change")
 # Bounds for the messages of one topic before the next one has its turn; one as large as a picture reaches the second.
@@ -29,8 +34,12 @@ class Receiver(Protocol):
 
     def start(self) -> None: ...
 
-    def add(self, subscription: Any) -> None:
-        """Take from this subscription too; callable at any time from any thread."""
+    def add(self, subscription: Any) -> NativeSubscription | None:
+        """Take from this subscription too; callable at any time from any thread.
+
+        Returns:
+            The subscription in the native passage; None without one.
+        """
         ...
 
     def poll_events(self) -> None:
@@ -60,6 +69,21 @@ class ExecutorReceiver:
         """The executor thread is the edge's."""
 
 
+class _EventPolling:
+    """Events of subscriptions, which no executor waits for."""
+
+    def __init__(self) -> None:
+        self._events: list[Any] = []
+
+    def poll_events(self) -> None:
+        for handler in list(self._events):
+            # EventHandler.is_ready sets it when a wait set reports an event; we take it without waiting
+            handler._ready_to_take_data = True
+            event = handler.take_data()
+            if event is not None and any(getattr(event, name, 0) for name in _CHANGES):
+                handler.callback(event)
+
+
 class _UnmanagedCallbackGroup:
     """A callback group (duck-typed, see `rclpy.callback_groups`) whose entities no executor waits for.
 
@@ -80,20 +104,89 @@ class _UnmanagedCallbackGroup:
         """Nothing begins, so nothing ends."""
 
 
-class DirectReceiver:
+class NativeReceiver(_EventPolling):
+    """The native passage takes, in the threads of the middleware; what it does not pass on, our own thread takes.
+
+    Args:
+        passage: the native passage.
+        rcl: finds functions of rcl.
+        on_error: called with what a callback or rcl raises.
+    """
+
+    def __init__(self, passage: Passage, rcl: Rcl, on_error: OnError) -> None:
+        super().__init__()
+        self.group = _UnmanagedCallbackGroup()
+        self._passage = passage
+        self._set_callback = rcl.address("rcl_subscription_set_on_new_message_callback")
+        passage.use_rcl(
+            rcl.address("rcl_take_serialized_message"),
+            rcl.address("rcl_publish_serialized_message"),
+            rcl.address("rcl_publisher_get_subscription_count"),
+        )
+        self._on_error = on_error
+        self._callbacks: dict[NativeSubscription, Callable[..., None]] = {}
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="igtl-ros-receiver", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def add(self, subscription: Any) -> NativeSubscription:
+        native = NativeSubscription(self._passage, subscription.handle.pointer)
+        self._events += subscription.event_handlers
+        self._callbacks = {**self._callbacks, native: subscription.callback}
+        # it is Python's as long as it has no stream, so this cannot wait for the sequence lock
+        if code := self._passage.set_callback(self._set_callback, native, True):
+            raise RosError(f"rcl does not report new messages (code {code})")
+        return native
+
+    def stop(self) -> None:
+        for native in self._callbacks:
+            self._passage.set_callback(self._set_callback, native, False)
+        self._stopping = True
+        self._passage.wake()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stopping:
+            for native in self._passage.wait_subscriptions():
+                self._take(native)
+
+    def _take(self, native: NativeSubscription) -> None:
+        callback, size = self._callbacks[native], 0
+        for _ in range(_TAKE_AT_MOST):
+            try:
+                taken = native.take()
+            except RuntimeError as error:  # the middleware refuses one topic: the others go on
+                self._on_error(error)
+                return
+            if taken is None or self._stopping:
+                return
+            cdr, source_ns, number = taken
+            try:
+                callback(cdr, {"source_timestamp": source_ns, "publication_sequence_number": number})
+            except Exception as error:  # a defect of our own costs this message
+                self._on_error(error)
+            size += len(cdr)
+            if size > _TAKE_BYTES:
+                break
+        native.again()
+
+
+class DirectReceiver(_EventPolling):
     """A thread around one wait set of our own.
 
     It uses internals of rclpy: `available` checks for them.
     """
 
     def __init__(self, rclpy: Any, context: Any, on_error: OnError) -> None:
+        super().__init__()
         self.group = _UnmanagedCallbackGroup()
         self._implementation = rclpy.impl.implementation_singleton.rclpy_implementation
         self._context = context
         self._on_error = on_error
         self._wake = rclpy.guard_condition.GuardCondition(None, None, context=context)
         self._sources: list[tuple[Any, Any, Callable[..., None]]] = []
-        self._events: list[Any] = []
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="igtl-ros-receiver", daemon=True)
 
@@ -119,14 +212,6 @@ class DirectReceiver:
         # a new list each time: the thread may be walking the old one
         self._sources = [*self._sources, (subscription.handle, subscription.msg_type, subscription.callback)]
         self._wake.trigger()
-
-    def poll_events(self) -> None:
-        for handler in list(self._events):
-            # EventHandler.is_ready sets it when a wait set reports an event; we take it without waiting
-            handler._ready_to_take_data = True
-            event = handler.take_data()
-            if event is not None and any(getattr(event, name, 0) for name in _CHANGES):
-                handler.callback(event)
 
     def stop(self) -> None:
         self._stopping = True

@@ -14,6 +14,8 @@ from typing import Any
 from igtl_gateway.clock import Clock
 from igtl_gateway.edges.ros.direct import RclPublisher, closed_publisher
 from igtl_gateway.edges.ros.middleware import first_line
+from igtl_gateway.passage import Publisher as NativePublisher
+from igtl_gateway.passage import Subscription as NativeSubscription
 from igtl_gateway.qos import Qos
 
 #: Messages held for one topic until its subscribers are matched: 2 s of a 1 kHz stream.
@@ -109,16 +111,18 @@ class TopicSubscription:
         self.echo = echo
         self.noted_lost = 0
         self.subscription: Any = None
+        self.native: NativeSubscription | None = None
         self._publishers = 0
         self._last = 0
         self._unconfirmed = 0
 
     def matched(self, publishers: int) -> None:
         """The number of matched publishers has changed.  Called by another thread, perhaps after the first messages."""
+        self.sync()
         if self._publishers == 0 and publishers == 1:
             self.counts.lost += self._unconfirmed
         else:
-            self._last = 0  # another publisher counts from another number
+            self._set_last(0)  # another publisher counts from another number
         self._unconfirmed = 0
         self._publishers = publishers
 
@@ -129,11 +133,27 @@ class TopicSubscription:
 
     def received(self, sequence: int | None) -> None:
         """A message with its publisher's number (None or 0 where the middleware gives none)."""
+        self.sync()
         self.counts.received += 1
         if not sequence:
             return
         missing = sequence - self._last - 1 if self._last else 0
+        self._set_last(sequence)
+        self._count_missing(missing)
+
+    def sync(self) -> None:
+        """Take over what the native passage has counted."""
+        if self.native:
+            received, missing, self._last = self.native.collect()
+            self.counts.received += received
+            self._count_missing(missing)
+
+    def _set_last(self, sequence: int) -> None:
         self._last = sequence
+        if self.native:
+            self.native.last_number = sequence
+
+    def _count_missing(self, missing: int) -> None:
         if missing > 0:
             if self._publishers == 1:
                 self.counts.lost += missing
@@ -152,6 +172,7 @@ class TopicPublisher:
         self.topic = topic
         self.type_name = type_name
         self.publisher = publisher
+        self.native: NativePublisher | None = None
         self.qos = qos
         self.counts = counts
         self.echo: EchoFilter | None = None
@@ -179,6 +200,16 @@ class TopicPublisher:
             return first_line(error)
         self.counts.published += 1
         return ""
+
+    def sync(self) -> str:
+        """Take over what the native passage has counted; returns a failure, or ``""``."""
+        if self.native is None:
+            return ""
+        published, unheard, failed = self.native.collect()
+        self.counts.published += published
+        self.counts.unheard += unheard
+        self.counts.failed += failed
+        return f"rcl refused {failed} messages" if failed else ""
 
     def close(self) -> None:
         """The publisher is about to be destroyed: all further messages fail."""

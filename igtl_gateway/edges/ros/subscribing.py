@@ -13,6 +13,7 @@ from igtl_gateway.edges.ros.receiver import Receiver
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.edges.ros.streams import EchoFilter, Topics, TopicSubscription
 from igtl_gateway.errors import RosError
+from igtl_gateway.passage import Subscription as NativeSubscription
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.note import Level
 
@@ -123,6 +124,7 @@ class Subscribing:
         with self._node.lock:
             subscriptions = list(self._subscriptions.values())
         for one in subscriptions:
+            one.sync()
             lost = one.counts.lost - one.noted_lost
             if lost:
                 one.noted_lost += lost
@@ -159,8 +161,20 @@ class Subscribing:
             raw=True,
         )
         self._subscriptions[topic] = subscription
-        self._receiver.add(subscription.subscription)
+        subscription.native = self._receiver.add(subscription.subscription)
         return qos
+
+    def native(self, topic: str, type_name: str) -> NativeSubscription | None:
+        """Return a subscription as the native passage has it; None: all its messages are Python's."""
+        subscription = self._subscriptions.get(topic)
+        if subscription is None or subscription.type_name != type_name or subscription.echo is not None:
+            return None
+        return subscription.native
+
+    def sync(self) -> None:
+        """Take over what the native passage has counted."""
+        for subscription in list(self._subscriptions.values()):
+            subscription.sync()
 
     def _note_incompatible(self, topic: str, event: Any) -> None:
         policy = self._node.rclpy.qos.qos_policy_name_from_kind(event.last_policy_kind)

@@ -14,12 +14,15 @@ from igtl_gateway.edges.tcp.link import FLUSH_S
 from igtl_gateway.edges.tcp.link_info import LinkCounters, LinkInfo, PeerLimits
 from igtl_gateway.edges.tcp.link_parts import LinkContext
 from igtl_gateway.edges.tcp.loop import Loop
+from igtl_gateway.edges.tcp.native_reader import NativeReader
 from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.registry import LinkRegistry
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.sockets import AllowList
 from igtl_gateway.edges.tcp.tls import TlsFiles
+from igtl_gateway.passage import Link as NativeLink
+from igtl_gateway.passage import Passage
 from igtl_gateway.session.note import Note
 from igtl_gateway.stamp import NS_PER_S
 
@@ -48,6 +51,7 @@ class TcpEdge:
         limits: what a peer may cost.
         allow: networks (CIDR) whose peers may connect beside this host's own, or ``"any"``.
         tls: files for the connections with TLS.
+        passage: the native passage, whose streams the links may have; None: there is none.
         when_full: ``"drop"``: ``send`` never waits, see ``Outbox``; ``"block"``: ``send`` waits for room and
             nothing is lost while the link is up (except in callbacks, which must not wait for themselves).
 
@@ -65,6 +69,7 @@ class TcpEdge:
         allow: Sequence[str] = (),
         when_full: Literal["drop", "block"] = "drop",
         tls: TlsFiles = _NO_FILES,
+        passage: Passage | None = None,
     ) -> None:
         self._blocking = when_full == "block"
         self._loop = Loop(clock, self._run, self._failed)
@@ -80,7 +85,9 @@ class TcpEdge:
             self._faults,
             on_frame,
             self._drained,
+            passage,
         )
+        self._native_reader = NativeReader(passage, self._attend) if passage else None
         self._registry = LinkRegistry(context, on_link)
         self._links = self._registry.links  # the same table, at hand for every message
         self._addresses = Addresses(self._registry, context, AllowList(allow), tls)
@@ -121,6 +128,13 @@ class TcpEdge:
     def start(self) -> None:
         """Start the I/O thread; once."""
         self._loop.start()
+        if self._native_reader:
+            self._native_reader.start()
+
+    def native_link(self, number: int) -> NativeLink | None:
+        """Return a link as the native passage has it; None: its messages are Python's."""
+        link = self._links.get(number)
+        return link.native.link if link and link.native and not self._loop.stopping else None
 
     def send(self, links: Sequence[int], buffers: Sequence[Buffer], stream: str, keep: bool) -> None:
         """Send one message, as buffers one after the other, to each of these links.
@@ -241,6 +255,11 @@ class TcpEdge:
         """An unexpected error of our own code that concerns no single link, listener or server."""
         self._reporter.note_error(exc)
 
+    def _attend(self, number: int) -> None:
+        """The native passage has left something of a link to Python; called by its thread."""
+        if link := self._links.get(number):
+            self._loop.call_soon(link.attend, link.failed)
+
     def _drained(self) -> None:
         self._registry.notify()
 
@@ -249,6 +268,8 @@ class TcpEdge:
         if self._finished:
             return
         self._addresses.close()
+        for link in list(self._links.values()):
+            self._loop.run(link.read_by_python, link.failed)
         self._run_while(self._registry.is_queueing, self._flush_s)
         for link in self._links.values():
             link.end_sending()
@@ -256,6 +277,8 @@ class TcpEdge:
         self._run_while(lambda: bool(self._links), _DRAIN_S)
         for link in list(self._links.values()):
             self._loop.run(link.close, link.failed)
+        if self._native_reader:
+            self._native_reader.stop()
         self._loop.close()
         self._finished = True
 

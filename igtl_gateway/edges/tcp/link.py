@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable
+from functools import partial
 
 from igtl_gateway.edges.tcp.link_info import LinkCounters, Role
-from igtl_gateway.edges.tcp.link_parts import LinkContext
+from igtl_gateway.edges.tcp.link_parts import LinkContext, NativeEnds
 from igtl_gateway.edges.tcp.liveness import Liveness
 from igtl_gateway.edges.tcp.loop import READ, WRITE
 from igtl_gateway.edges.tcp.receiver import Receiver
@@ -14,6 +15,8 @@ from igtl_gateway.edges.tcp.reporter import error_note
 from igtl_gateway.edges.tcp.sender import Sender
 from igtl_gateway.edges.tcp.sockets import address_text, unconfirmed_bytes
 from igtl_gateway.edges.tcp.tls import TlsSocket
+from igtl_gateway.passage import Link as NativeLink
+from igtl_gateway.passage import Lock
 from igtl_gateway.session.note import Level, Note
 
 FLUSH_S = 1.0  # the longest time to send the queue at the end, and to wait until the peer closes
@@ -42,6 +45,7 @@ class Link:
     Attributes:
         announced: the edge has reported the link as up.
         partner: the other link of a relay, whose messages the I/O thread sends.
+        native: the link in the native passage; None: all its messages are Python's.
     """
 
     def __init__(
@@ -64,17 +68,24 @@ class Link:
         self._context = context
         self._closed = closed
         self._loop = context.loop
+        self.native = self._make_native()
         self.sender = self._make_sender()
         self.receiver = self._make_receiver()
         self.liveness = Liveness(sock, self, self.sender, self.receiver, context)
         self._is_finishing = False  # we send no more than the queue; what the peer still sends is read
         self._errors = 0
 
+    def _make_native(self) -> NativeEnds | None:
+        if self._context.passage is None:
+            return None
+        lock = Lock()
+        return NativeEnds(NativeLink(self._context.passage, self.number, self._sock.fileno(), lock), lock)
+
     def _make_sender(self) -> Sender:
-        return Sender(self._sock, self, self._context)
+        return Sender(self._sock, self, self._context, self.native)
 
     def _make_receiver(self) -> Receiver:
-        return Receiver(self._sock, self, self._context)
+        return Receiver(self._sock, self, self._context, self.native)
 
     @property
     def facts(self) -> dict[str, str]:
@@ -85,9 +96,10 @@ class Link:
         """Counts so far; for any thread."""
         with self.sender.lock:
             box = self.sender.outbox
+            native = self.native.link if self.native else None
             return LinkCounters(
-                box.sent_messages,
-                box.sent_bytes,
+                box.sent_messages + (native.sent_messages if native else 0),
+                box.sent_bytes + (native.sent_bytes if native else 0),
                 self.receiver.messages,
                 self.receiver.bytes,
                 box.messages,
@@ -107,6 +119,17 @@ class Link:
         """Read from now on no faster than the partner takes what arrives here: then TCP makes the peer wait."""
         self.partner = partner
         self.receiver.after_read = self._apply_backpressure
+
+    def attend(self) -> None:
+        """The native passage has left something to Python: the end of a message, or the reading."""
+        if self.is_open:
+            self.sender.take_unsent()
+            self.receiver.take_over()
+
+    def read_by_python(self) -> None:
+        """The edge stops: the native passage reads no more."""
+        self.receiver.take_over(at_end=True)
+        self.watch()
 
     def finish(self, reason: str) -> None:
         """Send what is queued, then the end of the stream; close when the peer does, or soon after."""
@@ -156,6 +179,8 @@ class Link:
         sender = self.sender
         reason = reason or sender.reason
         self.is_open = False
+        self._loop.run(partial(self.receiver.take_over, at_end=True))
+        sender.take_unsent()
         with sender.lock:
             sender.is_muted = True
         self._loop.run(sender.note_drops)
@@ -163,6 +188,8 @@ class Link:
             sender.outbox.clear()
             self._loop.unwatch(self._sock)
             unconfirmed = unconfirmed_bytes(self._sock)
+            if self.native:
+                self.native.link.close()
             self._sock.close()
         if reason in _FAULTS:
             self._context.faults[reason] += 1

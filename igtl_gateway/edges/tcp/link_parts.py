@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.edges.tcp.link_info import PeerLimits
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import Reporter
+from igtl_gateway.passage import Link as NativeLink
+from igtl_gateway.passage import Lock, Passage
 from igtl_gateway.session.note import Level
 
 
@@ -28,6 +30,7 @@ class LinkContext:
         faults: number of links that a fault ended, or that ended inside a message, by the code of the note.
         on_frame: the edge's callback for a message.
         drained: called when a send queue has become empty.
+        passage: the native passage, which reads and sends natively where it can; None: there is none.
     """
 
     loop: Loop
@@ -38,6 +41,14 @@ class LinkContext:
     faults: Counter[str]
     on_frame: Callable[[int, Buffer], None]
     drained: Callable[[], None]
+    passage: Passage | None = None
+
+
+class NativeEnds(NamedTuple):
+    """A link in the native passage, and the lock of its sender, which both sides take."""
+
+    link: NativeLink
+    lock: Lock
 
 
 class LinkLife(Protocol):

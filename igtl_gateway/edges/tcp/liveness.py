@@ -51,7 +51,7 @@ class Liveness:
         limits, receiver, peer = self._limits, self._receiver, self._link.peer
         now_ns = self._loop.looked_ns
         message_s = receiver.message_ns(step_ns) / NS_PER_S
-        pending = receiver.pending if receiver.is_reading else 0
+        pending = receiver.pending if receiver.is_read else 0
         if pending and (now_ns - receiver.heard_ns) / NS_PER_S > limits.stall_s:
             self._link.fault(Level.WARN, "stalled", f"{peer} sent a part of a message and stopped")
         elif pending and message_s > limits.stall_s + pending / limits.min_rate:
@@ -61,10 +61,10 @@ class Liveness:
             text = f"{peer} is unreachable: it has confirmed nothing for {dead_s:.0f} s"
             self._link.fault(Level.WARN, "unreachable", text)
         elif limits.idle_s:
-            moved = (receiver.bytes, self._sender.outbox.sent_bytes)
+            moved = (receiver.bytes, self._sender.sent_bytes)
             if moved != self._moved:
                 self._moved, self._moved_ns = moved, now_ns
-            elif (now_ns - self._moved_ns) / NS_PER_S > limits.idle_s and receiver.is_reading:
+            elif (now_ns - self._moved_ns) / NS_PER_S > limits.idle_s and receiver.is_read:
                 self._link.fault(Level.WARN, "idle", f"{peer}: no traffic in either direction for {limits.idle_s:g} s")
 
     def close_when_stalled(self, goal: int = 0) -> None:

@@ -25,6 +25,11 @@ class RateLimit:
         self._pauses = 0
         self._noted_ns = 0
 
+    @property
+    def room(self) -> int:
+        """Messages that may arrive before `pause_s` has to be asked: at least one."""
+        return max(1, int(self._tokens))
+
     def pause_s(self, messages: int, now_ns: int) -> float:
         """Count messages; how long (s) to read no more from the link, 0.0 for no pause.  A pause is noted."""
         rate = self._context.limits.messages_per_s

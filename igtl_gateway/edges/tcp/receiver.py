@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife
+from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
+from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.rate import RateLimit
 from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN, TlsError, TlsSocket
 from igtl_gateway.errors import MessageTooLarge
@@ -21,17 +24,24 @@ class Receiver:
     """Reads whole messages and hands them on; of the I/O thread alone, except the two counts.
 
     Attributes:
-        messages, bytes: received so far.
-        heard_ns: when the last bytes came (monotonic).
         is_foreign: the first bytes were not a header of OpenIGTLink.
         is_inside_message: bytes are between socket and framer: an error here loses the place in the stream.
         after_read: called after each reading, None for nothing; the link of a relay sets it.
     """
 
-    def __init__(self, sock: socket.socket | TlsSocket, link: LinkLife, context: LinkContext) -> None:
-        self.messages = 0
-        self.bytes = 0
-        self.heard_ns = context.loop.now()
+    def __init__(
+        self,
+        sock: socket.socket | TlsSocket,
+        link: LinkLife,
+        context: LinkContext,
+        native: NativeEnds | None = None,
+    ) -> None:
+        self._messages = 0
+        self._bytes = 0
+        self._heard_ns = context.loop.now()
+        self._native = native.link if native else None
+        self._is_native = False  # the native passage reads
+        self._rated = 0  # messages that the native passage received, as far as they count for the rate
         self.is_foreign = False
         self.is_inside_message = False
         self.after_read: Callable[[], None] | None = None
@@ -43,19 +53,39 @@ class Receiver:
         self._on_frame = context.on_frame
         self._framer = Framer(context.limits.max_body, context.bodies)
         self._room = self._framer.buffer()
-        self._rate = RateLimit(link, context, self.heard_ns)
+        self._rate = RateLimit(link, context, self._heard_ns)
         self._is_stopped = False  # the partner's queue is in the way, or the peer has ended
         self._message_since: tuple[int, int] = (-1, 0)  # see `message_ns`
 
     @property
+    def messages(self) -> int:
+        """Messages received so far."""
+        return self._messages + (self._native.received_messages if self._native else 0)
+
+    @property
+    def bytes(self) -> int:
+        """Bytes received so far."""
+        return self._bytes + (self._native.received_bytes if self._native else 0)
+
+    @property
+    def heard_ns(self) -> int:
+        """When the last bytes came (monotonic)."""
+        return max(self._heard_ns, self._native.heard_ns if self._native else 0)
+
+    @property
     def is_reading(self) -> bool:
-        """Whether the link is read now."""
-        return not (self._is_stopped or self._rate.is_pausing)
+        """Whether the I/O thread reads the link now."""
+        return not (self._is_stopped or self._rate.is_pausing or self._is_native)
+
+    @property
+    def is_read(self) -> bool:
+        """Whether the link is read now, by the I/O thread or by the native passage."""
+        return self.is_reading or self._is_native
 
     @property
     def pending(self) -> int:
         """Bytes of the message that is not complete yet."""
-        return self._framer.pending
+        return self._native.pending if self._is_native and self._native else self._framer.pending
 
     def read(self) -> None:
         """Take what the socket has, once."""
@@ -72,16 +102,38 @@ class Receiver:
         if not count:
             self._link.peer_ended()
             return
+        self._heard_ns = self._loop.looked_ns
+        self._bytes += count
+        self._pass_on(partial(self._framer.received, count))
+        if self.after_read and self._link.is_open:
+            self.after_read()
+
+    def take_over(self, *, at_end: bool = False) -> None:
+        """Read in the I/O thread, where the native passage has stopped.
+
+        ``at_end``: the link closes: in any case, and without looking at the socket.
+        """
+        if self._native is None or not self._is_native or (self._native.is_native and not at_end):
+            return
+        rest, failure = self._native.read_by_python()
+        self._is_native = False
+        if not at_end:
+            self._link.watch()
+        if rest or not at_end:
+            self._pass_on(partial(self._framer.feed, rest))
+        if failure and not at_end and self._link.is_open:
+            self._link.broken(f"receiving failed: {os.strerror(failure)}")
+
+    def _pass_on(self, received: Callable[[], list[Part]]) -> None:
+        """Call back with the messages that are whole now."""
         self.is_inside_message = True
-        self.heard_ns = self._loop.looked_ns
-        self.bytes += count
         try:
-            messages = self._framer.received(count)
+            messages = received()
             for message in messages:
-                self.messages += 1
+                self._messages += 1
                 self._reporter.call("on_frame", self._on_frame, self._link.number, message)
             self._room = self._framer.buffer()
-            if pause_s := self._rate.pause_s(len(messages), self.heard_ns):
+            if pause_s := self._rate.pause_s(len(messages) + self._natively_received(), self._heard_ns):
                 self._link.watch()
                 self._loop.call_later(pause_s, self._end_rate_pause, self._link.failed)
         except MessageTooLarge as exc:
@@ -89,8 +141,24 @@ class Receiver:
         except MemoryError:
             self._link.fault(Level.ERROR, "out_of_memory", "not enough memory for the announced message")
         self.is_inside_message = False
-        if self.after_read and self._link.is_open:
-            self.after_read()
+        self._let_passage_read()
+
+    def _natively_received(self) -> int:
+        """Messages that the native passage received since the last call."""
+        if self._native is None:
+            return 0
+        before, self._rated = self._rated, self._native.received_messages
+        return self._rated - before
+
+    def _let_passage_read(self) -> None:
+        """Leave the reading to the native passage, if it has a stream of the link, and between two messages."""
+        native = self._native
+        if native is None or not native.stream_count or self._framer.pending:
+            return
+        if self.is_reading and self._link.is_open and not self._loop.stopping:
+            self._is_native = True
+            self._link.watch()
+            native.read_natively(self._rate.room)
 
     def stop(self) -> None:
         """Read no more, until `resume`."""
@@ -113,7 +181,7 @@ class Receiver:
         Args:
             step_ns: the time since the last check.
         """
-        message = self.messages if self.is_reading and self.pending else -1
+        message = self.messages if self.is_read and self.pending else -1
         since, passed_ns = self._message_since
         self._message_since = message, (passed_ns + step_ns if message == since else 0)
         return self._message_since[1]
@@ -145,7 +213,7 @@ class Receiver:
 
     def _restart_body_timer(self) -> None:
         """The link was not read for a while: that does not count for the message on its way."""
-        self.heard_ns = self._loop.now()
+        self._heard_ns = self._loop.now()
         self._message_since = -1, 0
 
     def _end_rate_pause(self) -> None:

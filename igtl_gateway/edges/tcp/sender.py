@@ -7,9 +7,9 @@ import socket
 import threading
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 
-from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife
+from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
 from igtl_gateway.edges.tcp.outbox import IOV_MAX, Outbox, Part, QueuedMessage
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S
 from igtl_gateway.edges.tcp.tls import TlsSocket
@@ -32,10 +32,17 @@ class Sender:
         is_inside_message: bytes are on their way to the socket: an error here loses the place in the stream.
     """
 
-    def __init__(self, sock: socket.socket | TlsSocket, link: LinkLife, context: LinkContext) -> None:
+    def __init__(
+        self,
+        sock: socket.socket | TlsSocket,
+        link: LinkLife,
+        context: LinkContext,
+        native: NativeEnds | None = None,
+    ) -> None:
         self.outbox = Outbox(context.limits)
-        self.lock = threading.Lock()
-        self.is_muted = False
+        self.lock: AbstractContextManager[object] = native.lock if native else threading.Lock()
+        self._native = native.link if native else None
+        self._muted = False
         self.reason = ""
         self.peer_ended = False
         self.awaits_room = False
@@ -50,6 +57,26 @@ class Sender:
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
+    @property
+    def is_muted(self) -> bool:
+        """Nothing may be sent any more."""
+        return self._muted
+
+    @is_muted.setter
+    def is_muted(self, muted: bool) -> None:
+        self._muted = muted
+        self._settle()
+
+    @property
+    def sent_bytes(self) -> int:
+        """Bytes that the kernel has taken so far."""
+        return self.outbox.sent_bytes + (self._native.sent_bytes if self._native else 0)
+
+    def take_unsent(self) -> None:
+        """Queue the rest of a message that the native passage could not send whole."""
+        with self.lock:
+            self._take_unsent()
+
     def send(self, parts: Sequence[Part], size: int, stream: str, keep: bool, waits: bool) -> bool:
         """Send or queue a message; False if the link takes nothing any more.
 
@@ -58,7 +85,8 @@ class Sender:
         while True:
             with self.lock:
                 box = self.outbox
-                if self.is_muted:
+                self._take_unsent()
+                if self._muted:
                     return False
                 if box.empty:
                     sent = self._write(parts[:IOV_MAX])
@@ -70,6 +98,7 @@ class Sender:
                     return self._queue(QueuedMessage(parts, size, stream, keep), 0)
                 # Not left to the I/O thread, which may be waiting for a lock that our caller holds.
                 box.advance(self._write(box.parts()))
+                self._settle()
                 descriptor = self._sock.fileno()
                 full = not box.has_room(size)
             if full:
@@ -105,8 +134,10 @@ class Sender:
         while True:
             with self.lock:
                 box = self.outbox
+                self._take_unsent()
                 if not box.empty:
                     box.advance(self._write(box.parts()))
+                    self._settle()
                 if box.empty and not self.is_muted:
                     sent = at + self._write((view[at:],))
                     whole = bisect_right(ends, sent)
@@ -138,10 +169,24 @@ class Sender:
         """Bytes that left the queue and are not yet the kernel's."""
         return 0
 
+    def _take_unsent(self) -> None:
+        """``take_unsent`` under the lock."""
+        if self._native and not self._native.clear and (unsent := self._native.take_unsent()):
+            data, sent, stream = unsent
+            if not self._queue(QueuedMessage((data,), len(data), stream, False), sent):
+                self.outbox.dropped[stream] += 1
+
+    def _settle(self) -> None:
+        """Let the native passage send, or no more; under the lock."""
+        if self._native:
+            self._native.clear = self.outbox.empty and not self._muted
+
     def _queue(self, message: QueuedMessage, sent: int) -> bool:
         """Queue the rest of the message; under the lock."""
         if self.is_muted:
             return False
+        if self._native:
+            self._native.clear = False
         box = self.outbox
         drops = box.drops
         if sent:
@@ -217,6 +262,7 @@ class Sender:
             if not self.peer_ended:
                 self._room_requested = self.awaits_room = False
                 self._link.watch()
+            self._settle()
         return True
 
     def shut_down(self) -> bool:

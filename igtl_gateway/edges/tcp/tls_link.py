@@ -84,6 +84,9 @@ class TlsLink(Link):
         self._tls = sock
         super().__init__(number, sock, role, peer, context, closed)
 
+    def _make_native(self) -> None:
+        """The native passage does not decrypt."""
+
     def _make_sender(self) -> Sender:
         self._tls_sender = TlsSender(self._tls, self, self._context)
         return self._tls_sender

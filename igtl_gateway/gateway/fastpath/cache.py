@@ -9,7 +9,7 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.fastpath import compile_to_igtl, compile_to_ros
-from igtl_gateway.gateway.fastpath.common import CompileContext
+from igtl_gateway.gateway.fastpath.common import CompileContext, Key, NativeStreams, ToIgtlKey, ToRosKey
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
 from igtl_gateway.gateway.outcome import Outcome
@@ -29,10 +29,6 @@ MAX_STREAMS = 4_096
 #: Number of times that a stream is compiled until the peers change: if its messages never fit, it keeps the full path.
 MAX_COMPILED = 8
 
-#: Key of a stream: link and names in the header; topic and ROS type.
-ToRosKey = tuple[int, bytes]
-ToIgtlKey = tuple[str, str]
-
 #: Entry number, gateway time (UTC ns), kind, payload, channel, type, links and source stamp of an input → its entry and
 #: the entries that it causes; nothing if the input must take the full path.
 Fast = Callable[[int, int, Kind, Sequence[Buffer], str, str, tuple[int, ...], int], list[Entry] | None]
@@ -44,6 +40,9 @@ class FastPath:
     Args:
         latest: topic → its latest message.
         enabled: compile streams; False: every message takes the full path.
+
+    Attributes:
+        native: the native passage, with a copy of some compiled streams; None: there is none.
     """
 
     def __init__(
@@ -60,7 +59,8 @@ class FastPath:
     ) -> None:
         self.to_ros: dict[ToRosKey, CompiledToRos] = {}
         self.to_igtl: dict[ToIgtlKey, CompiledToIgtl] = {}
-        self._compiled: dict[ToRosKey | ToIgtlKey, int] = {}  # number of times
+        self.native: NativeStreams | None = None
+        self._compiled: dict[Key, int] = {}  # number of times
         self._common = CompileContext(config, ledger, qos, subscribers.waiting)
         self._peers = peers
         self._subscribers = subscribers
@@ -83,19 +83,45 @@ class FastPath:
     ) -> list[Entry] | None:
         """Return the entries of the compiled stream, if there is one that fits the message; see ``Fast``."""
         entries: list[Entry] | None = None
+        native = self.native
         if kind is Kind.ROS_IN:
             topic_key = (channel, type_name)
             if to_igtl := self.to_igtl.get(topic_key):
+                if native:
+                    native.collect(topic_key)
                 entries = to_igtl(seq, stamp_ns, payload, channel, type_name, source_ns)
                 if entries is None:
-                    del self.to_igtl[topic_key]
+                    self._drop(self.to_igtl, topic_key)
+                elif native and entries:
+                    native.handled(topic_key, to_igtl)
         elif kind is Kind.IGTL_IN:
             device_key = (links[0], bytes(payload[0][NAMES]))
             if to_ros := self.to_ros.get(device_key):
+                if native:
+                    native.collect(device_key)
                 entries = to_ros(seq, stamp_ns, payload, links, self._subscribers.ask)
                 if entries is None:
-                    del self.to_ros[device_key]
+                    self._drop(self.to_ros, device_key)
+                elif native and entries:
+                    native.handled(device_key, to_ros)
+        if native and not entries:
+            native.collect_all()
         return entries
+
+    def collect(self) -> None:
+        """Take over what the native passage has counted."""
+        if self.native:
+            self.native.collect_all()
+
+    def end_full_path(self, entry: Entry) -> None:
+        """Inform the native passage of an input that took the full path."""
+        if self.native:
+            self.native.handled_in_full(entry)
+
+    def _drop(self, streams: dict[Any, Any], key: Key) -> None:
+        del streams[key]
+        if self.native:
+            self.native.drop(key)
 
     def learn(self, entry: Entry, outcome: Outcome) -> None:
         """Compile the stream of a message that took the full path, if possible."""
@@ -122,14 +148,14 @@ class FastPath:
             compiled = compile_to_igtl.compile_to_igtl(entry, origin, self._common, self._latest, peers)
             self._store(self.to_igtl, key, compiled)
 
-    def _may_compile(self, key: ToRosKey | ToIgtlKey) -> bool:
+    def _may_compile(self, key: Key) -> bool:
         """Return whether a stream is not compiled and may be."""
         if key in self.to_ros or key in self.to_igtl:
             return False
         times = self._compiled.get(key)
         return times < MAX_COMPILED if times is not None else len(self._compiled) < MAX_STREAMS
 
-    def _store(self, streams: dict[Any, Any], key: ToRosKey | ToIgtlKey, compiled: object | None) -> None:
+    def _store(self, streams: dict[Any, Any], key: Key, compiled: object | None) -> None:
         """Store a compiled stream; None: this stream cannot be compiled."""
         self._compiled[key] = self._compiled.get(key, 0) + 1 if compiled else MAX_COMPILED
         if compiled:
@@ -140,6 +166,8 @@ class FastPath:
         self.to_ros.clear()
         self.to_igtl.clear()
         self._compiled.clear()
+        if self.native:
+            self.native.drop_all()
 
 
 def no_fast_path(*_input: object) -> None:

@@ -3,15 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.qos import Qos
+from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.ledger import Ledger
 
 #: Offsets of the stamp and of the frame id in CDR that begins with a std_msgs/Header.
 STAMP_AT, NAMES_AT = 4, 12
+
+#: Key of a stream: link and names in the header; topic and ROS type.
+ToRosKey = tuple[int, bytes]
+ToIgtlKey = tuple[str, str]
+Key = ToRosKey | ToIgtlKey
+
+
+class NativeStreams(Protocol):
+    """The native passage as the fast path sees it: it has a copy of some compiled streams.
+
+    All methods are called with the sequence lock.
+    """
+
+    def collect(self, key: Key) -> None:
+        """Take over what the passage has counted of a stream: Python is about to handle its next message."""
+
+    def collect_all(self) -> None:
+        """Take over what the passage has counted: Python is about to take the full path, which depends on it."""
+
+    def handled(self, key: Key, stream: object) -> None:
+        """Python has handled a message of a compiled stream by the fast path."""
+
+    def handled_in_full(self, entry: Entry) -> None:
+        """Python has handled an input by the full path."""
+
+    def drop(self, key: Key) -> None:
+        """The stream is no longer compiled."""
+
+    def drop_all(self) -> None:
+        """No stream is compiled any more."""
 
 
 class CompileContext(NamedTuple):

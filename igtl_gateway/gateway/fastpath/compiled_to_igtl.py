@@ -27,6 +27,12 @@ class CompiledToIgtl:
         outputs: output and form for each header version and profile.
         latest: topic → its latest message.
         place_at: offset of the translation in the message, for poses.
+
+    Attributes:
+        sample, names, size, forms, peers, ratio, own, latest, watched: the arguments.
+        outputs: output, number of links and counts of each form.
+        count: counts of the topic.
+        is_pose: the native passage can take it.
     """
 
     def __init__(
@@ -46,20 +52,21 @@ class CompiledToIgtl:
         place_at: int | None,
     ) -> None:
         self._fill = fill
-        self._sample = sample
-        self._names = names
-        self._size = size
-        self._outputs = tuple(
+        self.sample = sample
+        self.names = names
+        self.size = size
+        self.outputs = tuple(
             (output, len(output.links), ledger.counter("igtl_out", output.channel)) for output, _ in outputs
         )
-        self._forms = tuple(form for _, form in outputs)
-        self._peers = tuple(peers)
-        self._ratio = ratio
-        self._own = own
-        self._count = ledger.counter("ros_in", channel)
-        self._latest = latest
-        self._watched = watched
+        self.forms = tuple(form for _, form in outputs)
+        self.peers = tuple(peers)
+        self.ratio = ratio
+        self.own = own
+        self.count = ledger.counter("ros_in", channel)
+        self.latest = latest
+        self.watched = watched
         self._place, self._place_at = _PLACE if place_at else None, place_at or 0
+        self.is_pose = place_at is not None
 
     def __call__(
         self, seq: int, stamp_ns: int, payload: Sequence[Buffer], channel: str, ros_type: str, source_ns: int
@@ -67,33 +74,33 @@ class CompiledToIgtl:
         """Return the entries of a message; [] sends it to the full path, None also all further messages."""
         made = self._fill(
             payload[0],
-            self._sample,
-            self._names,
-            self._size,
-            self._own,
+            self.sample,
+            self.names,
+            self.size,
+            self.own,
             source_ns,
             stamp_ns,
-            self._ratio,
-            self._forms,
+            self.ratio,
+            self.forms,
         )
         if made is None:
             return None
         shown_ns = made[0]
-        watched = self._watched
+        watched = self.watched
         if watched is not None and not watched.passes_quickly(
             stamp_ns, shown_ns, payload[0], self._place, self._place_at
         ):
             return []
-        count = self._count
+        count = self.count
         count["received"] = count.get("received", 0) + 1
         count[CONVERTED] = count.get(CONVERTED, 0) + 1
-        for peer in self._peers:
+        for peer in self.peers:
             peer.said_ns = stamp_ns
             peer.sent += 1
-        entry = self._latest[channel] = Entry(seq, stamp_ns, Kind.ROS_IN, channel, ros_type, payload, (), source_ns)
+        entry = self.latest[channel] = Entry(seq, stamp_ns, Kind.ROS_IN, channel, ros_type, payload, (), source_ns)
         entries = [entry]
         step = 0
-        for output, links, sent in self._outputs:
+        for output, links, sent in self.outputs:
             step += 1
             sent["sent"] = sent.get("sent", 0) + links
             entries.append(

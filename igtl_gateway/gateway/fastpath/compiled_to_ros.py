@@ -38,6 +38,13 @@ class CompiledToRos:
         waiting: last messages of latched topics without a subscriber, and the latched topics of ``forms``.
         volume: for images, of which later messages may be parts.
         defer: keeps a message for latched topics without a subscriber; None: then the full path takes it.
+
+    Attributes:
+        sample, places, ratio, check_crc, own, watched, place_at: the arguments.
+        outputs: topic, ROS type, form and counts of each output.
+        channel, type: of the stream.
+        count: counts of the stream.
+        is_plain_pose: a pose of which no topic is latched: the native passage can take it.
     """
 
     def __init__(
@@ -58,22 +65,23 @@ class CompiledToRos:
         defer: Defer | None = None,
     ) -> None:
         self._fill = fill
-        self._sample = sample
-        self._places = places
-        self._watched = watched
-        self._place, self._place_at = _PLACE if place_at else None, place_at or 0
-        self._channel, self._type = entry.channel, entry.type
+        self.sample = sample
+        self.places = places
+        self.watched = watched
+        self._place, self.place_at = _PLACE if place_at else None, place_at or 0
+        self.channel, self.type = entry.channel, entry.type
         self._forms = tuple(form for _, _, form in forms)
-        self._outputs = tuple(
+        self.outputs = tuple(
             (topic, ros_type, form, ledger.counter("ros_out", topic)) for topic, ros_type, form in forms
         )
-        self._ratio = ratio
-        self._check_crc = check_crc
-        self._own = own
-        self._count = ledger.counter("igtl_in", entry.channel)
+        self.ratio = ratio
+        self.check_crc = check_crc
+        self.own = own
+        self.count = ledger.counter("igtl_in", entry.channel)
         self._waiting, self._latched = waiting
         self._volume = volume
         self._defer = defer
+        self.is_plain_pose = place_at is not None and not self._latched
 
     def __call__(
         self, seq: int, stamp_ns: int, payload: Sequence[Buffer], links: tuple[int, ...], ask: Ask | None
@@ -81,6 +89,7 @@ class CompiledToRos:
         """Return the entries of a message; [] sends it to the full path, None also all further messages."""
         outputs, forms = self._outputs, self._forms
         later: frozenset[str] = frozenset()
+        outputs, forms = self.outputs, self._forms
         if ask is not None:
             outputs = tuple(one for one in outputs if ask(one[0], one[1]))
             forms = tuple(form for _, _, form, _ in outputs)
@@ -90,20 +99,20 @@ class CompiledToRos:
                 return []  # the full path keeps the message for the first subscriber
             if not forms and self._place is None:
                 return []  # without a subscriber, only the full path checks bulk data
-        at, size = self._places
+        at, size = self.places
         volume = self._volume
         if volume and not volume[0].takes(volume[1]):
             return []
-        made = self._fill(payload[0], self._sample, at, size, self._check_crc, self._own, stamp_ns, self._ratio, forms)
+        made = self._fill(payload[0], self.sample, at, size, self.check_crc, self.own, stamp_ns, self.ratio, forms)
         if made is None:
             return None
         source_ns, shown_ns = made[0], made[1]
-        watched = self._watched
+        watched = self.watched
         if watched is not None and not watched.passes_quickly(
-            stamp_ns, shown_ns, payload[0], self._place, self._place_at
+            stamp_ns, shown_ns, payload[0], self._place, self.place_at
         ):
             return []
-        entries = [Entry(seq, stamp_ns, Kind.IGTL_IN, self._channel, self._type, payload, links, source_ns)]
+        entries = [Entry(seq, stamp_ns, Kind.IGTL_IN, self.channel, self.type, payload, links, source_ns)]
         step = 0
         for (topic, ros_type, _, published), cdr in zip(outputs, made[2:], strict=True):
             if cdr is None:
@@ -118,7 +127,7 @@ class CompiledToRos:
         if volume:
             assembler, form, dtype = volume
             assembler.keep(form, dtype, memoryview(payload[0])[at : len(payload[0]) - size])
-        count = self._count
+        count = self.count
         count["received"] = count.get("received", 0) + 1
         count["decoded"] = count.get("decoded", 0) + 1
         fate = CONVERTED if step or ask is None else UNSUBSCRIBED

@@ -1,0 +1,78 @@
+"""The native passage of a bridge: what it needs of the edges and of the recorder."""
+
+from __future__ import annotations
+
+from igtl_gateway.clock import Clock, SystemClock
+from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.tcp import TcpEdge
+from igtl_gateway.gateway import Gateway
+from igtl_gateway.gateway.session import Core
+from igtl_gateway.passage import Link, Lock, Passage, Publisher, Subscription, is_compiled
+from igtl_gateway.passage.streams import OnPassed, PassageStreams
+from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.session.entry import Kind
+
+#: A publisher for bridges without ROS.
+_NOWHERE = 0
+
+
+def make_passage(clock: Clock) -> Passage | None:
+    """Return a native passage; None without its C part, or for a clock other than the system's."""
+    return Passage() if is_compiled() and isinstance(clock, SystemClock) else None
+
+
+class BridgePassage:
+    """Connects a passage with a gateway, its edges and its recorder.
+
+    Args:
+        on_passed: see ``OnPassed``.
+    """
+
+    def __init__(self, passage: Passage, gateway: Core, tcp: TcpEdge, ros: RosEdge | None, on_passed: OnPassed) -> None:
+        self._passage = passage
+        self._tcp = tcp
+        self._ros = ros
+        self._recorder: Recorder | None = None
+        self.recorder_lock = Lock()
+        self._nowhere = Publisher(_NOWHERE)
+        self.streams = PassageStreams(passage, self, self._number_of, on_passed)
+        if isinstance(gateway, Gateway):
+            gateway.fast_path.native = self.streams
+
+    def start(self, recorder: Recorder | None, *, builds_all: bool) -> None:
+        """Let messages pass: the recorder runs, if there is one."""
+        self._passage.builds_all = builds_all
+        self._recorder = recorder
+        if recorder:
+            self._passage.record_into(recorder.queue.memory, self.recorder_lock)
+
+    def collect(self) -> None:
+        """Take over what was counted natively."""
+        with self._passage:
+            self.streams.collect_all()
+        if self._ros:
+            self._ros.sync()
+
+    def stop(self) -> None:
+        """Leave all messages to Python."""
+        with self._passage:
+            self._passage.closed = True
+            self.streams.drop_all()
+
+    # -- what the streams need (NativeEdges) --------------------------------------------------------------------
+
+    def link(self, number: int) -> Link | None:
+        return self._tcp.native_link(number)
+
+    def publisher(self, topic: str, ros_type: str) -> Publisher | None:
+        return self._ros.native_publisher(topic, ros_type) if self._ros else self._nowhere
+
+    def subscription(self, topic: str, ros_type: str) -> Subscription | None:
+        return self._ros.native_subscription(topic, ros_type) if self._ros else None
+
+    def _number_of(self, kind: Kind, channel: str, type_name: str, links: tuple[int, ...]) -> int | None:
+        if self._recorder is None:
+            return 0
+        with self.recorder_lock:
+            number = self._recorder.queue.stream_number(kind, channel, type_name, links)
+        return number if number >= 0 else None

@@ -1,0 +1,119 @@
+from typing import Self
+
+from typing_extensions import Buffer
+
+class Lock:
+    """A lock that Python and the native passage share."""
+
+    def __enter__(self) -> Self: ...
+    def __exit__(self, *error: object) -> None: ...
+
+class Stream:
+    """A compiled stream of the native passage; all methods need the sequence lock."""
+
+    received: int
+    is_stale: bool
+    def remove(self) -> None: ...
+    def collect(
+        self,
+    ) -> tuple[
+        int,
+        int,
+        int,
+        tuple[int, ...],
+        tuple[int, int, int, bytes] | None,
+        tuple[int, int, int, int, int, int, tuple[float, float, float] | None],
+        list[tuple[int, int]],
+    ]: ...
+    def set_guard(
+        self,
+        watches: bool,
+        judged_by_python: bool,
+        knows_age: bool,
+        max_age_ns: int,
+        ahead_ns: int,
+        last_ns: int,
+        look_ns: int,
+        due_ns: int,
+        seen_ns: int,
+        arrived_ns: int,
+        still: int,
+        place: tuple[float, float, float] | None,
+        /,
+    ) -> None: ...
+
+class Publisher:
+    def __init__(self, pointer: int, /) -> None: ...
+    def collect(self) -> tuple[int, int, int]: ...
+
+class Link:
+    number: int
+    stream_count: int
+    received_messages: int
+    received_bytes: int
+    heard_ns: int
+    pending: int
+    sent_messages: int
+    sent_bytes: int
+    is_native: bool
+    clear: bool
+    def __init__(self, passage: Passage, number: int, descriptor: int, sending: Lock, /) -> None: ...
+    def read_natively(self, room: int, /) -> None: ...
+    def read_by_python(self) -> tuple[bytes, int]: ...
+    def take_unsent(self) -> tuple[bytes, int, str] | None: ...
+    def close(self) -> None: ...
+
+class Subscription:
+    last_number: int
+    def __init__(self, passage: Passage, pointer: int, /) -> None: ...
+    def take(self) -> tuple[bytes, int, int] | None: ...
+    def again(self) -> None: ...
+    def collect(self) -> tuple[int, int, int]: ...
+
+class Passage:
+    seq: int
+    stamp_ns: int
+    last_ns: int
+    ahead_ns: int
+    builds_all: bool
+    closed: bool
+    def __init__(self) -> None: ...
+    def __enter__(self) -> Self: ...
+    def __exit__(self, *error: object) -> None: ...
+    def to_ros(
+        self,
+        link: Link,
+        names: bytes,
+        sample: bytes,
+        at: int,
+        size: int,
+        check_crc: bool,
+        own: bool,
+        times: float,
+        by: float,
+        place_at: int,
+        number: int,
+        outputs: tuple[tuple[bytes, int, int, Publisher], ...],
+        /,
+    ) -> Stream: ...
+    def to_igtl(
+        self,
+        subscription: Subscription,
+        sample: bytes,
+        first_end: int,
+        second: int,
+        end: int,
+        size: int,
+        own: bool,
+        times: float,
+        by: float,
+        number: int,
+        outputs: tuple[tuple[bytes, int, int, int, str, tuple[Link, ...]], ...],
+        /,
+    ) -> Stream: ...
+    def use_rcl(self, take: int, publish: int, subscribers: int, /) -> None: ...
+    def record_into(self, memory: Buffer, lock: Lock, /) -> None: ...
+    def set_callback(self, function: int, subscription: Subscription, on: bool, /) -> int: ...
+    def wait_links(self) -> list[Link]: ...
+    def wait_subscriptions(self) -> list[Subscription]: ...
+    def wake(self) -> None: ...
