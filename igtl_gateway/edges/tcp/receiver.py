@@ -119,7 +119,7 @@ class Receiver:
         self._is_native = False
         if not at_end:
             self._link.watch()
-        if rest or not at_end:
+        if rest:  # else the peer has ended, which the next reading finds
             self._pass_on(partial(self._framer.feed, rest))
         if failure and not at_end and self._link.is_open:
             self._link.broken(f"receiving failed: {os.strerror(failure)}")

@@ -1,0 +1,502 @@
+"""The native passage: the same entries, counts and bytes as Python, and nothing lost at its borders."""
+
+from __future__ import annotations
+
+import math
+import random
+import socket
+import struct
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from igtl_gateway.app import bridge as app
+from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.buffers import join
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.convert.rosmsg import Header, TransformStamped
+from igtl_gateway.edges.tcp import PeerLimits
+from igtl_gateway.gateway import Session, make_core
+from igtl_gateway.passage import is_compiled
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.replay.verify import DeclaredLosses, verify
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.text import Status
+from igtl_gateway.wire.text import String as StringBody
+from igtl_gateway.wire.transform import Position, Transform
+from tests.passage.middleware import Middleware, RosEdge
+
+pytestmark = pytest.mark.skipif(not is_compiled(), reason="the package was installed without its native passage")
+
+TIMEOUT_S = 20.0
+TOPIC, POSES = "/igtl/out/tool", "/igtl/out/pose"
+HERE = ("127.0.0.1", 0)
+
+
+class Peer:
+    """An OpenIGTLink client that keeps all that it receives."""
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        self.socket = socket.create_connection(address)
+        self.received: list[bytes] = []
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def send(self, data: bytes) -> None:
+        self.socket.sendall(data)
+
+    def close(self) -> None:
+        self.socket.shutdown(socket.SHUT_RDWR)
+        self._thread.join(TIMEOUT_S)
+        self.socket.close()
+
+    def _read(self) -> None:
+        framer = Framer()
+        while data := self._some():
+            self.received += [bytes(message) for message in framer.feed(data)]
+
+    def _some(self) -> bytes:
+        try:
+            return self.socket.recv(1 << 16)
+        except OSError:
+            return b""
+
+
+class Scene:
+    """A bridge on the ROS edge of ``middleware``, with one peer or more."""
+
+    def __init__(self, bridge: Bridge, middleware: Middleware) -> None:
+        self.bridge = bridge
+        self.middleware = middleware
+        self.peers: list[Peer] = []
+
+    @property
+    def ros(self) -> RosEdge:
+        ros: Any = self.bridge.ros
+        return ros  # type: ignore[no-any-return]
+
+    @property
+    def native(self) -> int:
+        """Number of streams that pass natively."""
+        assert self.bridge._passage
+        return self.bridge._passage.streams.count
+
+    def connect(self) -> Peer:
+        peer = Peer(self.bridge.addresses[0])
+        self.peers.append(peer)
+        wait_for(lambda: len([one for one in self.bridge.tcp.links() if one.connected]) == len(self.peers))
+        return peer
+
+    def disconnect(self, peer: Peer) -> None:
+        self.peers.remove(peer)
+        peer.close()
+        wait_for(lambda: len([one for one in self.bridge.tcp.links() if one.connected]) == len(self.peers))
+
+    def send_ros(self, message: Any, topic: str = TOPIC, source_ns: int = 0, lost: int = 0) -> None:
+        self.ros.deliver(topic, message.TYPE, message.pack(), source_ns, lost=lost)
+
+    def received(self, kind: str) -> int:
+        """Number of messages of a direction that the gateway has received."""
+        return sum(fates["received"] for fates in self.bridge.ledger()["streams"].get(kind, {}).values())
+
+
+def wait_for(condition: Any) -> None:
+    until = time.monotonic() + TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < until, "it took too long"
+        time.sleep(0.002)
+
+
+@contextmanager
+def scene(
+    monkeypatch: pytest.MonkeyPatch, config: Config | None = None, path: Path | None = None, **options: Any
+) -> Iterator[Scene]:
+    middleware = Middleware()
+    monkeypatch.setattr(app, "RosEdge", lambda **arguments: RosEdge(middleware, **arguments))
+    how = BridgeOptions((HERE,), record=path, recording=RecordOptions(overwrite=True), **options)
+    bridge = Bridge(config or Config().watched(), how, SystemClock())
+    bridge.start()
+    made = Scene(bridge, middleware)
+    try:
+        yield made
+    finally:
+        bridge.stop()
+        for peer in made.peers:
+            peer.close()
+    assert not made.ros.errors
+    assert bridge.losses["gaps"] == []
+
+
+def transform(number: float, stamp_ns: int | None = None, device: str = "ToolToBase", version: int = 1) -> bytes:
+    stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
+    content = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0 + number, 2.0, 3.0))
+    return join(encode(Message("TRANSFORM", device, content, ns_to_ticks(stamp_ns), version)))
+
+
+def pose(number: float, stamp_ns: int | None = None, frame: str = "base") -> TransformStamped:
+    stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
+    return TransformStamped(Header(stamp_ns, frame), "tool", (0.01 + number * 1e-5, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
+
+
+def entries_of(path: Path) -> list[Entry]:
+    with SessionFile.open(path) as session:
+        return list(session.entries())
+
+
+def check_recording(path: Path, config: Config, ledger: dict[str, Any]) -> Counter[Kind]:
+    """Check that the full path gives the recorded outputs and the ledger; returns the entries of each kind."""
+    entries = entries_of(path)
+    report = verify(entries, config, DeclaredLosses())
+    assert report.good, report.firsts
+    core = make_core(config, fast_path=False)
+    session = Session(core)
+    for entry in entries:
+        if entry.kind.is_input:
+            session.recorded(entry)
+    assert core.ledger.to_dict() == ledger["streams"]
+    return Counter(entry.kind for entry in entries)
+
+
+# -- what passes ------------------------------------------------------------------------------------------------------
+
+
+def test_poses_to_ros_pass_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    sent = [transform(number) for number in range(300)]
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+        for message in sent:
+            peer.send(message)
+            time.sleep(0.0005)
+        wait_for(lambda: here.received("igtl_in") == len(sent))
+        assert here.native == 1
+        link = here.bridge.tcp.native_link(1)
+        assert link and link.is_native and link.received_messages > len(sent) / 2
+        published = [cdr for topic, cdr in here.middleware.published if topic.endswith("/transform")]
+    kinds = check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    assert kinds[Kind.IGTL_IN] == len(sent) == len(published)
+    recorded = [entry.data() for entry in entries_of(path) if entry.kind is Kind.ROS_OUT]
+    assert Counter(cdr for _, cdr in here.middleware.published) == Counter(recorded)
+
+
+def test_poses_to_igtl_pass_natively_to_all_peers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        peers = [here.connect(), here.connect()]
+        for number in range(300):
+            here.send_ros(pose(number))
+        wait_for(lambda: all(len(peer.received) >= 300 for peer in peers))
+        assert here.native == 1
+        assert here.ros.counters()[TOPIC]["received"] == 300
+    kinds = check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    assert kinds[Kind.IGTL_OUT] == 300
+    recorded = [entry.data() for entry in entries_of(path) if entry.kind is Kind.IGTL_OUT]
+    for peer in peers:
+        assert [message for message in peer.received if b"TRANSFORM" in message[:14]] == recorded
+
+
+def test_without_the_passage_it_is_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path, native=False) as here:
+        peer = here.connect()
+        for number in range(20):
+            here.send_ros(pose(number))
+            peer.send(transform(number))
+        wait_for(lambda: here.received("igtl_in") == 20 and len(peer.received) >= 20)
+        assert here.bridge._passage is None
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+CONFIG = Config(
+    to_igtl=(ToIgtlRow(topic=TOPIC), ToIgtlRow(topic=POSES, max_age_s=30.0), ToIgtlRow(topic="/igtl/out/text")),
+    to_ros=(ToRosRow(device="Aged", max_age_s=30.0),),
+)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_sessions_are_what_the_full_path_gives(
+    seed: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    rng, path, config = random.Random(seed), tmp_path / "session.mcap", CONFIG.watched()
+    native = 0
+    with scene(monkeypatch, config, path, diagnostics=False) as here:
+        peers = [here.connect()]
+        for step in range(500):
+            kind = rng.random()
+            if kind < 0.45:
+                _send_odd_pose(here, rng, step)
+            elif kind < 0.93:
+                rng.choice(peers).send(_odd_message(rng, step))
+            elif kind < 0.96:
+                here.send_ros(rosmsg.String(f"text {step}"), "/igtl/out/text")
+            elif kind < 0.97 and len(peers) < 3:
+                peers.append(here.connect())
+            elif kind < 0.975 and len(peers) > 1:
+                here.disconnect(peers.pop(rng.randrange(len(peers))))
+            if rng.random() < 0.05:
+                time.sleep(rng.choice([0.001, 0.02, 0.12]))
+            native = max(native, here.native)
+            if not rng.randrange(100):
+                here.bridge.ledger()
+        wait_for(lambda: not here.middleware.waiting())
+        time.sleep(0.2)
+    assert native >= 2
+    check_recording(path, config, here.bridge.losses)
+
+
+def _stamp(rng: random.Random) -> int:
+    now_ns = time.time_ns()
+    return rng.choice([now_ns] * 30 + [0, 1, now_ns - NS_PER_S, now_ns + NS_PER_S, now_ns - 40 * NS_PER_S])
+
+
+def _numbers(rng: random.Random, step: int) -> tuple[float, float, float]:
+    if rng.random() < 0.02:
+        return rng.choice([(math.nan, 0.0, 0.0), (3e38, 0.0, 0.0), (math.inf, 1.0, 2.0), (300.0, 200.0, 100.0)])
+    return 0.3 + step * 1e-6, 0.2, 0.1
+
+
+def _rotation(rng: random.Random) -> tuple[float, float, float, float]:
+    if rng.random() < 0.02:
+        return rng.choice([(0.0, 0.0, 0.0, 0.0), (math.nan, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, -3.0)])
+    x, y, z, w = (rng.uniform(-1, 1) for _ in range(4))
+    return x, y, z, w
+
+
+def _send_odd_pose(here: Scene, rng: random.Random, step: int) -> None:
+    header = Header(_stamp(rng), rng.choice(["base"] * 40 + ["camera"]))
+    if rng.random() < 0.5:
+        message: Any = TransformStamped(header, "tool", _numbers(rng, step), _rotation(rng))
+        here.send_ros(message, TOPIC, time.time_ns(), rng.choice([0] * 20 + [2]))
+    else:
+        here.send_ros(
+            PoseStamped(header, (*_numbers(rng, step), *_rotation(rng))), POSES, rng.choice([0, time.time_ns()])
+        )
+
+
+def _odd_message(rng: random.Random, step: int) -> bytes:
+    kind, ticks, version = rng.random(), ns_to_ticks(_stamp(rng)), rng.choice([1, 1, 1, 2])
+    device = rng.choice(["ToolToBase", "Aged", "Third"])
+    if kind < 0.9:
+        content: Any = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *_numbers(rng, step)))
+        message = Message("TRANSFORM", device, content, ticks, version)
+    elif kind < 0.95:
+        content = Position(_numbers(rng, step), _rotation(rng), "all")
+        message = Message("POSITION", device, content, ticks, version)
+    elif kind < 0.98:
+        message = Message("STRING", device, StringBody.of("text"), ticks, version)
+    else:
+        message = Message("STATUS", device, Status(1, 0, "", "ok"), ticks, version)
+    data = bytearray(join(encode(message)))
+    if rng.random() < 0.02:
+        data[rng.choice([50, 60, len(data) - 1])] ^= 1
+    return bytes(data)
+
+
+# -- its borders -------------------------------------------------------------------------------------------------------
+
+
+def test_a_peer_that_does_not_read_loses_what_python_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = socket.create_connection(here.bridge.addresses[0])
+        wait_for(here.bridge.tcp.links)
+        number = 0
+        while here.bridge.tcp.counters()[1].queued_messages == 0 and number < 100_000:
+            here.send_ros(pose(number))
+            number += 1
+        here.send_ros(pose(number))
+        total = number + 1
+        wait_for(lambda: here.received("ros_in") == total)
+        counts = here.bridge.tcp.counters()[1]
+        assert counts.sent_messages + counts.queued_messages + sum(counts.dropped.values()) == total
+        framer, messages = Framer(), []
+        peer.settimeout(TIMEOUT_S)
+        while len(messages) < total - sum(here.bridge.tcp.counters()[1].dropped.values()):
+            messages += framer.feed(peer.recv(1 << 20))
+        places = [struct.unpack_from(">f", message, len(message) - 12)[0] for message in messages]
+        assert places == sorted(places), "the order of the messages has changed"
+        here.send_ros(pose(number + 1))  # the way is clear again
+        wait_for(lambda: here.bridge.tcp.counters()[1].queued_messages == 0)
+        link = here.bridge.tcp.native_link(1)
+        assert link and link.clear
+        peer.close()
+
+
+def test_messages_in_pieces_and_in_blocks_arrive_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        for number in range(10):
+            peer.send(transform(number))
+        wait_for(lambda: here.native == 1)
+        block = b"".join(transform(number) for number in range(2_000))
+        text = join(encode(Message("STRING", "Text", StringBody.of("x" * 60_000))))
+        rng, stream = random.Random(1), block + text + block + text + block
+        while stream:
+            size = rng.choice([1, 57, 58, 200, 5_000, 70_000])
+            peer.send(stream[:size])
+            stream = stream[size:]
+        wait_for(lambda: here.received("igtl_in") == 10 + 6_000 + 2)
+
+
+def test_other_types_and_bad_messages_go_to_python_and_the_link_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        for number in range(10):
+            peer.send(transform(number))
+        wait_for(lambda: here.native == 1)
+        for number in range(5):
+            bad = bytearray(transform(number))
+            bad[70] ^= 255
+            peer.send(join(encode(Message("STATUS", "Robot", Status(1, 0, "", "ok")))) + bytes(bad) + transform(number))
+            time.sleep(0.002)
+        wait_for(lambda: here.received("igtl_in") == 25)
+        dropped = here.bridge.ledger()["streams"]["igtl_in"]["TRANSFORM/ToolToBase"]["dropped"]
+        assert sum(dropped.values()) == 5
+        for number in range(20):
+            peer.send(transform(number))
+            time.sleep(0.002)
+        wait_for(lambda: here.received("igtl_in") == 45)
+        link = here.bridge.tcp.native_link(1)
+        assert link and link.is_native
+
+
+def test_a_message_that_is_too_large_ends_the_link_as_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        for number in range(10):
+            peer.send(transform(number))
+            time.sleep(0.002)
+        wait_for(lambda: here.native == 1)
+        peer.send(transform(1)[:42] + struct.pack(">QQ", 2**60, 0))
+        wait_for(lambda: not here.bridge.tcp.links())
+        assert here.bridge.tcp.link_faults() == {"too_large": 1}
+        assert here.native == 0
+
+
+def test_the_rate_limit_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch, limits=PeerLimits(messages_per_s=200)) as here:
+        peer = here.connect()
+        begun = time.monotonic()
+        for number in range(1_200):
+            peer.send(transform(number))
+        wait_for(lambda: here.received("igtl_in") == 1_200)
+        assert time.monotonic() - begun > 1.5  # 200 at once, then what one reading takes (620), then 200 in a second
+
+
+def test_a_peer_that_leaves_inside_a_message_is_noted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+        for number in range(20):
+            peer.send(transform(number))
+            time.sleep(0.001)
+        wait_for(lambda: here.native == 1)
+        peer.send(transform(1)[:70])
+        time.sleep(0.05)
+        here.disconnect(peer)
+    notes = [Note.unpack(entry.data()) for entry in entries_of(path) if entry.kind is Kind.EDGE_NOTE]
+    (truncated,) = [note for note in notes if note.code == "truncated"]
+    assert truncated.data["received"] == 70
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+def test_outputs_without_a_subscriber_are_not_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        here.middleware.subscribers = {"/tf": 0}
+        peer = here.connect()
+        for number in range(100):
+            peer.send(transform(number))
+        wait_for(lambda: here.received("igtl_in") == 100)
+        assert here.native == 1
+        assert not [topic for topic, _ in here.middleware.published if topic == "/tf"]
+        here.middleware.subscribers = {"/tf": 0, "/igtl/in/ToolToBase/transform": 0}
+        for number in range(100):
+            peer.send(transform(number))
+        wait_for(lambda: here.received("igtl_in") == 200)
+        assert here.bridge.ledger()["streams"]["igtl_in"]["TRANSFORM/ToolToBase"]["unheard"] >= 99
+
+
+def test_losses_of_the_middleware_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        here.connect()
+        for number in range(50):
+            here.send_ros(pose(number), lost=1 if number in (10, 20) else 0)
+        wait_for(lambda: here.received("ros_in") == 50)
+        here.ros.sync()
+        assert here.ros.counters()[TOPIC]["lost"] == 2
+
+
+def test_a_failing_middleware_is_counted_and_hangs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        for number in range(10):
+            peer.send(transform(number))
+            here.send_ros(pose(number))
+        wait_for(lambda: here.native == 2)
+        link = here.bridge.tcp.native_link(1)
+        wait_for(lambda: link and link.is_native)
+        here.middleware.failing = 1
+        peer.send(transform(11))
+        here.send_ros(pose(11))
+        wait_for(lambda: here.received("igtl_in") == 11 and here.ros.errors)
+        here.middleware.failing = 0
+        here.send_ros(pose(12))
+        wait_for(lambda: here.received("ros_in") == 12)
+        here.ros.sync()
+        assert here.ros.counters()["/igtl/in/ToolToBase/transform"]["failed"] == 1
+        here.ros.errors.clear()
+
+
+def test_many_threads_of_the_middleware_keep_the_order_of_a_topic(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path, topics = tmp_path / "session.mcap", [f"/igtl/out/tool{number}" for number in range(4)]
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+
+        def deliver(topic: str) -> None:
+            for number in range(300):
+                here.send_ros(pose(number), topic)
+
+        for topic in topics:
+            here.ros.subscribe(topic, TransformStamped.TYPE)
+        threads = [threading.Thread(target=deliver, args=(topic,)) for topic in topics]
+        sender = threading.Thread(target=lambda: [peer.send(transform(number)) for number in range(600)])
+        for thread in (*threads, sender):
+            thread.start()
+        for thread in (*threads, sender):
+            thread.join()
+        wait_for(lambda: here.received("ros_in") == 1_200 and here.received("igtl_in") == 600)
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    for topic in topics:
+        stamps = [entry.data() for entry in entries_of(path) if entry.channel == topic]
+        assert stamps == sorted(stamps, key=lambda cdr: struct.unpack_from("<iI", cdr, 4))
+
+
+def test_a_latched_or_guarded_topic_is_judged_by_python(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        here.connect()
+        for number in range(30):
+            here.send_ros(pose(number))
+            time.sleep(0.02)
+        for _ in range(3):  # metres instead of millimetres
+            time.sleep(0.11)
+            jump = TransformStamped(Header(time.time_ns(), "base"), "tool", (10.0, 200.0, 300.0), (0.0, 0.0, 0.0, 1.0))
+            here.send_ros(jump)
+    notes = [Note.unpack(entry.data()) for entry in entries_of(path) if entry.kind is Kind.NOTE]
+    assert [note.code for note in notes if note.code == "unit_jump"] == ["unit_jump"]
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
