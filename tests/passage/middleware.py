@@ -85,7 +85,7 @@ class Middleware:
             callback(user_data, 1)
 
     def waiting(self) -> int:
-        """Return the number of messages that nobody has taken."""
+        """Return the number of messages that were not taken."""
         return sum(map(len, self._queues.values()))
 
     def _take(self, pointer: int, message: Any, info: Any, _allocation: int | None) -> int:
@@ -150,7 +150,7 @@ class RosEdge:
             self._receiver = NativeReceiver(
                 self._passage,
                 self.middleware,
-                lambda error: self.errors.append(str(error)),  # type: ignore[arg-type]
+                lambda error: self.errors.append(str(error)),
             )
             self._receiver.start()
 

@@ -12,7 +12,6 @@ import threading
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from igtl_gateway.edges.ros.direct import Rcl
 from igtl_gateway.errors import RosError
 from igtl_gateway.passage import Passage
 from igtl_gateway.passage import Subscription as NativeSubscription
@@ -104,16 +103,22 @@ class _UnmanagedCallbackGroup:
         """Nothing begins, so nothing ends."""
 
 
+class Addresses(Protocol):
+    """Finds functions of rcl."""
+
+    def address(self, name: str) -> int: ...
+
+
 class NativeReceiver(_EventPolling):
     """The native passage takes, in the threads of the middleware; what it does not pass on, our own thread takes.
 
     Args:
         passage: the native passage.
-        rcl: finds functions of rcl.
+        rcl: see ``Addresses``.
         on_error: called with what a callback or rcl raises.
     """
 
-    def __init__(self, passage: Passage, rcl: Rcl, on_error: OnError) -> None:
+    def __init__(self, passage: Passage, rcl: Addresses, on_error: OnError) -> None:
         super().__init__()
         self.group = _UnmanagedCallbackGroup()
         self._passage = passage

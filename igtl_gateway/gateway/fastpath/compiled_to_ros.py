@@ -87,9 +87,8 @@ class CompiledToRos:
         self, seq: int, stamp_ns: int, payload: Sequence[Buffer], links: tuple[int, ...], ask: Ask | None
     ) -> list[Entry] | None:
         """Return the entries of a message; [] sends it to the full path, None also all further messages."""
-        outputs, forms = self._outputs, self._forms
-        later: frozenset[str] = frozenset()
         outputs, forms = self.outputs, self._forms
+        later: frozenset[str] = frozenset()
         if ask is not None:
             outputs = tuple(one for one in outputs if ask(one[0], one[1]))
             forms = tuple(form for _, _, form, _ in outputs)

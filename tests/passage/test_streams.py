@@ -322,7 +322,8 @@ def test_a_peer_that_does_not_read_loses_what_python_counts(monkeypatch: pytest.
         wait_for(lambda: here.received("ros_in") == total)
         counts = here.bridge.tcp.counters()[1]
         assert counts.sent_messages + counts.queued_messages + sum(counts.dropped.values()) == total
-        framer, messages = Framer(), []
+        framer = Framer()
+        messages: list[bytes | memoryview] = []
         peer.settimeout(TIMEOUT_S)
         while len(messages) < total - sum(here.bridge.tcp.counters()[1].dropped.values()):
             messages += framer.feed(peer.recv(1 << 20))
@@ -474,7 +475,7 @@ def test_many_threads_of_the_middleware_keep_the_order_of_a_topic(
         for topic in topics:
             here.ros.subscribe(topic, TransformStamped.TYPE)
         threads = [threading.Thread(target=deliver, args=(topic,)) for topic in topics]
-        sender = threading.Thread(target=lambda: [peer.send(transform(number)) for number in range(600)])
+        sender = threading.Thread(target=peer.send, args=(b"".join(map(transform, range(600))),))
         for thread in (*threads, sender):
             thread.start()
         for thread in (*threads, sender):
