@@ -55,6 +55,7 @@ EXAMPLES = """\
 _TABLE_COUNT, _TABLE_HZ = 1000, 30.0
 _MOST_S, _MOST_HZ, _MOST_COUNT, _MOST_ROUNDS = 3600.0, 100_000.0, 10_000_000, 100
 _BOTH = "both"
+_COMMAND_ENDS = 20  # characters of a command that the table shows at each end
 
 #: Column → field of a row and how it is shown.
 _COLUMNS = {
@@ -372,10 +373,16 @@ def _name(row: Row) -> str:
         clients,
         "+rec" if row.get("recording") else "",
         row.get("peer"),
-        row.get("bridge"),
+        _shortened(row.get("bridge", "")),
         "(Python programs)" if row.get("programs") == PYTHON else "",
     )
     return " ".join(filter(None, marks))
+
+
+def _shortened(command: str) -> str:
+    """A long command without its middle: the ends are what differs."""
+    most = 2 * _COMMAND_ENDS + 1
+    return command if len(command) <= most else f"{command[:_COMMAND_ENDS]}…{command[-_COMMAND_ENDS:]}"
 
 
 def _shown(value: Any) -> str:

@@ -25,12 +25,14 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[BenchPlan]:
 
     def measure(_runner: Runner, plan: BenchPlan) -> list[dict[str, Any]]:
         asked.append(plan)
+        others: list[dict[str, Any]] = [{}, *({"bridge": command} for command in plan.against)]
         slower = {"p50_ms": 0.55, "p99_ms": 1.5} if plan.record else {}
         (stream, *_) = plan.case.streams
         return [
             {"case": plan.case.name, "direction": way.value, "rate_hz": stream.rate_hz or None}
             | {"recording": plan.record, "sent": 1000, "delivered": 999, "received_per_s": 30.0}
-            | {**FIGURES, **slower}
+            | {**FIGURES, **slower, **other}
+            for other in others
             for way in plan.directions
         ]
 
@@ -106,6 +108,17 @@ def test_what_is_compared_with_what(plans: list[BenchPlan], monkeypatch: pytest.
 
 
 @pytest.mark.ros
+def test_a_long_command_is_shortened_in_the_table(plans: list[BenchPlan], capsys: pytest.CaptureFixture[str]) -> None:
+    other = "ros2 launch some_package some_bridge.launch.py port:={port}"
+    words = ["--case", "transform", "--direction", "igtl-to-ros", "--against", other, "--against", "x {port}"]
+    assert main(["bench", *words]) == 0
+    _, ours, theirs, third, *_ = capsys.readouterr().out.splitlines()
+    assert len(plans) == 1 and ours.startswith("transform  ")
+    assert theirs.startswith("transform ros2 launch some_pac…unch.py port:={port}  igtl-to-ros")
+    assert third.startswith("transform x {port}  ")
+
+
+@pytest.mark.ros
 def test_rounds_take_turns(plans: list[BenchPlan], capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--case", "mixed", "--record", "--rounds", "3", "--direction", "ros-to-igtl", "--json"]
     assert main(["bench", *words]) == 0
@@ -148,7 +161,6 @@ def test_a_real_run_both_ways(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.ros
-@pytest.mark.slow
 @pytest.mark.skipif(bool(lacks_probe()), reason=lacks_probe())
 def test_a_real_run_against_another_bridge(capsys: pytest.CaptureFixture[str]) -> None:
     other = f"{sys.executable} -m igtl_gateway_lab.bench.hop --port {{port}} --case {{case}}"
@@ -177,7 +189,6 @@ def test_a_bridge_that_does_not_work_is_left_out(capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.ros
-@pytest.mark.slow
 @pytest.mark.skipif(bool(lacks_probe()), reason=lacks_probe())
 def test_the_mixed_load_has_a_floor(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "--case", "mixed", "--count", "10", "--json"]) == 0
