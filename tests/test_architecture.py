@@ -116,7 +116,11 @@ HOMES: dict[str, tuple[str, ...]] = {
     "asyncio": (),
     "select": ("edges.tcp.sender",),
     "selectors": ("edges.tcp.loop",),
-    "socket": ("edges.tcp", "lab.bench"),  # a measurement has a peer that costs nothing, and a port for any bridge
+    "socket": (
+        "edges.tcp",
+        "edges.reserved",
+        "lab.bench",
+    ),  # a measurement has a peer that costs nothing, and a port for any bridge
     "socketserver": (),
     "ssl": ("edges.tcp.tls",),
     "http": ("app.metrics",),

@@ -11,7 +11,6 @@ import platform
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import CompressedImage, DiagnosticArray, TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList, MetadataItem
+from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import PeerLimits, TcpEdge, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
@@ -104,6 +104,7 @@ class BridgeOptions:
     recording: RecordOptions = field(default_factory=RecordOptions)
     video: VideoOptions | None = None
     diagnostics: bool = False
+    reserved: ReservedPorts | None = None
     realtime: RealtimeOptions = field(default_factory=RealtimeOptions)
     native: bool = True
 
@@ -167,6 +168,7 @@ class Bridge:
             allow=options.allow,
             tls=options.tls,
             passage=passage,
+            reserved=options.reserved,
         )
         self.ros: RosEdge | None = None
         self._all_built = viewer is not None or options.record is not None  # also outputs without a subscriber
@@ -437,6 +439,8 @@ def session_facts(config: Config) -> dict[str, str]:
 
 
 def _versions(packages: Sequence[str]) -> dict[str, str]:
+    from importlib import metadata  # here: a bridge that records nothing does not need it
+
     found = {}
     for package in packages:
         try:

@@ -16,9 +16,10 @@ import importlib
 import sys
 from collections.abc import Sequence
 
+from igtl_gateway.cli.early_port import early_ports
 from igtl_gateway.cli.options import HelpFormatter, add_limits_of_files, shorten_usage
 from igtl_gateway.cli.terminal import Parser, discard_outputs, flush_outputs, open_outputs, print_line
-from igtl_gateway.cli.verbs import LABORATORY, WITHOUT_LABORATORY, Verb, available
+from igtl_gateway.cli.verbs import LABORATORY, VERBS, WITHOUT_LABORATORY, Verb, available
 from igtl_gateway.cli.versions import VersionAction
 from igtl_gateway.errors import ConfigError, GatewayError, OutputError, UnsupportedRecording
 from igtl_gateway.untrusted import limits
@@ -29,6 +30,21 @@ FAILURE, USAGE = 1, 2
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; the console script ``igtl-gateway``."""
     open_outputs()
+    given = list(sys.argv[1:] if argv is None else argv)
+    asked = next((word for word in given if not word.startswith("-")), "")
+    if asked != "bridge":
+        return _run(given, asked)
+    from igtl_gateway.edges.reserved import ReservedPorts  # here: other verbs need no socket
+
+    reserved = ReservedPorts(early_ports(given))
+    try:
+        return _run(given, asked, reserved=reserved)
+    finally:
+        reserved.close()
+
+
+def _run(given: Sequence[str], asked: str, **extra: object) -> int:
+    """Run the verb ``asked``; ``extra`` are attributes of its options beside those of the command line."""
     parser = Parser(
         prog="igtl-gateway",
         description="Gateway between OpenIGTLink and ROS 2 that records, replays and verifies sessions.",
@@ -37,10 +53,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--version", action=VersionAction, help="print the versions of program, formats and libraries")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
-    given = list(sys.argv[1:] if argv is None else argv)
     # import only the module of the requested verb: `info` must not wait for ROS
-    asked = next((word for word in given if not word.startswith("-")), "")
-    known = available()
+    known = VERBS if asked in VERBS else available()  # the entry points of all distributions take a while
     if asked in LABORATORY and asked not in known:
         return _print_error(asked, WITHOUT_LABORATORY, USAGE)
     for name, verb in known.items():
@@ -49,6 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if not verb.module:
                 return _print_error(asked, verb.help, FAILURE)
             complete(added, verb)
+            added.set_defaults(**extra)
     options = parser.parse_args(given)
     if not options.verb:
         parser.print_help()

@@ -236,6 +236,7 @@ def _settings(options: argparse.Namespace, how: RecordOptions) -> tuple[Config, 
         recording=how,
         video=_video(options),
         diagnostics=not (options.no_ros or options.no_diagnostics),
+        reserved=options.reserved,
         realtime=realtime.realtime_options(options, options.config),
     )
 

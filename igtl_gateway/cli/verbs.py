@@ -7,7 +7,10 @@ a ``Verb``.  The laboratory (``igtl-gateway-lab``) adds ``simulate``, ``bench`` 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import metadata
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib import metadata
 
 GROUP = "igtl_gateway.verbs"
 
@@ -59,6 +62,8 @@ def available() -> dict[str, Verb]:
 
     A verb that cannot be loaded has no module, and its help has the reason; the other verbs keep working.
     """
+    from importlib import metadata  # here: our own verbs do not wait for it
+
     verbs = dict(VERBS)
     for entry in sorted(metadata.entry_points(group=GROUP), key=lambda each: each.name):
         if entry.name not in verbs:

@@ -6,7 +6,6 @@ import argparse
 import os
 import platform
 from collections.abc import Iterator
-from importlib import metadata
 from importlib.util import find_spec
 from typing import Any
 
@@ -58,6 +57,8 @@ def _libraries() -> Iterator[tuple[str, str]]:
 
 
 def _version(distribution: str) -> str:
+    from importlib import metadata  # here: no verb waits for it
+
     try:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError:

@@ -6,6 +6,7 @@ import socket
 from collections.abc import Callable
 from functools import partial
 
+from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp.dialer import Dialer
 from igtl_gateway.edges.tcp.link_info import LinkInfo, PeerLimits
 from igtl_gateway.edges.tcp.link_parts import LinkContext
@@ -28,9 +29,17 @@ class Addresses:
         context: what the links share.
         allow: which peers may connect.
         tls: files for the connections with TLS.
+        reserved: ports that are open already.
     """
 
-    def __init__(self, registry: LinkRegistry, context: LinkContext, allow: AllowList, tls: TlsFiles) -> None:
+    def __init__(
+        self,
+        registry: LinkRegistry,
+        context: LinkContext,
+        allow: AllowList,
+        tls: TlsFiles,
+        reserved: ReservedPorts | None,
+    ) -> None:
         self._registry = registry
         self._loop = context.loop
         self._reporter = context.reporter
@@ -38,6 +47,7 @@ class Addresses:
         self._limits: PeerLimits = context.limits
         self._allow = allow
         self._tls = tls
+        self._reserved = reserved
         self._listeners: list[Listener] = []
         self._dialers: list[Dialer] = []
         self._relays: list[RelayConnector] = []
@@ -75,7 +85,7 @@ class Addresses:
 
     def _listen(self, host: str, port: int, up: Up, tls: bool) -> tuple[str, int]:
         context = self._tls.server() if tls else None
-        sock = listening_socket(host, port, self._allow)
+        sock = listening_socket(host, port, self._allow, self._reserved)
         bound: tuple[str, int] = sock.getsockname()[:2]
         accepted = partial(self._start_tls, up, context) if context else up
         listener = Listener(sock, self._allow, self._over_limit, accepted, self._loop, self._reporter, self._refusals)

@@ -9,6 +9,7 @@ from typing import Literal
 
 from igtl_gateway.buffers import Buffer, join, total_size
 from igtl_gateway.clock import Clock
+from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp.addresses import Addresses
 from igtl_gateway.edges.tcp.link import FLUSH_S
 from igtl_gateway.edges.tcp.link_info import LinkCounters, LinkInfo, PeerLimits
@@ -52,6 +53,7 @@ class TcpEdge:
         allow: networks (CIDR) whose peers may connect beside this host's own, or ``"any"``.
         tls: files for the connections with TLS.
         passage: the native passage, whose streams the links may have; None: there is none.
+        reserved: ports that are open already; `listen` takes them.
         when_full: ``"drop"``: ``send`` never waits, see ``Outbox``; ``"block"``: ``send`` waits for room and
             nothing is lost while the link is up (except in callbacks, which must not wait for themselves).
 
@@ -70,6 +72,7 @@ class TcpEdge:
         when_full: Literal["drop", "block"] = "drop",
         tls: TlsFiles = _NO_FILES,
         passage: Passage | None = None,
+        reserved: ReservedPorts | None = None,
     ) -> None:
         self._blocking = when_full == "block"
         self._loop = Loop(clock, self._run, self._failed)
@@ -90,7 +93,7 @@ class TcpEdge:
         self._native_reader = NativeReader(passage, self._attend) if passage else None
         self._registry = LinkRegistry(context, on_link)
         self._links = self._registry.links  # the same table, at hand for every message
-        self._addresses = Addresses(self._registry, context, AllowList(allow), tls)
+        self._addresses = Addresses(self._registry, context, AllowList(allow), tls, reserved)
         self._flush_s = 0.0
         self._finished = False
 

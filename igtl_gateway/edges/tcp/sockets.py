@@ -10,11 +10,11 @@ import sys
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+from igtl_gateway.edges.reserved import ReservedPorts, listener
 from igtl_gateway.errors import ConfigError, Unavailable
 
 PORT_MAX = 65535
 
-_BACKLOG = 256  # connections that may wait while one callback runs; beyond that they come a second later
 _KEEPALIVE = (  # a peer that lost power is found after 10 + 3 x 5 s; silent ones that answer are kept
     (socket.SOL_SOCKET, "SO_KEEPALIVE", 1),
     (socket.IPPROTO_TCP, "TCP_KEEPIDLE", 10),
@@ -108,8 +108,8 @@ def resolve(host: str, port: int, *, numeric: bool) -> list[tuple[int, Any]]:
     return sorted(((family, address) for family, _, _, _, address in found), key=lambda one: one[0] != socket.AF_INET)
 
 
-def listening_socket(host: str, port: int, allow: AllowList) -> socket.socket:
-    """Return a listening socket; see ``TcpEdge.listen``.
+def listening_socket(host: str, port: int, allow: AllowList, reserved: ReservedPorts | None = None) -> socket.socket:
+    """Return a listening socket, the reserved one if there is one; see ``TcpEdge.listen``.
 
     Raises ConfigError for an invalid address, Unavailable if the system refuses it now.
     """
@@ -125,21 +125,14 @@ def listening_socket(host: str, port: int, allow: AllowList) -> socket.socket:
             f"{place}: open to other hosts, but none may connect; "
             'allow networks such as 192.168.1.0/24, or "any" for all'
         )
-    listener = socket.socket(family, socket.SOCK_STREAM)
     try:
-        # a restart must not wait for the connections of the run before to time out
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen(_BACKLOG)
-        listener.setblocking(False)
+        return (reserved and reserved.take(host, port)) or listener(family, address)
     except OSError as exc:
-        listener.close()
         if exc.errno == errno.EADDRINUSE:
             raise Unavailable(f"{place}: the port is in use by another program; stop it or choose another") from None
         if exc.errno == errno.EADDRNOTAVAIL:
             raise ConfigError(f"{place}: found {address[0]}, expected an address of this machine") from None
         raise Unavailable(f"{place}: {exc.strerror or exc}") from None
-    return listener
 
 
 def _ip(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
