@@ -32,8 +32,6 @@ from dataclasses import replace
 from operator import index
 from typing import Any
 
-import numpy as np
-
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.chunk_rows import RowStream
@@ -142,34 +140,50 @@ class QueueSlot:
     """The place of an entry whose payload is still to be copied: call it, without a lock, as soon as possible.
 
     The reader waits for it.  If it is never called the reader counts the entry as lost.
+
+    Args:
+        room: that of the queue.
+        parts: the payload.
+
+    Raises BufferError or the like for what is no payload.
     """
 
-    __slots__ = ("_begin", "_parts", "_room")
+    __slots__ = ("_begin", "_parts", "_room", "_target")
 
-    def __init__(self, room: memoryview, begin: int, parts: Sequence[Buffer]) -> None:
-        self._room, self._begin = room, begin
+    def __init__(self, room: memoryview, parts: Sequence[Buffer]) -> None:
+        import numpy as np  # here, because the reader's process starts faster without it
+
+        self._begin = -1
+        self._room = room
+        self._target = np.frombuffer(room, np.uint8)
         self._parts = [np.frombuffer(part, np.uint8) for part in parts]
 
+    def place_at(self, begin: int) -> None:
+        """Tell it the place of the record."""
+        self._begin = begin
+
     def __call__(self) -> None:
-        """Copy the payload, which must not have changed, and hand the entry to the reader."""
+        """Copy the payload, which must not have changed, and hand the entry to the reader; once."""
+        if self._begin < 0:
+            return
         end = self._begin + _RECORD_BYTES
-        room = np.frombuffer(self._room, np.uint8)
         for part in self._parts:
             begin, end = end, end + len(part)
-            room[begin:end] = part  # without the interpreter lock, unlike a memoryview
+            self._target[begin:end] = part  # without the interpreter lock, unlike a memoryview
         self._end(0)
 
     def __del__(self) -> None:
-        if self._parts:
+        if self._begin >= 0:
             self._end(_VOID)
 
     def _end(self, mark: int) -> None:
-        self._parts = []
-        (what,) = _WORD.unpack_from(self._room, self._begin)
+        begin, self._begin = self._begin, -1
+        self._parts.clear()
+        (what,) = _WORD.unpack_from(self._room, begin)
         barrier = threading.Lock()
         with barrier:  # as for the position: the payload is there before the record is complete
             pass
-        _WORD.pack_into(self._room, self._begin, what & ~_FILLING | mark)
+        _WORD.pack_into(self._room, begin, what & ~_FILLING | mark)
 
 
 class QueueWriter(_QueueEnd):
@@ -273,8 +287,11 @@ class QueueWriter(_QueueEnd):
                         if size < LARGE_BYTES:
                             taken = self._add(stream, size, numbers, payload, size, size + ENTRY_BYTES) >= 0
                         else:
+                            slot = QueueSlot(self._room, payload)
                             begin = self._add(stream | _FILLING, size, numbers, (), size, size + ENTRY_BYTES)
-                            taken = begin >= 0 and QueueSlot(self._room, begin, payload)
+                            if begin >= 0:
+                                slot.place_at(begin)
+                                taken = slot
                 except struct.error:  # beyond 64 bits
                     stream = _ENTRY
                 if stream == _ENTRY:
