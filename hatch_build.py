@@ -16,6 +16,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 SOURCES = (
     Path("igtl_gateway/convert/_express.c"),
     Path("igtl_gateway/passage/_passage.c"),
+    Path("igtl_gateway/record/_queue.c"),
     Path("igtl_gateway/sessionfile/_chunk.c"),
 )
 #: Results have to be those of Python's floats: no fused or reordered arithmetic.

@@ -107,19 +107,35 @@ static inline int queue_fits(const struct queue *queue, uint64_t entries, uint64
            counters[QUEUE_LIMIT];
 }
 
-/* Put an entry, for which queue_fits and queue_knows were true.  The caller has the lock since then. */
-static inline void queue_add(struct queue *queue, uint64_t stream, uint64_t number, uint64_t stamp_ns,
-                             uint64_t source_ns, const void *payload, uint64_t size)
+/* Begin an entry, for which queue_fits and queue_knows were true; the caller has the lock since then.
+ *
+ * Returns where the payload belongs, for the caller to copy it; queue_publish has to follow.
+ */
+static inline uint8_t *queue_begin(struct queue *queue, uint64_t stream, uint64_t number, uint64_t stamp_ns,
+                                   uint64_t source_ns, uint64_t size)
 {
-    uint64_t *counters = queue->counters;
-    uint8_t *at = queue->room + counters[QUEUE_PLACE];
+    uint8_t *at = queue->room + queue->counters[QUEUE_PLACE];
     const uint64_t head[5] = {stream & 0xFFFFFFFF, size, number, stamp_ns, source_ns};
     memcpy(at, head, QUEUE_RECORD_BYTES);
-    memcpy(at + QUEUE_RECORD_BYTES, payload, size);
+    return at + QUEUE_RECORD_BYTES;
+}
+
+/* Hand the entry that was begun to the reader. */
+static inline void queue_publish(struct queue *queue, uint64_t size)
+{
+    uint64_t *counters = queue->counters;
     counters[QUEUE_PLACE] += queue_need(size);
     counters[QUEUE_ENTRIES] += 1;
     counters[QUEUE_TAKEN] += size + QUEUE_ENTRY_BYTES;
     __atomic_store_n(&counters[QUEUE_HEAD], counters[QUEUE_HEAD] + queue_need(size), __ATOMIC_RELEASE);
+}
+
+/* Put an entry, under the conditions of queue_begin. */
+static inline void queue_add(struct queue *queue, uint64_t stream, uint64_t number, uint64_t stamp_ns,
+                             uint64_t source_ns, const void *payload, uint64_t size)
+{
+    memcpy(queue_begin(queue, stream, number, stamp_ns, source_ns, size), payload, size);
+    queue_publish(queue, size);
 }
 
 /* Put one entry; 0 if Python has to do it.  The caller has the lock. */

@@ -26,15 +26,18 @@ import sys
 import tempfile
 import threading
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from operator import index
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.chunk_rows import RowStream
+
+#: Kind, channel, type and links of entries.
+_Stream = tuple[Kind, str, str, tuple[int, ...]]
 
 _PAGE = 4096
 _MARSHAL = 2  # the version without references, which a head has no use for
@@ -98,6 +101,17 @@ _WAKE_ENTRIES = 2_000
 LARGE_BYTES = 64 << 10
 
 
+#: Puts a small entry of a known stream, like ``QueueWriter.put``; False if that has to do it.
+#: Arguments: the memory of the queue, the numbers of the streams, the entry.
+put_entry: Callable[[mmap.mmap, dict[_Stream, int], Entry], bool] | None = None
+
+if not TYPE_CHECKING:
+    try:
+        from igtl_gateway.record._queue import put_entry
+    except ImportError:  # pragma: no cover - installed without the C part
+        pass
+
+
 def memory(queue_bytes: int, largest: int) -> mmap.mmap:
     """Memory for a queue of ``queue_bytes`` between threads, in which the largest entry alone fits, too.
 
@@ -159,7 +173,7 @@ class QueueSlot:
         self._parts = [np.frombuffer(part, np.uint8) for part in parts]
 
     def place_at(self, begin: int) -> None:
-        """Tell it the place of the record."""
+        """Set the place of its record, which is there now."""
         self._begin = begin
 
     def __call__(self) -> None:
@@ -202,7 +216,7 @@ class QueueWriter(_QueueEnd):
         self._barrier = threading.Lock()
         self._run = (0, 0)  # position and place of the first record since the last mark
         self._runs: deque[tuple[int, int, int]] = deque()  # those before, with the place of their end
-        self._streams: dict[tuple[Kind, str, str, tuple[int, ...]], int] = {}
+        self._streams: dict[_Stream, int] = {}
         #: Whether so much waits, after the last entry, that the getter should look.
         self.pressing = False
 
@@ -258,6 +272,9 @@ class QueueWriter(_QueueEnd):
 
         Raises TypeError or the like for other objects.
         """
+        if put_entry and put_entry(self._map, self._streams, entry):
+            self.pressing = False  # or the getter's attention was asked for already
+            return True
         taken: bool | QueueSlot = False
         counters = self._counters
         try:
@@ -453,7 +470,7 @@ class QueueReader(_QueueEnd):
         self._begin = 0  # place from which on it has not
         self._gone: list[tuple[int, int]] = []  # what it has not, before the last mark
         self._barrier = threading.Lock()
-        self._streams: list[tuple[Kind, str, str, tuple[int, ...]]] = []
+        self._streams: list[_Stream] = []
         #: For each stream that has a number, what the caller needs to take its entries as rows; None at first.
         self.row_streams: list[RowStream | None] = []
         #: The number of the stream of the last entry that :meth:`get` returned; -1 if it has none.

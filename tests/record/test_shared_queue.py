@@ -462,6 +462,31 @@ def test_there_is_no_number_without_room(pair: Pair, monkeypatch: pytest.MonkeyP
     assert pair.putter.stream_number(Kind.ROS_IN, "/chatter", "std_msgs/msg/String", ()) == -1
 
 
+def test_what_is_put_from_python_in_c() -> None:
+    put_entry = shared_queue.put_entry
+    if put_entry is None:
+        pytest.skip("installed without the C part")
+    pair = Pair(max_entries=3)
+    entry = replace(samples.igtl(1), payload=(b"two ", b"parts"))
+
+    def put(entry: Any) -> bool:
+        return put_entry(pair.putter.memory, pair.putter._streams, entry)
+
+    assert not put(entry)  # a new stream
+    assert pair.putter.put(entry)
+    assert put(entry) and put(replace(entry, payload=()))
+    assert [pair.get(), pair.get(), pair.get()] == [*[samples.flat(entry)] * 2, replace(entry, payload=(b"",))]
+    odd: list[dict[str, Any]] = [
+        {"payload": [b"a list"]}, {"payload": (memoryview(b"a view"),)}, {"payload": (bytes(64 << 10),)},
+        {"links": [1]}, {"links": (2,)}, {"seq": 2**64}, {"stamp_ns": -1}, {"source_ns": 1.5}, {"kind": None},
+    ]  # fmt: skip
+    assert not any(put(replace(entry, **fields)) for fields in odd)
+    assert not put(None) and pair.get() is None
+    assert [put(entry) for _ in range(4)] == [True, True, True, False]
+    with pytest.raises(TypeError):
+        put_entry(pair.putter.memory, [], entry)  # type: ignore[arg-type]
+
+
 STEPS = st.lists(
     st.tuples(
         st.sampled_from(("native", "python", "command", "reserve", "fill", "get", "get", "get")),
@@ -474,10 +499,12 @@ STEPS = st.lists(
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-@given(steps=STEPS)
-def test_both_writers_alternate(library: ctypes.CDLL, steps: list[tuple[str, int, int]]) -> None:
+@given(steps=STEPS, compiled=st.booleans())
+def test_both_writers_alternate(library: ctypes.CDLL, steps: list[tuple[str, int, int]], compiled: bool) -> None:
     with pytest.MonkeyPatch.context() as patch:
         shrink(patch)
+        if not compiled:
+            patch.setattr(shared_queue, "put_entry", None)
         patch.setattr(shared_queue, "LARGE_BYTES", 2000)
         patch.setattr(shared_queue, "_MAX_STREAMS", 3)
         pair = Pair(max_bytes=20_000, largest=10_000)
