@@ -72,6 +72,8 @@ SLOW = (
     "integration/test_interop.py",
     "integration/test_ros_types.py",
     "lab/cli/test_bench.py",
+    "lab/bench/test_hop.py",
+    "lab/bench/test_native.py",
     "lab/bench/test_peers.py",
     "lab/bench/test_works.py",
     "view/test_stream.py",

@@ -108,6 +108,16 @@ def test_what_is_compared_with_what(plans: list[BenchPlan], monkeypatch: pytest.
 
 
 @pytest.mark.ros
+def test_without_a_compiler_python_measures(
+    plans: list[BenchPlan], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("igtl_gateway_lab.cli.bench.lacks_probe", lambda: "no C compiler (cc)")
+    assert main(["bench", "--case", "transform", "--json"]) == 0
+    assert "the measuring programs are those in Python: no C compiler (cc)" in capsys.readouterr().err
+    assert [(plan.programs, plan.hop) for plan in plans] == [("python", False)]
+
+
+@pytest.mark.ros
 def test_a_long_command_is_shortened_in_the_table(plans: list[BenchPlan], capsys: pytest.CaptureFixture[str]) -> None:
     other = "ros2 launch some_package some_bridge.launch.py port:={port}"
     words = ["--case", "transform", "--direction", "igtl-to-ros", "--against", other, "--against", "x {port}"]
