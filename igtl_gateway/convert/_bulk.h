@@ -153,6 +153,39 @@ INLINE uint32_t cells_to_igtl_loop(const uint8_t *restrict from, uint8_t *restri
     return odd;
 }
 
+/* Move and scale coordinates: those of a point are x, y, z; ``scale`` and ``move`` apply before ``times`` and ``by``. */
+INLINE uint32_t moved_to_floats_loop(const uint8_t *restrict from, uint8_t *restrict to, ssize_t count,
+                                     const double scale[3], const double move[3], double times, double by)
+{
+    enum { STEP = 12 }; /* whole points, and whole vectors */
+    double scales[STEP], moves[STEP];
+    uint32_t odd = 0;
+    for (int i = 0; i < STEP; i++)
+        scales[i] = scale[i % 3], moves[i] = move[i % 3];
+    for (ssize_t begin = 0; begin < count; begin += STEP) {
+        int until = count - begin < STEP ? (int)(count - begin) : STEP;
+        for (int i = 0; i < until; i++) {
+            double value;
+            memcpy(&value, from + 8 * (begin + i), 8);
+            uint32_t word = word_of((float)((value * scales[i] + moves[i]) * times / by));
+            odd |= not_finite(word);
+            put_u32(to + 4 * (begin + i), word);
+        }
+    }
+    return odd;
+}
+
+/* Write triangular cells of the points ``first``, ``first`` + 1 … */
+INLINE uint32_t put_triangles_loop(uint8_t *to, ssize_t count, uint32_t first)
+{
+    for (ssize_t i = 0; i < count; i++) {
+        put_u32(to + CELL_BYTES * i, 3);
+        for (uint32_t corner = 0; corner < 3; corner++)
+            put_u32(to + CELL_BYTES * i + 4 + 4 * corner, first + 3 * (uint32_t)i + corner);
+    }
+    return 0;
+}
+
 /* Write the scaled corners of triangular cells; ``places``: the big-endian floats of ``points`` points. */
 INLINE uint32_t corners_to_ros_loop(const uint8_t *restrict cells, uint8_t *restrict to, ssize_t count,
                                     const uint8_t *restrict places, uint32_t points, double times, double by)
@@ -216,6 +249,11 @@ TWICE(doubles_to_floats, (const uint8_t *from, uint8_t *to, ssize_t count, doubl
       times, by)
 TWICE(cells_to_ros, (const uint8_t *from, uint8_t *to, ssize_t count, uint32_t points), from, to, count, points)
 TWICE(cells_to_igtl, (const uint8_t *from, uint8_t *to, ssize_t count, uint32_t points), from, to, count, points)
+TWICE(moved_to_floats,
+      (const uint8_t *from, uint8_t *to, ssize_t count, const double scale[3], const double move[3], double times,
+       double by),
+      from, to, count, scale, move, times, by)
+TWICE(put_triangles, (uint8_t *to, ssize_t count, uint32_t first), to, count, first)
 TWICE(corners_to_ros,
       (const uint8_t *cells, uint8_t *to, ssize_t count, const uint8_t *places, uint32_t points, double times, double by),
       cells, to, count, places, points, times, by)
@@ -580,8 +618,9 @@ struct ros_bulk {
     const uint8_t *sample; /* the bytes before the content */
     ssize_t size;
     int form;
-    ssize_t height_at, data_at;   /* of clouds and pictures */
-    ssize_t step, x, y, z;        /* of the points of a cloud; step of a picture: the size of its data */
+    ssize_t height_at, data_at;   /* of clouds and pictures; of a marker: those of its pose and of its points */
+    ssize_t step, x, y, z;        /* of the points of a cloud; step of a picture: the size of its data; x of a marker: the
+                                   * bytes from the number of its points to these */
     const ssize_t *places;        /* begin and end of each part of the sample that must be equal */
     ssize_t places_count;         /* numbers in ``places`` */
     double times, by;
@@ -657,6 +696,39 @@ static int find_mesh(const uint8_t *cdr, ssize_t size, struct found *found)
     return found->size <= UINT32_MAX;
 }
 
+/* Return the offset after a string or a sequence of elements of ``size`` bytes, aligned to 4; or -1 as its argument. */
+static ssize_t after_sequence(const uint8_t *cdr, ssize_t size, ssize_t at, ssize_t element)
+{
+    at = (at + 3) & ~(ssize_t)3;
+    if (at < 4 || at > size - 4)
+        return -1;
+    uint64_t bytes = (uint64_t)get_u32_ros(cdr + at) * (uint64_t)element;
+    return bytes > (uint64_t)(size - at - 4) ? -1 : at + 4 + (ssize_t)bytes;
+}
+
+/* Find the points of a Marker of triangles without colours; 0: the message needs the full path. */
+static int find_marker(const struct ros_bulk *stream, const uint8_t *cdr, ssize_t size, struct found *found)
+{
+    ssize_t at = stream->data_at;
+    found->count = get_u32_ros(cdr + at - stream->x);
+    found->cells = found->count / 3;
+    if (!found->count || found->count % 3 || found->count > (size - at) / 24)
+        return 0;
+    at += 24 * found->count;
+    if (size - at < 4 || get_u32_ros(cdr + at))
+        return 0;
+    at = after_sequence(cdr, size, at + 4, 1); /* texture_resource */
+    if (at < 0 || size - at < 12)
+        return 0;
+    at = after_sequence(cdr, size, ((at + 3) & ~(ssize_t)3) + 8, 1); /* texture: its frame after its stamp */
+    at = after_sequence(cdr, size, at, 1);                           /* its format */
+    at = after_sequence(cdr, size, at, 1);                           /* its data */
+    at = after_sequence(cdr, size, at, 8);                           /* uv_coordinates */
+    at = after_sequence(cdr, size, at, 1);                           /* text */
+    found->size = POLYDATA_HEAD + 12 * found->count + CELL_BYTES * found->cells;
+    return at >= 0;
+}
+
 /* Find the content of a message; 0: it needs the full path. */
 static int find_in_ros(const struct ros_bulk *stream, const uint8_t *cdr, ssize_t size, struct found *found)
 {
@@ -671,7 +743,10 @@ static int find_in_ros(const struct ros_bulk *stream, const uint8_t *cdr, ssize_
         if (!equal(cdr, stream->sample, stream->places[i], stream->places[i + 1]))
             return 0;
     found->data = cdr + stream->data_at;
-    if (stream->form >= PICTURE) {
+    if (stream->form == TRIANGLES) {
+        if (!find_marker(stream, cdr, size, found))
+            return 0;
+    } else if (stream->form >= PICTURE) {
         found->count = found->size = stream->step;
         if (size - stream->data_at < found->size)
             return 0;
@@ -682,6 +757,39 @@ static int find_in_ros(const struct ros_bulk *stream, const uint8_t *cdr, ssize_
     memcpy(&seconds, cdr + 4, 4);
     found->header_ns = seconds * NS_PER_S + get_u32_ros(cdr + 8);
     return found->size <= UINT32_MAX;
+}
+
+/* ``put_next`` for surfaces; ``block``: at most so many bytes. */
+static ssize_t put_next_of_surface(const struct ros_bulk *stream, const struct found *found, uint8_t *out, ssize_t done,
+                                   ssize_t block)
+{
+    ssize_t cells_at = POLYDATA_HEAD + 12 * found->count;
+    if (done == 0) {
+        memset(out, 0, POLYDATA_HEAD);
+        put_u32(out, (uint32_t)found->count);
+        put_u32(out + 20, (uint32_t)found->cells);
+        put_u32(out + 24, (uint32_t)(CELL_BYTES * found->cells));
+        return POLYDATA_HEAD;
+    }
+    if (done < cells_at) {
+        ssize_t first = (done - POLYDATA_HEAD) / 4, count = (block < cells_at - done ? block : cells_at - done) / 4;
+        const uint8_t *from = found->data + 8 * first;
+        uint32_t odd;
+        if (stream->form == MESH) {
+            odd = doubles_to_floats(from, out + done, count, stream->times, stream->by);
+        } else {
+            double pose[10]; /* position, orientation (none), scale */
+            memcpy(pose, stream->sample + stream->height_at, sizeof pose);
+            odd = moved_to_floats(from, out + done, count, pose + 7, pose, stream->times, stream->by);
+        }
+        return odd ? -1 : 4 * count;
+    }
+    ssize_t first = (done - cells_at) / CELL_BYTES, count = block / CELL_BYTES;
+    if (stream->form == TRIANGLES)
+        put_triangles(out + done, count, (uint32_t)(3 * first));
+    else if (cells_to_igtl(found->triangles + 12 * first, out + done, count, (uint32_t)found->count))
+        return -1;
+    return CELL_BYTES * count;
 }
 
 /* Write the next bytes of the content, of which ``done`` are written; return their number, or -1: the message needs the
@@ -705,24 +813,8 @@ static ssize_t put_next(const struct ros_bulk *stream, const struct found *found
         put_blue_first(found->data + done, out + done, block);
         return block;
     }
-    if (stream->form == MESH) {
-        ssize_t cells_at = POLYDATA_HEAD + 12 * found->count;
-        if (done == 0) {
-            memset(out, 0, POLYDATA_HEAD);
-            put_u32(out, (uint32_t)found->count);
-            put_u32(out + 20, (uint32_t)found->cells);
-            put_u32(out + 24, (uint32_t)(CELL_BYTES * found->cells));
-            return POLYDATA_HEAD;
-        }
-        if (done < cells_at) {
-            ssize_t first = (done - POLYDATA_HEAD) / 4, count = (block < cells_at - done ? block : cells_at - done) / 4;
-            const uint8_t *from = found->data + 8 * first;
-            return doubles_to_floats(from, out + done, count, stream->times, stream->by) ? -1 : 4 * count;
-        }
-        ssize_t first = (done - cells_at) / CELL_BYTES, count = block / CELL_BYTES;
-        const uint8_t *from = found->triangles + 12 * first;
-        return cells_to_igtl(from, out + done, count, (uint32_t)found->count) ? -1 : CELL_BYTES * count;
-    }
+    if (stream->form == MESH || stream->form == TRIANGLES)
+        return put_next_of_surface(stream, found, out, done, block);
     const struct points points = {.first = found->data,
                                   .step = stream->step,
                                   .x = stream->x,

@@ -253,6 +253,8 @@ static int read_places(PyObject *places, struct ros_bulk *stream, ssize_t number
     int inside = stream->height_at >= 12 && stream->data_at <= stream->size && stream->data_at >= stream->height_at + 16 &&
                  stream->x >= 0 && stream->y >= 0 && stream->z >= 0 && stream->x + 4 <= stream->step &&
                  stream->y + 4 <= stream->step && stream->z + 4 <= stream->step;
+    if (stream->form == TRIANGLES)
+        inside &= stream->x >= 4 && stream->x <= stream->data_at && stream->height_at <= stream->data_at - 80;
     for (Py_ssize_t i = 6; i < count; i += 2)
         inside &= numbers[i] >= 0 && numbers[i + 1] >= numbers[i] && numbers[i + 1] <= stream->size;
     if (!inside)
@@ -279,7 +281,7 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     if (PyErr_Occurred() || !PyArg_ParseTuple(args[7], "dd", &stream.times, &stream.by))
         return NULL;
     int has_places = stream.form != TEXT && stream.form != MESH;
-    if (stream.form < TEXT || stream.form == POINT || stream.form > MESH ||
+    if (stream.form < TEXT || stream.form == POINT || stream.form > TRIANGLES ||
         (has_places && (places_count < 6 || places_count % 2 || places_count > 6 + 2 * MAX_PLACES))) {
         PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: invalid form or places");
         return NULL;

@@ -184,7 +184,8 @@ COMPILED = False
 
 #: Conversions of bulk messages: STRING ⇄ String of ASCII, POINT of one point → PointStamped, POINT of unlabelled
 #: points ⇄ PointCloud2, POLYDATA with points only ⇄ PointCloud2, IMAGE ⇄ Image with everything but the pixels as in
-#: the sample, Image of BGR → IMAGE of RGB, POLYDATA of points and triangles ⇄ Mesh, and the same → Marker of triangles.
+#: the sample, Image of BGR → IMAGE of RGB, POLYDATA of points and triangles ⇄ Mesh, and the same ⇄ Marker of triangles
+#: (to OpenIGTLink only without colours and rotation).
 #: Clouds to OpenIGTLink have only the fields x, y and z as float32; all numbers are finite.
 TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES = range(8)
 
@@ -199,7 +200,8 @@ bulk_to_ros: Fill | None = None
 
 #: Like ``pose_to_igtl``, with other meanings of some arguments.  ``sample``: the bytes before the content.  ``names``:
 #: for a cloud the offsets of its height and of its data, the size of a point, and the offsets of x, y and z in it; for
-#: an image the offsets, the size of its data, and zeros; then begin and end of each part of the sample that must be
+#: an image the offsets, the size of its data, and zeros; for a marker the offsets of its pose and of its points, their
+#: size, the bytes from their number to them, and zeros; then begin and end of each part of the sample that must be
 #: equal.  ``size``: the conversion.  ``forms``: for each form the bytes before and after the content, and the offset of
 #: the digits in the latter.
 bulk_to_igtl: Fill | None = None

@@ -102,7 +102,7 @@ def marker_to_igtl(message: Marker, to: ToIgtlContext) -> ConvertedMessage:
 
     A deletion becomes an empty POLYDATA.  Raises ConversionError for shapes without points, NaN and infinity.
     """
-    if message.action in _DELETIONS:
+    if message.action in DELETIONS:
         return ConvertedMessage(PolyData(np.empty((0, 3), ">f4")), message.header.stamp_ns, message.header.frame_id)
     count = len(message.points)
     shape = _SHAPES.get(message.type)
@@ -135,7 +135,8 @@ def marker_to_igtl(message: Marker, to: ToIgtlContext) -> ConvertedMessage:
     )
 
 
-_DELETIONS = (2, 3)
+#: Actions that delete markers.
+DELETIONS = (2, 3)
 _CUBE_LIST = 6
 #: Marker type → section of POLYDATA, points per cell (0: all points in one cell).
 _SHAPES = {
@@ -156,9 +157,14 @@ def _finite(points: Array, to: ToIgtlContext, place: str) -> Array:
     return wire
 
 
+def is_unrotated(message: Marker) -> bool:
+    """Return whether the marker's pose has no rotation; all zero is unset, as in viewers."""
+    return message.orientation in ((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0))
+
+
 def _apply_marker_pose(points: Array, message: Marker) -> Array:
     """Return (n, 3) points moved by the marker's pose, without a matrix product: its bits depend on the machine."""
-    if message.orientation in ((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0)):  # all zero: unset, as in viewers
+    if is_unrotated(message):
         rotated = points
     else:
         x, y, z = points[:, 0], points[:, 1], points[:, 2]

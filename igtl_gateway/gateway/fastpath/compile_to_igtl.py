@@ -15,7 +15,18 @@ from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.config import SOURCE
 from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts
 from igtl_gateway.convert.common_msgs import PoseStamped
-from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, MATRIX, MESH, PICTURE, POINTS, QUATERNION, TEXT, Fill
+from igtl_gateway.convert.express import (
+    BLUE_FIRST,
+    CLOUD,
+    MATRIX,
+    MESH,
+    PICTURE,
+    POINTS,
+    QUATERNION,
+    TEXT,
+    TRIANGLES,
+    Fill,
+)
 from igtl_gateway.convert.rosmsg import PointCloud2, String, TransformStamped
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
@@ -43,10 +54,12 @@ _BULK_TO_IGTL: dict[Callable[..., Any], int] = {
     clouds.cloud_to_polydata: CLOUD,
     images.image_to_igtl: PICTURE,
     surfaces.mesh_to_igtl: MESH,
+    surfaces.marker_to_igtl: TRIANGLES,
 }
 #: ROS types whose streams can be compiled.
 TYPES = frozenset(
-    {TransformStamped.TYPE, PoseStamped.TYPE, String.TYPE, PointCloud2.TYPE, rosmsg.Image.TYPE, rosmsg.Mesh.TYPE}
+    message.TYPE
+    for message in (TransformStamped, PoseStamped, String, PointCloud2, rosmsg.Image, rosmsg.Mesh, rosmsg.Marker)
 )
 _SMALL = PolyData(np.zeros((1, 3), ">f4"))
 _LITTLE_ENDIAN = b"\x00\x01"
@@ -72,7 +85,7 @@ def compile_to_igtl(
         return None
     if any(peer.stream_requests or type(out.content) in peer.profile.adapt for peer in peers):
         return None
-    if form == MESH:  # the bytes around the content are those around any content
+    if form in (MESH, TRIANGLES):  # the bytes around the content are those around any content
         out = replace(out, content=_SMALL)
     content = size or sum(memoryview(part).nbytes for part in out.content.pack())
     extra = 0
@@ -81,6 +94,8 @@ def compile_to_igtl(
     elif form == PICTURE:
         extra, content = IMAGE_HEAD, content - IMAGE_HEAD
         form, names = _picture_places(cdr, content)
+    elif form == TRIANGLES:
+        names = _marker_places(cdr)
     else:
         names = () if form in (TEXT, MESH) else _cloud_places(cdr)
     if names is None:
@@ -166,6 +181,24 @@ def _picture_places(cdr: Buffer, size: int) -> tuple[int, tuple[int, ...] | None
     data_at = end + -end % 4 + 8
     same = (NAMES_AT, frame_end, height_at, end, data_at - 8, data_at)
     return BLUE_FIRST if blue_first else PICTURE, (height_at, data_at, size, 0, 0, 0, *same)
+
+
+def _marker_places(cdr: Buffer) -> tuple[int, ...] | None:
+    """Return the offsets that ``bulk_to_igtl`` needs of a marker; None for others than unrotated triangles."""
+    marker = rosmsg.Marker.unpack(cdr)
+    if marker.type != rosmsg.Marker.TRIANGLE_LIST or marker.action in surfaces.DELETIONS or len(marker.colors):
+        return None
+    if not surfaces.is_unrotated(marker):
+        return None
+    frame_end = end_of_name(cdr, NAMES_AT)
+    ns_at = frame_end + -frame_end % 4
+    ns_end = end_of_name(cdr, ns_at)
+    type_at = ns_end + -ns_end % 4 + 4  # after the id
+    pose_at = type_at + 8 + (4 - type_at) % 8  # alignment counts from the end of the encapsulation
+    count_at = pose_at + 80 + 16 + 8 + 4  # after pose and scale, colour, lifetime, frame_locked
+    points_at = count_at + 4 + -count_at % 8
+    same = (NAMES_AT, frame_end, ns_at, ns_end, type_at, type_at + 8, pose_at, pose_at + 80)
+    return pose_at, points_at, 24, points_at - count_at, 0, 0, *same
 
 
 def _names_of(cdr: Buffer, *, two: bool) -> tuple[int, int, int] | None:

@@ -194,7 +194,7 @@ def igtl_bulk(draw: st.DrawFn) -> Step:
 
 @st.composite
 def ros_bulk(draw: st.DrawFn) -> Step:
-    """String, PointCloud2, Mesh and Image."""
+    """String, PointCloud2, Mesh, Marker and Image."""
     end = draw(st.sampled_from([b"", b"", b"\0", b"\0\0\0"]))
     if draw(st.booleans()):
         text = _mostly(draw, draw(st.sampled_from(["", "Hello", "Hello, world", "x" * 3000])), "für", "a\0b", "end\0")
@@ -214,6 +214,22 @@ def ros_bulk(draw: st.DrawFn) -> Step:
             corners = np.minimum(corners, max(len(places) - 1, 0))
         cdr = rosmsg.Mesh(corners.reshape(-1, 3), places * _mostly(draw, 1e-3, 1e36)).pack() + end
         return "ros", "/igtl/out/M", rosmsg.Mesh.TYPE, cdr[: len(cdr) - _mostly(draw, 0, 1, 5)], draw(stamps)
+    if draw(st.integers(0, 3)) == 0:
+        marker = rosmsg.Marker(
+            header,
+            draw(st.sampled_from(["", "ns", "longer"])),
+            draw(st.integers(0, 1)),
+            _mostly(draw, rosmsg.Marker.TRIANGLE_LIST, rosmsg.Marker.LINE_LIST, 0),
+            _mostly(draw, 0, 2),
+            _mostly(draw, (0.0, 0.0, 0.0), (0.1, -0.2, 1e-9)),
+            _mostly(draw, (0.0, 0.0, 0.0, 1.0), (0.0,) * 4, (0.0, 0.6, 0.0, 0.8)),
+            _mostly(draw, (1.0, 1.0, 1.0), (0.3, 1.0, -2.0)),
+            points=np.repeat(places, _mostly(draw, 3, 2, 1), axis=0) * _mostly(draw, 1e-3, 1e36),
+            colors=np.ones((_mostly(draw, 0, 3), 4), np.float32),
+            text=draw(st.sampled_from(["", "text"])),
+        )
+        cdr = marker.pack() + end
+        return "ros", "/igtl/out/K", marker.TYPE, cdr[: len(cdr) - _mostly(draw, 0, 1, 5, 30)], draw(stamps)
     kind, datatype = _mostly(draw, ("<f4", 7), (">f4", 7), ("<f8", 8))
     step = draw(st.sampled_from([12, 12, 16])) * (2 if datatype == 8 else 1)
     names = _mostly(draw, "xyz", "zyx", "xyzi", "xyy")
@@ -410,6 +426,9 @@ def test_so_does_the_second_text_cloud_or_picture_of_a_peer(made: tuple[str, Any
             rosmsg.Header(T0_NS, "map"), n, 2, fields("z", "y", "x"), False, 16, 32, bytes(32 * n), True
         ),
         lambda n: rosmsg.Mesh(np.zeros((n, 3), np.uint32), ROWS[:n]),
+        lambda n: rosmsg.Marker(
+            rosmsg.Header(T0_NS, "map"), "ns", n, rosmsg.Marker.TRIANGLE_LIST, points=np.repeat(ROWS[:n], 3, axis=0)
+        ),
         lambda n: rosmsg.Image(rosmsg.Header(T0_NS, "map"), 2, 2, "bgr8", 0, 6, bytes([n % 256]) * 12),
     ],
 )
@@ -520,6 +539,21 @@ def test_large_surfaces_are_converted_as_on_the_full_path() -> None:
         good = rosmsg.Mesh(CORNERS[::-1], PLACES.astype(np.float64) * 1.1)
         mesh = rosmsg.Mesh(corners, place.astype(np.float64) / 3)
         steps += [("ros", "/igtl/out/M", mesh.TYPE, one.pack(), T0_NS) for one in (good, good, mesh)]
+    head = (
+        rosmsg.Header(T0_NS, "m"),
+        "ns",
+        1,
+        rosmsg.Marker.TRIANGLE_LIST,
+        0,
+        (0.1, 0.2, 0.3),
+        (0.0,) * 4,
+        (2.0, 0.3, 1.0),
+    )
+    for place in (PLACES, _at_place(PLACES, 0, math.nan), PLACES[::-1], _at_place(PLACES, MANY - 1, math.inf)):
+        markers = (
+            rosmsg.Marker(*head, points=one.astype(np.float64) / 7) for one in (PLACES[:-3], place, place[:-300])
+        )
+        steps += [("ros", "/igtl/out/K", one.TYPE, one.pack(), T0_NS) for one in markers]
     assert played(steps, Config(), None, fast_path=True) == played(steps, Config(), None, fast_path=False)
 
 
