@@ -1,4 +1,4 @@
-/* The compiled part of igtl_gateway/record/shared_queue.py, which documents the function. */
+/* The compiled part of igtl_gateway/record/shared_queue.py, which documents the functions. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
@@ -90,7 +90,49 @@ static PyObject *put_entry(PyObject *module, PyObject *const *args, Py_ssize_t c
     return PyBool_FromLong(taken);
 }
 
+/* (target, place, parts): the parts, one after the other, without the interpreter lock */
+static PyObject *copy_parts(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (count != 3 || !PyList_CheckExact(args[2])) {
+        PyErr_SetString(PyExc_TypeError, "copy_parts: found other arguments, expected those of shared_queue.py");
+        return NULL;
+    }
+    const Py_ssize_t place = PyLong_AsSsize_t(args[1]), number = PyList_GET_SIZE(args[2]);
+    if (place == -1 && PyErr_Occurred())
+        return NULL;
+    Py_buffer target, *parts = PyMem_Calloc((size_t)number + 1, sizeof *parts);
+    if (!parts)
+        return PyErr_NoMemory();
+    if (PyObject_GetBuffer(args[0], &target, PyBUF_WRITABLE) < 0) {
+        PyMem_Free(parts);
+        return NULL;
+    }
+    Py_ssize_t known = 0, size = 0;
+    while (known < number && PyObject_GetBuffer(PyList_GET_ITEM(args[2], known), &parts[known], PyBUF_SIMPLE) == 0)
+        size += parts[known++].len;
+    const int complete = known == number;
+    const int fits = complete && place >= 0 && size <= target.len - place;
+    if (fits) {
+        uint8_t *at = (uint8_t *)target.buf + place;
+        Py_BEGIN_ALLOW_THREADS
+        for (Py_ssize_t i = 0; i < number; i++) {
+            memcpy(at, parts[i].buf, (size_t)parts[i].len);
+            at += parts[i].len;
+        }
+        Py_END_ALLOW_THREADS
+    } else if (complete) {
+        PyErr_Format(PyExc_ValueError, "copy_parts: found %zd bytes at %zd, expected room for them", size, place);
+    }
+    for (Py_ssize_t i = 0; i < known; i++)
+        PyBuffer_Release(&parts[i]);
+    PyMem_Free(parts);
+    PyBuffer_Release(&target);
+    return fits ? Py_NewRef(Py_None) : NULL;
+}
+
 static PyMethodDef functions[] = {
+    {"copy_parts", (PyCFunction)(void (*)(void))copy_parts, METH_FASTCALL, "See shared_queue.py."},
     {"put_entry", (PyCFunction)(void (*)(void))put_entry, METH_FASTCALL, "See shared_queue.py."},
     {NULL, NULL, 0, NULL},
 };

@@ -105,9 +105,17 @@ LARGE_BYTES = 64 << 10
 #: Arguments: the memory of the queue, the numbers of the streams, the entry.
 put_entry: Callable[[mmap.mmap, dict[_Stream, int], Entry], bool] | None = None
 
+
+def copy_parts(room: memoryview, place: int, parts: list[memoryview]) -> None:
+    """Copy the parts, one after the other, to a place in the room.  The compiled one does not need the interpreter."""
+    for part in parts:
+        room[place : place + len(part)] = part
+        place += len(part)
+
+
 if not TYPE_CHECKING:
     try:
-        from igtl_gateway.record._queue import put_entry
+        from igtl_gateway.record._queue import copy_parts, put_entry
     except ImportError:  # pragma: no cover - installed without the C part
         pass
 
@@ -162,15 +170,12 @@ class QueueSlot:
     Raises BufferError or the like for what is no payload.
     """
 
-    __slots__ = ("_begin", "_parts", "_room", "_target")
+    __slots__ = ("_begin", "_parts", "_room")
 
     def __init__(self, room: memoryview, parts: Sequence[Buffer]) -> None:
-        import numpy as np  # here, because the reader's process starts faster without it
-
         self._begin = -1
         self._room = room
-        self._target = np.frombuffer(room, np.uint8)
-        self._parts = [np.frombuffer(part, np.uint8) for part in parts]
+        self._parts = [memoryview(part) for part in parts]  # none of them can change its size
 
     def place_at(self, begin: int) -> None:
         """Set the place of its record, which is there now."""
@@ -180,10 +185,7 @@ class QueueSlot:
         """Copy the payload, which must not have changed, and hand the entry to the reader; once."""
         if self._begin < 0:
             return
-        end = self._begin + _RECORD_BYTES
-        for part in self._parts:
-            begin, end = end, end + len(part)
-            self._target[begin:end] = part  # without the interpreter lock, unlike a memoryview
+        copy_parts(self._room, self._begin + _RECORD_BYTES, self._parts)
         self._end(0)
 
     def __del__(self) -> None:

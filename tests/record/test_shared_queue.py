@@ -23,7 +23,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from igtl_gateway.record import shared_queue
-from igtl_gateway.record.shared_queue import ENTRY_BYTES, QueueReader, QueueSlot, QueueWriter, shared_memory
+from igtl_gateway.record.shared_queue import ENTRY_BYTES, QueueReader, QueueSlot, QueueWriter, copy_parts, shared_memory
 from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
 
@@ -309,6 +309,15 @@ def test_a_payload_that_is_never_copied_is_lost() -> None:
     assert (pair.get(), pair.getter.filling) == (None, False)
     assert pair.getter.lost == {samples.igtl(1).channel: 1}
     assert pair.putter.waiting == (0, 0)
+
+
+@pytest.mark.parametrize("place", [-1, 90, 101, 2**63])
+def test_nothing_is_copied_beyond_the_room(place: int) -> None:
+    room = bytearray(100)
+    with pytest.raises((ValueError, OverflowError)):
+        copy_parts(memoryview(room), place, [memoryview(b"five "), memoryview(b"and six")])
+    copy_parts(memoryview(room), 88, [memoryview(b"five "), memoryview(b""), memoryview(b"and six")])
+    assert room == bytes(88) + b"five and six"
 
 
 def test_what_the_putter_did_not_copy_before_its_end_is_lost() -> None:
