@@ -849,6 +849,19 @@ static ssize_t put_next(const struct ros_bulk *stream, const struct found *found
     return block;
 }
 
+/* Write head and tail of a message with this content; the CRC is still to be put.  Returns the CRC of the head. */
+static uint64_t put_ends(const struct igtl_form *form, const struct found *found, uint8_t *head, uint8_t *tail,
+                         int64_t stamp_ns)
+{
+    memcpy(head, form->head, (size_t)form->head_size);
+    memcpy(tail, form->tail, (size_t)form->tail_size);
+    put_u64(head + TICKS_AT, ns_to_ticks(stamp_ns));
+    put_u64(head + BODY_SIZE_AT, (uint64_t)(form->head_size + found->size + form->tail_size - HEADER_SIZE));
+    if (form->digits_at > 0)
+        put_digits(tail + form->digits_at, found->header_ns);
+    return crc64_update(0, head + HEADER_SIZE, form->head_size - HEADER_SIZE);
+}
+
 /* Write all forms, whose ``out`` have room for head, content and tail; 0: the message needs the full path. */
 static int bulk_from_ros(const struct ros_bulk *stream, const struct found *found, const struct igtl_form *forms,
                          ssize_t count, int64_t stamp_ns)
@@ -856,13 +869,7 @@ static int bulk_from_ros(const struct ros_bulk *stream, const struct found *foun
     for (ssize_t i = 0; i < count; i++) {
         const struct igtl_form *form = &forms[i];
         uint8_t *content = form->out + form->head_size, *end = content + found->size;
-        memcpy(form->out, form->head, (size_t)form->head_size);
-        memcpy(end, form->tail, (size_t)form->tail_size);
-        put_u64(form->out + TICKS_AT, ns_to_ticks(stamp_ns));
-        put_u64(form->out + BODY_SIZE_AT, (uint64_t)(form->head_size + found->size + form->tail_size - HEADER_SIZE));
-        if (form->digits_at > 0)
-            put_digits(end + form->digits_at, found->header_ns);
-        uint64_t crc = crc64_update(0, form->out + HEADER_SIZE, form->head_size - HEADER_SIZE);
+        uint64_t crc = put_ends(form, found, form->out, end, stamp_ns);
         const uint8_t *made = i ? forms[0].out + forms[0].head_size : NULL;
         for (ssize_t done = 0, next; done < found->size; done += next) {
             if (made) {
@@ -876,6 +883,18 @@ static int bulk_from_ros(const struct ros_bulk *stream, const struct found *foun
         put_u64(form->out + CRC_AT, crc64_update(crc, end, form->tail_size));
     }
     return 1;
+}
+
+/* Write head and tail of all forms around pixels that stay where they are; ``out`` has room for head and tail. */
+static void frame_pixels(const struct found *found, const struct igtl_form *forms, ssize_t count, int64_t stamp_ns)
+{
+    for (ssize_t i = 0; i < count; i++) {
+        const struct igtl_form *form = &forms[i];
+        uint8_t *tail = form->out + form->head_size;
+        uint64_t crc = put_ends(form, found, form->out, tail, stamp_ns);
+        crc = crc64_update(crc, found->data, found->size);
+        put_u64(form->out + CRC_AT, crc64_update(crc, tail, form->tail_size));
+    }
 }
 
 #endif

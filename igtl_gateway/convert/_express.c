@@ -262,6 +262,40 @@ static int read_places(PyObject *places, struct ros_bulk *stream, ssize_t number
     return inside;
 }
 
+/* Return whether a slice of the object is one of its bytes. */
+static int is_flat(PyObject *data)
+{
+    if (!PyMemoryView_Check(data))
+        return PyBytes_Check(data);
+    Py_buffer *view = PyMemoryView_GET_BUFFER(data);
+    return view->ndim == 1 && view->itemsize == 1 && view->readonly;
+}
+
+/* Replace each message of head and tail by a tuple of these, with the pixels as a view between them; 0: an exception is
+ * set. */
+static int put_pixels_between(PyObject *result, PyObject *cdr, const struct igtl_form *forms, Py_ssize_t at, Py_ssize_t size)
+{
+    PyObject *whole = PyMemoryView_FromObject(cdr);
+    PyObject *pixels = whole ? PySequence_GetSlice(whole, at, at + size) : NULL;
+    Py_XDECREF(whole);
+    for (Py_ssize_t i = 1; pixels && i < PyTuple_GET_SIZE(result); i++) {
+        PyObject *ends = PyTuple_GET_ITEM(result, i);
+        const char *bytes = PyBytes_AS_STRING(ends);
+        Py_ssize_t head = forms[i - 1].head_size, tail = forms[i - 1].tail_size;
+        PyObject *parts = tail ? Py_BuildValue("y#Oy#", bytes, head, pixels, bytes + head, tail)
+                               : Py_BuildValue("OO", ends, pixels);
+        if (!parts) {
+            Py_CLEAR(pixels);
+            break;
+        }
+        PyTuple_SET_ITEM(result, i, parts);
+        Py_DECREF(ends);
+    }
+    int done = pixels != NULL;
+    Py_XDECREF(pixels);
+    return done;
+}
+
 static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
@@ -300,6 +334,7 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
         goto general;
     int64_t said_ns = found.header_ns ? found.header_ns : source_ns;
     int64_t stamp_ns = own && said_ns > 0 ? said_ns : received_ns;
+    int apart = stream.form == PICTURE && found.size >= LARGE_BYTES && is_flat(args[0]);
     if (!(result = PyTuple_New(1 + forms_count)))
         goto done;
     PyTuple_SET_ITEM(result, 0, PyLong_FromLongLong(stamp_ns));
@@ -318,18 +353,25 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
             Py_CLEAR(result); /* metadata of another size than in the template */
             goto general;
         }
-        PyObject *message = PyBytes_FromStringAndSize(NULL, form->head_size + found.size + form->tail_size);
+        PyObject *message = PyBytes_FromStringAndSize(NULL, form->head_size + (apart ? 0 : found.size) + form->tail_size);
         if (!message)
             goto failed;
         PyTuple_SET_ITEM(result, 1 + i, message);
         form->out = (uint8_t *)PyBytes_AS_STRING(message);
     }
     PyThreadState *others = found.size >= LARGE_BYTES ? PyEval_SaveThread() : NULL;
-    int converted = bulk_from_ros(&stream, &found, forms, forms_count, stamp_ns);
+    int converted = 1;
+    if (apart)
+        frame_pixels(&found, forms, forms_count, stamp_ns);
+    else
+        converted = bulk_from_ros(&stream, &found, forms, forms_count, stamp_ns);
     if (others)
         PyEval_RestoreThread(others);
-    if (converted)
+    if (converted) {
+        if (apart && !put_pixels_between(result, args[0], forms, found.data - (const uint8_t *)view.buf, found.size))
+            goto failed;
         goto done;
+    }
     Py_CLEAR(result);
 general:
     result = Py_NewRef(Py_None);

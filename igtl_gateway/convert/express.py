@@ -203,7 +203,7 @@ bulk_to_ros: Fill | None = None
 #: an image the offsets, the size of its data, and zeros; for a marker the offsets of its pose and of its points, their
 #: size, the bytes from their number to them, and zeros; then begin and end of each part of the sample that must be
 #: equal.  ``size``: the conversion.  ``forms``: for each form the bytes before and after the content, and the offset of
-#: the digits in the latter.
+#: the digits in the latter.  The result has a tuple of buffers for a large image: its pixels are a view on ``cdr``.
 bulk_to_igtl: Fill | None = None
 
 if not TYPE_CHECKING:

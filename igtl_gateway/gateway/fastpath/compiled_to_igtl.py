@@ -102,6 +102,7 @@ class CompiledToIgtl:
         step = 0
         for output, links, sent in self.outputs:
             step += 1
+            message = made[step]
             sent["sent"] = sent.get("sent", 0) + links
             entries.append(
                 Entry(
@@ -110,7 +111,7 @@ class CompiledToIgtl:
                     Kind.IGTL_OUT,
                     output.channel,
                     output.type,
-                    (made[step],),
+                    message if type(message) is tuple else (message,),
                     output.links,
                     shown_ns,
                 )
