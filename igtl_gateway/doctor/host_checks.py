@@ -27,8 +27,8 @@ MAX_STEAL = 0.005
 MAX_SLACK_NS = 50_000
 #: Share of the time that real-time threads need at least.
 MIN_RT_SHARE = 0.9
-#: Two segments of Fast DDS (see edges/ros/env.py): one of the bridge and one of another program.
-MIN_SHARED_BYTES = 256 << 20
+#: Room for some segments of Fast DDS (see edges/ros/env.py): of the bridge and of other programs.
+MIN_SHARED_BYTES = 128 << 20
 #: A Full HD image in RGB has 6 MB.
 MIN_SOCKET_BYTES = 8 << 20
 #: The least CPU time that the mixed load needs, with its recorder.

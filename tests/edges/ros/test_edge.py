@@ -491,7 +491,7 @@ def test_profile_for_large_messages_is_in_force() -> None:
     said, segment = done.stdout.splitlines()
     if "for large messages" not in said:
         pytest.skip(said)
-    assert int(segment) >= 128 << 20
+    assert 32 << 20 <= int(segment) < 64 << 20
 
 
 def fails_to_start(code: str, **environ: str) -> str:

@@ -65,7 +65,7 @@ def room_for_segments() -> bool:
     if not shared_memory.is_dir():
         return False
     free = os.statvfs(shared_memory)
-    return free.f_bavail * free.f_frsize >= 256 << 20
+    return free.f_bavail * free.f_frsize >= 128 << 20
 
 
 @pytest.mark.skipif(not on_glibc(), reason="mallopt is glibc's")
@@ -78,7 +78,7 @@ def test_allocator_keeps_large_blocks() -> None:
     assert fresh_before >= 8
 
 
-@pytest.mark.skipif(not room_for_segments(), reason="needs 256 MiB of /dev/shm")
+@pytest.mark.skipif(not room_for_segments(), reason="needs 128 MiB of /dev/shm")
 def test_profile_is_set_for_us_and_our_children() -> None:
     lines, environment, _ = prepare()
     assert "shared memory" in lines[0]
