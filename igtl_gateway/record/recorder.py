@@ -2,7 +2,8 @@
 
 What is written is written by a process of its own (``worker``), so that neither a slow disk nor the work of
 compressing takes the interpreter from the bridge, and so that what the bridge has handed over is in the file
-whatever happens to the bridge: if it is killed, the other process writes what waits and closes the file.  Entries go
+whatever happens to the bridge: if it is killed, the other process writes what waits and closes the file.  Only a large
+payload that the bridge was still copying is lost then, and counts as dropped.  Entries go
 there through memory that both share (``shared_queue``); requests wait in the same queue, so they act between the
 entries before and after them.  Questions and notes come back through a pipe.
 
