@@ -53,10 +53,10 @@ static PyTypeObject owned_type = {
 };
 
 /* To be called once before anything else here; not 0: an exception is set. */
-static int begin_take(void) { return PyType_Ready(&owned_type); }
+static inline int begin_take(void) { return PyType_Ready(&owned_type); }
 
 /* Return a taken message as bytes or, if it is large, as a memoryview: then ``message`` has no memory any more. */
-static PyObject *python_bytes(struct rcl_serialized *message)
+static inline PyObject *python_bytes(struct rcl_serialized *message)
 {
     if (message->length < OWNED_BYTES)
         return PyBytes_FromStringAndSize((const char *)message->buffer, (Py_ssize_t)message->length);
@@ -77,7 +77,7 @@ static PyObject *python_bytes(struct rcl_serialized *message)
  * ``memory``: for this and the next messages of one thread, with TAKE_ALLOCATOR; its owner frees ``buffer``.  The caller
  * ensures that nobody destroys the subscription meanwhile.  Raises RuntimeError if rcl refuses.
  */
-static PyObject *take_serialized(rcl_take_function take, const void *subscription, struct rcl_serialized *memory)
+static inline PyObject *take_serialized(rcl_take_function take, const void *subscription, struct rcl_serialized *memory)
 {
     struct rcl_message_info info = {0};
     int32_t code;

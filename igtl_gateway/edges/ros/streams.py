@@ -11,6 +11,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
+from igtl_gateway.buffers import Buffer
 from igtl_gateway.clock import Clock
 from igtl_gateway.edges.ros.direct import RclPublisher, closed_publisher
 from igtl_gateway.edges.ros.middleware import first_line
@@ -78,18 +79,18 @@ class EchoFilter:
             if len(self._sent) > 2 * _ECHO_MEMORY:
                 del self._begun_ns[:_ECHO_MEMORY], self._sent[:_ECHO_MEMORY]
 
-    def is_own(self, cdr: bytes, source_ns: int) -> bool:
+    def is_own(self, cdr: Buffer, source_ns: int) -> bool:
         with self._lock:
             return _is_echo(self._begun_ns, self._sent, cdr, source_ns) or _is_echo(*self._before, cdr, source_ns)
 
 
-def _is_echo(begun_ns: list[int], sent: list[tuple[int, bytes]], cdr: bytes, source_ns: int) -> bool:
+def _is_echo(begun_ns: list[int], sent: list[tuple[int, bytes]], cdr: Buffer, source_ns: int) -> bool:
     """Whether a message is one of those that were sent."""
     index = bisect_right(begun_ns, source_ns + _DDS_STAMP_NS) - 1
     if index < 0:
         return False
     ended_ns, prefix = sent[index]
-    own = source_ns <= ended_ns + _DDS_STAMP_NS and cdr.startswith(prefix)
+    own = source_ns <= ended_ns + _DDS_STAMP_NS and cdr[: len(prefix)] == prefix
     if own:
         # Each comes back once: should another node send the same bytes at this moment, its message passes.
         sent[index] = _CAME_BACK
