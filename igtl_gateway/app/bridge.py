@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway import __version__
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
@@ -39,13 +39,15 @@ from igtl_gateway.passage.streams import OnPassed
 from igtl_gateway.qos import Qos
 from igtl_gateway.realtime import RealtimeOptions
 from igtl_gateway.record.options import RecordOptions
-from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateInputRule
-from igtl_gateway.record.worker import RecordingSummary
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_MS
+
+if TYPE_CHECKING:
+    from igtl_gateway.record.recorder import Recorder
+    from igtl_gateway.record.worker import RecordingSummary
 
 #: Longest delay of a ping or a timeout: time from a tick to the next one if its deadline has come and stays.
 _TICK_NS = 50 * NS_PER_MS
@@ -213,6 +215,8 @@ class Bridge:
                 for address in self.options.connect:
                     self.tcp.connect(*address, tls=address in self.options.tls_connect)
             if self.options.record:  # after the ports: a port in use must not overwrite an existing recording
+                from igtl_gateway.record.recorder import Recorder  # here: 4 MB that only a recording needs
+
                 self.recorder = Recorder(
                     self.options.record,
                     session_facts(self.gateway.config),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge
@@ -9,8 +11,10 @@ from igtl_gateway.gateway import Gateway
 from igtl_gateway.gateway.session import Core
 from igtl_gateway.passage import Link, Lock, Passage, Publisher, Subscription, is_compiled
 from igtl_gateway.passage.streams import OnPassed, PassageStreams
-from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.session.entry import Kind
+
+if TYPE_CHECKING:
+    from igtl_gateway.record.recorder import Recorder
 
 #: A publisher for bridges without ROS.
 _NOWHERE = 0

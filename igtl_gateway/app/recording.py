@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import TimeoutError as NotYetError
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.edges.ros.edge import RosEdge
-from igtl_gateway.record.recorder import Recorder
+
+if TYPE_CHECKING:
+    from igtl_gateway.record.recorder import Recorder
 
 TYPE = "std_srvs/srv/Trigger"
 PAUSE, RESUME, SNAPSHOT = "~/pause_recording", "~/resume_recording", "~/snapshot"

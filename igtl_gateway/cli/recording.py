@@ -9,15 +9,17 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.app.recording import pause, resume, snapshot
 from igtl_gateway.cli.keys import NEXT, PAUSE, can_read_keys, keyboard
 from igtl_gateway.cli.options import STREAM, Options, add_overwrite, default
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.record.options import RecordOptions
-from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
+
+if TYPE_CHECKING:
+    from igtl_gateway.record.recorder import Recorder
 
 #: Options that need a file, with their value when they are not given.
 _OF_A_RECORDING: dict[str, Any] = {

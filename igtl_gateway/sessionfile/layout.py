@@ -26,6 +26,9 @@ from igtl_gateway.sessionfile.records import crc32
 #: Version of ``docs/session-log.md``; a reader refuses a file with a newer one.
 FORMAT_VERSION = 1
 
+#: Uncompressed size of a chunk: a reader has to hold it, and unpacks it for one message.
+CHUNK_BYTES = 1 << 20
+
 MCAP_PROFILE = "ros2"
 MESSAGE_ENCODING = "cdr"
 SCHEMA_ENCODING = "ros2msg"

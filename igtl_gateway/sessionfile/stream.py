@@ -35,10 +35,8 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.sessionfile import records
 from igtl_gateway.sessionfile.chunk_rows import RowStream, add_rows, index_messages
 from igtl_gateway.sessionfile.compression import NAMES, Compression, compress
+from igtl_gateway.sessionfile.layout import CHUNK_BYTES
 from igtl_gateway.sessionfile.records import MAGIC, MESSAGE, MESSAGE_HEAD, MESSAGE_RECORD, crc32, pack
-
-#: Uncompressed size of a chunk: a reader has to hold it, and unpacks it for one message.
-CHUNK_BYTES = 1 << 20
 
 #: A message of this part of a chunk's size is large.
 _LARGE = 4

@@ -24,12 +24,12 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.chunk_rows import RowStream
 from igtl_gateway.sessionfile.compression import Compression
-from igtl_gateway.sessionfile.layout import LayoutError
+from igtl_gateway.sessionfile.layout import CHUNK_BYTES, LayoutError
 from igtl_gateway.sessionfile.messages import RawPacker, device_name, pack_message
 from igtl_gateway.sessionfile.new_file import cannot_begin, create_file, os_error_text, sync_folder
 from igtl_gateway.sessionfile.schemas import Definition, RosTypes
 from igtl_gateway.sessionfile.side_file import TopicCount, topic_counts
-from igtl_gateway.sessionfile.stream import CHUNK_BYTES, McapStream
+from igtl_gateway.sessionfile.stream import McapStream
 
 #: When written data are forced to the disk, so that a power failure does not lose them.
 Fsync = Literal["never", "flush", "close"]
